@@ -1,33 +1,25 @@
 """Charts of the desk: each curve is declared by its quantity of the catalogue, which names axis and unit.
 
-They are drawn by ECharts, which NiceGUI brings along, as SVG whose colours are those of the theme. Zoom is by
-wheel or fingers; what is pointed at is shown with its unit.
+They are drawn by ECharts, which NiceGUI brings along, as SVG. Its theme is `static/charts.json`, whose
+colours are those of the page. Zoom is by wheel or fingers; what is pointed at is shown with its unit.
 """
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 from nicegui import ui
 
+from rig.desk.tables import static
 from rig.presentation import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
 Mark = tuple[float, str]
-_TEXT = {"color": "var(--dim)", "fontSize": 12}
 _NAME_PERCENT, _BELOW_PERCENT = 10.0, 18.0
 """Of a chart with several rows: what the name above a row takes, and labels and name below the last one."""
-_EDGE = {"lineStyle": {"color": "var(--edge)"}}
-_LINES = {"lineStyle": {"color": "var(--edge)", "opacity": 0.35}}
-_BOX = {"backgroundColor": "var(--raised)", "color": "var(--ink)"}
-_TYPES: Final[Mapping[str, Mapping[str, Any]]] = {
-    "line": {"type": "line", "symbol": "none"},
-    "points": {"type": "scatter", "symbol": "circle", "symbolSize": 5},
-    "bars": {"type": "bar", "barCategoryGap": "10%"},
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +31,7 @@ class ChartCurve:
 
     key: str
     name: str = ""
-    style: Literal["line", "points", "bars"] = "line"
+    style: Literal["line", "scatter", "bar"] = "line"
     colour: str = "line"
     row: int = 0
 
@@ -74,7 +66,7 @@ def chart_options(
             "name": x.label if row == last else "",
             "nameLocation": "middle",
             "nameGap": 24,
-            "axisLine": {**_EDGE, "onZero": False},
+            "axisLine": {"onZero": False},
         }
         x_axes.append(across)
         shown = quantity(next(curve.key for curve in curves if curve.row == row), unit)
@@ -84,7 +76,7 @@ def chart_options(
             "scale": True,
             **(_from_to(reach) if is_square else {}),
             "name": shown.label,
-            "nameTextStyle": {**_TEXT, "align": "left", "padding": [0, 0, 0, -50]},
+            "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -50]},
             "nameGap": 8,
             "splitNumber": 2 if last else 5,
         }
@@ -109,16 +101,9 @@ def chart_options(
         "xAxis": x_axes,
         "yAxis": y_axes,
         "series": series,
-        "legend": {"show": named, "data": names, "right": 8, "top": 0, "textStyle": _TEXT, "itemHeight": 8},
+        "legend": {"show": named, "data": names},
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
-        "tooltip": {
-            "trigger": "axis",
-            "axisPointer": {"type": "cross", "lineStyle": {"color": "var(--dim)"}},
-            "confine": True,
-            "backgroundColor": "var(--raised)",
-            "borderColor": "var(--edge)",
-            "textStyle": {"color": "var(--ink)"},
-        },
+        "tooltip": {},
         "dataZoom": [
             {"type": "inside", "xAxisIndex": every, "filterMode": "none"},
             {"type": "inside", "yAxisIndex": every, "filterMode": "none", "zoomOnMouseWheel": "shift"},
@@ -141,18 +126,13 @@ def _axis(
     return {
         "type": "value",
         "gridIndex": row,
-        "nameTextStyle": _TEXT,
-        "axisLine": _EDGE,
-        "splitLine": _LINES,
         "axisLabel": {
-            **_TEXT,
             ":formatter": _number(""),
-            "hideOverlap": True,
             "show": is_labelled,
             "showMinLabel": has_ends,
             "showMaxLabel": has_ends,
         },
-        "axisPointer": {"label": {":formatter": f"p => ({_number(shown.unit)})(p.value)", **_BOX}},
+        "axisPointer": {"label": {":formatter": f"p => ({_number(shown.unit)})(p.value)"}},
     }
 
 
@@ -173,12 +153,11 @@ def _series(curve: ChartCurve, points: Points, unit: str) -> dict[str, Any]:
     """One curve for ECharts."""
     shown, colour = quantity(curve.key, unit), f"var(--{curve.colour})"
     return {
-        **_TYPES[curve.style],
+        "type": curve.style,
         "name": curve.name or shown.symbol,
         "xAxisIndex": curve.row,
         "yAxisIndex": curve.row,
-        "emphasis": {"disabled": True},
-        "lineStyle": {"color": colour, "width": 1.5},
+        "lineStyle": {"color": colour},
         "itemStyle": {"color": colour},
         "tooltip": {":valueFormatter": _number(shown.unit)},
         "data": list(points),
@@ -214,7 +193,7 @@ class Chart:
                 with ui.row().classes("items-center") as self.head:
                     ui.label(title).classes("title")
             with ui.element("div").classes("whole") if square else nullcontext():
-                self.element = ui.echart({}, renderer="svg")
+                self.element = ui.echart({}, renderer="svg", theme=json.loads(static("charts.json")))
             self.element.props(f'role="img" aria-label="{title}"')
             if height:
                 self.element.style(f"height: {height}; min-height: 0; flex: 0 0 auto")
@@ -285,7 +264,7 @@ class TrajectoryChart:
 
 WAY = (
     ChartCurve("deflection_y", "way of the spot"),
-    ChartCurve("deflection_y", "now", style="points", colour="second"),
+    ChartCurve("deflection_y", "now", style="scatter", colour="second"),
 )
 """Curves of a trajectory, over ``deflection_x``."""
 _STEPS = 3
