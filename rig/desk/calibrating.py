@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
 FOLDER = Path("calibrations")
+Stated = Mapping[str, str]
+"""What was typed into the fields of a kind, by their names."""
 _UNKNOWN = "unknown"
 _SIDES = (_UNKNOWN, "+", "-")
 
@@ -97,88 +99,94 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
 """All kinds by the word after ``rig calibrate``, in the order in which a rig is calibrated."""
 
 
-class Calibration:
-    """A kind of calibration at a desk: what is recorded for it, and what was filed.
+class Calibrating:
+    """The calibrations of a desk: one recording at a time, and what was filed.
 
-    `recorded` is what was recorded last, `made` what was filed here last, `problem` what went wrong last.
+    `made` are the calibrations filed at this desk, `problems` what went wrong last, both by kind; `recorded`
+    is what was recorded last for a kind.
     """
 
-    def __init__(self, desk: "Desk", name: str) -> None:
+    def __init__(self, desk: "Desk") -> None:
         self._desk = desk
-        self.name, self.kind = name, KINDS[name]
-        self._recording: tuple[Path, Job] | None = None
-        self.recorded: Path | None = None
-        self.made: CalibrationReport | None = None
-        self.problem = ""
+        self._recording: tuple[str, Path, Job] | None = None
+        self.made: dict[str, CalibrationReport] = {}
+        self.recorded: dict[str, Path] = {}
+        self.problems: dict[str, str] = {}
 
-    def record(self, amount: str, exposure_us: object = None) -> None:
+    def record(self, kind: str, amount: str, exposure_us: object = "") -> None:
         """Record by `rig camera record` or `frames`, into a new file; may wait until the camera is free.
 
-        `amount` is the length in s, or the number of frames. Raises ConfigurationError while the camera is in
-        use.
+        `amount` is the length in s, or the number of frames. Raises ConfigurationError while another one is
+        recorded.
         """
-        is_frames = self.kind.seconds is None
-        path = next_free(FOLDER / "records", self.name, "" if is_frames else ".mcap")
+        if self.recording():
+            raise ConfigurationError("a recording is under way; wait, or cancel it")
+        form = KINDS[kind]
+        path = next_free(FOLDER / "records", kind, "" if form.seconds is None else ".mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
-        words = ["frames", "-n", amount] if is_frames else ["record", "--seconds", amount]
-        values = {} if exposure_us is None else {"camera.exposure_us": exposure_us}
-        job = self._desk.start(f"camera {words[0]}", "-o", str(path), *words[1:], values=values)
-        self.problem, self._recording = "", (path, job)
+        self.problems.pop(kind, None)
+        if form.seconds is None:
+            words = ["camera frames", "-o", str(path), "-n", amount]
+        else:
+            words = ["camera record", "-o", str(path), "--seconds", amount]
+        values = {} if exposure_us == "" else {"camera.exposure_us": exposure_us}
+        self._recording = kind, path, self._desk.start(*words, values=values)
 
     def stop(self) -> None:
         """End the recording, and darken; what was not recorded to its end is not offered."""
         if self._recording is not None:
-            self._recording[1].end()
+            self._recording[2].end()
 
-    def progress(self) -> str:
+    def recording(self) -> str:
         """What is being recorded, and what the command said last; empty if nothing is."""
         if self._recording is None:
             return ""
-        path, job = self._recording
-        if job.running:
+        kind, path, job = self._recording
+        if job.status is None:
             return f"{path} is recorded{f': {job.said[-1]}' if job.said else ''}"
         self._recording = None
-        if job.ending or job.status:
-            self.problem = "the recording was stopped" if job.ending else job.problem
+        if job.ending:
+            self.problems[kind] = "the recording was stopped"
+        elif job.status:
+            self.problems[kind] = job.problem
         else:
-            self.recorded = path
+            self.recorded[kind] = path
         return ""
 
-    def file(self, given: str, stated: Mapping[str, str]) -> None:
-        """Make the calibration by `rig calibrate` and file it; takes seconds.
+    def file(self, kind: str, given: str, stated: Stated) -> None:
+        """Make the calibration by `rig calibrate KIND` and file it; takes seconds.
 
         `given` is the name of a record, or the text of a list, which is first written to a file. The command
-        judges what was `stated`, by the names of its options. Raises RigError where the measurement does not
-        serve.
+        judges what was `stated`. Raises RigError where the measurement does not serve.
         """
-        self.problem = ""
+        self.problems.pop(kind, None)
         try:
-            path = _written(self.name, given) if self.kind.list_text else _record(given)
+            path = _written(kind, given) if KINDS[kind].list_text else _record(given)
             words = [
                 f"--{name}={text.strip()}"
                 for name, text in {"output": str(FOLDER), **stated}.items()
                 if text.strip() not in ("", _UNKNOWN)
             ]
-            job = self._desk.jobs.begin(
-                f"calibrate {self.name}", str(path), *words, "--json", uses_camera=False
-            )
+            name = f"calibrate {kind}"
+            job = self._desk.jobs.begin(name, str(path), *words, "--json", uses_camera=False)
             job.wait()
             if job.status:
                 raise RigError(job.problem)
-            self.made = filed(Path(job.lines[-1]["written"][0]))
+            self.made[kind] = filed(Path(job.lines[-1]["written"][0]))
         except RigError as error:
-            self.problem = str(error)
+            self.problems[kind] = str(error)
             raise
 
-    def use(self) -> str:
+    def use(self, kind: str) -> str:
         """The calibration made last holds for all that this desk starts; returns what to state for good."""
-        if self.made is None:
-            raise ConfigurationError(f"no calibration of the {self.name} was made here yet")
-        (table, keys), *_ = tomllib.loads(self.made.configuration).items()
+        made = self.made.get(kind)
+        if made is None:
+            raise ConfigurationError(f"no calibration of the {kind} was made here yet")
+        (table, keys), *_ = tomllib.loads(made.configuration).items()
         own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
         self._desk.checked(own)
         self._desk.kept.update(own)
-        return self.made.configuration.replace("\n", "  ")
+        return made.configuration.replace("\n", "  ")
 
 
 def _written(kind: str, text: str) -> Path:

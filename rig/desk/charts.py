@@ -1,25 +1,33 @@
 """Charts of the desk: each curve is declared by its quantity of the catalogue, which names axis and unit.
 
-They are drawn by ECharts, which NiceGUI brings along, as SVG. Its theme is `static/charts.json`, whose
-colours are those of the page. Zoom is by wheel or fingers; what is pointed at is shown with its unit.
+They are drawn by ECharts, which NiceGUI brings along, as SVG whose colours are those of the theme. Zoom is by
+wheel or fingers; what is pointed at is shown with its unit.
 """
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from nicegui import ui
 
-from rig.desk.tables import static
 from rig.presentation import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
 Mark = tuple[float, str]
+_TEXT = {"color": "var(--dim)", "fontSize": 12}
 _NAME_PERCENT, _BELOW_PERCENT = 10.0, 18.0
 """Of a chart with several rows: what the name above a row takes, and labels and name below the last one."""
+_EDGE = {"lineStyle": {"color": "var(--edge)"}}
+_LINES = {"lineStyle": {"color": "var(--edge)", "opacity": 0.35}}
+_BOX = {"backgroundColor": "var(--raised)", "color": "var(--ink)"}
+_TYPES: Final[Mapping[str, Mapping[str, Any]]] = {
+    "line": {"type": "line", "symbol": "none"},
+    "points": {"type": "scatter", "symbol": "circle", "symbolSize": 5},
+    "bars": {"type": "bar", "barCategoryGap": "10%"},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +39,7 @@ class ChartCurve:
 
     key: str
     name: str = ""
-    style: Literal["line", "scatter", "bar"] = "line"
+    style: Literal["line", "points", "bars"] = "line"
     colour: str = "line"
     row: int = 0
 
@@ -66,7 +74,7 @@ def chart_options(
             "name": x.label if row == last else "",
             "nameLocation": "middle",
             "nameGap": 24,
-            "axisLine": {"onZero": False},
+            "axisLine": {**_EDGE, "onZero": False},
         }
         x_axes.append(across)
         shown = quantity(next(curve.key for curve in curves if curve.row == row), unit)
@@ -76,7 +84,7 @@ def chart_options(
             "scale": True,
             **(_from_to(reach) if is_square else {}),
             "name": shown.label,
-            "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -50]},
+            "nameTextStyle": {**_TEXT, "align": "left", "padding": [0, 0, 0, -50]},
             "nameGap": 8,
             "splitNumber": 2 if last else 5,
         }
@@ -101,9 +109,16 @@ def chart_options(
         "xAxis": x_axes,
         "yAxis": y_axes,
         "series": series,
-        "legend": {"show": named, "data": names},
+        "legend": {"show": named, "data": names, "right": 8, "top": 0, "textStyle": _TEXT, "itemHeight": 8},
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
-        "tooltip": {},
+        "tooltip": {
+            "trigger": "axis",
+            "axisPointer": {"type": "cross", "lineStyle": {"color": "var(--dim)"}},
+            "confine": True,
+            "backgroundColor": "var(--raised)",
+            "borderColor": "var(--edge)",
+            "textStyle": {"color": "var(--ink)"},
+        },
         "dataZoom": [
             {"type": "inside", "xAxisIndex": every, "filterMode": "none"},
             {"type": "inside", "yAxisIndex": every, "filterMode": "none", "zoomOnMouseWheel": "shift"},
@@ -126,13 +141,18 @@ def _axis(
     return {
         "type": "value",
         "gridIndex": row,
+        "nameTextStyle": _TEXT,
+        "axisLine": _EDGE,
+        "splitLine": _LINES,
         "axisLabel": {
+            **_TEXT,
             ":formatter": _number(""),
+            "hideOverlap": True,
             "show": is_labelled,
             "showMinLabel": has_ends,
             "showMaxLabel": has_ends,
         },
-        "axisPointer": {"label": {":formatter": f"p => ({_number(shown.unit)})(p.value)"}},
+        "axisPointer": {"label": {":formatter": f"p => ({_number(shown.unit)})(p.value)", **_BOX}},
     }
 
 
@@ -153,11 +173,12 @@ def _series(curve: ChartCurve, points: Points, unit: str) -> dict[str, Any]:
     """One curve for ECharts."""
     shown, colour = quantity(curve.key, unit), f"var(--{curve.colour})"
     return {
-        "type": curve.style,
+        **_TYPES[curve.style],
         "name": curve.name or shown.symbol,
         "xAxisIndex": curve.row,
         "yAxisIndex": curve.row,
-        "lineStyle": {"color": colour},
+        "emphasis": {"disabled": True},
+        "lineStyle": {"color": colour, "width": 1.5},
         "itemStyle": {"color": colour},
         "tooltip": {":valueFormatter": _number(shown.unit)},
         "data": list(points),
@@ -193,7 +214,7 @@ class Chart:
                 with ui.row().classes("items-center") as self.head:
                     ui.label(title).classes("title")
             with ui.element("div").classes("whole") if square else nullcontext():
-                self.element = ui.echart({}, renderer="svg", theme=json.loads(static("charts.json")))
+                self.element = ui.echart({}, renderer="svg")
             self.element.props(f'role="img" aria-label="{title}"')
             if height:
                 self.element.style(f"height: {height}; min-height: 0; flex: 0 0 auto")
@@ -264,7 +285,7 @@ class TrajectoryChart:
 
 WAY = (
     ChartCurve("deflection_y", "way of the spot"),
-    ChartCurve("deflection_y", "now", style="scatter", colour="second"),
+    ChartCurve("deflection_y", "now", style="points", colour="second"),
 )
 """Curves of a trajectory, over ``deflection_x``."""
 _STEPS = 3

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from enum import StrEnum
 from pathlib import Path
 
 from acquisition.camera import CameraSettings
@@ -15,7 +16,7 @@ from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
-from rig.desk.calibrating import KINDS, Calibration
+from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
 from rig.desk.lighting import Lighting, Safety
@@ -30,6 +31,14 @@ _WAKES_WITHIN_S = 10.0
 """A process that was stopped, and goes on to end, answers again by then, or is gone."""
 _LOOK_S = 0.1
 _REGION = ("width_px", "height_px", "offset_x_px", "offset_y_px")
+
+
+class StartState(StrEnum):
+    """How a session stands that the desk has started."""
+
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
 
 
 class Desk:
@@ -47,7 +56,7 @@ class Desk:
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
-        self.calibrations = {name: Calibration(self, name) for name in KINDS}
+        self.calibrating = Calibrating(self)
         self.balancing = Balancing(self)
         self.following = Following(self.config.session.output)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
@@ -151,7 +160,7 @@ class Desk:
 
     def needs_camera(self, who: str) -> None:
         """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
-        if self.following.running or (self.start_runs and not self._has_ended()):
+        if self.following.running or (self.session_state is StartState.RUNNING and not self._has_ended()):
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
         for name, job in self.jobs.running(uses_camera=True):
             # what has reported its result, or was asked to end, is about to end
@@ -169,7 +178,7 @@ class Desk:
         if self.started is None or self.following.last_folder != self.started[1]:
             return False
         deadline_s = time.monotonic() + _ENDS_WITHIN_S
-        while self.start_runs:
+        while self.session_state is StartState.RUNNING:
             if self.following.running or time.monotonic() > deadline_s:
                 return False
             time.sleep(_LOOK_S)
@@ -210,19 +219,18 @@ class Desk:
     # -- the session ------------------------------------------------------------
 
     @property
-    def start_runs(self) -> bool:
-        """Whether the process runs of the session that this desk has started last."""
-        return self.started is not None and self.started[0].poll() is None
-
-    @property
-    def start_failed(self) -> bool:
-        """Whether it has ended with an error."""
-        return self.started is not None and self.started[0].poll() not in (None, 0)
+    def session_state(self) -> StartState | None:
+        """Of the session that this desk has started; None if none was."""
+        if self.started is None:
+            return None
+        status = self.started[0].poll()
+        return StartState.RUNNING if status is None else StartState.DONE if status == 0 else StartState.FAILED
 
     @property
     def starting(self) -> bool:
         """Whether the session that this desk has started last has still to be heard of."""
-        return self.started is not None and self.start_runs and self.following.last_folder != self.started[1]
+        begun = self.started
+        return begun is not None and begun[0].poll() is None and self.following.last_folder != begun[1]
 
     @property
     def session_folder(self) -> Path | None:
@@ -232,7 +240,7 @@ class Desk:
     def resumable(self) -> Path | None:
         """The last session, where it was interrupted and none runs: its missing runs can be made."""
         folder = self.session_folder
-        if folder is None or self.following.running or self.start_runs:
+        if folder is None or self.following.running or self.session_state is StartState.RUNNING:
             return None
         return folder if last_state(folder) == RunState.INTERRUPTED else None
 

@@ -13,43 +13,36 @@ from rig.desk.tab import DELIBERATE, Tab
 T = TypeVar("T")
 
 
-LIGHTS = "The laser will be lit. Check that nobody is in the beam path."
-
-
 class Question(Generic[T]):
     """A dialog that asks before `do` is done with what it was asked about; built where it is made.
 
-    `label` is its name for those who do not see it; `options` holds what a caller adds above the buttons.
-    One that `is_quick` is answered by any press.
+    `label` is its name for those who do not see it, `warning` what is to be checked before `yes`; `options`
+    holds what a caller adds between them and the buttons.
     """
 
     def __init__(
         self,
         tab: Tab,
         label: str,
+        warning: str,
         yes: str,
         do: Callable[[T], Awaitable[None]],
         colour: str = "positive",
-        no: str = "Not now",
-        *,
-        is_quick: bool = False,
     ) -> None:
         self._do = do
         self._about: T | None = None
         with ui.dialog().props(f'aria-label="{label}"') as self._dialog, ui.card():
             self._text = ui.label().classes("middle")
-            self._warning = ui.label()
+            ui.label(warning)
             self.options = ui.element("div")
             with ui.row():
-                self._yes = tab.button(yes, self._answered)
-                self._yes.props(f'color="{colour}" {"" if is_quick else DELIBERATE}')
-                ui.button(no, on_click=self._dialog.close).props("outline")
+                self._yes = tab.button(yes, self._answered).props(f'color="{colour}" {DELIBERATE}')
+                ui.button("Not now", on_click=self._dialog.close).props("outline")
 
-    def ask(self, about: T, text: str, warning: str = LIGHTS, yes: str = "") -> None:
-        """Open it; `warning` is what to know before `yes`, which takes the place of the button's words."""
+    def ask(self, about: T, text: str, yes: str = "") -> None:
+        """Open it; `yes` takes the place of the button's words."""
         self._about = about
         self._text.set_text(text)
-        self._warning.set_text(warning)
         if yes:
             self._yes.set_text(yes)
         self._dialog.open()
@@ -66,12 +59,12 @@ def trip_dialog(desk: Desk, tab: Tab) -> Callable[[], None]:
     async def acknowledge(number: int) -> None:
         ui.notify(await run.io_bound(desk.lighting.acknowledge, number))
 
-    question = Question(tab, "acknowledge a trip", "Acknowledge", acknowledge, "negative")
     warning = "Check that nobody is in the beam path. Acknowledging lights nothing."
+    question = Question(tab, "acknowledge a trip", warning, "Acknowledge", acknowledge, "negative")
 
     def ask() -> None:
         if (trip := desk.safety.trip) is not None:
-            question.ask(trip.number, trip.text, warning, f"Acknowledge trip {trip.number}")
+            question.ask(trip.number, trip.text, f"Acknowledge trip {trip.number}")
 
     return ask
 
@@ -83,7 +76,8 @@ def resume_dialog(desk: Desk, tab: Tab) -> Callable[[Path], None]:
         await run.io_bound(desk.resume_session, folder)
         ui.notify(f"{folder} continues; see Measure")
 
-    question = Question(tab, "go on with a session", "Go on with it", resume)
+    warning = "The laser will be lit. Check that nobody is in the beam path."
+    question = Question(tab, "go on with a session", warning, "Go on with it", resume)
     return lambda folder: question.ask(folder, f"Measure the missing runs of {folder}?")
 
 

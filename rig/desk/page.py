@@ -3,21 +3,21 @@
 import json
 import time
 from functools import partial
+from pathlib import Path
 
 from nicegui import ui
 from nicegui.events import KeyEventArguments
 
 from rig.control import STALE_S, LatchedTrip, TripCause
-from rig.desk.alarm_list import AlarmKey, AlarmRow, AlarmState
-from rig.desk.desk import Desk
-from rig.desk.dialogs import keys_dialog, resume_dialog, trip_dialog
+from rig.desk.alarm_bar import AlarmBar, sentence
+from rig.desk.alarm_list import AlarmKey, AlarmRow
+from rig.desk.desk import Desk, StartState
+from rig.desk.dialogs import keys_dialog, trip_dialog
 from rig.desk.following import doing
 from rig.desk.lighting import lamps, refusal
 from rig.desk.panels import PANELS
-from rig.desk.run_reader import clock
 from rig.desk.sessions import last_state
 from rig.desk.tab import DELIBERATE, Tab, apart, at_once
-from rig.desk.tables import static
 from rig.instrument import Phase
 from rig.presentation import loud
 
@@ -57,96 +57,6 @@ def build_page(desk: Desk, off_port: int) -> None:
 
     refresh()
     ui.timer(_LOOK_S, refresh)
-
-
-class AlarmBar:
-    """Shows the list; a trip is acknowledged where the light is, which stands beside."""
-
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._alarms, self._tab = desk.alarming.alarms, tab
-        self._resumable, self._ask_resume = desk.resumable, resume_dialog(desk, tab)
-        self._shown: object = None
-        self._banner = ui.element("div").classes("alarm").props('role="alert" aria-live="assertive"')
-        with self._banner:
-            self._title = ui.label().classes("text-weight-bold")
-            self._remedy = ui.label().classes("alarm-remedy")
-            ui.button("All", on_click=self.toggle).props('dense flat aria-label="All alarms, key a"')
-        self._resume = tab.button("Resume …", self._resumed)
-        self._resume.props('color="positive" size="lg" aria-label="Resume … the session that died"')
-        self._resume.classes("full-width")
-        with at_once(ui.expansion()).classes("full-width alarms").props("dense") as self._fold:
-            with self._fold.add_slot("header"):
-                self._counts = ui.label().props('role="status" aria-live="polite"')
-            self._list = ui.column().classes("full-width")
-
-    def toggle(self) -> None:
-        """Unfold the list, or fold it."""
-        self._fold.set_value(not self._fold.value)
-
-    def refresh(self) -> list[AlarmRow]:
-        """Show the list as it is now; returns the alarms that cry."""
-        rows = self._alarms.rows()
-        crying = [row for row in rows if row.cries]
-        worst = crying[0] if crying else None
-        self._title.set_text("" if worst is None else sentence(f"{worst.key}: {worst.cause}"))
-        self._remedy.set_text("" if worst is None else sentence(worst.key.remedy))
-        self._banner.set_visibility(worst is not None)
-        died = any(row.key is AlarmKey.SESSION_DIED for row in rows)
-        self._resume.set_visibility(died and self._resumable() is not None)
-        if rows != self._shown:
-            self._shown = rows
-            self._list.clear()
-            with self._list:
-                self._show(rows)
-        return crying
-
-    def _show(self, rows: list[AlarmRow]) -> None:
-        present = [row for row in rows if not row.earlier]
-        earlier = [row for row in rows if row.earlier]
-        counted = [(str(state), sum(row.state is state for row in present)) for state in AlarmState]
-        told = [f"{count} {words}" for words, count in (*counted, ("from before", len(earlier))) if count]
-        self._counts.set_text(f"Alarms: {', '.join(told) or 'none'}")
-        for row in present:
-            self._row(row)
-        if earlier:
-            with at_once(ui.expansion(f"{len(earlier)} from before")):
-                self._tab.button("All of them seen", partial(self._seen, *(row.key for row in earlier)))
-                for row in earlier:
-                    self._row(row)
-        if not rows:
-            ui.label("nothing is wrong").classes("dim")
-
-    def _row(self, row: AlarmRow) -> None:
-        with ui.element("div").classes(f"alarm-row {row.state}").props(f'data-alarm="{row.key}"'):
-            with ui.element("div"):
-                again = f" ({row.times} times)" if row.times > 1 else ""
-                ui.label(f"{row.key}{again}").classes("text-weight-bold")
-                ui.label(f"{row.state}; {_times(row)}").classes("dim")
-            ui.label(row.cause).props('aria-label="cause"')
-            ui.label(row.key.remedy).props('aria-label="remedy"')
-            if row.key is not AlarmKey.TRIP and row.state is not AlarmState.ACKNOWLEDGED:
-                button = self._tab.button("Seen", partial(self._seen, row.key))
-                button.props(f'dense outline aria-label="acknowledge {row.key}" {DELIBERATE}')
-
-    def _resumed(self) -> None:
-        if (folder := self._resumable()) is not None:
-            self._ask_resume(folder)
-
-    def _seen(self, *keys: AlarmKey) -> None:
-        for key in keys:
-            self._alarms.acknowledge(key)
-
-
-def sentence(text: str) -> str:
-    """With a capital letter."""
-    return text[:1].upper() + text[1:]
-
-
-def _times(row: AlarmRow) -> str:
-    """Since when it is as it is."""
-    cleared_s = row.cleared_s if row.state is AlarmState.CLEARED else None
-    told = (("since", row.raised_s), ("cleared", cleared_s), ("seen", row.acknowledged_s))
-    return ", ".join(f"{word} {clock(at)}" for word, at in told if at is not None)
 
 
 class PageHeader:
@@ -240,17 +150,19 @@ def _state(desk: Desk) -> str:
     if following.folder is not None:
         phase = doing(following.news.get("state"))
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
-    if (folder := desk.session_folder) is not None:
-        how = last_state(folder)
-        if desk.start_runs:
-            is_over = how in ("complete", "stopped", "failed")
-            report = f"last session {how}, its report is being made: {folder.name}"
-            return report if is_over else "a session is starting or being fitted"
-        if desk.started is None:
-            return f"last session: {folder.name}"
+    if desk.session_state is StartState.RUNNING:
+        folder = desk.session_folder
+        how = "" if folder is None else last_state(folder)
+        if folder is not None and how in ("complete", "stopped", "failed"):
+            return f"last session {how}, its report is being made: {folder.name}"
+        return "a session is starting or being fitted"
+    if desk.session_state and desk.session_folder is not None:
+        how = last_state(desk.session_folder) or str(desk.session_state)
         # complete are its records; what it says of fits and conditions is another matter
-        more = ", with problems: see Measure" if desk.start_failed else ""
-        return f"last session {how or ('failed' if desk.start_failed else 'done')}{more}: {folder.name}"
+        more = ", with problems: see Measure" if desk.session_state is StartState.FAILED else ""
+        return f"last session {how}{more}: {desk.session_folder.name}"
+    if desk.session_folder is not None:
+        return f"last session: {desk.session_folder.name}"
     running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
     return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
 
@@ -273,6 +185,21 @@ DARK = "/dark"
 """Where LIGHT OFF is sent to, at both servers."""
 _DEAD_S = 30.0
 """A page that was told nothing for so long is not merely slow."""
+_STATIC = Path(__file__).with_name("static")
+_STYLES = ("theme.css", "desk.css")
+_SCRIPTS = ("page.js", "safety.js", "watchdog.js")
+_BARS = """
+<div id="watchdog" role="alert" aria-live="assertive" hidden></div>
+<div id="safety" role="region" aria-label="safety">
+  <button id="light-off" type="button" aria-label="light off, key F9">LIGHT OFF</button>
+  <span class="lamp" id="lamp-laser" role="status" aria-live="polite"></span>
+  <span class="lamp" id="lamp-interlock" role="status" aria-live="polite"></span>
+  <span class="lamp" id="lamp-recording"></span>
+  <span class="lamp" id="lamp-age"></span>
+  <span id="off-said" role="status" aria-live="assertive"></span>
+  <button id="silence" type="button" hidden>Silence</button>
+</div>
+"""
 
 
 def build_head(off_port: int) -> None:
@@ -284,7 +211,9 @@ def build_head(off_port: int) -> None:
         "deadS": _DEAD_S,
         "lost": {"title": AlarmKey.DESK_LOST, "remedy": AlarmKey.DESK_LOST.remedy},
     }
-    ui.add_css(static("theme.css", "desk.css"))
-    scripts = static("page.js", "safety.js", "watchdog.js")
+    styles, scripts = (
+        "".join((_STATIC / name).read_text("utf-8") for name in names) for names in (_STYLES, _SCRIPTS)
+    )
+    ui.add_css(styles)
     ui.add_head_html(f"<script>window.rigDesk = {json.dumps(told)};\n{scripts}</script>")
-    ui.add_body_html(static("bars.html"))
+    ui.add_body_html(_BARS)

@@ -28,7 +28,6 @@ from rig.desk.desk import Desk
 from rig.desk.page import DARK, build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
-from rig.desk.tables import static
 from rig.devices import check_wiring
 from rig.presentation import say
 from rig.terminal import LOOPBACK, call_on_hang_up
@@ -39,6 +38,15 @@ _POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' OFF_SWITCH; form-action 'self'; "
     "frame-ancestors 'none'"
 )
+_REFUSED = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>rig desk</title><style>
+:root { color-scheme: light dark; } body { font: 18px sans-serif; margin: 12vh auto; max-width: 26em; }
+</style></head><body><main><h1>rig desk</h1>
+<p>This browser does not have the key of this desk.</p>
+<p>Open the address that <code>rig desk</code> printed in its terminal: it contains the key.
+To darken the laser now, turn the key switch.</p>
+</main></body></html>"""
 
 
 class Guard:
@@ -92,7 +100,7 @@ class Guard:
                 return answer
         if self._has_key(headers.get("cookie", "")):
             return None
-        return HTMLResponse(static("refused.html"), http.HTTPStatus.FORBIDDEN)
+        return HTMLResponse(_REFUSED, http.HTTPStatus.FORBIDDEN)
 
     def _has_key(self, cookies: str) -> bool:
         # Python's own parser gives up at the first cookie, of whatever program, that is not well formed

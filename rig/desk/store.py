@@ -34,7 +34,8 @@ class DeskStore:
         digest = hashlib.sha256(str(source).encode()).hexdigest()[:12]
         self._folder = state_folder() / "desks" / f"{source.stem}-{digest}"
         self._source = source
-        self._locks: list[IO[str]] = []
+        self._lock: IO[str] | None = None
+        self._of_output: IO[str] | None = None
         self._stored = _DeskFile()
 
     def hold(self, output: Path) -> None:
@@ -44,46 +45,48 @@ class DeskStore:
         """
         where = output.resolve()
         digest = hashlib.sha256(str(where).encode()).hexdigest()[:12]
-        refusals = {
-            self._folder / "lock": f"{self._source}: it already has an open desk: use OTHER, or end it first",
-            self._folder.parent / f"sessions-{digest}.lock": (
-                f"session.output = {where}: the desk of another configuration has its sessions there: use "
-                "OTHER, or end it, or state another folder"
-            ),
-        }
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             # nobody else reads what is in it
             self._folder.chmod(0o700)
-            for path, refusal in refusals.items():
-                self._locks.append(path.open("a+", encoding="utf-8"))
-                if (other := _locked_by(self._locks[-1])) is not None:
-                    self._locks.pop().close()
-                    self.close()
-                    raise ConfigurationError(refusal.replace("OTHER", other or "that"))
+            held = (self._folder / "lock").open("a+", encoding="utf-8")
+            of_output = (self._folder.parent / f"sessions-{digest}.lock").open("a+", encoding="utf-8")
         except OSError:
-            self.close()
             return
+        if (other := _locked(held)) is not None:
+            of_output.close()
+            raise ConfigurationError(
+                f"{self._source}: it already has an open desk: use {other or 'that'}, or end it first"
+            )
+        if (other := _locked(of_output)) is not None:
+            held.close()
+            raise ConfigurationError(
+                f"session.output = {where}: the desk of another configuration has its sessions there: use "
+                f"{other or 'that'}, or end it, or state another folder"
+            )
+        self._lock, self._of_output = held, of_output
         with contextlib.suppress(OSError, ValidationError):
             self._stored = _DeskFile.model_validate_json((self._folder / _NAME).read_bytes())
 
     def opened_at(self, address: str, port: int) -> None:
         """Tell the next desk where this one is, and take its port again the next time."""
         self._stored.port = port
-        if self._locks:
+        if self._lock is not None:
             with contextlib.suppress(OSError):
                 atomic_write.replace(self._folder / _NAME, self._stored.model_dump_json(indent=1).encode())
-        for held in self._locks:
-            held.truncate(0)
-            held.write(address)
-            held.flush()
+        for held in (self._lock, self._of_output):
+            if held is not None:
+                held.truncate(0)
+                held.write(address)
+                held.flush()
 
     def close(self) -> None:
         """Let another desk in."""
-        for held in self._locks:
-            held.truncate(0)
-            held.close()
-        self._locks.clear()
+        for held in (self._lock, self._of_output):
+            if held is not None:
+                held.truncate(0)
+                held.close()
+        self._lock = self._of_output = None
 
     @property
     def key(self) -> str:
@@ -96,15 +99,18 @@ class DeskStore:
         return self._stored.port
 
 
-def _locked_by(held: IO[str]) -> str | None:
-    """Lock the file; what stands in it where another program has, else None: also if a disk has no locks."""
+def _locked(held: IO[str]) -> str | None:
+    """Lock the file; what stands in it, and closes it, where another program has. None, too, where the disk
+    knows no locks."""
     if fcntl is None:
         return None
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         held.seek(0)
-        return held.read().strip()
+        said = held.read().strip()
+        held.close()
+        return said
     except OSError:
         return None
     return None

@@ -1,17 +1,9 @@
-"""Tables of the desk, and bars against limits, as HTML text; files of the page that are no Python."""
+"""Tables of the desk, and bars against limits, as HTML text."""
 
 import html
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
-
-_STATIC = Path(__file__).with_name("static")
-
-
-def static(*names: str) -> str:
-    """The text of some files of `static`, one after the other."""
-    return "".join((_STATIC / name).read_text("utf-8") for name in names)
 
 
 def table(rows: Sequence[Sequence[str]], label: str) -> str:

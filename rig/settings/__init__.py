@@ -24,5 +24,5 @@ from rig.settings.configuration_file import (
 )
 from rig.settings.number_input import StopCondition, number, optional, quantity
 from rig.settings.sections import BalanceSettings, InstrumentSettings, PreflightSettings, TimebaseSettings
-from rig.settings.validation_messages import expected_text, field_at, in_words, takes_numbers, validated
+from rig.settings.validation_messages import expected_text, in_words, validated
 from rig.settings.written_file import copy_shipped, refuse_existing, write_configuration

@@ -43,7 +43,7 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
         return f"{path}: unknown key; {hint}"
     if fault["type"] == "missing":
-        field = field_at(root, fault["loc"])
+        field = _field(root, fault["loc"])
         what = f": {field.description}" if field is not None and field.description else ""
         return f"{path}: is missing; state a value{what}"
     if not path:
@@ -179,15 +179,10 @@ def number_faults(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> 
             yield KeyFault(here, f"{place_in_words(here)} = {value}: should be a finite number")
 
 
-def takes_numbers(field: FieldInfo | None) -> bool:
-    """Whether a field takes numbers only."""
-    kinds = set() if field is None else set(_parts(field.annotation))
-    return bool(kinds & {int, float}) and not kinds & {bool, str}
-
-
 def _is_number(field: FieldInfo, stated: bool | str) -> bool:
     """Whether a field takes only numbers; a string that is no number is left to pydantic."""
-    if not takes_numbers(field):
+    kinds = set(_parts(field.annotation))
+    if not kinds & {int, float} or kinds & {bool, str}:
         return False
     if isinstance(stated, bool):
         return True
@@ -219,7 +214,7 @@ def _parts(annotation: Any) -> Iterator[Any]:
         yield from _parts(inner)
 
 
-def field_at(root: type, place: KeyPlace) -> FieldInfo | None:
+def _field(root: type, place: KeyPlace) -> FieldInfo | None:
     """The field of a key; None inside a table with names of the user's own."""
     section: type | None = root
     field = None

@@ -1,5 +1,6 @@
 """Balance: the advice, the trajectory, faults as bars against their limits."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -88,14 +89,43 @@ def net_of(parts: Sequence[float]) -> str:
 
 def drawing(turn: Mapping[str, Any] | None) -> str:
     """The pendulum from above and from the side, its weights, an arrow round the one to be turned."""
-    drawn = tables.static("pendulum.svg")
-    if turn is None:
-        return drawn.replace("LABEL", "the pendulum and its weights")
-    ways = ["clockwise" if part > 0 else "anticlockwise" for part in turn["parts"]]
-    told = ", then ".join(f"{abs(part):.2f} {way}" for part, way in zip(turn["parts"], ways, strict=True))
-    weight = f"weight {turn['weight']}"
-    return drawn.replace("LABEL", f"turn {weight}: {told}").replace(
-        f'class="{weight}"', f'class="{weight} turned {ways[0]}"'
+    places = {"x": (150, 60), "y": (60, 145), "height": (270, 40)}
+    parts = [
+        "<circle cx='60' cy='60' r='30' fill='none' stroke='var(--ink)' stroke-width='2'/>",
+        "<circle cx='60' cy='60' r='5' fill='var(--ink)'/>",
+        "<line x1='90' y1='60' x2='150' y2='60' stroke='var(--ink)' stroke-width='3'/>",
+        "<line x1='60' y1='90' x2='60' y2='145' stroke='var(--ink)' stroke-width='3'/>",
+        "<line x1='270' y1='40' x2='270' y2='130' stroke='var(--ink)' stroke-width='3'/>",
+        "<circle cx='270' cy='138' r='8' fill='none' stroke='var(--ink)' stroke-width='2'/>",
+        "<line x1='225' y1='147' x2='315' y2='147' stroke='var(--dim)'/>",
+        "<text x='4' y='14'>from above</text><text x='225' y='14'>from the side</text>",
+    ]
+    for name, (x, y) in places.items():
+        chosen = turn is not None and turn["weight"] == name
+        colour = "var(--warn)" if chosen else "var(--dim)"
+        parts.append(f"<circle cx='{x}' cy='{y}' r='11' fill='{colour}'/>")
+        parts.append(f"<text x='{x + 15}' y='{y + 24}'>{name}</text>")
+        if chosen and turn is not None:
+            parts.append(_arrow(x, y, turn["parts"][0]))
+    said = ""
+    if turn is not None:
+        clock = ", then ".join(
+            f"{abs(part):.2f} {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
+        )
+        said = f"turn weight {turn['weight']}: {clock}"
+        parts.append("<text x='4' y='184'>the arrow: as one looks at the weight's screw</text>")
+    return (
+        "<svg viewBox='0 0 330 190' width='100%' style='max-height:170px' role='img' "
+        f"aria-label='{said or 'the pendulum and its weights'}'>{''.join(parts)}</svg>"
+    )
+
+
+def _arrow(x: int, y: int, turns: float) -> str:
+    """Three quarters of a circle round (x, y), with its head; clockwise as seen for `turns` > 0."""
+    return (
+        f"<g transform='translate({x} {y}) scale(1 {math.copysign(1, turns):g})' fill='none' "
+        "stroke='var(--warn)' stroke-width='3'><path d='M0 -20A20 20 0 1 1 -20 0'/>"
+        "<path d='M-20 -9L-13.9 6.6H-26.1Z' fill='var(--warn)' stroke='none'/></g>"
     )
 
 

@@ -6,55 +6,54 @@ from contextlib import suppress
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError
-from processing.units import unit_of_name
 from rig.desk import tables
 from rig.desk.desk import Desk
 from rig.desk.dialogs import Question
 from rig.desk.panels.runs import fit_again, open_in_browser_tab
 from rig.desk.tab import Tab, at_once, box
 from rig.measure import HandOver, RunState
-from rig.settings import Configuration, SessionSettings, field_at, takes_numbers
+from rig.settings import SessionSettings
 
 
-def setting_field(desk: Desk, key: str, label: str = "", value: object = None) -> ui.input:
-    """A field for a key of the configuration, as its model describes it, and judged by it.
-
-    Its label is the key's name with the unit, if no other is given.
-    """
-    stated = field_at(Configuration, tuple(key.split(".")))
-    if not label:
-        name = key.rpartition(".")[2]
-        unit = unit_of_name(name)
-        label = name.removesuffix(f"_{unit}").replace("_", " ") + (f" / {unit}" if unit else "")
+def setting_field(desk: Desk, key: str, label: str, value: object, *, is_number: bool = False) -> ui.input:
+    """A field for a key of the configuration, judged by its model; an empty number is not stated."""
     shown = "" if value is None else f"{value:.10g}" if isinstance(value, int | float) else str(value)
     field = ui.input(label, value=shown).props(f'dense outlined data-key="{key}" aria-label="{label}"')
-    if stated is not None and stated.description:
-        field.tooltip(stated.description)
 
     def fault(text: str | None) -> str | None:
-        typed = as_typed(key, text)
-        return None if typed is None else desk.fault(key, typed) or None
+        typed = as_typed(text, is_number)
+        return None if is_number and typed == "" else desk.fault(key, typed) or None
 
     field.validation = fault
     return field
 
 
-def as_typed(key: str, text: str | None) -> object:
-    """The value of a key as it was typed, which its model judges; None for a number that is not stated."""
-    if not takes_numbers(field_at(Configuration, tuple(key.split(".")))):
+def as_typed(text: str | None, is_number: bool) -> object:
+    """A number where one was typed; anything else as text, which the model judges."""
+    if not is_number:
         return text or ""
     text = (text or "").strip()
     for read in (int, float):
         with suppress(ValueError):
             return read(text)
-    return text or None
+    return text
 
 
 _ASKED = {
-    "1 · What is measured": ("sample", "operator", "notes", "contact_history"),
-    "2 · How far": ("runs", "initial_amplitude_arcsec", "final_amplitude_arcsec", "max_duration_s"),
+    "1 · What is measured": (
+        ("sample", "sample", False),
+        ("operator", "operator", False),
+        ("notes", "notes", False),
+        ("contact_history", "contact history", False),
+    ),
+    "2 · How far": (
+        ("runs", "runs", True),
+        ("initial_amplitude_arcsec", "from / arcsec", True),
+        ("final_amplitude_arcsec", "to / arcsec", True),
+        ("max_duration_s", "at most / s", True),
+    ),
 }
-"""Keys of `[session]` that the form asks for."""
+"""Keys of `[session]` that the form asks for: name, label, and whether it is a number."""
 _RELEASE = {
     "at once": "the record begins with the first frame, whether the pendulum moves or not",
     "by hand": "the pendulum comes to rest and is checked; then you are asked to release it",
@@ -66,14 +65,15 @@ _RELEASE = {
 def build_form(desk: Desk, tab: Tab) -> ui.element:
     """Build it; returns the element that holds it."""
     session = desk.config.session
-    fields: dict[str, ui.input] = {}
+    fields: dict[str, tuple[ui.input, bool]] = {}
 
     def judged() -> dict[str, object]:
-        for field in fields.values():
+        for field, _ in fields.values():
             if field.value and not field.validate():
                 raise ConfigurationError(str(field.error))
-        typed = {key: as_typed(key, field.value) for key, field in fields.items()}
-        return {key: value for key, value in typed.items() if value is not None}
+        typed = {key: as_typed(field.value, is_number) for key, (field, is_number) in fields.items()}
+        # an empty number is not stated
+        return {key: value for key, value in typed.items() if value != "" or not fields[key][1]}
 
     def ask() -> None:
         found = desk.checked(judged()).session
@@ -86,16 +86,17 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
         folder = await run.io_bound(desk.start_session, values, force=bool(force.value))
         ui.notify(f"the session is starting in {folder}")
 
-    question = Question(tab, "start the session", "Start the session", start)
+    warning = "The laser will be lit. Check that nobody is in the beam path."
+    question = Question(tab, "start the session", warning, "Start the session", start)
     with question.options:
         force = at_once(ui.checkbox("measure even if preflight says no-go (this session only)"))
     with ui.element("div").classes("grid thirds") as form:
         for title, asked in _ASKED.items():
             with box(title, head="middle"):
-                for name in asked:
+                for name, label, is_number in asked:
                     key = f"session.{name}"
-                    field = setting_field(desk, key, value=getattr(session, name))
-                    fields[key] = field.classes("full-width")
+                    field = setting_field(desk, key, label, getattr(session, name), is_number=is_number)
+                    fields[key] = field.classes("full-width"), is_number
         with box("3 · Start", head="middle"):
             ui.label(f"Release {desk.config.start.way}: {_RELEASE[desk.config.start.way]}.")
             ui.label("A dialog asks once more before the laser is lit.").classes("dim")

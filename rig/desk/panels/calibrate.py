@@ -7,7 +7,7 @@ from nicegui import run, ui
 
 from rig.calibrate import CalibrationReport
 from rig.desk import tables
-from rig.desk.calibrating import FOLDER, Calibration
+from rig.desk.calibrating import FOLDER, KINDS, Calibrating
 from rig.desk.desk import Desk
 from rig.desk.panels.between_runs import as_typed
 from rig.desk.tab import DELIBERATE, Tab, at_once, box
@@ -25,15 +25,17 @@ def build(desk: Desk, tab: Tab) -> None:
             buttons[name].props(remove="outline") if name == chosen else buttons[name].props("outline")
 
     def refresh() -> None:
+        busy = desk.calibrating.recording()
         for form in forms.values():
-            form.refresh()
+            form.refresh(busy)
 
     with ui.row().classes("items-center"):
-        buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in desk.calibrations}
+        buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in KINDS}
     for name, button in buttons.items():
         button.props(f'dense aria-label="{name}, calibrate it"')
-    forms |= {name: CalibrationForm(desk, tab, one) for name, one in desk.calibrations.items()}
-    choose(next(iter(forms)))
+    for name in KINDS:
+        forms[name] = CalibrationForm(desk, tab, name)
+    choose(next(iter(KINDS)))
     tab.every(0.5, refresh)
     refresh()
 
@@ -41,24 +43,24 @@ def build(desk: Desk, tab: Tab) -> None:
 class CalibrationForm:
     """The form of one kind, and the calibration that was filed with it."""
 
-    def __init__(self, desk: Desk, tab: Tab, calibration: Calibration) -> None:
-        self._calibration = calibration
-        name, kind = calibration.name, calibration.kind
+    def __init__(self, desk: Desk, tab: Tab, name: str) -> None:
+        self._calibrating: Calibrating = desk.calibrating
+        self._name, self._kind = name, KINDS[name]
         self._offered: object = None
         self._drawn: CalibrationReport | None = None
+        kind = self._kind
         with box(kind.title, "full-width", head="middle") as self.box:
             ui.label(kind.do)
             with ui.row().classes("items-center"):
-                what, amount = (
-                    ("frames", _DARK_FRAMES) if kind.seconds is None else ("length / s", f"{kind.seconds:g}")
-                )
+                amount = _DARK_FRAMES if kind.seconds is None else f"{kind.seconds:g}"
+                what = "frames" if kind.seconds is None else "length / s"
                 self._amount = _field(what, amount, f"{name} amount")
                 if kind.seconds is None:
                     self._exposure = _field("exposure / us", "", f"{name} exposure")
                 tab.button("Record now", self._record).props(
                     f'color="positive" aria-label="record for {name}" {DELIBERATE}'
                 )
-                self._stopping = tab.button("Cancel the recording", calibration.stop).props(
+                self._stopping = tab.button("Cancel the recording", self._calibrating.stop).props(
                     'color="negative"'
                 )
             self._going = ui.label().classes("dim").props('role="status" aria-live="polite"')
@@ -87,42 +89,41 @@ class CalibrationForm:
             )
             self._result = ui.html(sanitize=False).classes("full-width")
 
-    def refresh(self) -> None:
+    def refresh(self, busy: str) -> None:
         """Show what is recorded, what went wrong and what was filed."""
-        calibration = self._calibration
-        busy, recorded, made = calibration.progress(), calibration.recorded, calibration.made
         self._going.set_text(busy)
         self._stopping.set_visibility(bool(busy))
-        self._wrong.set_text(calibration.problem)
+        self._wrong.set_text(self._calibrating.problems.get(self._name, ""))
+        recorded = self._calibrating.recorded.get(self._name)
         if recorded is not None and not busy:
-            if calibration.kind.list_text:
+            if self._kind.list_text:
                 self._going.set_text(
                     f'recorded: name it in the list as "{recorded.relative_to(FOLDER).as_posix()}"'
                 )
             elif recorded != self._offered:
                 self._given.set_value(str(recorded))
             self._offered = recorded
+        made = self._calibrating.made.get(self._name)
         self._using.set_visibility(made is not None)
         if made is not None and made != self._drawn:
             self._drawn = made
             self._result.set_content(_result(made))
 
     async def _record(self) -> None:
-        is_frames = self._calibration.kind.seconds is None
-        exposure_us = as_typed("camera.exposure_us", self._exposure.value) if is_frames else None
-        await run.io_bound(self._calibration.record, str(self._amount.value or ""), exposure_us)
+        exposure = as_typed(self._exposure.value, True) if self._kind.seconds is None else ""
+        await run.io_bound(self._calibrating.record, self._name, str(self._amount.value or ""), exposure)
 
     async def _file(self) -> None:
         stated = {key: str(field.value or "") for key, field in self._fields.items()}
         self._working.set_visibility(True)
         try:
-            await run.io_bound(self._calibration.file, str(self._given.value or ""), stated)
+            await run.io_bound(self._calibrating.file, self._name, str(self._given.value or ""), stated)
         finally:
             self._working.set_visibility(False)
-            self.refresh()
+            self.refresh(self._calibrating.recording())
 
     def _use(self) -> None:
-        stated = self._calibration.use()
+        stated = self._calibrating.use(self._name)
         ui.notify(
             f"used by everything this desk starts; to keep it permanently, state: {stated}", multi_line=True
         )

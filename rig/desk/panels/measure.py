@@ -1,34 +1,27 @@
 """Measure panel: start a session, watch it from a distance, brake, stop; last result, next session."""
 
-import html
-import math
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 from nicegui import run, ui
 
 from processing.errors import RigError
-from processing.estimate import Estimate
 from rig.control import STALE_S
 from rig.desk import charts, tables
 from rig.desk.charts import Chart, ChartCurve, Mark
 from rig.desk.desk import Desk
-from rig.desk.dialogs import Question
+from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, RunResult, build_form
 from rig.desk.panels.live_picture import LivePicture
 from rig.desk.tab import Tab, at_once, box
 from rig.instrument import Phase
-from rig.measure import FIRST_HALF_CYCLES, estimate_texts
-from rig.presentation import quantity
 
 _SIZE = (420, 300)
-_ASK_STOP = "Stop the session?", "The record is closed and fitted; nothing is lost."
-_KILLED = (
-    "The laser is switched off; the record stays, at worst without its last second. Then: Fit again fits it, "
-    "Resume measures missing runs."
+_ASK_STOP = "Stop the session? The record is closed and fitted; nothing is lost."
+_ASK_KILL = (
+    "The session does not answer. End its process? The laser is switched off; the record stays, at worst "
+    "without its last second. Then: Fit again fits it, Resume measures missing runs."
 )
-_ASK_KILL = "The session does not answer. End its process?", _KILLED
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -56,7 +49,7 @@ def build(desk: Desk, tab: Tab) -> None:
         during.set_visibility(running)
         steps_box.set_visibility(running or desk.starting)
         config = desk.following.config or desk.config
-        steps.set_content(strip(news.get("state") or {}, config.start.way))
+        steps.set_content(words.strip(news.get("state") or {}, config.start.way))
         if running:
             is_blind = numbers.refresh(news)
             during.classes(add="blind") if is_blind else during.classes(remove="blind")
@@ -77,8 +70,11 @@ class RunNumbers:
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
-        stop_it = self._stop
-        self._sure = Question(tab, "stop the session", "Stop it", stop_it, "negative", "Go on", is_quick=True)
+        with ui.dialog().props('aria-label="stop the session"') as self._sure, ui.card():
+            self._asked = ui.label(_ASK_STOP)
+            with ui.row():
+                ui.button("Stop it", on_click=lambda: self._sure.submit(True)).props('color="negative"')
+                ui.button("Go on", on_click=lambda: self._sure.submit(False)).props("outline")
         with ui.column().classes("box"):
             with ui.row().classes("items-baseline"):
                 ui.html("amplitude", tag="h3", sanitize=False).classes("title")
@@ -93,7 +89,7 @@ class RunNumbers:
             self._done = ui.linear_progress(value=0.0, show_value=False)
             self._done.props('aria-label="part of the run done"')
             with ui.row():
-                stop = tab.button("Stop", self._ask_stop)
+                stop = tab.button("Stop", self._stop)
                 stop.props('color="negative" size="lg" aria-label="Stop the session"')
                 self._brakes = tab.button("Brake", self._brake)
                 self._brakes.props('outline size="lg"')
@@ -114,7 +110,7 @@ class RunNumbers:
         self._amplitude.set_text("–" if value is None else f"{float(value):.2f}")
         self._amplitude.classes(remove="dim", add="dim" if value is None else "")
         self._unit.set_text("" if value is None else following.unit)
-        self._left.set_text(time_left(state))
+        self._left.set_text(words.time_left(state))
         self._done.set_value(round(float(state.get("done") or 0.0), 3))
         self._brakes.set_visibility(following.devices.controller is not None)
         self._brakes.set_text("Brake off" if self._brake_is_on else "Brake")
@@ -125,14 +121,10 @@ class RunNumbers:
         status = self._desk.following.devices.status
         return status is not None and status.brake_on
 
-    def _ask_stop(self) -> None:
+    async def _stop(self) -> None:
         following = self._desk.following
-        if following.folder is not None:
-            self._sure.ask(following.folder, *(_ASK_KILL if following.frozen else _ASK_STOP))
-
-    async def _stop(self, folder: Path) -> None:
-        # another one may have begun while it was asked
-        if self._desk.following.folder == folder:
+        self._asked.set_text(_ASK_KILL if following.frozen else _ASK_STOP)
+        if following.running and await self._sure:
             ui.notify(await run.io_bound(self._desk.stop_session))
 
     async def _brake(self) -> None:
@@ -158,11 +150,11 @@ class RunFacts:
 
     def refresh(self, news: Mapping[str, Any]) -> None:
         """Show the session's state."""
-        learned = estimate_rows(news.get("state") or {})
+        learned = words.estimate_rows(news.get("state") or {})
         self._learned.set_content(tables.table(learned, "parameters so far"))
         self._state.set_content(tables.table(news.get("rows") or [], "state of the run"))
         newest_first = reversed(tuple(self._desk.following.events))
-        self._events.set_content("".join(map(event_line, newest_first)))
+        self._events.set_content("".join(map(words.event_line, newest_first)))
 
     async def _note(self) -> None:
         text = str(self._noting.value or "").strip()
@@ -182,9 +174,9 @@ def _with_fit(key: str) -> tuple[ChartCurve, ...]:
     """Curves of a quantity, of its fit, and of its residuals."""
     left = f"{key.removesuffix('_s')}_residual_in_u"
     return (
-        ChartCurve(key, name="measured", style="scatter"),
+        ChartCurve(key, name="measured", style="points"),
         ChartCurve(key, name="fit", colour="second"),
-        ChartCurve(left, style="scatter", row=1),
+        ChartCurve(left, style="points", row=1),
     )
 
 
@@ -224,72 +216,3 @@ def _marks(events: Iterable[Mapping[str, Any]], run: str) -> list[Mark]:
         for one in tuple(events)
         if one["run"] == run and one["elapsed_s"] is not None and float(one["elapsed_s"]) >= 0
     ]
-
-
-_STEPS: Mapping[str, str] = {
-    Phase.WAITING: "devices",
-    Phase.REST: "rest",
-    Phase.WARM_UP: "warm-up",
-    Phase.PREFLIGHT: "preflight",
-    Phase.RELEASE: "release",
-    Phase.MEASURING: "recording",
-    Phase.CLOSING: "closing",
-}
-_AT_ONCE = (Phase.WAITING, Phase.PREFLIGHT, Phase.MEASURING, Phase.CLOSING)
-
-
-def strip(run_state: Mapping[str, Any], start_way: str) -> str:
-    """The steps from the start to the record, the present one with its value against its limit."""
-    now = run_state.get("phase") or Phase.WAITING
-    progress = str(run_state.get("progress") or "")
-    # what a run does counts, whatever its configuration says
-    steps = _AT_ONCE if start_way == "at once" and now in _AT_ONCE else tuple(_STEPS)
-    lines = []
-    for step in steps:
-        current = step == now
-        text = f"{_STEPS[step]}: {progress}" if current and progress else _STEPS[step]
-        lines.append(f"<li{' aria-current=step' * current}>{html.escape(text)}</li>")
-    return f"<ol class='steps' aria-label='from the start to the record'>{''.join(lines)}</ol>"
-
-
-def time_left(run_state: Mapping[str, Any]) -> str:
-    """The time to the end; what is less certain than it is long is a bound."""
-    seconds, u, at_most = (run_state.get(key) for key in ("remaining_s", "u_remaining_s", "at_most_s"))
-    bounds = [float(at_most)] if at_most is not None and math.isfinite(at_most) else []
-    if seconds is not None and (not u or u <= seconds):
-        return minutes(seconds) + (f" ± {float(u):.0f} s" if u else "")
-    if seconds is not None and u is not None:
-        bounds.append(float(seconds) + 2.0 * float(u))
-    return f"at most {minutes(min(bounds))}" if bounds else "too early to say"
-
-
-def minutes(seconds: float) -> str:
-    """`1:11 min`."""
-    whole, rest = divmod(round(max(seconds, 0.0)), 60)
-    return f"{whole}:{rest:02d} min"
-
-
-def first_fit(run_state: Mapping[str, Any]) -> str:
-    """What is to be said while nothing is fitted yet."""
-    count = int(run_state.get("half_cycles") or 0)
-    if count >= FIRST_HALF_CYCLES:
-        return f"the first fit of {count} half-cycles is being made"
-    return f"the first fit is made from {FIRST_HALF_CYCLES} half-cycles on; {count} so far"
-
-
-def estimate_rows(run_state: Mapping[str, Any]) -> list[list[str]]:
-    """Parameters so far, and why there are none."""
-    rows = []
-    for key, one in (run_state.get("estimates") or {}).items():
-        value, u = one["value"], one["standard_uncertainty"]
-        if value is not None and u is not None:
-            rows.append([quantity(key).label, *estimate_texts(key, Estimate(value, u))])
-    return rows or [["parameters", f"nothing yet: {first_fit(run_state)}"]]
-
-
-def event_line(event: Mapping[str, Any]) -> str:
-    """An event with its time of the day."""
-    grave = {"trip": "no", "alarm": "no", "warning": "caution"}.get(str(event["level"]), "")
-    # some have said all with their kind
-    text = html.escape(": ".join(str(event[part]) for part in ("kind", "text") if event[part]))
-    return f"<div class='{grave}'><span class='dim'>{event['at']}</span> {text}</div>"

@@ -13,7 +13,7 @@ from nicegui.events import MouseEventArguments
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
 from rig.desk import tables
-from rig.desk.aligner import Aligner
+from rig.desk.aligner import EXPOSE, Aligner
 from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.following import doing
@@ -123,7 +123,7 @@ class CameraControls:
             self._note = ui.label().props('role="status"')
             self._setting("exposure_us", "exposure / µs", lambda us, sense: us * _STEP**sense)
             self._setting("gain_db", "gain / dB", lambda db, sense: db + sense * _STEP_DB)
-            bars, line = (ChartCurve("pixels", style="bar"),), (ChartCurve("sharpness_per_px"),)
+            bars, line = (ChartCurve("pixels", style="bars"),), (ChartCurve("sharpness_per_px"),)
             self._histogram = Chart("histogram", "level_dn", bars, height="100px")
             self._focus = Chart("focus", "elapsed_s", line, height="110px")
             with at_once(ui.expansion("figures", value=True)).classes("full-width"):
@@ -161,12 +161,12 @@ class CameraControls:
         """A row for one setting: field, Set, for the exposure Auto, and a step down (-1) and up (1)."""
         what = label.partition(" ")[0]
         with ui.row().classes("items-center no-wrap full-width"):
-            field = setting_field(self._desk, f"camera.{name}", label)
+            field = setting_field(self._desk, f"camera.{name}", label, None, is_number=True)
             field.props("hide-bottom-space stack-label").classes("col")
             self._fields[name] = field
             self._small("Set", partial(self._typed, name, field), f"Set {label}")
             if name == "exposure_us":
-                self._small("Auto", lambda: aligner_of(self._desk).wish_exposure(), "Auto exposure")
+                self._small("Auto", lambda: aligner_of(self._desk).wish(EXPOSE), "Auto exposure")
             for sign, words, sense in (("-", "smaller", -1), ("+", "larger", 1)):
                 self._small(sign, partial(self._turned, name, step, sense), f"{words} {what}")
 
@@ -175,14 +175,12 @@ class CameraControls:
         self._needing.append(button)
 
     def _typed(self, name: str, field: ui.input) -> None:
-        key = f"camera.{name}"
-        value = as_typed(key, field.value)
-        if value is None:
+        key, value = f"camera.{name}", as_typed(field.value, True)
+        if value == "":
             raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
         if fault := self._desk.fault(key, value):
             raise ConfigurationError(fault)
-        wanted = CameraSettings.model_validate({name: value})
-        aligner_of(self._desk).wish(lambda _: wanted)
+        aligner_of(self._desk).wish(CameraSettings.model_validate({name: value}))
 
     def _turned(self, name: str, step: Callable[[float, int], float], sense: int) -> None:
         def wanted(applied: CameraSettings) -> CameraSettings:

@@ -19,8 +19,8 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
 from processing.spot import Spot
 from rig.control import ControlState, DevicesNow, LaserNow, Light
+from rig.desk.alarm_bar import sentence
 from rig.desk.alarm_list import AlarmKey
-from rig.desk.page import sentence
 from rig.devices import OrderSocket, SessionNews
 from rig.instrument import Block
 from rig.presentation import Verdict

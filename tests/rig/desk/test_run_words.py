@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from rig.desk.panels.measure import first_fit, strip, time_left
+from rig.desk.panels.run_words import first_fit, strip, time_left
 from rig.instrument import Phase
 from rig.measure import FIRST_HALF_CYCLES
 
