@@ -8,40 +8,53 @@ import logging
 import os
 import re
 import sys
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from importlib import metadata
 from itertools import pairwise
-from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 
 from processing.errors import ConfigurationError, RigError
-from rig.commands import (
-    archive,
-    calibration,
-    camera,
-    fitting,
-    init,
-    light,
-    measure,
-    planning,
-    records,
-    reporting,
-    session,
-)
+from rig.commands import archive, calibration, camera, fitting, init, measure, records, reporting, session
+from rig.commands.arguments import ListingCommand
 from rig.interruption import reason_of, replace_missing_characters, terminated_by_signals
 
 _MADE_BETWEEN_COLLECTIONS = 10_000
 
-GROUPS = {
-    "Measure": ("run", "demo", "desk", "balance", "camera", "calibrate", "light"),
-    "Look": ("view", "replay", "record"),
-    "Results": ("fit", "report", "export", "compare", "plan", "paper", "archive"),
-    "Care": ("init", "doctor"),
+_COMMANDS: Mapping[str, tuple[typer.Typer | Callable[..., None], ...]] = {
+    "Measure": (
+        measure.run,
+        measure.demo,
+        session.desk,
+        session.balance,
+        camera.commands,
+        calibration.commands,
+        session.light,
+    ),
+    "Look": (measure.view, measure.replay, records.commands),
+    "Results": (
+        fitting.fit,
+        reporting.report,
+        reporting.export,
+        reporting.compare,
+        reporting.plan,
+        reporting.paper,
+        archive.commands,
+    ),
+    "Care": (init.init, session.doctor),
 }
-"""The commands in the order and under the headings of `rig --help`."""
+"""The commands, and those with commands of their own, in the order and under the headings of `rig --help`."""
+
+
+def _name(command: typer.Typer | Callable[..., None]) -> str:
+    return str(command.info.name) if isinstance(command, typer.Typer) else command.__name__
+
+
+GROUPS = {heading: tuple(map(_name, commands)) for heading, commands in _COMMANDS.items()}
+"""Names of the commands under each heading."""
 
 
 class _InGroups(TyperGroup):
@@ -57,27 +70,6 @@ class _InGroups(TyperGroup):
                 formatter.write_dl([(name, self.commands[name].get_short_help_str(limit)) for name in names])
 
 
-class _Command(TyperCommand):
-    """A command whose help names what each of several values is, not Python's list of them."""
-
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(*given, **named)
-        for parameter in self.params:
-            annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
-            if get_origin(annotation) is list:
-                one = get_args(annotation)[0]
-                shown = "<path>" if one is Path else f"<{one.__name__}>"
-                vars(parameter)["display_type"] = lambda _context, shown=shown: shown
-
-
-def _name_types(commands: typer.Typer) -> None:
-    for command in commands.registered_commands:
-        command.cls = _Command
-    for group in commands.registered_groups:
-        if group.typer_instance is not None:
-            _name_types(group.typer_instance)
-
-
 app = typer.Typer(
     name="rig",
     cls=_InGroups,
@@ -90,21 +82,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for module in (
-    init,
-    measure,
-    session,
-    records,
-    fitting,
-    planning,
-    calibration,
-    reporting,
-    camera,
-    light,
-    archive,
-):
-    module.register(app)
-_name_types(app)
+for _each in (each for commands in _COMMANDS.values() for each in commands):
+    if isinstance(_each, typer.Typer):
+        app.add_typer(_each)
+    else:
+        app.command(cls=ListingCommand)(_each)
 
 
 def _version(asked: bool) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import JsonLines, Set, Where, new_file, output_option, there
+from rig.commands.arguments import JsonLines, Set, Where, group, input_argument, new_file, output_option
 
 Archive = Annotated[
     Path,
@@ -20,20 +20,8 @@ Names = Annotated[
 Read = Annotated[bool, typer.Option("--read", help="Also read files that look unchanged, to find damage.")]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    archive = typer.Typer(help="The runs of many sessions in one list.", no_args_is_help=True)
-    archive.command("list")(list_)
-    for command in (add, update, show, check, refit):
-        archive.command()(command)
-    app.add_typer(archive, name="archive")
-
-
 def add(
-    folders: Annotated[
-        list[Path],
-        typer.Argument(help="Folders with sessions in or below them.", show_default=False, callback=there),
-    ],
+    folders: Annotated[list[Path], input_argument("Folders with sessions in or below them.")],
     read: Read = False,
     archive: Archive = PLACE,
 ) -> None:
@@ -119,3 +107,6 @@ def refit(
             processes=processes,
         )
     )
+
+
+commands = group("archive", "The runs of many sessions in one list.", list_, add, update, show, check, refit)

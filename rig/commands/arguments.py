@@ -3,18 +3,24 @@
 import functools
 import inspect
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import typer
+from typer.core import TyperCommand
 
 from acquisition.record import records_in, records_of
 from processing.errors import ConfigurationError
 
+if TYPE_CHECKING:
+    from rig.settings import Configuration
+
 _Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
 _KINDS = {"": "file or folder", ".mcap": "record", ".toml": "file", ".rrd": "Rerun file"}
 _MAX_LISTED = 5
+PAGES = (".html", ".htm")
+"""Suffixes of a page."""
 
 
 def there(given: _Given) -> _Given:
@@ -55,19 +61,28 @@ def configuration(ctx: typer.Context, given: _Given) -> _Given:
     return given
 
 
-def recorded(given: _Given) -> _Given:
+def _each(check: Callable[[Path], object]) -> Callable[[_Given], _Given]:
+    """A check of every path of a parameter, after the check that it exists."""
+
+    def checked(given: _Given) -> _Given:
+        for path in _paths(there(given)):
+            check(path)
+        return given
+
+    return checked
+
+
+@_each
+def recorded(path: Path) -> None:
     """Check that records exist; a folder must hold one."""
-    for path in _paths(there(given)):
-        records_in(path)
-    return given
+    records_in(path)
 
 
-def to_be_fitted(given: _Given) -> _Given:
+@_each
+def to_be_fitted(path: Path) -> None:
     """Check the input of `rig fit`: records, a table, a film, or folders of them exist."""
-    for path in _paths(there(given)):
-        if kind_of(path) == "records":
-            records_in(path)
-    return given
+    if kind_of(path) == "records":
+        records_in(path)
 
 
 def kind_of(path: Path) -> Literal["records", "table", "film"]:
@@ -88,12 +103,11 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
     return "film" if is_filmed(path) else "table"
 
 
-def recorded_or_fitted(given: _Given) -> _Given:
+@_each
+def recorded_or_fitted(path: Path) -> None:
     """Check that records exist, or results that rig fit made of a table or a film."""
-    for path in _paths(there(given)):
-        if not is_of_table(path):
-            records_in(path)
-    return given
+    if not is_of_table(path):
+        records_in(path)
 
 
 def is_of_table(path: Path) -> bool:
@@ -106,21 +120,20 @@ def is_of_table(path: Path) -> bool:
     )
 
 
-def with_results(given: _Given) -> _Given:
+@_each
+def with_results(path: Path) -> None:
     """Check that files exist, and that folders of sessions, or of several sessions, hold results."""
-    for path in _paths(there(given)):
-        # the folder of a list of sessions has results in its subfolders
-        if path.is_dir() and not (any(path.glob("results*.json")) or any(path.glob("*/results*.json"))):
-            raise ConfigurationError(
-                f"{path}: holds no results.json; rig run makes one, and rig fit from records"
-            )
-        if any(path.glob("results-*.json")):
-            from rig.analysis import results_path
-            from rig.terminal import say
+    # the folder of a list of sessions has results in its subfolders
+    if path.is_dir() and not (any(path.glob("results*.json")) or any(path.glob("*/results*.json"))):
+        raise ConfigurationError(
+            f"{path}: holds no results.json; rig run makes one, and rig fit from records"
+        )
+    if any(path.glob("results-*.json")):
+        from rig.analysis import results_path
+        from rig.terminal import say
 
-            newest = results_path(path)
-            say(f"{path}: {newest.name}, the newest of its results, is taken; name others to take them")
-    return given
+        newest = results_path(path)
+        say(f"{path}: {newest.name}, the newest of its results, is taken; name others to take them")
 
 
 def one_record(path: Path) -> Path:
@@ -162,9 +175,15 @@ def _instead_of(path: Path) -> str:
 Check = Callable[[Path | None], Path | None]
 
 
-def output_option(help_: str, check: Check | None = None, *, show_default: bool = True) -> Any:
-    """The option for the path to which a command writes."""
-    return typer.Option("-o", "--output", help=help_, show_default=show_default, callback=check)
+def _output(check: Callable[[Path], object]) -> Check:
+    """A check of a path to write, if one is stated."""
+
+    def checked(path: Path | None) -> Path | None:
+        if path is not None:
+            check(path)
+        return path
+
+    return checked
 
 
 def new_file(*suffixes: str, makes_folders: bool = False) -> Check:
@@ -173,9 +192,8 @@ def new_file(*suffixes: str, makes_folders: bool = False) -> Check:
     Its folder must exist, unless the command makes folders.
     """
 
-    def check(path: Path | None) -> Path | None:
-        if path is None:
-            return None
+    @_output
+    def check(path: Path) -> None:
         if path.is_dir():
             raise ConfigurationError(f"{path}: is a folder; name a file in it")
         if suffixes and path.suffix.lower() not in suffixes:
@@ -184,77 +202,74 @@ def new_file(*suffixes: str, makes_folders: bool = False) -> Check:
         if not makes_folders and not path.parent.is_dir():
             raise ConfigurationError(f"{path}: there is no folder {path.parent}; make it, or name another")
         _refuse_unwritable(path)
-        return path
 
     return check
 
 
-def new_page(path: Path | None) -> Path | None:
+@_output
+def new_page(path: Path) -> None:
     """Check that an HTML page, and the folder of its name for figures and tables, do not exist."""
-    new_file(".html", ".htm", makes_folders=True)(path)
-    if path is not None and path.with_suffix("").is_dir() and any(path.with_suffix("").iterdir()):
+    new_file(*PAGES, makes_folders=True)(path)
+    if path.with_suffix("").is_dir() and any(path.with_suffix("").iterdir()):
         raise ConfigurationError(
             f"{path.with_suffix('')}: the page's figures go there, and it is not empty; choose another name"
         )
-    return path
 
 
-def page_or_campaign(path: Path | None) -> Path | None:
+@_output
+def page_or_campaign(path: Path) -> None:
     """Check that an HTML page does not exist, or that a folder holds no campaign."""
-    if path is not None and path.suffix.lower() in (".html", ".htm"):
-        return new_page(path)
-    return folder_without("campaign.json", "campaign.html")(path)
+    is_page = path.suffix.lower() in PAGES
+    (new_page if is_page else folder_without("campaign.json", "campaign.html"))(path)
 
 
 def folder_without(*patterns: str) -> Check:
     """A check for a folder without files of these names; a missing folder will be made."""
 
-    def check(path: Path | None) -> Path | None:
-        if path is None:
-            return None
+    @_output
+    def check(path: Path) -> None:
         if path.exists() and not path.is_dir():
             raise ConfigurationError(f"{path}: is a file; name a folder")
         for pattern in patterns:
             for taken in sorted(path.glob(pattern)):
                 _refuse_existing(taken, "folder")
         _refuse_unwritable(path)
-        return path
 
     return check
 
 
-def folder_or_record(path: Path | None) -> Path | None:
+folder_without_run = folder_without("run-*.mcap", "results.json")
+
+
+@_output
+def folder_or_record(path: Path) -> None:
     """Check that a folder holds no run, or that a record (MCAP file) does not exist."""
-    if path is not None and path.suffix.lower() == ".mcap":
-        return new_file(".mcap", makes_folders=True)(path)
-    return folder_without("run-*.mcap", "results.json")(path)
+    is_record = path.suffix.lower() == ".mcap"
+    (new_file(".mcap", makes_folders=True) if is_record else folder_without_run)(path)
 
 
-def new_folder(path: Path | None) -> Path | None:
+@_output
+def new_folder(path: Path) -> None:
     """Check that a folder does not exist."""
-    if path is not None:
-        _refuse_existing(path)
-        _refuse_unwritable(path)
-    return path
+    _refuse_existing(path)
+    _refuse_unwritable(path)
 
 
-def old_folder(path: Path | None) -> Path | None:
+@_output
+def old_folder(path: Path) -> None:
     """Check that a folder exists."""
-    if path is not None and not path.is_dir():
+    if not path.is_dir():
         what = "is a file" if path.exists() else "no such folder"
         raise ConfigurationError(f"{path}: {what}; name a folder that is there")
-    if path is not None:
-        _refuse_unwritable(path)
-    return path
+    _refuse_unwritable(path)
 
 
-def appended_file(path: Path | None) -> Path | None:
+@_output
+def appended_file(path: Path) -> None:
     """Check that a file can be appended to; a missing file is made with its folders."""
-    if path is not None and path.is_dir():
+    if path.is_dir():
         raise ConfigurationError(f"{path}: is a folder; name a file in it")
-    if path is not None:
-        _refuse_unwritable(path)
-    return path
+    _refuse_unwritable(path)
 
 
 def _refuse_existing(path: Path, what: str = "name") -> None:
@@ -275,13 +290,25 @@ def _refuse_unwritable(path: Path) -> None:
         )
 
 
-Config = Annotated[
-    Path, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=configuration)
-]
-Record = Annotated[
-    Path,
-    typer.Argument(help="Record (MCAP file), or a folder with one.", show_default=False, callback=recorded),
-]
+def input_argument(help_: str, check: Callable[..., object] = there, **stated: Any) -> Any:
+    """The argument for a path that a command reads."""
+    return typer.Argument(help=help_, show_default=False, callback=check, **stated)
+
+
+def input_option(help_: str, *names: str, **stated: Any) -> Any:
+    """The option for a path that a command reads."""
+    return typer.Option(*names, help=help_, show_default=False, callback=there, **stated)
+
+
+def output_option(
+    help_: str, check: Check | None = None, *, names: Sequence[str] = ("-o", "--output"), **stated: Any
+) -> Any:
+    """The option for a path to which a command writes."""
+    return typer.Option(*names, help=help_, callback=check, **stated)
+
+
+Config = Annotated[Path, input_argument("Configuration (TOML file).", configuration)]
+Record = Annotated[Path, input_argument("Record (MCAP file), or a folder with one.", recorded)]
 Set = Annotated[
     list[str] | None,
     typer.Option(
@@ -339,3 +366,47 @@ def in_json(command: Callable[..., None]) -> Callable[..., None]:
     option = inspect.Parameter("as_json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_AsJson)
     vars(with_option)["__signature__"] = stated.replace(parameters=[*stated.parameters.values(), option])
     return with_option
+
+
+class ListingCommand(TyperCommand):
+    """A command whose help names what each of several values is, not Python's list of them."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        for parameter in self.params:
+            annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
+            if get_origin(annotation) is list:
+                one = get_args(annotation)[0]
+                shown = "<path>" if one is Path else f"<{one.__name__}>"
+                vars(parameter)["display_type"] = lambda _context, shown=shown: shown
+
+
+def group(name: str, help_: str, *commands: Callable[..., None]) -> typer.Typer:
+    """A command with commands of its own, which have the names of their functions."""
+    made = typer.Typer(name=name, help=help_, no_args_is_help=True)
+    for command in commands:
+        made.command(command.__name__.rstrip("_"), cls=ListingCommand)(command)
+    return made
+
+
+def loaded(config: Path, set_: Sequence[str] | None) -> "Configuration":
+    """The configuration of a file and of `--set`."""
+    from rig.settings import load_configuration
+
+    return load_configuration(config, set_ or [])
+
+
+def print_written(*paths: Path) -> None:
+    """Print the files that a command has written."""
+    from rig.terminal import answer
+
+    for path in paths:
+        answer(written=[path])
+        print(path)
+
+
+def refuse_stated(reason: str, *options: Mapping[str, object]) -> None:
+    """Raise ConfigurationError for the first of the options that is stated."""
+    for name, value in (pair for stated in options for pair in stated.items()):
+        if value:
+            raise ConfigurationError(f"{name}: has no effect {reason}")

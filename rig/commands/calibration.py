@@ -8,19 +8,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.commands.arguments import Record, folder_without, in_json, one_record, output_option, there
+from rig.commands.arguments import (
+    Record,
+    folder_without,
+    group,
+    in_json,
+    input_argument,
+    input_option,
+    loaded,
+    one_record,
+    output_option,
+)
 
 if TYPE_CHECKING:
     from rig.prepare import Filing
 
-Ladder = Annotated[
-    Path,
-    typer.Argument(
-        help="Steps or geometry of the lever (TOML file); docs/calibrate.md shows one.",
-        show_default=False,
-        callback=there,
-    ),
-]
+_SHOWN = "(TOML file); docs/calibrate.md shows one."
 Folder = Annotated[Path, output_option("Folder for the calibration file.", folder_without())]
 Days = Annotated[
     float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.")
@@ -35,15 +38,9 @@ Made = Callable[..., Path | None]
 of the command's help; its docstring is that help."""
 
 
-def register(app: typer.Typer) -> None:
-    """Add `rig calibrate`."""
-    group = typer.Typer(help="Make a calibration file.", no_args_is_help=True)
-    for made in (lever, axes, sensor, clock, shutter, air, pointing, check):
-        group.command()(in_json(_command(made)))
-    app.add_typer(group, name="calibrate")
-
-
-def lever(ladder: Ladder, filing: "Filing") -> Path:
+def lever(
+    ladder: Annotated[Path, input_argument(f"Steps or geometry of the lever {_SHOWN}")], filing: "Filing"
+) -> Path:
     """Calibrate pixels to radians.
 
     From geometry, known tilts or known shifts of the sensor.
@@ -72,14 +69,7 @@ def axes(record: Record, filing: "Filing", slow_began: Side = None, fast_began: 
 
 
 def sensor(
-    frames: Annotated[
-        Path,
-        typer.Argument(
-            help="List of dark and evenly lit frames (TOML file); docs/calibrate.md shows one.",
-            show_default=False,
-            callback=there,
-        ),
-    ],
+    frames: Annotated[Path, input_argument(f"List of dark and evenly lit frames {_SHOWN}")],
     filing: "Filing",
 ) -> Path:
     """Measure the sensor: gain, read noise, dark level.
@@ -127,23 +117,12 @@ def shutter(record: Record, filing: "Filing") -> Path:
 
 
 def air(
-    vanes: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Runs with their vanes or pressures (TOML file); docs/calibrate.md shows one.",
-            show_default=False,
-            callback=there,
-        ),
-    ] = None,
+    vanes: Annotated[Path | None, input_argument(f"Runs with their vanes or pressures {_SHOWN}")] = None,
     *,
     filing: "Filing",
     config: Annotated[
         Path | None,
-        typer.Option(
-            help="Without a file: say which vanes to cut for the pendulum of this configuration.",
-            show_default=False,
-            callback=there,
-        ),
+        input_option("Without a file: say which vanes to cut for the pendulum of this configuration."),
     ] = None,
 ) -> Path | None:
     """Measure the drag of the air.
@@ -156,16 +135,15 @@ def air(
       rig calibrate air vanes.toml
     """
     from rig.prepare import calibrate_air, vanes_to_cut
-    from rig.settings import load_configuration
     from rig.terminal import print_line
 
     if vanes is not None:
         return calibrate_air(vanes, filing)
     if config is None:
         raise typer.BadParameter("a list of runs is needed; docs/calibrate.md shows one", param_hint="VANES")
-    loaded = load_configuration(config)
+    stated = loaded(config, None)
     # the period of [simulation] stands for what a rig does not know before its first run
-    vanes_text = vanes_to_cut(loaded, loaded.simulation.contact.period0_s)
+    vanes_text = vanes_to_cut(stated, stated.simulation.contact.period0_s)
     if vanes_text is None:
         raise typer.BadParameter(
             f"{config}: [pendulum] is not stated; state its mass_kg and ball_radius_m, from which the drag "
@@ -189,17 +167,9 @@ def pointing(record: Record, filing: "Filing") -> Path:
 
 
 def check(
-    ladder: Annotated[
-        Path,
-        typer.Argument(
-            help="Known tilts (TOML file); docs/calibrate.md shows one.", show_default=False, callback=there
-        ),
-    ],
+    ladder: Annotated[Path, input_argument(f"Known tilts {_SHOWN}")],
     *,
-    lever: Annotated[
-        Path,
-        typer.Option(help="Calibration file of the lever to be checked.", show_default=False, callback=there),
-    ],
+    lever: Annotated[Path, input_option("Calibration file of the lever to be checked.")],
     filing: "Filing",
 ) -> Path:
     """Check the lever against known tilts.
@@ -261,3 +231,7 @@ def _say(path: Path) -> None:
     for note in found.notes:
         print_line(f"note: {note}")
     print(path)
+
+
+_KINDS = (lever, axes, sensor, clock, shutter, air, pointing, check)
+commands = group("calibrate", "Make a calibration file.", *(in_json(_command(made)) for made in _KINDS))

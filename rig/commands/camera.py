@@ -14,44 +14,36 @@ from rig.commands.arguments import (
     NewRecord,
     Set,
     View,
+    group,
     in_json,
+    loaded,
     new_file,
     new_folder,
     old_folder,
     output_option,
+    print_written,
 )
 
 if TYPE_CHECKING:
     from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
     from processing.spot import Spot
     from rig.devices import PictureFigures
-
-
-def register(app: typer.Typer) -> None:
-    """Add `rig camera`."""
-    camera = typer.Typer(help="Show, set and test the camera.", no_args_is_help=True)
-    camera.command("show")(in_json(show))
-    camera.command("set")(in_json(set_features))
-    for command in (snap, record, frames, focus, align, expose):
-        camera.command()(in_json(command))
-    app.add_typer(camera, name="camera")
+    from rig.settings import Configuration
 
 
 @contextmanager
 def _opened_camera(
-    config: Path, set_: list[str] | None
+    stated: "Configuration",
 ) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
     """The configured camera, its identity and its settings; settings that differ are printed on stderr."""
     from rig.instrument import camera_settings, check_full_scale, make_camera, setting_differences
-    from rig.settings import load_configuration
 
-    loaded = load_configuration(config, set_ or [])
-    camera = make_camera(loaded)
+    camera = make_camera(stated)
     try:
         info = camera.open()
-        asked = camera_settings(loaded)
+        asked = camera_settings(stated)
         applied = camera.configure(asked)
-        check_full_scale(loaded, info, applied)
+        check_full_scale(stated, info, applied)
         for line in setting_differences(asked, applied):
             typer.echo(line, err=True)
         yield camera, info, applied
@@ -59,6 +51,7 @@ def _opened_camera(
         camera.close()
 
 
+@in_json
 def show(config: Config, set_: Set = None) -> None:
     """Print the identity, settings and features of the camera.
 
@@ -69,7 +62,7 @@ def show(config: Config, set_: Set = None) -> None:
     from rig.devices import feature_lines
     from rig.terminal import answer, print_line
 
-    with _opened_camera(config, set_) as (camera, info, applied):
+    with _opened_camera(loaded(config, set_)) as (camera, info, applied):
         print_line(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
         print_line(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
         for name, value in applied.model_dump(exclude={"features"}).items():
@@ -83,7 +76,8 @@ def show(config: Config, set_: Set = None) -> None:
             print_line(line)
 
 
-def set_features(
+@in_json
+def set_(
     config: Config,
     assignments: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", show_default=False)],
     set_: Set = None,
@@ -99,17 +93,17 @@ def set_features(
     """
     from acquisition.camera import CameraSettings
     from processing.errors import ConfigurationError
-    from rig.settings import apply_overrides, load_configuration, validate_configuration
+    from rig.settings import apply_overrides, validate_configuration
     from rig.terminal import answer, print_line
 
-    loaded = load_configuration(config, set_ or [])
-    with _opened_camera(config, set_) as (camera, _, _):
+    stated = loaded(config, set_)
+    with _opened_camera(stated) as (camera, _, _):
         for assignment in assignments:
             name, equals, value = assignment.partition("=")
             if not equals:
                 raise ConfigurationError(f"{assignment}: must read NAME=VALUE")
             if name in CameraSettings.model_fields and name != "features":
-                tree: dict[str, Any] = {"camera": {"driver": loaded.camera.driver}}
+                tree: dict[str, Any] = {"camera": {"driver": stated.camera.driver}}
                 apply_overrides(tree, [f"camera.{assignment}"])
                 asked = validate_configuration(tree, str(config)).camera
                 applied = camera.configure(CameraSettings(**{name: getattr(asked, name)}))
@@ -129,6 +123,7 @@ Average = Annotated[
 ]
 
 
+@in_json
 def snap(
     config: Config,
     output: Annotated[Path, output_option("PNG file to write.", new_file(".png"))] = Path("snap.png"),
@@ -148,12 +143,11 @@ def snap(
     from rig.devices import SeenReference
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
-    from rig.settings import load_configuration
     from rig.terminal import answer, print_line
 
-    loaded = complete(load_configuration(config, set_ or []))
-    with _opened_camera(config, set_) as (camera, info, _):
-        image = camera_picture.average(camera_picture.read_frames(camera, average, loaded.camera.patience_s))
+    stated = complete(loaded(config, set_))
+    with _opened_camera(stated) as (camera, info, _):
+        image = camera_picture.average(camera_picture.read_frames(camera, average, stated.camera.patience_s))
         png = camera_picture.png_of(image, output)
         try:
             atomic_write.take_away_leftovers(output.parent, output.name)
@@ -165,22 +159,23 @@ def snap(
             print_line(line)
         figures = camera_picture.figures(image, info.full_scale_dn)
         print_line(_figures_line(figures))
-        optics = optics_of(loaded, info.full_scale_dn)
+        optics = optics_of(stated, info.full_scale_dn)
         tracker, reference = optics.tracker(), optics.reference()
         # each spot is judged in its own part of the frame
         row = len(image) if reference is None else min(len(image), reference[1])
         spot = tracker.track(image[:row])
-        limits = loaded.preflight
+        limits = stated.preflight
         beam = beam_quality([image[:row]], [spot], tracker.model, info.full_scale_dn, limits)
         print_line(beam.line)
         if reference is not None and row < len(image):
             other = reference[0].track(image[row:])
             other = other._replace(y_px=other.y_px + row)
             print_line(SeenReference.in_image(other, row, image, info.full_scale_dn).lamp.line)
-        answer(picture=figures, beam=beam, written=[output])
-        typer.echo(str(output))
+        answer(picture=figures, beam=beam)
+        print_written(output)
 
 
+@in_json
 def record(
     config: Config,
     output: NewRecord,
@@ -196,14 +191,11 @@ def record(
       rig camera record mine.toml -o clamped.mcap --seconds 120
     """
     from rig.measure import record_plainly
-    from rig.settings import load_configuration
-    from rig.terminal import answer
 
-    made = record_plainly(load_configuration(config, set_ or []), config, output, seconds)
-    answer(written=[made])
-    typer.echo(made)
+    print_written(record_plainly(loaded(config, set_), config, output, seconds))
 
 
+@in_json
 def frames(
     config: Config,
     output: Annotated[Path, output_option("Folder to make, for the PNG files.", new_folder)],
@@ -219,14 +211,11 @@ def frames(
       rig camera frames mine.toml -o level-1 --set camera.exposure_us=50
     """
     from rig.measure import take_frames
-    from rig.settings import load_configuration
-    from rig.terminal import answer
 
-    folder = take_frames(load_configuration(config, set_ or []), output, number)
-    answer(written=[folder])
-    typer.echo(folder)
+    print_written(take_frames(loaded(config, set_), output, number))
 
 
+@in_json
 def focus(
     config: Config,
     seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at Ctrl-C.", min=0)] = 0.0,
@@ -238,13 +227,12 @@ def focus(
     Continuously; larger is sharper.
     """
     import sys
-    import time
 
     from rig.devices import picture as camera_picture
     from rig.devices import watch_latest
     from rig.terminal import answer
 
-    with _opened_camera(config, set_) as (camera, info, _):
+    with _opened_camera(loaded(config, set_)) as (camera, info, _):
         best = 0.0
         end_s = time.monotonic() + seconds if seconds else float("inf")
         for frames in watch_latest(camera, average, end_s):
@@ -256,17 +244,14 @@ def focus(
             typer.echo(f"\r{line:<100}" if sys.stdout.isatty() else line, nl=not sys.stdout.isatty())
 
 
+@in_json
 def align(
     config: Config,
     output: Annotated[Path, output_option("Folder for pictures (key s).", old_folder)] = Path("."),
     seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at q.", min=0)] = 0.0,
     rrd: Annotated[
         Path | None,
-        typer.Option(
-            help="Also write the live picture into this Rerun file.",
-            show_default=False,
-            callback=new_file(".rrd"),
-        ),
+        output_option("Also write the live picture into this Rerun file.", new_file(".rrd"), names=()),
     ] = None,
     view: View = None,
     set_: Set = None,
@@ -285,41 +270,39 @@ def align(
 
     from rig.devices import align_camera
     from rig.instrument import complete, configuration_attachments, optics_of, session_metadata
-    from rig.settings import load_configuration
-    from rig.terminal import answer
     from rig.view import ScratchHead, ScratchView
 
-    loaded = complete(load_configuration(config, set_ or []))
+    stated = complete(loaded(config, set_))
     with ExitStack() as stack:
-        camera, info, applied = stack.enter_context(_opened_camera(config, set_))
-        show_frame = None
+        camera, info, applied = stack.enter_context(_opened_camera(stated))
+        show = None
         if rrd is not None or view:
             shown = stack.enter_context(ScratchView("aligning", MODES[view], rrd, "balancing"))
 
             def show_frame(frame: "Frame", spot: "Spot") -> None:
                 if not shown.begun:
-                    attachments = configuration_attachments(loaded, config)
-                    metadata = session_metadata(loaded, info, frame)
-                    unit, epoch_offset_ns = loaded.deflection_unit, time.time_ns() - frame.time_ns
+                    attachments = configuration_attachments(stated, config)
+                    metadata = session_metadata(stated, info, frame)
+                    unit, epoch_offset_ns = stated.deflection_unit, time.time_ns() - frame.time_ns
                     shown.begin(frame.time_ns, ScratchHead(metadata, attachments, unit, epoch_offset_ns))
                 shown.look(frame, spot)
 
-        optics = optics_of(loaded, info.full_scale_dn)
-        for path in align_camera(
+        optics = optics_of(stated, info.full_scale_dn)
+        saved = align_camera(
             camera,
             info,
             applied,
             optics.tracker(),
             folder=output,
             reference=optics.reference(),
-            reference_px=loaded.lever_reference_px,
+            reference_px=stated.lever_reference_px,
             seconds=seconds,
-            view=show_frame,
-        ):
-            answer(written=[path])
-            typer.echo(str(path))
+            view=show,
+        )
+        print_written(*saved)
 
 
+@in_json
 def expose(
     config: Config,
     target: Annotated[
@@ -336,7 +319,7 @@ def expose(
     from rig.devices import find_exposure
     from rig.terminal import answer, print_line
 
-    with _opened_camera(config, set_) as (camera, info, applied):
+    with _opened_camera(loaded(config, set_)) as (camera, info, applied):
         found = find_exposure(camera, info, applied, target)
         answer(found=found)
         print_line(f"peak {100 * found.peak:.1f} % of full scale; in the configuration, below [camera]:")
@@ -346,3 +329,8 @@ def expose(
 def _figures_line(seen: "PictureFigures") -> str:
     saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
     return f"peak {100 * seen.peak:6.1f} %  {saturated}  sharpness {seen.sharpness_per_px:.4f} /px"
+
+
+commands = group(
+    "camera", "Show, set and test the camera.", show, set_, snap, record, frames, focus, align, expose
+)

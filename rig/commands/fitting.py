@@ -1,6 +1,6 @@
 """`rig fit`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,31 +9,35 @@ import typer
 
 from acquisition.record import records_in
 from processing.errors import ConfigurationError
-from rig.commands.arguments import ResultsFolder, Set, in_json, kind_of, there, to_be_fitted
+from rig.commands.arguments import (
+    ResultsFolder,
+    Set,
+    in_json,
+    input_argument,
+    input_option,
+    kind_of,
+    refuse_stated,
+    to_be_fitted,
+)
 
 if TYPE_CHECKING:
     from rig.analysis import AnalysedTable, SeismometerSource
     from rig.intake import FilmOptions
 
 
-def register(app: typer.Typer) -> None:
-    """Add `rig fit`."""
-    app.command()(in_json(fit))
-
-
+@in_json
 def fit(
     files: Annotated[
         list[Path],
-        typer.Argument(
-            help="Records (.mcap), their folders; or one table of positions (CSV), one film, one folder of "
+        input_argument(
+            "Records (.mcap), their folders; or one table of positions (CSV), one film, one folder of "
             "images or films.",
-            show_default=False,
-            callback=to_be_fitted,
+            to_be_fitted,
         ),
     ],
     output: ResultsFolder = None,
     config: Annotated[
-        Path | None, typer.Option(help="CSV, film: configuration with [pendulum] and [fit].", callback=there)
+        Path | None, input_option("CSV, film: configuration with [pendulum] and [fit].")
     ] = None,
     time: Annotated[str | None, typer.Option(help="CSV: name or number of the column with the time.")] = None,
     time_unit: Annotated[
@@ -81,10 +85,9 @@ def fit(
     ] = None,
     witness: Annotated[
         Path | None,
-        typer.Option(
-            help="Record of a seismometer or tiltmeter beside the run: CSV (time_s and columns in any "
-            "unit), miniSEED, SAC.",
-            callback=there,
+        input_option(
+            "Record of a seismometer or tiltmeter beside the run: CSV (time_s and columns in any unit), "
+            "miniSEED, SAC."
         ),
     ] = None,
     witness_column: Annotated[
@@ -140,7 +143,7 @@ def fit(
     both = {"--config": config, "--rate": rate, "--from": begin, "--to": end, "--run": run}
     kind = "records" if len(files) > 1 else kind_of(files[0])
     if kind == "records":
-        _refuse("on records, only on a table or a film", columns, of_films, both)
+        refuse_stated("on records, only on a table or a film; leave it out", columns, of_films, both)
         records = [record for path in files for record in records_in(path)]
         same = [one for one in records if sum(one.resolve() == other.resolve() for other in records) > 1]
         if same:
@@ -151,7 +154,7 @@ def fit(
     if kind == "film":
         from rig.intake import FilmOptions
 
-        _refuse("on a film", columns, {"--witness": witness})
+        refuse_stated("on a film; leave it out", columns, {"--witness": witness})
         asked = FilmOptions(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
         raise typer.Exit(fit_film(files[0], asked, output, config, run, set_ or [], law or []))
     if files[0].suffix.lower() in (".json", ".toml"):
@@ -161,7 +164,7 @@ def fit(
     from rig.analysis import TableOptions, fit_envelope_table, fit_trajectory
     from rig.intake import TableColumns
 
-    _refuse("on a table", of_films)
+    refuse_stated("on a table; leave it out", of_films)
     if law and (config is None or envelope is not None):
         raise ConfigurationError(f"--law {law[0]}: laws need swings and --config CONFIG with [pendulum]")
     if set_ and (config is None or envelope is not None):
@@ -177,13 +180,6 @@ def fit(
     raise typer.Exit(fit_trajectory(files[0], output, asked_of, wanted))
 
 
-def _refuse(where: str, *options: Mapping[str, object]) -> None:
-    """Raise ConfigurationError for the first stated option without effect; `where` names the input."""
-    for name, value in (pair for stated in options for pair in stated.items()):
-        if value:
-            raise ConfigurationError(f"{name}: has no effect {where}; leave it out")
-
-
 def _witness(
     path: Path | None, columns: Sequence[str], offset_s: float | None, time_unit: str
 ) -> "SeismometerSource | None":
@@ -192,12 +188,11 @@ def _witness(
     if path is not None:
         return SeismometerSource(path, tuple(columns), offset_s, time_unit)
     stated = {
-        "--witness-column": bool(columns),
+        "--witness-column": columns,
         "--witness-offset": offset_s is not None,
-        "--witness-time-unit": bool(time_unit),
+        "--witness-time-unit": time_unit,
     }
-    if name := next((name for name, given in stated.items() if given), ""):
-        raise ConfigurationError(f"{name}: has no effect without --witness")
+    refuse_stated("without --witness", stated)
     return None
 
 

@@ -1,25 +1,20 @@
 """`rig init`: a first configuration."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from processing.errors import ConfigurationError, RigError
-from rig.commands.arguments import in_json
+from rig.commands.arguments import in_json, print_written
 
 if TYPE_CHECKING:
     from acquisition.camera import PluggedCamera
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command("init")(in_json(init))
-
-
+@in_json
 def init(
     file: Annotated[
         Path | None,
@@ -61,7 +56,7 @@ def init(
     from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
     from rig.settings import refuse_existing, write_configuration
-    from rig.terminal import answer, say
+    from rig.terminal import say
 
     refuse_existing(file)
     # nothing is printed before the first question
@@ -69,8 +64,7 @@ def init(
     stated = ask(cameras, [(port.device, port.description) for port in list_serial_ports()])
     config = write_configuration(file, stated)
     sys.stderr.flush()
-    print(file)
-    answer(written=[file])
+    print_written(file)
     lit = config.laser.kind != "none"
     for line in ("next:", *(f"  {step}" for step in _next_steps(file, stated, lit=lit))):
         say(line)
@@ -87,14 +81,12 @@ def _list_instruments() -> None:
 
 def _write_example(name: str, file: Path | None) -> None:
     from rig.settings import copy_shipped, refuse_existing, shipped
-    from rig.terminal import answer, say
+    from rig.terminal import say
 
     shipped(name)
     file = file or Path(f"{name}.toml")
     refuse_existing(file)
-    for path in copy_shipped(name, file):
-        print(path)
-        answer(written=[path])
+    print_written(*copy_shipped(name, file))
     say("next:")
     say(f"  rig run {file} -o runs/{file.stem}: measure")
 
@@ -124,35 +116,8 @@ _LATER = {
 }
 
 
-@dataclass(frozen=True)
-class Question:
-    """One prompt of `rig init`.
-
-    Parameters
-    ----------
-    text
-        The prompt, one line.
-    read
-        The keys that an answer states; raises a RigError, one line, for one that cannot be.
-    suggested
-        The answer that Enter gives; None: one must be typed.
-    choices
-        Answers and what each of them is, where there are some to choose from, by name or number.
-    open_choice
-        Other answers than the choices are taken, too.
-    """
-
-    text: str
-    read: Callable[[str], Keys]
-    suggested: str | None = None
-    choices: tuple[tuple[str, str], ...] = ()
-    open_choice: bool = False
-
-
 def ask(cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """Ask all questions at the terminal; returns the stated keys.
-
-    A wrong answer is asked for again; where lines come from a file or pipe, it ends the questions.
 
     Parameters
     ----------
@@ -171,37 +136,61 @@ def ask(cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]]) ->
     from rig.terminal import say
 
     say("A configuration for your rig. Enter accepts the value in brackets, Ctrl-C ends and writes nothing.")
-    stated: dict[str, Any] = {}
-    for question in questions(cameras, ports, stated):
-        while True:
-            text = _typed(question)
-            try:
-                stated |= question.read(_chosen(question, text))
-            except RigError as error:
-                if not sys.stdin.isatty():
-                    raise ConfigurationError(f"{question.text} {error}") from None
-                say(f"  {error}")
-            else:
-                break
+    stated = dict(_camera(cameras))
+    if stated["camera.driver"] != "simulated":
+        stated |= _devices(ports)
+        stated |= _lever()
+    stated |= _answered(
+        "Ball and flat (steel ball on K8 glass, cleaned with ethanol):", _text("session.sample"), ""
+    )
+    stated |= _answered("Folder to record in:", _text("session.output"), "runs")
     return stated
 
 
-def questions(
-    cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]], stated: Keys
-) -> Iterator[Question]:
-    """The questions in their order; `stated` grows by the keys of each answer before the next is asked."""
-    yield _camera(cameras)
-    simulated = stated["camera.driver"] == "simulated"
-    if not simulated:
-        yield from _ports(ports, stated)
-        yield from _lever(stated)
-    yield Question(
-        "Ball and flat (steel ball on K8 glass, cleaned with ethanol):", _text("session.sample"), ""
-    )
-    yield Question("Folder to record in:", _text("session.output"), "runs")
+def _answered(
+    question: str,
+    read: Callable[[str], Keys],
+    suggested: str | None = None,
+    choices: Sequence[tuple[str, str]] = (),
+    *,
+    is_open: bool = False,
+) -> Keys:
+    """The keys that the answer to a question states, which `read` makes of it.
+
+    A wrong answer is asked for again; where lines come from a file or pipe, it ends the questions. Enter
+    gives the one `suggested`, if there is one. `choices` are answers and what each of them is, to be chosen
+    by name or number; if the choice `is_open` other answers are taken, too.
+    """
+    from rig.terminal import say
+
+    at_terminal = sys.stdin.isatty()
+    prompt = f"{question}{f' [{suggested}]' if suggested else ''} "
+    answers = [answer for answer, _ in choices]
+    while True:
+        for number, (answer, what) in enumerate(choices, 1):
+            say(f"  {number}  {answer}{f': {what}' if what else ''}")
+        if not at_terminal:
+            say(prompt)
+        try:
+            text = input(prompt if at_terminal else "").strip() or suggested
+        except EOFError:
+            raise ConfigurationError(f"the answers end at: {question}") from None
+        try:
+            if text is None:
+                raise ConfigurationError("an answer is needed here")
+            if answers and text not in answers:
+                if text.isdecimal() and 1 <= int(text) <= len(answers):
+                    text = answers[int(text) - 1]
+                elif not is_open:
+                    raise ConfigurationError(f"{text!r}: choose one of {', '.join(answers)}, or its number")
+            return read(text)
+        except RigError as error:
+            if not at_terminal:
+                raise ConfigurationError(f"{question} {error}") from None
+            say(f"  {error}")
 
 
-def _camera(cameras: Sequence["PluggedCamera"]) -> Question:
+def _camera(cameras: Sequence["PluggedCamera"]) -> Keys:
     """The choice of a camera; plugged-in cameras are chosen by number, several may have one driver."""
     from acquisition.cameras.drivers import DRIVERS
 
@@ -222,7 +211,7 @@ def _camera(cameras: Sequence["PluggedCamera"]) -> Question:
         if found["camera.driver"] != "v4l2":
             keys[answer] = found | _FRAMES
     suggested = choices[0][0] if cameras else "simulated"
-    return Question("Which camera:", lambda answer: _checked(keys[answer]), suggested, tuple(choices))
+    return _answered("Which camera:", lambda answer: _checked(keys[answer]), suggested, choices)
 
 
 def _identity(camera: "PluggedCamera", *, several: bool) -> dict[str, Any]:
@@ -234,49 +223,52 @@ def _identity(camera: "PluggedCamera", *, several: bool) -> dict[str, Any]:
     return keys
 
 
-def _ports(ports: Sequence[tuple[str, str]], stated: Keys) -> Iterator[Question]:
-    """Questions on controller and laser: which of them this program switches, and their ports."""
+def _devices(ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Which of controller and laser this program switches, and their ports."""
     from rig.control import LASERS
 
-    yield Question(
-        "Serial port of the controller, a Pico with this program's firmware (another board: none):",
-        lambda text: (
-            {}
-            if text == "none"
-            else _checked({"controller.kind": "serial", "controller.port": text}, whole="controller")
-        ),
-        "none",
-        (("none", "everything is switched by hand"), *ports),
-        open_choice=True,
+    stated = dict(
+        _answered(
+            "Serial port of the controller, a Pico with this program's firmware (another board: none):",
+            lambda text: (
+                {}
+                if text == "none"
+                else _checked({"controller.kind": "serial", "controller.port": text}, whole="controller")
+            ),
+            "none",
+            (("none", "everything is switched by hand"), *ports),
+            is_open=True,
+        )
     )
     kinds = {"none": "it is not switched by this program"}
-    if "controller.kind" in stated:
+    if stated:
         kinds["controller"] = "a diode that the controller feeds"
     kinds |= dict.fromkeys(LASERS, "has a serial port of its own")
-    yield Question(
+    stated |= _answered(
         "The laser:",
         lambda text: {} if text == "none" else _checked({"laser.kind": text}),
         "none",
         tuple(kinds.items()),
     )
     if stated.get("laser.kind") in LASERS:
-        yield Question(
-            "Serial port of the laser:", _text("laser.port"), choices=tuple(ports), open_choice=True
-        )
+        stated |= _answered("Serial port of the laser:", _text("laser.port"), choices=ports, is_open=True)
+    return stated
 
 
-def _lever(stated: Keys) -> Iterator[Question]:
-    """Questions on both lengths of the light lever; without them amplitudes are in px."""
-    yield Question(
+def _lever() -> dict[str, Any]:
+    """Both lengths of the light lever; without them amplitudes are in px."""
+    arm = _answered(
         "Distance from mirror to sensor along the beam, in m (1 m ± 1 mm; Enter: not measured yet):",
         _length("lever.arm_m"),
         "",
     )
-    if "lever.arm_m" in stated:
-        yield Question(
-            "Distance of neighbouring pixels, in m (from the sensor's data sheet: 4.8 um):",
-            _length("lever.pixel_pitch_m"),
-        )
+    if not arm:
+        return {}
+    pitch = _answered(
+        "Distance of neighbouring pixels, in m (from the sensor's data sheet: 4.8 um):",
+        _length("lever.pixel_pitch_m"),
+    )
+    return {**arm, **pitch}
 
 
 def _length(key: str) -> Callable[[str], Keys]:
@@ -308,32 +300,3 @@ def _checked(keys: Keys, *, whole: str = "") -> Keys:
     if lines := keys_with_faults(keys, whole):
         raise ConfigurationError("; ".join(lines))
     return keys
-
-
-def _chosen(question: Question, text: str) -> str:
-    if not text:
-        if question.suggested is None:
-            raise ConfigurationError("an answer is needed here")
-        text = question.suggested
-    answers = [answer for answer, _ in question.choices]
-    if answers and text not in answers:
-        if text.isdecimal() and 1 <= int(text) <= len(answers):
-            return answers[int(text) - 1]
-        if not question.open_choice:
-            raise ConfigurationError(f"{text!r}: choose one of {', '.join(answers)}, or its number")
-    return text
-
-
-def _typed(question: Question) -> str:
-    from rig.terminal import say
-
-    for number, (answer, what) in enumerate(question.choices, 1):
-        say(f"  {number}  {answer}{f': {what}' if what else ''}")
-    prompt = f"{question.text}{f' [{question.suggested}]' if question.suggested else ''} "
-    if not sys.stdin.isatty():
-        say(prompt)
-        prompt = ""
-    try:
-        return input(prompt).strip()
-    except EOFError:
-        raise ConfigurationError(f"the answers end at: {question.text}") from None

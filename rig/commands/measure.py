@@ -17,33 +17,21 @@ from rig.commands.arguments import (
     View,
     configuration,
     folder_or_record,
-    folder_without,
+    folder_without_run,
     in_json,
+    input_argument,
+    input_option,
+    loaded,
     new_file,
     one_record,
     output_option,
     recorded,
-    there,
 )
 
-Rrd = Annotated[
-    Path | None,
-    typer.Option("--rrd", help="Write a Rerun file.", show_default=False, callback=new_file(".rrd")),
-]
+Rrd = Annotated[Path | None, output_option("Write a Rerun file.", new_file(".rrd"), names=("--rrd",))]
 RunsFolder = Annotated[
-    Path | None,
-    output_option(
-        "Folder for the files written; must not hold a run yet.", folder_without("run-*.mcap", "results.json")
-    ),
+    Path | None, output_option("Folder for the files written; must not hold a run yet.", folder_without_run)
 ]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    for in_lines in (demo, run):  # as it goes
-        app.command()(in_lines)
-    for command in (replay, view):
-        app.command()(in_json(command))
 
 
 def demo(
@@ -69,11 +57,10 @@ def demo(
 def run(
     configs: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Configuration (TOML file); of several, one session after the other.",
+        input_argument(
+            "Configuration (TOML file); of several, one session after the other.",
+            configuration,
             metavar="CONFIG",
-            show_default=False,
-            callback=configuration,
         ),
     ] = None,
     output: Annotated[
@@ -87,18 +74,12 @@ def run(
     view: View = None,
     resume: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Continue the interrupted session in DIR, without CONFIG.", callback=there
-        ),
+        input_option("Continue the interrupted session in DIR, without CONFIG.", metavar="DIR"),
     ] = None,
     instead: Annotated[
         Path | None,
-        typer.Option(
-            "--config",
-            metavar="FILE",
-            help="With --resume: another configuration for the missing runs.",
-            show_default=False,
-            callback=there,
+        input_option(
+            "With --resume: another configuration for the missing runs.", "--config", metavar="FILE"
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Measure even if a preflight check fails.")] = False,
@@ -151,17 +132,16 @@ def run(
         from rig.measure import measure_sessions
 
         raise typer.Exit(measure_sessions(named, overrides, output, force=force, json_lines=json_lines))
-    from rig.settings import load_configuration
 
     (config,) = named
-    loaded = load_configuration(config, overrides)
+    stated = loaded(config, overrides)
     # imported after the configuration is checked, because it takes a second
     from rig.measure import measure_session, simulate_record
 
     if record_only:
         assert output is not None
-        raise typer.Exit(simulate_record(loaded, config, output))
-    raise typer.Exit(measure_session(loaded, config, output, force=force, json_lines=json_lines))
+        raise typer.Exit(simulate_record(stated, config, output))
+    raise typer.Exit(measure_session(stated, config, output, force=force, json_lines=json_lines))
 
 
 def _refuse_all_but_a_record(
@@ -176,6 +156,7 @@ def _refuse_all_but_a_record(
         raise ConfigurationError(f"{output}: name a file that ends in .mcap")
 
 
+@in_json
 def replay(
     record: Record,
     output: ResultsFolder = None,
@@ -218,6 +199,7 @@ def replay(
     )
 
 
+@in_json
 def view(
     records: Annotated[
         list[Path],
@@ -241,7 +223,6 @@ def view(
       rig view runs/first/run-1.mcap --view web
       rig view runs/first/run-1.mcap --layout analysing --rrd fits.rrd
     """
-    from rig.terminal import answer
     from rig.view import show_records
 
     if rrd is not None and view:
@@ -258,5 +239,7 @@ def view(
     mode: Literal["spawn", "web"] = "web" if view == "web" else "spawn"
     show_records(found, mode=mode, rrd=rrd, layout=layout, follow=follow, ports=ports)
     if rrd is not None and not follow:
+        from rig.terminal import answer
+
         answer(written=[rrd])
         print(f"Rerun file   {rrd}")

@@ -7,20 +7,13 @@ import typer
 
 from acquisition.record import records_in, recovered_beside
 from processing.errors import RigError
-from rig.commands.arguments import Record, in_json, new_file, one_record, output_option, there
+from rig.commands.arguments import Record, group, in_json, input_option, new_file, one_record, output_option
 
 _HIDDEN = {"record"}
 """Sections of a record's metadata that are not printed."""
 
 
-def register(app: typer.Typer) -> None:
-    """Add `rig record`."""
-    record = typer.Typer(help="Describe, verify and recover records.", no_args_is_help=True)
-    for command in (info, check, recover):
-        record.command()(in_json(command))
-    app.add_typer(record, name="record")
-
-
+@in_json
 def info(record: Record) -> None:
     """Print what a record contains, and how it was made.
 
@@ -116,14 +109,12 @@ def _result(path: Path) -> str:
     return f"{whole_result(run).text or problem} ({source.name})"
 
 
+@in_json
 def check(
     record: Record,
     results: Annotated[
         Path | None,
-        typer.Option(
-            help="results.json that names the record's hash; default: the one beside the record.",
-            callback=there,
-        ),
+        input_option("results.json that names the record's hash; default: the one beside the record."),
     ] = None,
 ) -> None:
     """Verify a record: checksums, gaps, times, hash.
@@ -156,6 +147,7 @@ def _print_check(path: Path, results: Path | None) -> int:
     return 1 if errors else 0
 
 
+@in_json
 def recover(
     record: Record,
     output: Annotated[
@@ -198,3 +190,6 @@ def _size(count: int) -> str:
             return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
         size /= 1000
     return f"{size:.1f} GB"
+
+
+commands = group("record", "Describe, verify and recover records.", info, check, recover)

@@ -1,4 +1,4 @@
-"""`rig report`, `rig paper`, `rig export` and `rig compare`."""
+"""`rig report`, `rig paper`, `rig export`, `rig compare` and `rig plan`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,31 +8,30 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import (
+    PAGES,
+    Set,
     Where,
     folder_without,
     in_json,
+    input_argument,
+    input_option,
+    is_of_table,
     new_file,
     new_page,
+    one_record,
     output_option,
     page_or_campaign,
+    print_written,
+    recorded_or_fitted,
+    refuse_stated,
     there,
     with_results,
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    for command in (report, paper, export, compare):
-        app.command()(in_json(command))
-
-
+@in_json
 def report(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder of a session, or a results file.", show_default=False, callback=with_results
-        ),
-    ],
+    folder: Annotated[Path, input_argument("Folder of a session, or a results file.", with_results)],
     output: Annotated[
         Path | None,
         output_option("HTML file to write; default: report.html in the folder, overwritten.", new_page),
@@ -47,13 +46,11 @@ def report(
       rig report runs/first
     """
     from rig.report import make_report
-    from rig.terminal import answer
 
-    page = make_report(folder, output)
-    answer(written=[page])
-    print(page)
+    print_written(make_report(folder, output))
 
 
+@in_json
 def paper(
     output: Annotated[
         Path | None,
@@ -68,15 +65,9 @@ def paper(
     reproduce_paper(output)
 
 
+@in_json
 def export(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder of a session, or one record (.mcap).",
-            show_default=False,
-            callback=with_results,
-        ),
-    ],
+    source: Annotated[Path, input_argument("Folder of a session, or one record (.mcap).", with_results)],
     output: Annotated[Path, output_option("Folder to write; with hdf5: file.", show_default=False)],
     format_: Annotated[
         Literal["csv", "parquet", "hdf5", "latex"],
@@ -90,19 +81,14 @@ def export(
       rig export runs/first --format csv -o runs/csv
     """
     from rig.report import export_session
-    from rig.terminal import answer
 
     (new_file(makes_folders=True) if format_ == "hdf5" else folder_without())(output)
-    for path in export_session(source, format_, output):
-        print(path)
-        answer(written=[path])
+    print_written(*export_session(source, format_, output))
 
 
+@in_json
 def compare(
-    folders: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Folders of sessions.", show_default=False, callback=with_results),
-    ] = None,
+    folders: Annotated[list[Path] | None, input_argument("Folders of sessions.", with_results)] = None,
     output: Annotated[
         Path | None,
         output_option("HTML file to write, with a figure; with --model: folder.", page_or_campaign),
@@ -154,9 +140,8 @@ def compare(
         model_runs(model, folders or [], output, archive, where, by_sample=by_sample, sample=sample)
         return
     of_models = {"--archive": archive, "--where": where, "--by-sample": by_sample, "--sample": sample}
-    if stated := next((name for name, value in of_models.items() if value), ""):
-        raise ConfigurationError(f"{stated}: has no effect without --model")
-    if output is not None and output.suffix.lower() not in (".html", ".htm"):
+    refuse_stated("without --model", of_models)
+    if output is not None and output.suffix.lower() not in PAGES:
         raise ConfigurationError(f"{output}: name a file that ends in .html or .htm")
     if not folders:
         raise typer.BadParameter("Missing argument 'FOLDERS'.")
@@ -223,3 +208,111 @@ def model_runs(
         for path in save_campaign(found, output):
             answer(written=[path])
             print(f"{'campaign':<12} {path}")
+
+
+@in_json
+def plan(
+    source: Annotated[
+        Path,
+        input_argument(
+            "A run of this rig (.mcap) or its folder, a fitted table's, or a configuration (TOML).",
+            recorded_or_fitted,
+        ),
+    ],
+    first: Annotated[
+        list[float] | None, typer.Option(min=0.1, help="First amplitude, arcsec; may be repeated.")
+    ] = None,
+    last: Annotated[
+        list[float] | None, typer.Option(min=0.1, help="Last amplitude, arcsec; may be repeated.")
+    ] = None,
+    ground: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: from SOURCE."),
+    ] = None,
+    output: Annotated[
+        Path | None, output_option("Folder for the table and the picture.", folder_without("plan.*"))
+    ] = None,
+    set_: Set = None,
+    runs: Annotated[
+        list[int] | None, typer.Option(min=1, help="Number of runs; may be repeated; default: 1.")
+    ] = None,
+    noise: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Configuration: noise of one frame, arcsec, if known."),
+    ] = None,
+    contact: Annotated[
+        Path | None, input_option("Configuration: results.json with the expected contact.")
+    ] = None,
+    witness: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Noise of a seismometer over the ground it sees, at the swing's frequency: 0.1; "
+            "default: that of [witness].",
+        ),
+    ] = None,
+    wait: Annotated[
+        list[float] | None,
+        typer.Option(
+            min=0.0, help="Minutes between runs that reveal ageing; may be repeated; default: 0, 60."
+        ),
+    ] = None,
+) -> None:
+    """Predict how well further runs would determine the contact.
+
+    Uncertainties against first and last amplitude, number of runs and rig time, from a run of this rig, a
+    fitted table or film, or a configuration; then which two successive runs reveal ageing of the contact,
+    which a single decay cannot.
+
+    \b
+    Examples:
+      rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
+      rig plan configs/basement.toml --runs 1 --runs 3
+      rig plan fits/decay
+      rig plan configs/basement.toml --witness 0.05
+    """
+    firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
+    counts = runs or [1]
+    if min(lasts) >= max(firsts):
+        raise ConfigurationError(
+            f"--last {min(lasts):g}: should be below the first amplitude, {max(firsts):g} arcsec; name a "
+            "smaller one, or a larger --first"
+        )
+
+    from rig.report import (
+        ageing_table,
+        make_plan,
+        plan_table,
+        planned_contact_of_file,
+        planned_contact_of_run,
+        planned_contact_of_table,
+        save_plan,
+    )
+    from rig.terminal import print_tables, say
+
+    if source.suffix.lower() == ".toml":
+        expected = planned_contact_of_file(source, set_ or [], noise, contact)
+    elif is_of_table(source):
+        if noise is not None or contact is not None or set_:
+            raise ConfigurationError(
+                f"{source}: a table's results have their own noise, contact and configuration; leave out "
+                "--noise, --contact and --set"
+            )
+        expected = planned_contact_of_table(source)
+        say("without the waveform of the swings, which results do not hold: uncertainties are upper limits")
+    else:
+        from rig.analysis import analyse_record, refuse_unread
+
+        if noise is not None or contact is not None:
+            raise ConfigurationError(
+                f"{source}: a record has its own noise and contact; leave out --noise and --contact"
+            )
+        run = analyse_record(one_record(source), set_ or [])
+        expected = planned_contact_of_run(run)
+        refuse_unread([run])
+    planned = make_plan(expected, firsts, lasts, ground, counts, witness)
+    waits_s = [60.0 * minutes for minutes in ([0.0, 60.0] if wait is None else wait)]
+    ageing = ageing_table(planned, waits_s)
+    print_tables([plan_table(planned), ageing])
+    if output is not None:
+        save_plan(planned, output, ageing)

@@ -1,4 +1,4 @@
-"""`rig desk`, `rig balance`, `rig doctor`: preparing a measurement."""
+"""`rig desk`, `rig balance`, `rig doctor`, `rig light`: before a measurement, and its light."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,16 +15,15 @@ from rig.commands.arguments import (
     Set,
     View,
     appended_file,
+    group,
+    in_json,
+    input_argument,
+    input_option,
+    loaded,
     new_file,
     old_folder,
-    there,
+    output_option,
 )
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    for command in (desk, balance, doctor):
-        app.command()(command)
 
 
 def balance(
@@ -37,9 +36,8 @@ def balance(
     ] = False,
     history_file: Annotated[
         Path | None,
-        typer.Option(
-            help="File of measurements and turns; earlier ones in it are used.",
-            callback=appended_file,
+        output_option(
+            "File of measurements and turns; earlier ones in it are used.", appended_file, names=()
         ),
     ] = None,
     follow: Annotated[
@@ -57,7 +55,7 @@ def balance(
     json_lines: JsonLines = False,
     view: View = None,
     rrd: Annotated[
-        Path | None, typer.Option(help="Write all measurements to a Rerun file.", callback=new_file(".rrd"))
+        Path | None, output_option("Write all measurements to a Rerun file.", new_file(".rrd"), names=())
     ] = None,
     set_: Set = None,
 ) -> None:
@@ -69,17 +67,15 @@ def balance(
       rig balance configs/demo.toml --follow 6
     """
     from rig.prepare import InJsonLines, balance_rig, show_history
-    from rig.settings import load_configuration
     from rig.terminal import one_json_object
 
-    overrides = [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])]
-    loaded = load_configuration(config, overrides)
+    stated = loaded(config, [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])])
     if history or forget_last:
         with one_json_object() if json_lines else nullcontext():
-            show_history(loaded, history_file, forget=forget_last)
+            show_history(stated, history_file, forget=forget_last)
         return
     raise typer.Exit(
-        balance_rig(loaded, history_file, follow, seed, rrd, reporter=InJsonLines() if json_lines else None)
+        balance_rig(stated, history_file, follow, seed, rrd, reporter=InJsonLines() if json_lines else None)
     )
 
 
@@ -108,10 +104,7 @@ def desk(
 
 
 def doctor(
-    config: Annotated[
-        Path | None,
-        typer.Argument(help="Configuration (TOML file).", show_default=False, callback=there),
-    ] = None,
+    config: Annotated[Path | None, input_argument("Configuration (TOML file).")] = None,
     preflight: Annotated[
         bool,
         typer.Option(
@@ -125,11 +118,7 @@ def doctor(
     ] = False,
     udev_folder: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for those rules, instead of /etc/udev/rules.d.",
-            show_default=False,
-            callback=old_folder,
-        ),
+        output_option("Folder for those rules, instead of /etc/udev/rules.d.", old_folder, names=()),
     ] = None,
     json_lines: JsonLines = False,
     set_: Set = None,
@@ -146,7 +135,6 @@ def doctor(
       sudo .venv/bin/rig doctor --install-udev
     """
     from rig.devices import RULES_FOLDER, examine, install_rules
-    from rig.settings import load_configuration
     from rig.terminal import print_json_line, say
 
     if install_udev or udev_folder is not None:
@@ -163,12 +151,12 @@ def doctor(
             raise ConfigurationError("rig doctor: --preflight and --set need the configuration to check")
         _list_devices(json_lines=json_lines)
         return
-    loaded = load_configuration(config, set_ or [])
+    stated = loaded(config, set_)
     if preflight:
         from rig.measure import preflight_rig
 
-        raise typer.Exit(preflight_rig(loaded, json_lines=json_lines))
-    raise typer.Exit(examine(loaded, json_lines=json_lines))
+        raise typer.Exit(preflight_rig(stated, json_lines=json_lines))
+    raise typer.Exit(examine(stated, json_lines=json_lines))
 
 
 def _list_devices(*, json_lines: bool) -> None:
@@ -199,3 +187,63 @@ def _list_devices(*, json_lines: bool) -> None:
         print_line("serial  " + "  ".join(word for word in words if word))
     for note in notes:
         print_line(f"note    {note}")
+
+
+@in_json
+def show(config: Config, set_: Set = None) -> None:
+    """Print laser, interlock and any unacknowledged trip; lights nothing.
+
+    \b
+    Example:
+      rig light show mine.toml
+    """
+    from rig.measure import show_light
+
+    raise typer.Exit(show_light(loaded(config, set_)))
+
+
+def _trip_number(text: str) -> int:
+    """The number of a trip as it was typed."""
+    if not (text.isascii() and text.isdecimal()):
+        raise ConfigurationError(f"trip {text!r}: should be its number; rig light show CONFIG names it")
+    return int(text)
+
+
+@in_json
+def acknowledge(
+    config: Config,
+    number: Annotated[
+        int, typer.Argument(help="Number of the trip.", parser=_trip_number, show_default=False)
+    ],
+    set_: Set = None,
+) -> None:
+    """Confirm that nobody is in the beam path, after a trip; lights nothing.
+
+    \b
+    Example:
+      rig light acknowledge mine.toml 5
+    """
+    from rig.measure import acknowledge_trip
+
+    raise typer.Exit(acknowledge_trip(loaded(config, set_), number))
+
+
+@in_json
+def audit(
+    folder: Annotated[Path, input_argument("Folder with audit.jsonl.")],
+    config: Annotated[
+        Path | None, input_option("Configuration of the rig, to verify the end of the log.")
+    ] = None,
+) -> None:
+    """Check that no line of an audit log is missing or altered.
+
+    \b
+    Example:
+      rig light audit runs/glass
+    """
+    from rig.measure import check_audit
+
+    raise typer.Exit(check_audit(folder, None if config is None else loaded(config, None)))
+
+
+light = group("light", "Show and acknowledge why the laser went dark.", show, acknowledge, audit)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from acquisition.camera import PluggedCamera
-from processing.errors import ConfigurationError, RigError
-from rig.commands.init import ask, questions
+from processing.errors import ConfigurationError
+from rig.commands.init import ask
 from rig.settings import load_configuration, quantity, write_configuration
 from tests.rig.command_line import rig
 
@@ -61,20 +61,21 @@ def test_a_real_rig_with_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(
-    ("text", "wrong", "said"),
+    ("question", "wrong", "said"),
     [
         ("Distance from mirror", "0", "lever.arm_m = 0.0: should be greater than 0 m"),
         ("Distance from mirror", "4 kg", "has the unit kg; m is meant"),
         ("Distance from mirror", "0,406", "with a point: 0.406"),
         ("Distance from mirror", "1 ± -1", "u_arm_m = -1.0: should be at least 0"),
-        ("Distance of neighbouring", "4.8", "lever.pixel_pitch_m = 4.8: should be less than 0.001 m"),
+        ("Distance of neighbouring pixels", "4.8", "lever.pixel_pitch_m = 4.8: should be less than 0.001 m"),
     ],
 )
-def test_every_answer_is_held_against_the_models(text: str, wrong: str, said: str) -> None:
-    stated: dict[str, object] = {"camera.driver": "pylon", "lever.arm_m": 1.0}
-    (question,) = [one for one in questions(PLUGGED, PORTS, stated) if one.text.startswith(text)]
-    with pytest.raises(RigError) as caught:
-        question.read(wrong)
+def test_every_answer_is_held_against_the_models(
+    monkeypatch: pytest.MonkeyPatch, question: str, wrong: str, said: str
+) -> None:
+    before = ["1", "none", "none", *(["1"] if "pixels" in question else [])]
+    with pytest.raises(ConfigurationError, match=f"^{question}") as caught:
+        asked(monkeypatch, *before, wrong)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 

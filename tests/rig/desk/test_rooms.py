@@ -11,7 +11,7 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
-from rig.cli import app
+from rig.commands import calibration
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
 from rig.desk.calibrating import KINDS
@@ -130,13 +130,11 @@ def test_a_trip_is_not_to_be_acknowledged_while_the_interlock_is_open() -> None:
 
 
 def test_every_form_of_a_calibration_has_the_options_of_its_command() -> None:
-    group = next(one for one in app.registered_groups if one.name == "calibrate").typer_instance
-    assert group is not None
     options = {
         str(one.callback.__name__): {
             name.replace("_", "-") for name in inspect.signature(one.callback).parameters
         }
-        for one in group.registered_commands
+        for one in calibration.commands.registered_commands
         if one.callback is not None
     }
     assert options.keys() == KINDS.keys()

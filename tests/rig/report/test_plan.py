@@ -10,7 +10,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.fit import LEAST_UNEXPLAINED, Conditions, PlannedRun
 from rig.analysis import SessionResults, read_results
-from rig.commands.planning import plan
+from rig.commands.reporting import plan
 from rig.instrument import complete, recorded_configuration
 from rig.report import plan_figure, plan_table, planned_contact, planned_contact_of_file
 from rig.report.plan import Plan
