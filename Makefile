@@ -4,7 +4,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
-INSTALL = $(PIP) install --quiet
+# Of what is installed most is never imported: the rest is compiled at its first import.
+INSTALL = $(PIP) install --quiet --no-compile
 
 # Where the environment forbids bytecode, every process of the tests would compile all modules again.
 export PYTHONDONTWRITEBYTECODE =
@@ -85,7 +86,7 @@ $(VENV)/bin/python:
 # Everything is pinned with hashes, which pip checks; then the package itself, with nothing left to resolve.
 $(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "installing $$(grep -c == constraints.txt) packages into $(VENV), 2 to 3 minutes; the largest are rerun-sdk, llvmlite, pyarrow, opencv"
-	$(PIP) install --requirement constraints.txt
+	$(PIP) install --no-compile --requirement constraints.txt
 	$(INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
 
