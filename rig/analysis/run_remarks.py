@@ -308,7 +308,7 @@ _NAMED_FACTOR = 1.05
 def witness_sentences(use: SeismometerUse) -> list[str]:
     """Sentences on the use of a seismometer, or its refusal, and on samples that were left out."""
     lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
-    return [*_use_sentences(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
+    return [*_use_sentences(use), *([f"Of the seismometer {use.source}: {'; '.join(lost)}."] if lost else [])]
 
 
 def _use_sentences(use: SeismometerUse) -> list[str]:
@@ -317,7 +317,7 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
         judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
         reason = f": {use.reason}" if use.reason else ""
         sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
-        said = f"Witness of the ground {use.verdict}{reason}{judged}{sought}."
+        said = f"Auxiliary seismometer {use.verdict}{reason}{judged}{sought}."
         return [f"{said} The results are the same as without it."]
     before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
     explained = (
@@ -330,22 +330,22 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
             f"{use.spectra.stretches} stretches)"
         )
     responses = "; ".join(map(_response_text, use.responses))
-    lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
+    lines = [f"Auxiliary seismometer: {explained}. Its response: {responses}."]
     saved = ", ".join(
         f"{plain(factor, 3)} ({quantity(name).symbol})"
         for name, factor in use.saved.items()
         if factor > _NAMED_FACTOR
     )
     if saved:
-        lines.append(f"The witness reduces the uncertainties by factors of {saved}.")
+        lines.append(f"The seismometer reduces the uncertainties by factors of {saved}.")
     found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
     lines.append(
-        f"Clock of the witness: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
+        f"Clock of the seismometer: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
         f"{with_uncertainty(*use.clock_drift)} s/s."
     )
     if use.missing_half_cycles:
         lines.append(
-            f"{use.missing_half_cycles} half-swings have no witness; their drive is treated as unknown."
+            f"{use.missing_half_cycles} half-swings have no seismometer's record; their drive is treated as unknown."
         )
     return lines
 

@@ -275,7 +275,7 @@ def align(
     stated = complete(loaded(config, set_))
     with ExitStack() as stack:
         camera, info, applied = stack.enter_context(_opened_camera(stated))
-        show = None
+        show_frame = None
         if rrd is not None or view:
             shown = stack.enter_context(ScratchView("aligning", MODES[view], rrd, "balancing"))
 
@@ -297,7 +297,7 @@ def align(
             reference=optics.reference(),
             reference_px=stated.lever_reference_px,
             seconds=seconds,
-            view=show,
+            view=show_frame,
         )
         print_written(*saved)
 

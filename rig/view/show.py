@@ -147,11 +147,11 @@ def _draw(
         sink = rr.FileSink(str(rrd)) if viewer is None else rr.GrpcSink(viewer.url)
         stream.set_sinks(sink, default_blueprint=layout.blueprint(setup))
         stream.send_recording_name(setup.title)
-        gather_s, rows, interval_s = _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S
-        if viewer is not None:
-            config = configuration_of(readers[0])
-            interval_s = 0.0 if config is None else config.view.image_interval_s
-            gather_s, rows = _LIVE_GATHER_S, _LIVE_GATHER_ROWS
+        config = configuration_of(readers[0])
+        interval_s = 0.0 if config is None else config.view.image_interval_s
+        gather_s, rows = _LIVE_GATHER_S, _LIVE_GATHER_ROWS
+        if viewer is None:
+            gather_s, rows, interval_s = _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S
         drawing = Drawing(stream, setup, gather_s=gather_s, gather_rows=rows)
         drawers = []
         for reader, run in zip(readers, names, strict=True):

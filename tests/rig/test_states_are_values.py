@@ -12,7 +12,7 @@ _PACKAGES: Final = ("rig", "acquisition", "calibration", "processing")
 _PROSE: Final = frozenset(
     {
         "alarm", "doing", "flaw", "headline", "instruction", "line", "measured", "next_step", "note", "notes",
-        "opened_text", "progress", "reason", "refusal", "remedy", "said", "sentence", "text", "title", "why",
+        "opened_text", "output", "progress", "reason", "refusal", "remedy", "said", "sentence", "text", "title", "why",
         "words",
     }
 )  # fmt: skip

@@ -361,6 +361,6 @@ def test_results_keep_what_a_witness_told_and_sentences_say_it() -> None:
     results = SessionResults(runs=(RunResults(record="run.mcap", witness=use),))
     assert decoded(encoded(results), Path("results.json")).runs[0].witness == use
     said = " ".join(witness_sentences(use))
-    assert "7 half-swings have no witness" in said
+    assert "7 half-swings have no seismometer's record" in said
     assert "the best of 300" in said
     assert "factors of 6.10 (b)." in said

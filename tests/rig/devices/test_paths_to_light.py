@@ -37,7 +37,7 @@ LIVE = CONFIGS / "live.toml"
 
 ASKS = {
     # what asks the rig for light; a new name here needs a walk below
-    ("balance/balancing.py", "measure"),
+    ("prepare/balancing.py", "measure"),
     ("desk/aligner.py", "_lit"),
     ("devices/acknowledgement.py", "_light"),
     ("measure/plain_record.py", "preflight_rig"),
@@ -46,7 +46,7 @@ ASKS = {
 }
 SWITCHES = {
     # what gives a device the command, each behind the permit
-    ("devices/lit_devices.py", "_lit", "light"),
+    ("devices/lit_devices.py", "_light_once", "light"),
     ("devices/laser.py", "light", "enable"),
     ("devices/laser.py", "light", "laser_on"),
     ("control/service.py", "_light", "laser_on"),
@@ -182,7 +182,7 @@ def typed(config: Configuration, folder: Path) -> None:
 
 
 WALKS: dict[tuple[str, str], tuple[Callable[[Configuration, Path], None], ...]] = {
-    ("balance/balancing.py", "measure"): (balance,),
+    ("prepare/balancing.py", "measure"): (balance,),
     ("devices/acknowledgement.py", "_light"): (typed,),
     ("measure/plain_record.py", "preflight_rig"): (preflight,),
     ("measure/run.py", "_execute"): (run, calibrate),
