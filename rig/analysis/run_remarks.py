@@ -340,12 +340,13 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
         lines.append(f"The seismometer reduces the uncertainties by factors of {saved}.")
     found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
     lines.append(
-        f"Clock of the seismometer: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
-        f"{with_uncertainty(*use.clock_drift)} s/s."
+        f"Clock of the seismometer: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, "
+        f"drift {with_uncertainty(*use.clock_drift)} s/s."
     )
     if use.missing_half_cycles:
         lines.append(
-            f"{use.missing_half_cycles} half-swings have no seismometer's record; their drive is treated as unknown."
+            f"{use.missing_half_cycles} half-swings have no seismometer's record; their drive is treated as "
+            "unknown."
         )
     return lines
 

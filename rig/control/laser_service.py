@@ -112,15 +112,15 @@ class LaserService(DeviceThread):
         return min(self._period_s, _LOOK_AT_PERMIT_S)
 
     def _light(self, laser: SerialLaser, offs: int) -> None:
-        def refusal() -> str:
-            outdated = "it was switched off meanwhile" if self._offs != offs else ""
-            return self._permit.refusal_to_light or outdated
+        def outdated() -> str:
+            return "it was switched off meanwhile" if self._offs != offs else ""
 
-        if why := refusal():
+        if why := self._permit.refusal_to_light or outdated():
             raise LightRefused(f"the laser stays off: {why}")
         self._asked = True
         try:
-            laser.enable(refusal)
+            # from memory: a disk that hangs must not hold up what could switch the laser off again
+            laser.enable(lambda: self._permit.refusal or outdated())
         except BaseException:
             # the caller learns that the laser is dark, so later light counts as not requested
             self._asked = False

@@ -133,7 +133,7 @@ class Aligner:
         self._seen_s = time.monotonic()
 
     def light_off(self) -> None:
-        """Switch the laser off at once, also before it was lit; never blocks."""
+        """Switch the laser off at once, also before it was lit; latching the trip may wait for a disk."""
         self._off = True
         if (devices := self._devices) is not None:
             devices.light_off("the desk")

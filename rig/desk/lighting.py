@@ -46,6 +46,14 @@ def _beside(do: Callable[..., T], *given: object) -> Future[T]:
     return done
 
 
+def _takes_orders(folder: Path) -> bool:
+    """Whether the session in a folder takes orders; False where its disk hangs."""
+    try:
+        return _beside((folder / ORDERS_NAME).exists).result(_KEPT_WITHIN_S)
+    except TimeoutError:
+        return False
+
+
 class Lighting:
     """Light of all that lights at a desk: live picture, followed session, started commands."""
 
@@ -82,14 +90,15 @@ class Lighting:
         desk = self._desk
         unkept = self._kept()
         heard = False
+        dark: Future[None] | None = None
         if (aligner := desk.aligner) is not None:
-            aligner.light_off()
-            heard = aligner.running
+            # in a thread, because it latches the trip on a disk that may hang
+            dark, heard = _beside(aligner.light_off), aligner.running
         problems = darken_beside(desk.config.laser, desk.config.controller)
         folders = {folder.absolute() for folder in (desk.following.folder,) if folder is not None}
         if (begun := desk.started) is not None and begun[0].poll() is None:
             folders.add(begun[1].absolute())
-            if desk.following.last_folder != begun[1] and not (begun[1] / ORDERS_NAME).exists():
+            if desk.following.last_folder != begun[1] and not _takes_orders(begun[1]):
                 # it cannot take an order yet; a session that was followed and is gone is being fitted
                 begun[0].terminate()
                 heard = True
@@ -102,6 +111,9 @@ class Lighting:
         with suppress(TimeoutError):
             answers = as_completed(orders, _HEARD_WITHIN_S)
             heard = any(one.exception() is None and one.result() for one in answers) or heard
+        if dark is not None:
+            with suppress(TimeoutError):
+                dark.result(_HEARD_WITHIN_S)
         unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
         if not heard and unfiled is not None and unfiled.trip is None:
             # a rig without a file is remembered as long as the desk lives

@@ -153,7 +153,8 @@ class LitDevices:
     def light_off(self, who: str) -> str:
         """Switch the laser off at once, until acknowledged, by order of a person at the place `who`.
 
-        Waits for no device. A trip that is latched already stays as it is.
+        Waits for no device; after the devices are commanded it may wait for the disk of the rig's state. A
+        trip that is latched already stays as it is.
         """
         self._order_dark()
         # the press may be noted beside the rig's state as well: it then counts once

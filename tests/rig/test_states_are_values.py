@@ -12,8 +12,8 @@ _PACKAGES: Final = ("rig", "acquisition", "calibration", "processing")
 _PROSE: Final = frozenset(
     {
         "alarm", "doing", "flaw", "headline", "instruction", "line", "measured", "next_step", "note", "notes",
-        "opened_text", "output", "progress", "reason", "refusal", "remedy", "said", "sentence", "text", "title", "why",
-        "words",
+        "opened_text", "output", "progress", "reason", "refusal", "remedy", "said", "sentence", "text",
+        "title", "why", "words",
     }
 )  # fmt: skip
 """Attributes that hold texts for people."""

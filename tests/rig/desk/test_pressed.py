@@ -3,6 +3,8 @@
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
+from unittest.mock import Mock
 
 import pytest
 
@@ -106,3 +108,21 @@ def test_a_disk_that_hangs_holds_nothing_up(
     said = desk.lighting.off("one")
     assert any("the disk hangs" in text for text in said)
     assert time.monotonic() - began_s < 3.0
+
+
+def test_a_live_picture_whose_trip_hangs_at_the_disk_keeps_no_other_way_to_the_dark(
+    desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = desk_of(REAL + LASER)
+    goes_on = Event()
+    monkeypatch.setattr(
+        desk, "aligner", Mock(running=True, safety=None, light_off=lambda: goes_on.wait(30.0))
+    )
+    try:
+        began_s = time.monotonic()
+        said = desk.lighting.off("one")
+        assert time.monotonic() - began_s < 3.0
+        assert said[0].startswith("/dev/ttyNobodyHasIt: cannot be switched off")
+    finally:
+        goes_on.set()
+        monkeypatch.undo()

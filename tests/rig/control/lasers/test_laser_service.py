@@ -55,6 +55,21 @@ class TestService:
         off.result(0)
         assert not instrument.on
 
+    def test_no_disk_is_read_while_a_laser_may_be_lit(
+        self, ports: Ports, permit: LightPermit, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A disk that hangs then would hold up the thread that could switch the laser off."""
+        instrument = FakeObis()
+        service = LaserService(laser_for("obis", ports.plug_in(instrument)), period_s=0.2, permit=permit)
+        lit_at_looks: list[bool] = []
+        monkeypatch.setattr(permit, "look_for_presses", lambda: lit_at_looks.append(instrument.on))
+        turn(service)
+        service.enable()
+        turn(service)
+        assert instrument.on
+        assert lit_at_looks
+        assert not any(lit_at_looks)
+
     def test_silence_is_said_once_and_a_laser_found_again_is_dark(
         self, service: LaserService, instrument: FakeCobolt
     ) -> None:
