@@ -64,7 +64,7 @@ class RecordWriter:
 
     The files are created under their final names and never replace others; until it is closed, each is a
     truncated file, which can be read. Data that were flushed survive a crash and a power failure. Every
-    method that writes also flushes if `flush_interval_s` has elapsed, without waiting for the disk;
+    method that writes messages also flushes if `flush_interval_s` has elapsed, without waiting for the disk;
     `flush_if_due` does the same while nothing is written. When the disk is full, the reserved space is
     released, the data received so far are written, and the files are closed with their endings.
 

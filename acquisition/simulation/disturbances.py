@@ -1,6 +1,6 @@
 """Simulated disturbances and faults: jitter, drift, fading laser, bursts of vibration, lost frames.
 
-They depend only on the seed, the run and the number of the frame, not on the order of the calls.
+They depend only on the seed, the run and the number of the frame; frames are requested in order.
 """
 
 import math

@@ -7,7 +7,8 @@ from pydantic import BaseModel, Field
 
 
 class FaultSettings(BaseModel, frozen=True, extra="forbid"):
-    """Faults of the simulated rig; times are in seconds since the start of each run, None means never."""
+    """Faults of the simulated rig; times are in seconds since the start of each run, `interlock_opens_at_s`
+    since the first light; None means never."""
 
     laser_fades_at_s: float | None = Field(default=None, ge=0)
     laser_fade_duration_s: float = Field(default=5.0, gt=0, description="at the lowest power for half of it")

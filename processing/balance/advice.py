@@ -93,7 +93,10 @@ class WeightResponses:
     def doubt(
         self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
     ) -> Doubt | None:
-        """Doubt whether these turns of one weight were made; None if they explain the change best."""
+        """Doubt whether these turns of one weight were made; None if they explain the change clearly best.
+
+        OPEN if another explanation is nearly as good.
+        """
         known, parts = self._weights[weight], _parts(turns)
         step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
         as_stated = known.log_evidence(parts, step, u_step)
@@ -163,8 +166,8 @@ class WeightResponses:
 
         A turn has the smallest expected squared distance from balance that the other weights cannot correct,
         uncertainty included, and leaves the spot on the sensor (`room`) with a margin of twice its
-        uncertainty. Weights without a learned turn come first, because all later turns benefit; then the one
-        whose turn is the most uncertain.
+        uncertainty. A turn that suffices alone is preferred. Weights without a learned turn come first,
+        because all later turns benefit; then the one whose turn is the most uncertain.
         """
         wanted = np.nan_to_num(state / self._scale)
         if np.all(np.abs(wanted) <= 1.0):

@@ -28,7 +28,7 @@ FEWEST_HALF_CYCLES = 10
 """Twenty amplitudes and times, for the eight columns of the paper's law and the noise."""
 _QUIET, _ENOUGH = 0.5, 60
 """Reduced chi-square below which uncertainties are called overstated, of at least so many degrees of freedom:
-its chance there is 1e-4."""
+its probability is there 4e-4."""
 OUTLIER = 5.0
 """Residual in standard uncertainties above which a half-cycle is listed as an outlier."""
 _SMALL_RAD = 0.03

@@ -67,7 +67,7 @@ _STREAMS = 4
 """Number of places of the frame that are read alternately, so that more loads are under way at once."""
 _BLOCK = 64
 _LARGEST_BLOCK_BYTES = 256
-"""Largest number of pixels and bytes of a row between two prefetches. The number is a multiple of _BLOCK, so
+"""Largest number of bytes of a row between two prefetches; the number of pixels is a multiple of _BLOCK, so
 that vector loops have no remainder; it is small enough that loads do not queue in bursts, and large enough
 that the overhead of a loop is negligible."""
 _ROWS_AHEAD = 4

@@ -114,7 +114,8 @@ def relative_loss(x: Vector) -> float:
 def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None) -> Arc | None:
     """Fit the four models (anharmonic or not, with a fast mode or not) and choose one by its chi-square.
 
-    Each additional term must reduce chi-square enough. If the motion is `known`, only amplitude, time,
+    Each additional term must reduce chi-square enough; fast modes are tried only where the fit without them
+    is poor. If the motion is `known`, only amplitude, time,
     centre, drift and fast mode are free. None if no fit succeeds.
     """
     if known is not None:

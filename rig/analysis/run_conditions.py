@@ -23,7 +23,8 @@ from rig.settings import Configuration, PreflightSettings
 from rig.terminal import Verdict, percent
 
 _MOST_FRAMES = 20_000
-"""Most frames to which the rate of the clock is fitted: more would not make it better known."""
+"""Number of frames from twice which on only every second, third, ... one is fitted for the rate of the clock:
+more would not make it better known."""
 _U_UNKNOWN = 100e-6 / math.sqrt(3.0)
 """Relative standard uncertainty of an unknown rate: a quartz within its usual tolerance, 100 ppm."""
 _MOST_STEP_S = 1e-3

@@ -26,7 +26,7 @@ _MAX_SPAN_S: Final = 1e9  # thirty years; 64 bits of nanoseconds hold nine times
 _PLAUSIBLE_DATES_S: Final = (7.9e8, 4.1e9)
 """The years 1995 to 2100, in s since 1970."""
 _MAX_EXACT_NS: Final = 2**53
-"""Largest whole number of ns that a floating-point number holds."""
+"""Largest number up to which a floating-point number holds every whole number of ns."""
 _HOUR_NS: Final = 3_600_000_000_000
 _HOUR_TOLERANCE: Final = 0.01
 _TWICE: Final = (
@@ -234,8 +234,8 @@ _OUTLIER_SCALE: Final = 2.0
 _MIN_COHERENCE_RATIO: Final = 20.0
 """Least coherent over incoherent power of related positions, times the number of frequencies; 1 by chance."""
 _KAISER_BETA: Final = 12.0
-"""Parameter of Kaiser's window: a swing's line is four bins wide and its side lobes lie below 1e-4 of it, so
-that those of a few swings are no second oscillation."""
+"""Parameter of Kaiser's window: a swing's line reaches four bins to each side and its side lobes lie
+below 1e-4 of it, so that those of a few swings are no second oscillation."""
 _MIN_RELATIVE_SIZE: Final = 3e-4
 """Smallest second oscillation relative to the swing; below are rounding of the table and side lobes."""
 
@@ -249,7 +249,7 @@ def second_frequency(times_ns: NDArray[np.int64], deflection: NDArray[np.float64
     even_s = np.linspace(since_s[0], since_s[-1], len(since_s))
     even = np.interp(even_s, since_s[good], deflection[good])
     power = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(len(even)))) ** 2
-    # power below three turns in the record is drift
+    # power of three turns in the record and fewer is drift
     power[:_MIN_HALF_WIDTH_BINS] = 0.0
     total = float(power.sum())
     lines: list[tuple[float, float]] = []

@@ -179,9 +179,10 @@ Format = Literal["csv", "parquet", "hdf5", "latex"]
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """Export a session's folder, that of a table's results, or one record; returns the files made.
 
-    Missing data of a record are noted on stderr and in every file. CSV and Parquet: `output` is a folder with
-    three files for each run and one for the series. HDF5: `output` is the file, with one NXentry for each run
-    and one for the series. LaTeX: a folder with the tables of the report. No file is overwritten.
+    Missing data of a record are noted on stderr and in every file but LaTeX's. CSV and Parquet: `output` is a
+    folder with up to three files for each run (spots, half-cycles, fit) and one for the series. HDF5:
+    `output` is the file, with one NXentry for each run and one for the series. LaTeX: a folder with the
+    tables of the report. No file is overwritten.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists, or if pyarrow
     or h5py is not installed.

@@ -154,7 +154,7 @@ def _rad_per_px(config: Configuration) -> float:
 
 
 def _frame_noise_rad(config: Configuration) -> float:
-    """Noise of one frame: the tracker's u for the expected spot, and the jitter of the pointing."""
+    """Noise of one frame: the tracker's u for the expected spot; if simulated, with the pointing's jitter."""
     optics, truth = config.simulation.optics, config.simulation
     sensor = sensor_model(config, _FULL_SCALE_DN)
     u_px = _tracked_u_px(sensor, optics.peak_dn / 255 * sensor.full_scale_dn, optics.sigma_y_px)
