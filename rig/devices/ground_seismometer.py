@@ -2,6 +2,7 @@
 
 import math
 import time
+from abc import ABC, abstractmethod
 from typing import Self
 
 from acquisition.camera import Camera, Frame
@@ -18,7 +19,7 @@ from rig.terminal import Verdict
 _LOOK_S = 0.02
 
 
-class GroundSeismometer:
+class GroundSeismometer(ABC):
     """An auxiliary seismometer, sampled together with a camera's frames; a context manager."""
 
     def __init__(self) -> None:
@@ -30,8 +31,9 @@ class GroundSeismometer:
     def __exit__(self, *_error: object) -> None:
         return None
 
-    def beside(self, camera: Camera) -> None:
-        """Set the camera to whose clock the samples are related, if its frames do not state their arrival."""
+    def relate_to(self, camera: Camera) -> None:
+        """Relate the samples to the clock of a camera, if its frames do not state their arrival."""
+        return
 
     def take(self, frame: Frame) -> list[RecordedWitness]:
         """Samples since the last call, up to a frame. Never blocks."""
@@ -44,9 +46,9 @@ class GroundSeismometer:
         self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
         return list(self._looked_at)
 
+    @abstractmethod
     def _new(self, frame: Frame) -> list[RecordedWitness]:
         """Samples that have come since the last call."""
-        raise NotImplementedError
 
     def take_events(self) -> tuple[str, ...]:
         """Events of the instrument since the last call."""
@@ -147,7 +149,7 @@ class _SimulatedSeismometer(GroundSeismometer):
         self._witness = SimulatedSeismometer(settings)
         self._camera: SimulatedCamera | None = None
 
-    def beside(self, camera: Camera) -> None:
+    def relate_to(self, camera: Camera) -> None:
         self._camera = camera if isinstance(camera, SimulatedCamera) else None
 
     def _new(self, frame: Frame) -> list[RecordedWitness]:

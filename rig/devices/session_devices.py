@@ -189,7 +189,7 @@ class Devices(LitDevices):
             with driver_errors(name, "open()"):
                 info = check_info(camera.open(), config.camera.driver)
             if self.witness is not None:
-                self.witness.beside(camera)
+                self.witness.relate_to(camera)
             asked = camera_settings(config)
             with driver_errors(name, "configure()"):
                 applied = check_applied_settings(camera.configure(asked), config.camera.driver)

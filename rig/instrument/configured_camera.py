@@ -152,7 +152,7 @@ def fill_from_truth(config: Configuration) -> Configuration:
     """Fill sensor, shutter, lever, axes, pendulum, materials and balance if they are not stated.
 
     The calibration is then perfect: ``--set simulation...`` changes the simulated apparatus and the
-    values that the analysis uses for it together.
+    values that the analysis uses for it together. The parameters of the contact are never passed on.
     """
     truth = config.simulation
     return config.model_copy(
