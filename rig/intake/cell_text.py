@@ -201,13 +201,14 @@ def moments_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int
 def _clock_ns(text: str, minutes_first: bool) -> int | None:
     """A time of day in ns; None for an impossible one (12:75). The first field has no upper limit."""
     fields = text.replace(",", ".").split(":")
+    counted_in_minutes = minutes_first and len(fields) == 2
     if len(fields) == 2:
         # only seconds have a fraction
         fields = ["0", *fields] if minutes_first or "." in text or "," in text else [*fields, "0"]
     hours, minutes, in_s = fields
     whole, _, part = in_s.partition(".")
     # a second 60 is a leap second
-    if int(whole) > _SIXTY or (int(minutes) >= _SIXTY and not minutes_first):
+    if int(whole) > _SIXTY or (int(minutes) >= _SIXTY and not counted_in_minutes):
         return None
     whole_s = (int(hours) * 60 + int(minutes)) * 60 + int(whole)
     return whole_s * _SECOND_NS + int(f"{part:0<9}"[:9])

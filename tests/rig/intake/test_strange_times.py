@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
+from rig.intake.cell_text import moments_ns
 from rig.intake.table import TableColumns
 from rig.intake.units import named_unit
 
@@ -117,6 +118,15 @@ def test_zones_of_half_hours_west_and_east(tmp_path: Path) -> None:
         rows = "".join(f"2024-05-01T12:00:{0.05 * k:06.3f}{zone},{np.cos(k / 8):.4f}\n" for k in range(N))
         (path := tmp_path / "decay.csv").write_text(f"time,x_mm\n{rows}")
         assert TableColumns().read(path).first_ns == (1_714_521_600 + round(3600 * utc_h)) * 10**9
+
+
+def test_minutes_that_come_first_have_no_limit_but_those_after_an_hour_have() -> None:
+    minute_ns = 60 * 10**9
+    assert moments_ns(["75:00", "1:05:00", "1:75:00"], minutes_first=True) == [
+        75 * minute_ns,
+        65 * minute_ns,
+        None,
+    ]
 
 
 def test_twenty_four_o_clock_is_the_next_midnight(tmp_path: Path) -> None:
