@@ -36,3 +36,4 @@ from rig.control.states import (
     Loop,
     SafetyNow,
 )
+from rig.control.worker import in_thread

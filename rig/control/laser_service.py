@@ -115,7 +115,9 @@ class LaserService(DeviceThread):
         def outdated() -> str:
             return "it was switched off meanwhile" if self._offs != offs else ""
 
-        if why := self._permit.refusal_to_light or outdated():
+        # a laser that may be lit already is switched off by this thread, which then waits for no disk
+        refusal = self._permit.refusal if self._asked else self._permit.refusal_to_light
+        if why := refusal or outdated():
             raise LightRefused(f"the laser stays off: {why}")
         self._asked = True
         try:

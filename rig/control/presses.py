@@ -5,6 +5,7 @@ import errno
 import hashlib
 import os
 import secrets
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +17,11 @@ from processing.errors import DeviceError
 from rig.control.lasers import LaserSettings, off_line
 from rig.control.protocol import TAG_MAX, encode
 from rig.control.settings import ControllerSettings
+from rig.control.worker import in_thread
 
 _READ_BYTES = 4096
+_TAKEN_WITHIN_S = 0.4
+"""Longest wait until the ports have taken the command that switches the light off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +102,8 @@ def darken_beside(laser: LaserSettings, controller: ControllerSettings) -> list[
     """Write "off" to the ports of controller and laser, in whichever program; returns failures.
 
     It waits neither for a lock nor for a reply, which goes to the program that has the port, and is skipped
-    there. On a system on which a port cannot be opened twice this is a failure.
+    there; a port that hangs keeps no other one from its command. On a system on which a port cannot be opened
+    twice this is a failure.
     """
     orders = []
     if laser.kind == "controller" and controller.kind == "serial":
@@ -108,10 +113,14 @@ def darken_beside(laser: LaserSettings, controller: ControllerSettings) -> list[
         orders.append((controller.port, off))
     if (line := off_line(laser)) is not None:
         orders.append((laser.port, line))
+    written = [(port, in_thread(_write, port, data)) for port, data in orders]
+    end_s = time.monotonic() + _TAKEN_WITHIN_S
     problems = []
-    for port, data in orders:
+    for port, done in written:
         try:
-            _write(port, data)
+            done.result(max(end_s - time.monotonic(), 0.0))
+        except TimeoutError:
+            problems.append(f"{port}: cannot be switched off: the port hangs")
         except OSError as error:
             problems.append(f"{port}: cannot be switched off: {error.strerror or error}")
     return problems

@@ -3,6 +3,7 @@
 import os
 import re
 import threading
+from concurrent import futures
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,6 +17,7 @@ from processing.errors import DeviceError
 from rig.control.lasers import LaserSettings
 from rig.control.presses import Presses
 from rig.control.settings import ControllerSettings
+from rig.control.worker import in_thread
 
 try:
     import fcntl
@@ -25,6 +27,10 @@ except ImportError:  # pragma: no cover
 
 _MAX_LOGS = 200
 _SCHEMA = 1
+_STORED_WITHIN_S = 0.2
+"""Longest wait of a trip for the disk: whoever latches it also switches the light off."""
+_ENDS_WITHIN_S = 5.0
+"""Longest wait, at the end of a program, for a write under way."""
 
 
 class TripCause(StrEnum):
@@ -123,16 +129,18 @@ def _device_at(port: str) -> str:
 class SafetyState:
     """The latch of a rig, in its file (None: in memory); a context manager that holds it for one program.
 
-    `trip` may be read, and `latch` called, from any thread. A file that cannot be read or is missing counts
-    as latched, because a new rig cannot be told from one whose state was deleted. `presses` is the file of
-    presses beside it (None without one), `problem` the reason why the last write of the state failed.
+    `trip` may be read, and `latch` called, from any thread; neither waits for a disk that hangs. A file that
+    cannot be read or is missing counts as latched, because a new rig cannot be told from one whose state was
+    deleted. `presses` is the file of presses beside it (None without one), `problem` the reason why the last
+    write of the state failed.
     """
 
     def __init__(self, path: Path | None = None, who: str = "") -> None:
         self.path = path
         self._who = who
         self._stored = _SafetyFile()
-        self._state_lock, self._press_lock = threading.Lock(), threading.Lock()
+        self._state_lock, self._file_lock, self._press_lock = (threading.Lock() for _ in range(3))
+        self._writing: set[futures.Future[None]] = set()
         self._held: IO[bytes] | None = None
         self.presses = None if path is None else Presses(path.with_suffix(".off"))
         self._new_press = self._mark = ""
@@ -145,6 +153,8 @@ class SafetyState:
 
     def __exit__(self, *_error: object) -> None:
         if self._held is not None:
+            # a trip that is being written is the next program's to know
+            futures.wait(tuple(self._writing), _ENDS_WITHIN_S)
             self._held.close()
             self._held = None
 
@@ -208,11 +218,9 @@ class SafetyState:
                 self._new_press = ""
                 return None
             latched = stored.latched or _LatchEntry(cause=TripCause.PERSON, why=why, lit=lit)
-            number = stored.number + (stored.latched is None)
-            try:
-                self._put(press=mark, number=number, latched=latched)
-            finally:
-                self._new_press = ""
+            self._note(press=mark, number=stored.number + (stored.latched is None), latched=latched)
+            self._new_press = ""
+            self._write_in_time()
             return self.trip
 
     @staticmethod
@@ -236,18 +244,16 @@ class SafetyState:
     def latch(self, cause: TripCause, why: str, lit: bool) -> LatchedTrip:
         """Latch a cause; the number grows, also if another trip is latched already.
 
-        The latch holds from now on even where the file cannot be written, which raises DeviceError. It is
-        then left to the next program as a press, which needs no space on the disk, and `keep` tries again.
+        The latch holds from now on even where the file cannot be written, or where its disk has not done that
+        after 0.2 s (it is then written as soon as the disk answers); both raise DeviceError. A trip that
+        cannot be written is left to the next program as a press, which needs no space on the disk, and `keep`
+        tries again.
         """
         latched = _LatchEntry(cause=cause, why=why, lit=lit)
-        number = self._stored.number + 1
-        try:
-            self._put(number=number, latched=latched)
-        except DeviceError:
-            if self.presses is not None:
-                with suppress(OSError):
-                    self.presses.touch()
-            raise
+        with self._state_lock:
+            number = self._stored.number + 1
+            self._stored = self._stored.model_copy(update={"number": number, "latched": latched})
+        self._write_in_time()
         return LatchedTrip(number, cause, why, lit)
 
     def acknowledge(self, number: int) -> None:
@@ -256,7 +262,7 @@ class SafetyState:
         if trip is None or trip.number != number:
             latched = "nothing is latched" if trip is None else f"latched is {trip.text}"
             raise DeviceError(f"trip {number} cannot be acknowledged: {latched}")
-        self._put(proven=True, number=number, latched=None, press=self._mark)
+        self._prove(number=number, latched=None, press=self._mark)
         self._new_press = ""
 
     @property
@@ -271,41 +277,85 @@ class SafetyState:
         noted after a program that was killed, or whose last trip could not be written.
         """
         if lit or lit != self._stored.lit:
-            self._put(proven=True, lit=lit)
+            self._prove(lit=lit)
 
     def keep(self) -> None:
         """Write the state again if that failed before, or if the file was deleted. Raises nothing."""
         if self.path is not None and (self.problem or not self.path.exists()):
             with suppress(DeviceError):
-                self._put()
+                self._write_noted()
 
     def note_log(self, log: Path, lines: int, digest: str) -> None:
         """Note the end of an audit log, so that lines missing there are detected."""
         logs = {name: end for name, end in self._stored.logs.items() if name != str(log)}
         newest = dict([*logs.items(), (str(log), _LogEnd(lines=lines, digest=digest))][-_MAX_LOGS:])
-        self._put(logs=newest)
+        self._note(logs=newest)
+        self._write_noted()
 
     def end_of_log(self, log: Path) -> tuple[int, str] | None:
         """Number of lines, and digest of the last one, as noted; None if none were."""
         end = self._stored.logs.get(str(log))
         return None if end is None else (end.lines, end.digest)
 
-    def _put(self, *, proven: bool = False, **changed: object) -> None:
-        """Change and write the state; a change that must be `proven` takes effect only once written."""
+    def _note(self, **changed: object) -> None:
+        """Change the state in memory, where it holds from now on."""
         with self._state_lock:
-            stored = self._stored.model_copy(update=changed)
-            if not proven:
-                self._stored = stored
-            if self.path is not None:
-                try:
-                    # the folder may have been removed meanwhile
-                    self.path.parent.mkdir(parents=True, exist_ok=True)
-                    atomic_write.replace(self.path, stored.model_dump_json(indent=1).encode())
-                except OSError as error:
-                    why = error.strerror or error
-                    self.problem = f"{self.path}: the rig's state cannot be written: {why}"
-                    raise DeviceError(self.problem) from None
-            self._stored, self.problem = stored, ""
+            self._stored = self._stored.model_copy(update=changed)
+
+    def _prove(self, **changed: object) -> None:
+        """Write the state with a change, and only then note it; DeviceError where that fails.
+
+        A trip that is latched while the disk writes is not undone by an acknowledgement of the one before.
+        """
+        with self._file_lock:
+            number = self._stored.number
+            self._write(self._stored.model_copy(update=changed))
+            with self._state_lock:
+                trip = self.trip
+                if self._stored.number == number or "latched" not in changed:
+                    self._stored = self._stored.model_copy(update=changed)
+                    return
+        assert trip is not None
+        raise DeviceError(f"a trip came meanwhile: {trip.text}")
+
+    def _write_noted(self) -> None:
+        """Write the state as it is in memory; DeviceError where that fails."""
+        with self._file_lock:
+            self._write(self._stored)
+
+    def _write_in_time(self) -> None:
+        """Write the state, in a thread; DeviceError where that fails, or has not ended after 0.2 s."""
+        if self.path is None:
+            return
+
+        def write() -> None:
+            try:
+                self._write_noted()
+            except DeviceError:
+                if self.presses is not None:
+                    with suppress(OSError):
+                        self.presses.touch()
+                raise
+
+        writing = in_thread(write)
+        self._writing.add(writing)
+        writing.add_done_callback(self._writing.discard)
+        try:
+            writing.result(_STORED_WITHIN_S)
+        except TimeoutError:
+            self.problem = f"{self.path}: the rig's state is not written yet: the disk hangs"
+            raise DeviceError(self.problem) from None
+
+    def _write(self, stored: _SafetyFile) -> None:
+        if self.path is not None:
+            try:
+                # the folder may have been removed meanwhile
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                atomic_write.replace(self.path, stored.model_dump_json(indent=1).encode())
+            except OSError as error:
+                self.problem = f"{self.path}: the rig's state cannot be written: {error.strerror or error}"
+                raise DeviceError(self.problem) from None
+        self.problem = ""
 
     def _hold(self, path: Path) -> None:
         if fcntl is None:
@@ -333,7 +383,7 @@ class SafetyState:
         self.read()
         with suppress(DeviceError):
             # the file is written before the lock, so that a missing file later means a deleted one
-            self._put()
+            self._write_noted()
         held.truncate(0)
         held.write(f"process {os.getpid()}{self._who and f' ({self._who})'}".encode())
         held.flush()

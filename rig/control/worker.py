@@ -26,6 +26,23 @@ class JobExpired(DeviceError):
     """A job waited too long and was not started, because a late command must not take effect."""
 
 
+def in_thread(call: Callable[..., T], *given: object) -> "Future[T]":
+    """Call a function, which may hang at a disk, a port or another process, in a thread of its own.
+
+    The program does not wait for that thread when it ends.
+    """
+    future: Future[T] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(call(*given))
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=work, name=getattr(call, "__name__", "in thread"), daemon=True).start()
+    return future
+
+
 @dataclass(order=True, slots=True)
 class _Job:
     """A job of the queue; `order` is (0 if urgent, else 1; number of the job)."""

@@ -8,10 +8,20 @@ from concurrent.futures import Future, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from processing.errors import ConfigurationError, RigError
-from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause, darken_beside
+from rig.control import (
+    STALE_S,
+    LatchedTrip,
+    Light,
+    Loop,
+    SafetyNow,
+    SafetyState,
+    TripCause,
+    darken_beside,
+    in_thread,
+)
 from rig.desk.aligner import Aligner
 from rig.desk.following import Following
 from rig.desk.run_reader import clock
@@ -21,35 +31,19 @@ if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
 
-T = TypeVar("T")
-
 _PRESSES_KEPT = 64
 _KEPT_WITHIN_S = 0.5
-"""Longest wait until the press is stored; a disk that hangs delays switching off by no more."""
+"""Longest wait until the press is stored; everything is commanded off before that."""
 _HEARD_WITHIN_S = 1.5
 """Longest wait for the answers to orders; devices are commanded off before that."""
 AT = "the desk"
 """Place of the press, in the text of a trip."""
 
 
-def _beside(do: Callable[..., T], *given: object) -> Future[T]:
-    """Call a function in a thread of its own, which may hang at a frozen process or a disk."""
-    done: Future[T] = Future()
-
-    def work() -> None:
-        try:
-            done.set_result(do(*given))
-        except Exception as error:
-            done.set_exception(error)
-
-    threading.Thread(target=work, name="light off beside", daemon=True).start()
-    return done
-
-
 def _takes_orders(folder: Path) -> bool:
     """Whether the session in a folder takes orders; False where its disk hangs."""
     try:
-        return _beside((folder / ORDERS_NAME).exists).result(_KEPT_WITHIN_S)
+        return in_thread((folder / ORDERS_NAME).exists).result(_KEPT_WITHIN_S)
     except TimeoutError:
         return False
 
@@ -67,9 +61,10 @@ class Lighting:
 
         All get the order before any device, session or command is waited for.
 
-        First the press is stored beside the rig's state, where every program reads it before it lights: a
-        program that is only starting cannot take an order. "Off" is also written to the ports directly,
-        because a frozen session takes its order only when it goes on. The same `press` arrives in two ways:
+        "Off" is written to the ports directly, because a frozen session takes its order only when it goes on.
+        Meanwhile the press is stored beside the rig's state, where every program reads it before it lights: a
+        program that is only starting cannot take an order. "Off" is then written once more, for what began to
+        light before the press was stored. The same `press` arrives in two ways:
         the later one must not darken a laser that a person has acknowledged and lit again meanwhile, and
         returns the result of the first one.
         """
@@ -88,26 +83,37 @@ class Lighting:
 
     def _off(self) -> list[str]:
         desk = self._desk
-        unkept = self._kept()
+        lamps = desk.config.laser, desk.config.controller
+        # in threads, because a port, and the disk of the rig's state, of a trip or of a folder, may hang
+        ports = in_thread(darken_beside, *lamps)
+        press = None if desk.rig.presses is None else in_thread(desk.rig.presses.press, AT)
         heard = False
         dark: Future[None] | None = None
         if (aligner := desk.aligner) is not None:
-            # in a thread, because it latches the trip on a disk that may hang
-            dark, heard = _beside(aligner.light_off), aligner.running
-        problems = darken_beside(desk.config.laser, desk.config.controller)
-        folders = {folder.absolute() for folder in (desk.following.folder,) if folder is not None}
-        if (begun := desk.started) is not None and begun[0].poll() is None:
-            folders.add(begun[1].absolute())
-            if desk.following.last_folder != begun[1] and not _takes_orders(begun[1]):
-                # it cannot take an order yet; a session that was followed and is gone is being fitted
-                begun[0].terminate()
-                heard = True
-        orders = [_beside(_order_dark, folder) for folder in folders]
-        # in a thread, because the disk with the name of the program that has the rig may hang
-        orders.append(_beside(self._holder_dark, folders))
+            dark, heard = in_thread(aligner.light_off), aligner.running
         for _, job in desk.jobs.running(uses_camera=True):
             job.end()
             heard = True
+        folders = {folder.absolute() for folder in (desk.following.folder,) if folder is not None}
+        begun = desk.started
+        if begun is not None and begun[0].poll() is not None:
+            begun = None
+        if begun is not None:
+            folders.add(begun[1].absolute())
+        orders = [in_thread(_order_dark, folder) for folder in folders]
+        orders.append(in_thread(self._holder_dark, folders))
+        if begun is not None and desk.following.last_folder != begun[1] and not _takes_orders(begun[1]):
+            # it cannot take an order yet; a session that was followed and is gone is being fitted
+            begun[0].terminate()
+            heard = True
+        problems = ports.result()
+        if unkept := self._not_kept(press):
+            problems.append(
+                f"it is not kept ({unkept}): a program that starts may light; turn the key switch"
+            )
+        elif press is not None:
+            # what began to light before the press was stored
+            darken_beside(*lamps)
         with suppress(TimeoutError):
             answers = as_completed(orders, _HEARD_WITHIN_S)
             heard = any(one.exception() is None and one.result() for one in answers) or heard
@@ -118,10 +124,6 @@ class Lighting:
         if not heard and unfiled is not None and unfiled.trip is None:
             # a rig without a file is remembered as long as the desk lives
             unfiled.latch(TripCause.PERSON, f"LIGHT OFF was pressed at {AT}", lit=False)
-        if unkept:
-            problems.append(
-                f"it is not kept ({unkept}): a program that starts may light; turn the key switch"
-            )
         if desk.config.laser.kind == "none":
             problems.append(NOT_OURS)
         elif not heard:
@@ -129,15 +131,13 @@ class Lighting:
             problems.append(f"no program that could light has answered{kept}")
         return problems
 
-    def _kept(self) -> str:
-        """Store the press beside the rig's state; returns why that failed, empty if it succeeded in time."""
-        presses = self._desk.rig.presses
-        if presses is None:
-            return ""
+    def _not_kept(self, press: Future[None] | None) -> str:
+        """Why the press is not stored beside the rig's state; empty if it is, or without such a place."""
         try:
-            _beside(presses.press, AT).result(_KEPT_WITHIN_S)
+            if press is not None:
+                press.result(_KEPT_WITHIN_S)
         except TimeoutError:
-            return f"{presses.path}: the disk hangs"
+            return f"{self._desk.rig.path}: the disk hangs"
         except Exception as error:
             # after any error the laser must still be switched off
             return str(error)

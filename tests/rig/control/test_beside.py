@@ -7,10 +7,11 @@ import select
 import tty
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from threading import Event
 
 import pytest
 
-from rig.control import ControllerSettings, LaserSettings, darken_beside
+from rig.control import ControllerSettings, LaserSettings, darken_beside, presses
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="a port is opened once there")
 PIECE = b"x" * 37
@@ -52,3 +53,25 @@ def test_an_order_of_which_only_a_part_was_taken_is_said(room: int) -> None:
     # how much room there is the system decides anew each time
     assert bool(problems) is not whole
     assert whole or room < 1000
+
+
+def test_a_port_that_hangs_keeps_no_other_from_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    goes_on = Event()
+    usual = os.open
+
+    def hangs(name: str, *flags: int) -> int:
+        assert name != "/dev/ttyHangs" or goes_on.wait(60.0)
+        return usual(name, *flags)
+
+    with port() as (name, master):
+        monkeypatch.setattr(presses.os, "open", hangs)
+        monkeypatch.setattr(presses, "off_line", lambda _: b"OFF")
+        controller = ControllerSettings(kind="serial", port="/dev/ttyHangs")
+        laser = LaserSettings(kind="controller", max_power_w=0.001, power_w=0.0005).model_copy(
+            update={"port": name}
+        )
+        problems = darken_beside(laser, controller)
+        assert select.select([master], [], [], 10.0)[0]
+        assert os.read(master, 100) == b"OFF"
+        goes_on.set()
+    assert problems == ["/dev/ttyHangs: cannot be switched off: the port hangs"]

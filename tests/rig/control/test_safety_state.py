@@ -7,11 +7,13 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from threading import Event
 
 import pytest
 
+from acquisition import atomic_write
 from processing.errors import DeviceError
-from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, rig_state_path
+from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, in_thread, rig_state_path
 from rig.control.presses import Presses
 from tests.disk_without_locks import NO_LOCKS, without_locks
 
@@ -300,3 +302,57 @@ def test_a_disk_without_locks_is_not_called_another_program(
     without_locks(monkeypatch)
     with pytest.raises(DeviceError, match=rf"rig\.lock: cannot be locked: {NO_LOCKS}; .*XDG_STATE_HOME"):
         SafetyState(path).__enter__()
+
+
+class HangingDisk:
+    """Takes what is written only once `answers` is set; `asked` is set while somebody waits for it."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.asked, self.answers = Event(), Event()
+        usual = atomic_write.replace
+
+        def replace(path: Path, content: bytes) -> None:
+            self.asked.set()
+            assert self.answers.wait(60.0)
+            usual(path, content)
+
+        patch.setattr(atomic_write, "replace", replace)
+
+
+def test_a_trip_holds_at_once_while_the_disk_hangs_and_is_written_when_it_answers(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with SafetyState(path) as state:
+        disk = HangingDisk(monkeypatch)
+        noted = in_thread(state.lit, True)
+        assert disk.asked.wait(10.0)
+        tripped = in_thread(state.latch, TripCause.INTERLOCK, "it opened", True)
+        with pytest.raises(DeviceError, match="the disk hangs"):
+            tripped.result(10.0)
+        assert state.trip is not None
+        assert state.trip.text == "trip 1 (INTERLOCK): it opened"
+        assert "the disk hangs" in state.problem
+        disk.answers.set()
+        noted.result(10.0)
+    with SafetyState(path) as state:
+        assert state.trip is not None
+        assert state.trip.why == "it opened"
+        assert state.left_lit
+
+
+def test_an_acknowledgement_during_which_another_trip_comes_is_none(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with SafetyState(path) as state:
+        state.latch(TripCause.INTERLOCK, "it opened", lit=True)
+        disk = HangingDisk(monkeypatch)
+        acknowledged = in_thread(state.acknowledge, 1)
+        assert disk.asked.wait(10.0)
+        with pytest.raises(DeviceError, match="the disk hangs"):
+            state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
+        disk.answers.set()
+        with pytest.raises(DeviceError, match=r"a trip came meanwhile: trip 2 \(OUTPUT\)"):
+            acknowledged.result(10.0)
+    with SafetyState(path) as state:
+        assert state.trip is not None
+        assert state.trip.text == "trip 2 (OUTPUT): it stays lit"

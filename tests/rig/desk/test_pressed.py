@@ -9,7 +9,7 @@ from unittest.mock import Mock
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.control import SafetyState
+from rig.control import SafetyState, in_thread
 from rig.desk.desk import Desk
 from rig.desk.lighting import Lighting
 from tests.rig.known_rig import known
@@ -101,13 +101,34 @@ def test_a_disk_that_hangs_holds_nothing_up(
     desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk = desk_of(REAL + LASER)
-    assert isinstance(desk.rig, SafetyState)
     assert desk.rig.presses is not None
-    monkeypatch.setattr(type(desk.rig.presses), "press", lambda _presses, _who: time.sleep(5.0))
-    began_s = time.monotonic()
-    said = desk.lighting.off("one")
-    assert any("the disk hangs" in text for text in said)
-    assert time.monotonic() - began_s < 3.0
+    goes_on, dark = Event(), Event()
+
+    def darkened(*_: object) -> list[str]:
+        dark.set()
+        return []
+
+    monkeypatch.setattr(type(desk.rig.presses), "press", lambda *_: goes_on.wait(60.0))
+    monkeypatch.setattr("rig.desk.lighting.darken_beside", darkened)
+    monkeypatch.setattr("rig.desk.lighting._KEPT_WITHIN_S", 60.0)
+    said = in_thread(desk.lighting.off, "one")
+    assert dark.wait(10.0)
+    dark.clear()
+    goes_on.set()
+    assert said.result(10.0)
+    # what began to light before the press was stored
+    assert dark.is_set()
+
+
+def test_a_press_at_a_disk_that_hangs_is_not_said_to_be_kept(
+    desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = desk_of(REAL + LASER)
+    assert desk.rig.presses is not None
+    goes_on = Event()
+    monkeypatch.setattr(type(desk.rig.presses), "press", lambda *_: goes_on.wait(60.0))
+    assert any("the disk hangs" in text for text in desk.lighting.off("one"))
+    goes_on.set()
 
 
 def test_a_live_picture_whose_trip_hangs_at_the_disk_keeps_no_other_way_to_the_dark(

@@ -187,3 +187,24 @@ def test_a_disk_that_hangs_hears_of_no_press_and_refuses_the_light(
         finally:
             goes_on.set()
         asking.join(20.0)
+
+
+def test_a_laser_whose_trip_hangs_at_the_disk_still_obeys(
+    config: Configuration, instrument: FakeCobolt, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goes_on = Event()
+    with Devices(config) as devices:
+        devices.light()
+        until(lambda: instrument.on)
+        monkeypatch.setattr(atomic_write, "replace", lambda *_: goes_on.wait(60.0))
+        try:
+            instrument.interlock_closed = False
+            until(lambda: devices.permit.latched is not None)
+            # an instrument that lights again as soon as its interlock is closed
+            instrument.interlock_closed = True
+            instrument.light(True)
+            assert devices.laser is not None
+            devices.laser.off().result(10.0)
+            assert not instrument.on
+        finally:
+            goes_on.set()
