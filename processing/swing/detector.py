@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -227,10 +228,12 @@ def swings_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = 
 _FRAMES_PER_S, _SECONDS, _RATE, _LOSS = 20.0, 60.0, 1.5, 0.01
 
 
+@cache
 def compile_kernels() -> None:
     """Run every compiled kernel of this package once, so that numba compiles it or loads it from its cache.
 
-    This takes about 10 s on the first run after an installation and a few tenths of a second later. Call
+    Called again in the same process, it does nothing. It takes about 10 s on the first run after an
+    installation and a few tenths of a second later. Call
     it before a measurement: compilation during the first half-cycle would block the processing of samples.
     """
     time_s = np.arange(0.0, _SECONDS, 1.0 / _FRAMES_PER_S)

@@ -234,6 +234,7 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
             swings.compile_kernels()
 
 
+@functools.cache
 def compile_tracker(sensor: SensorModel) -> None:
     """Compile, or load from the cache, the kernels that track and record a spot of this sensor.
 
