@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -402,8 +403,10 @@ def test_a_byte_is_waited_for_until_its_process_is_killed_and_not_for_ever_where
         assert waits == []
         with monkeypatch.context() as patch:
             patch.setattr(kernel_compiler, "LONGEST_WAIT_S", 0.2)
+            began_s = time.monotonic()
             with byte_locked(path, 7, lambda: None):
                 assert other.poll() is None
+                assert time.monotonic() - began_s < 30.0
         with byte_locked(path, 7, kill):
             assert other.wait(30.0) != 0
     assert waits == [7]

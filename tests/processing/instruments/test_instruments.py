@@ -143,7 +143,8 @@ def test_what_places_share_stays_in_their_mean_and_cancels_in_a_ratio() -> None:
 
 
 def test_verdicts() -> None:
-    verdicts = {250.0: "within", 262.0: "outside", 259.9: "undecided", 260.1: "undecided"}
+    verdicts = {250.0: "within", 262.0: "outside", 259.75: "within", 260.25: "outside"}
+    verdicts |= dict.fromkeys((259.85, 260.15), "undecided")
     for value, verdict in verdicts.items():
         found = check("damping time on glass", Estimate(value, 0.1), Limits(250.0, 10.0), "s")
         assert found.verdict == verdict
