@@ -17,16 +17,18 @@ RATE, U, DRAG_S = 25.0, 0.005 * ARCSEC, 1.7e-3
 PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
 
 
-def seen(q: float, seed: int, stated: float = 1.0) -> tuple[TurningPoints, SwingHarmonics]:
+def seen(
+    q: float, seed: int, stated: float = 1.0, last_arcsec: float = 2.0
+) -> tuple[TurningPoints, SwingHarmonics]:
     """A decay in air as frames show it, with uncertainties that are stated so many times too large."""
-    path = driven_path(PARAMETERS, PENDULUM, q=q, seed=seed, frames_per_s=RATE)[2]
+    path = driven_path(PARAMETERS, PENDULUM, q=q, seed=seed, frames_per_s=RATE, last_arcsec=last_arcsec)[2]
     samples = seen_in_frames(path, U, [seed, 3], RATE)
     return points_and_harmonics(replace(samples, u_y=stated * samples.u_y))
 
 
 @pytest.fixture(scope="module")
 def basement() -> tuple[TurningPoints, SwingHarmonics]:
-    return seen(8e-9, 4)
+    return seen(8e-9, 4, last_arcsec=8.0)
 
 
 def waveform(harmonics: SwingHarmonics) -> Waveform:
