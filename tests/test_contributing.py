@@ -74,7 +74,7 @@ import contextlib, io, json, sys
 from pathlib import Path
 import pytest
 from acquisition.record.reader import RecordReader
-from tests.rig.command_line import rig
+from tests.rig.command_line import rig, verdicts_are_made
 
 def ran(program, *words):
     if program == "rig":
@@ -84,7 +84,8 @@ def ran(program, *words):
         status = int(pytest.main(list(words)))
     return status, out.getvalue(), ""
 
-done = [ran(*words) for words in json.load(sys.stdin)]
+with verdicts_are_made(False):
+    done = [ran(*words) for words in json.load(sys.stdin)]
 with RecordReader(Path("balance.mcap")) as record:
     distances_rad = record.table("/balance")["rest_distance_rad"].tolist()
 print(json.dumps([done, distances_rad]))

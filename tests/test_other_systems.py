@@ -1,10 +1,8 @@
 """What Windows lacks, or does otherwise, found where neither is at hand."""
 
-import ast
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -62,58 +60,6 @@ def test_every_module_is_there_without_what_only_posix_has() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "there are such cameras on Linux only" in done.stdout
-
-
-def test_text_has_the_same_encoding_on_every_system() -> None:
-    """Windows would take the one of the country, and a log of an operator's name could not be read again."""
-    found = [
-        f"{path.relative_to(ROOT)}:{line}"
-        for package in PACKAGES
-        for path in sorted((ROOT / package).rglob("*.py"))
-        # runs on the controller
-        if "firmware" not in path.parts
-        for line in _unstated(ast.parse(path.read_text(encoding="utf-8")))
-    ]
-    assert not found
-
-
-def _unstated(tree: ast.AST) -> Iterator[int]:
-    """Lines with a call that reads or writes text and leaves the encoding to the system."""
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Call):
-            continue
-        stated = {key.arg: key.value for key in node.keywords}
-        if "encoding" in stated:
-            continue
-        owner = node.func.value if isinstance(node.func, ast.Attribute) else None
-        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-        mode = stated.get("mode")
-        if (name, owner) == ("open", None) or name == "fdopen":
-            mode = node.args[1] if len(node.args) > 1 else mode
-        elif name == "open" and node.args:
-            mode = node.args[0]
-        of_text = (
-            isinstance(mode, ast.Constant)
-            and isinstance(mode.value, str)
-            and set(mode.value) <= set("rwxat+")
-        )
-        if (
-            (name == "read_text" and not node.args)
-            or name == "write_text"
-            or ((name, owner) == ("open", None) and (mode is None or of_text))
-            or (name in ("open", "fdopen") and of_text)
-            or (name in ("run", "Popen", "check_output") and "text" in stated)
-        ):
-            yield node.lineno
-
-
-def test_what_implies_an_encoding_is_found() -> None:
-    lines = [
-        "path.read_text()", "open(path)", "open(path, 'w')", "path.open('a')", "os.fdopen(1, 'w')",
-        "run(words, text=True)", "path.read_text(encoding='utf-8')", "path.read_text('utf-8')",
-        "open(path, 'rb')", "path.open('xb')", "camera.open()", "archive.open(name)",
-    ]  # fmt: skip
-    assert list(_unstated(ast.parse("\n".join(lines)))) == [1, 2, 3, 4, 5, 6]
 
 
 def test_a_full_disk_leaves_nothing_where_no_open_file_can_be_removed(

@@ -1,8 +1,11 @@
-"""One way to write a file: whatever else opens one for writing stands here, with its reason."""
+"""One way to write a file: whatever else opens one for writing stands here, with its reason; encodings."""
 
 import ast
+import gc
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 _CALLS = {
@@ -77,13 +80,22 @@ def _written_by(call: ast.Call) -> str:
     return ""
 
 
-def test_nothing_writes_a_file_but_the_one_writer_and_what_says_why() -> None:
-    found: dict[str, list[str]] = {}
-    for package in ("rig", "acquisition", "calibration", "processing"):
-        for path in sorted((ROOT / package).rglob("*.py")):
-            calls = list(_writes(ast.parse(path.read_text(encoding="utf-8"))))
-            if calls:
-                found[path.relative_to(ROOT).as_posix()] = calls
+@pytest.fixture(scope="module")
+def trees() -> dict[str, ast.Module]:
+    """Every module of the program, parsed; searches for garbage meanwhile would take as long again."""
+    gc.disable()
+    try:
+        return {
+            path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+            for package in ("rig", "acquisition", "calibration", "processing")
+            for path in sorted((ROOT / package).rglob("*.py"))
+        }
+    finally:
+        gc.enable()
+
+
+def test_nothing_writes_a_file_but_the_one_writer_and_what_says_why(trees: dict[str, ast.Module]) -> None:
+    found = {name: calls for name, tree in trees.items() if (calls := list(_writes(tree)))}
     others = {name: calls for name, calls in found.items() if name not in ALLOWED}
     assert not others, f"write through acquisition.atomic_write, or say why not: {others}"
     # a reason that has nothing to say any more
@@ -103,3 +115,54 @@ def test_a_writer_of_its_own_is_found() -> None:
         assert list(_writes(ast.parse(text))), text
     for text in ("path.open('rb')", "open(path)", "path.read_text()", "figure.savefig(out)"):
         assert not list(_writes(ast.parse(text))), text
+
+
+def test_text_has_the_same_encoding_on_every_system(trees: dict[str, ast.Module]) -> None:
+    """Windows would take the one of the country, and a log of an operator's name could not be read again."""
+    found = [
+        f"{name}:{line}"
+        for name, tree in trees.items()
+        # runs on the controller
+        if "/firmware/" not in name
+        for line in _unstated(tree)
+    ]
+    assert not found
+
+
+def _unstated(tree: ast.AST) -> Iterator[int]:
+    """Lines with a call that reads or writes text and leaves the encoding to the system."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        stated = {key.arg: key.value for key in node.keywords}
+        if "encoding" in stated:
+            continue
+        owner = node.func.value if isinstance(node.func, ast.Attribute) else None
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        mode = stated.get("mode")
+        if (name, owner) == ("open", None) or name == "fdopen":
+            mode = node.args[1] if len(node.args) > 1 else mode
+        elif name == "open" and node.args:
+            mode = node.args[0]
+        of_text = (
+            isinstance(mode, ast.Constant)
+            and isinstance(mode.value, str)
+            and set(mode.value) <= set("rwxat+")
+        )
+        if (
+            (name == "read_text" and not node.args)
+            or name == "write_text"
+            or ((name, owner) == ("open", None) and (mode is None or of_text))
+            or (name in ("open", "fdopen") and of_text)
+            or (name in ("run", "Popen", "check_output") and "text" in stated)
+        ):
+            yield node.lineno
+
+
+def test_what_implies_an_encoding_is_found() -> None:
+    lines = [
+        "path.read_text()", "open(path)", "open(path, 'w')", "path.open('a')", "os.fdopen(1, 'w')",
+        "run(words, text=True)", "path.read_text(encoding='utf-8')", "path.read_text('utf-8')",
+        "open(path, 'rb')", "path.open('xb')", "camera.open()", "archive.open(name)",
+    ]  # fmt: skip
+    assert list(_unstated(ast.parse("\n".join(lines)))) == [1, 2, 3, 4, 5, 6]

@@ -250,7 +250,10 @@ class ReadFile:
                     times = (record.message_start_time, record.message_end_time)
                     self._add_chunk(ChunkPlace(*place, *times, bits(record.message_index_offsets)))
         self._data_end = start - _DATA_END.size
-        *_, self._data_crc = _DATA_END.unpack(self._read(self._data_end, _DATA_END.size))
+        *head, self._data_crc = _DATA_END.unpack(self._read(self._data_end, _DATA_END.size))
+        if head != [Opcode.DATA_END, _CRC_BYTES]:
+            # which neither the summary's checksum nor its own covers
+            self.note_damage(self._data_end, "the record that ends the data has changed")
         self._list_small_record(len(MAGIC))
         self.readable_bytes, self.indexed = self.size, True
 

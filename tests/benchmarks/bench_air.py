@@ -1,11 +1,10 @@
-"""Contact or air: coverage of b, p, c, n, gamma and drag, scatter against the bound, and what it costs.
+"""Contact or air: coverage of b, p, c, n, gamma and drag.
 
 Run as ``python -m tests.benchmarks air [--quick]``. Decays
 with drag come from the tests' own integration, or from the simulated rig on recorded ground, seen 25 times a
 second with 0.005 arcsec; nothing is known of the drag beforehand. Neither shares a formula with the fit.
 """
 
-from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,24 +13,12 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.contact.laws import PAPER
 from processing.fit import FitResult, fit_exact
-from processing.fit.exact_model import ExactModel
-from processing.fit.ground import Noise, density_of_step
-from processing.swing import TurningPoints, turning_points
+from processing.swing import turning_points
 from rig.analysis import evidence_of
 from rig.analysis.air import FittedDrag
 from tests.benchmarks.bench_ground import GROUND_FILE, recorded, simulated
 from tests.benchmarks.cases import SEEDS_APART, each_seed, run_cases
-from tests.benchmarks.coverage import (
-    FRAMES_PER_S,
-    Floats,
-    bound,
-    coverage,
-    held,
-    in_frames,
-    named,
-    rms,
-    true_columns,
-)
+from tests.benchmarks.coverage import FRAMES_PER_S, Floats, in_frames, of_fits
 from tests.processing.fit.decays import paper_pair, truth
 from tests.processing.fit.driven import driven_path
 
@@ -72,62 +59,22 @@ def path_of(case: Case, seed: int) -> Floats:
     return true_path(settings, end_s, FRAMES_PER_S, run=seed).y_rad
 
 
-class Fitted(NamedTuple):
-    """The fit of one decay with waveform and drag, and CPU times: of it, and of a fit in vacuum."""
-
-    fit: FitResult
-    points: TurningPoints
-    cpu_s: float
-    vacuum_cpu_s: float
-
-
-def fitted(case: Case, seed: int, seeds: list[int]) -> Fitted:
+def fitted(case: Case, seed: int, seeds: list[int]) -> FitResult:
     """From frames to parameters as a session does it, with nothing known of the air."""
     pendulum = paper_pair(FLAT)[1]
     settled = in_frames(path_of(case, seed), NOISE_ARCSEC, seeds, pendulum)
-    points, evidence = turning_points(settled.swings), evidence_of(FittedDrag(), settled.harmonics)
-    began_s = process_time()
-    again = fit_exact(points, pendulum, drag=True, evidence=evidence)
-    between_s = process_time()
-    fit_exact(points, pendulum)
-    return Fitted(again, points, between_s - began_s, process_time() - between_s)
-
-
-def least(found: Fitted, case: Case) -> Floats:
-    """Standard deviations of the Cramer-Rao bound of points and waveform together, at the truth."""
-    parameters, pendulum = paper_pair(FLAT, case.drag_s)
-    points = found.points.first(found.fit.half_cycles)
-    model = ExactModel(points, pendulum, drag=True, evidence=found.fit.evidence)
-    columns = true_columns(model, parameters, points)
-    assert found.fit.ground is not None
-    step = found.fit.ground.noise.step
-    if case.q is not None:
-        step = case.q / density_of_step(1.0, float(np.diff(points.time_s).mean()))
-    here = model.linearised_at(columns).on_ground(columns, Noise(step / model.reference))
-    return bound(model, columns, here(columns)[1])[: len(NAMES)]
+    evidence = evidence_of(FittedDrag(), settled.harmonics)
+    return fit_exact(turning_points(settled.swings), pendulum, drag=True, evidence=evidence)
 
 
 def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
-    """Shares of seeds whose intervals hold the truth, and rms errors in units of u and of the bound."""
-    expected = truth(paper_pair(FLAT, case.drag_s)[0], NAMES)
-
-    def one(seed: int) -> tuple[Fitted, Floats]:
-        found = fitted(case, seed, [seed - first, 78, first // SEEDS_APART])
-        return found, least(found, case)
-
-    found, failed = each_seed(one, seeds, first)
-    fits = [each.fit for each, _ in found]
-    off = [fit.values[: len(NAMES)] - expected for fit in fits]
-    u = [fit.standard_uncertainty[: len(NAMES)] for fit in fits]
-    pulls, inside = np.divide(off, u), [held(fit, NAMES, expected) for fit in fits]
-    to_bound = rms(np.divide(off, [at_best for _, at_best in found])).tolist()
-    return {
-        "seeds": seeds,
-        "failed": failed,
-        "relative_u_b": float(np.median([each[0] for each in u]) / expected[0]),
-        "cpu_over_vacuum": float(np.median([each.cpu_s / each.vacuum_cpu_s for each, _ in found])),
-        **named(NAMES, {**coverage(pulls, inside), "rms_to_bound": to_bound}),
-    }
+    """Shares of seeds whose intervals hold the truth, and rms errors in units of u."""
+    true = truth(paper_pair(FLAT, case.drag_s)[0], NAMES)
+    fits, failed = each_seed(
+        lambda seed: fitted(case, seed, [seed - first, 78, first // SEEDS_APART]), seeds, first
+    )
+    relative_u_b = float(np.median([fit.estimate("b").standard_uncertainty for fit in fits]) / true[0])
+    return {"seeds": seeds, "failed": failed, "relative_u_b": relative_u_b, **of_fits(fits, NAMES, true)}
 
 
 def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:

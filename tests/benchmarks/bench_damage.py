@@ -27,7 +27,7 @@ def damages(count: int) -> dict[str, Any]:
         write_sample(folder / "whole.mcap", FRAMES)
         rng = np.random.default_rng(7)
         for what, file in (("numbers", folder / "whole.mcap"), ("pixels", folder / "whole.pixels.mcap")):
-            results |= _of_file(folder, file.read_bytes(), what, count // 2, rng)
+            results[what] = _of_file(folder, file.read_bytes(), what, count // 2, rng)
     return results
 
 
@@ -38,14 +38,14 @@ def _of_file(folder: Path, whole: bytes, what: str, count: int, rng: np.random.G
         (folder / name.replace("whole", "run")).write_bytes((folder / name).read_bytes())
     damaged = path if what == "numbers" else pixels_beside(path)
     places, cuts = rng.integers(0, len(whole), count), rng.integers(3000, len(whole), count)
-    results: dict[str, Any] = {f"{what}: bytes": len(whole)}
+    results: dict[str, Any] = {"bytes": len(whole)}
     for kind, flips, lengths in (
         ("flipped", places, [len(whole)] * count),
         ("cut", [-1] * count, cuts),
         ("flipped and without footer", places % (len(whole) - 40), [len(whole) - 40] * count),
         ("flipped and cut", places % cuts, cuts),
     ):
-        results |= _lost(path, damaged, whole, f"{what}, {kind}", flips, lengths)
+        results[kind] = _lost(path, damaged, whole, flips, lengths)
     return results
 
 
@@ -54,7 +54,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     return damages(50 if quick else 1000)
 
 
-def _lost(path: Path, damaged: Path, whole: bytes, kind: str, flips: Any, lengths: Any) -> dict[str, Any]:
+def _lost(path: Path, damaged: Path, whole: bytes, flips: Any, lengths: Any) -> dict[str, Any]:
     """Most frames that one file lost beyond what its cut took, and how many flips `check` did not find."""
     most = missed = wrong = 0
     damaged.write_bytes(whole)
@@ -81,10 +81,10 @@ def _lost(path: Path, damaged: Path, whole: bytes, kind: str, flips: Any, length
         with contextlib.suppress(RecordError):
             missed += not any(finding.severity == "error" for finding in check_record(path))
     return {
-        f"{kind}: frames of a chunk": BLOCK,
-        f"{kind}: most frames lost": most,
-        f"{kind}: not found by check": missed,
-        f"{kind}: with frames that were never written": wrong,
+        "frames of a chunk": BLOCK,
+        "most frames lost": most,
+        "not found by check": missed,
+        "with frames that were never written": wrong,
     }
 
 

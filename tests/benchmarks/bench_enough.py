@@ -15,7 +15,7 @@ from rig.measure.end_of_run import EndOfRun
 from rig.measure.posterior_worker import next_fit_half_cycles
 from rig.settings.number_input import stop_conditions
 from tests.benchmarks.cases import each_seed
-from tests.benchmarks.coverage import coverage, held, named
+from tests.benchmarks.coverage import of_fits
 from tests.processing.fit.decays import paper_pair, truth
 from tests.processing.fit.driven import driven_decay
 
@@ -58,7 +58,6 @@ def stopping(case: Stopping, seeds: int) -> dict[str, Any]:
     """Shares of runs whose intervals hold the truth, errors over u, and where they ended."""
     parameters, pendulum = paper_pair(case.flat)
     names = PAPER.names()
-    true = truth(parameters, names)
 
     def one(seed: int) -> FitResult | None:
         points = driven_decay(parameters, pendulum, q=case.q, noise_arcsec=NOISE_ARCSEC, seed=9000 + seed)
@@ -66,14 +65,12 @@ def stopping(case: Stopping, seeds: int) -> dict[str, Any]:
 
     found, failed = each_seed(one, seeds)
     fits = [fit for fit in found if fit is not None]
-    count = len(names)
-    pulls = [(fit.values[:count] - true) / fit.standard_uncertainty[:count] for fit in fits]
     return {
         "seeds": seeds,
         "failed": failed,
         "reached_the_last_amplitude": len(found) - len(fits),
         "half_cycles": np.percentile([fit.half_cycles for fit in fits], [5, 50, 95]).tolist(),
-        **named(names, coverage(pulls, [held(fit, names, true) for fit in fits])),
+        **of_fits(fits, names, truth(parameters, names)),
     }
 
 

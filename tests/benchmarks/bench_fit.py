@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from processing.contact.laws import PAPER
-from processing.errors import RigError
-from processing.fit.exact import fit_exact
-from tests.benchmarks.coverage import coverage, held, named
+from processing.fit import FitResult, fit_exact
+from tests.benchmarks.cases import each_seed
+from tests.benchmarks.coverage import of_fits
 from tests.processing.fit.decays import PAIRS, decay, paper_pair, truth
 
 
@@ -16,24 +16,19 @@ def measure(flat: str, drag_s: float, noise_arcsec: float, seeds: int) -> dict[s
     """Share of seeds in which each parameter's interval holds the truth, and errors over u."""
     parameters, pendulum = paper_pair(flat, drag_s)
     names = PAPER.names(drag=drag_s > 0)
-    true = truth(parameters, names)
-    inside, pulls, chi2 = [], [], []
-    for seed in range(seeds):
-        points = decay(parameters, pendulum, noise_arcsec=noise_arcsec, seed=1000 + seed)
-        try:
-            fit = fit_exact(points, pendulum, drag=drag_s > 0)
-        except RigError:
-            continue
-        chi2.append(fit.chi2_per_dof)
-        inside.append(held(fit, names, true))
-        pulls.append((fit.values[: len(names)] - true) / fit.standard_uncertainty[: len(names)])
-    table = coverage(pulls, inside)
+
+    def one(seed: int) -> FitResult:
+        points = decay(parameters, pendulum, noise_arcsec=noise_arcsec, seed=seed)
+        return fit_exact(points, pendulum, drag=drag_s > 0)
+
+    fits, failed = each_seed(one, seeds, 1000)
+    table = of_fits(fits, names, truth(parameters, names))
     return {
         "seeds": seeds,
-        "failed": seeds - len(chi2),
-        "mean_chi2_per_dof": float(np.mean(chi2)),
-        **named(names, table),
-        "one_sigma_all": float(np.mean(table["one_u"])),
+        "failed": failed,
+        "mean_chi2_per_dof": float(np.mean([fit.chi2_per_dof for fit in fits])),
+        **table,
+        "one_sigma_all": float(np.mean(list(table["one_u"].values()))),
     }
 
 

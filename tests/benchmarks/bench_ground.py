@@ -1,4 +1,4 @@
-"""The exact fit on ground that moves: coverage of its intervals, scatter against the bound, speed.
+"""The exact fit on ground that moves: coverage of its intervals.
 
 Run as ``python -m tests.benchmarks ground [--quick]``. White
 drives come from the tests' own integration, the basement and the recorded ground from the simulated rig;
@@ -8,9 +8,7 @@ second with the noise of a tracked spot; the others give the fit true turning po
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,22 +16,10 @@ import numpy as np
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.contact.laws import PAPER
-from processing.fit import FitResult, fit_exact
-from processing.fit.exact_model import ExactModel
-from processing.fit.ground import Noise, density_of_step
+from processing.fit import fit_exact
 from processing.swing import TurningPoints, turning_points
 from tests.benchmarks.cases import each_seed, run_cases
-from tests.benchmarks.coverage import (
-    FRAMES_PER_S,
-    Floats,
-    bound,
-    coverage,
-    held,
-    in_frames,
-    named,
-    rms,
-    true_columns,
-)
+from tests.benchmarks.coverage import FRAMES_PER_S, in_frames, of_fits
 from tests.processing.fit.decays import PAIRS, paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_decay, driven_path
 
@@ -48,7 +34,6 @@ class Case(NamedTuple):
     name: str
     flat: str
     points: Callable[[int], TurningPoints]
-    q: float | None = None
     share: float = 1.0
     averaged: bool = False
 
@@ -59,7 +44,6 @@ def white(flat: str, q: float) -> Case:
         f"{flat} q={q:g}",
         flat,
         lambda seed: driven_decay(parameters, pendulum, q=q, noise_arcsec=NOISE_ARCSEC, seed=5000 + seed),
-        q,
     )
 
 
@@ -70,7 +54,7 @@ def white_frames(flat: str, q: float) -> Case:
         _, _, path = driven_path(parameters, pendulum, q=q, seed=5000 + seed, frames_per_s=FRAMES_PER_S)
         return turning_points(in_frames(path, NOISE_ARCSEC, [seed, 78], pendulum).swings)
 
-    return Case(f"{flat} q={q:g} frames", flat, points, q, 0.15, averaged=True)
+    return Case(f"{flat} q={q:g} frames", flat, points, 0.15, averaged=True)
 
 
 def simulated(flat: str, ground: dict[str, Any], run: int) -> SimulationSettings:
@@ -101,7 +85,7 @@ def simulated_frames(name: str, flat: str, ground: Callable[[int], dict[str, Any
         path = true_path(settings, end_s, FRAMES_PER_S, run=seed).y_rad
         return turning_points(in_frames(path, NOISE_ARCSEC, [seed, 78], paper_pair(flat)[1]).swings)
 
-    return Case(f"{flat} {name} frames", flat, points, share=0.15, averaged=True)
+    return Case(f"{flat} {name} frames", flat, points, 0.15, averaged=True)
 
 
 def basement(_: int) -> dict[str, Any]:
@@ -125,63 +109,22 @@ def cases() -> list[Case]:
     return out
 
 
-def least(points: TurningPoints, case: Case, noise: Noise) -> Floats:
-    """Standard deviations of the Cramer-Rao bound of the driven model at the truth, with its noise known."""
-    parameters, pendulum = paper_pair(case.flat)
-    model = ExactModel(points, pendulum)
-    columns = true_columns(model, parameters, points)
-    if case.q is not None:
-        half_period_s = float(np.diff(points.time_s).mean())
-        noise = Noise(case.q / density_of_step(1.0, half_period_s), averaged=case.averaged)
-    noise = replace(noise, step=noise.step / model.reference)
-    jacobian = model.on_ground(columns, noise)(columns)[1]
-    return bound(model, columns, jacobian)[: len(PAPER.names())]
-
-
-class Fitted(NamedTuple):
-    """One decay: errors over u and over the bound, whether intervals hold the truth, the fit, its time."""
-
-    pull: Floats
-    to_bound: Floats
-    inside: list[list[bool]]
-    fit: FitResult
-    fit_cpu_s: float
-
-
-def fitted(case: Case, seed: int) -> Fitted:
+def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
+    """Shares of seeds whose intervals hold the truth, and rms errors in units of u."""
+    count = max(round(seeds * case.share), 4)
     parameters, pendulum = paper_pair(case.flat)
     names = PAPER.names()
-    expected = truth(parameters, names)
-    points = case.points(seed)
-    began_s = process_time()
-    fit = fit_exact(points, pendulum, averaged=case.averaged)
-    cpu_s = process_time() - began_s
-    assert fit.ground is not None
-    off = fit.values[: len(names)] - expected
-    at_best = least(points.first(fit.half_cycles), case, fit.ground.noise)
-    pull = off / fit.standard_uncertainty[: len(names)]
-    return Fitted(pull, off / at_best, held(fit, names, expected), fit, cpu_s)
-
-
-def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
-    """Shares of seeds whose intervals hold the truth, and rms errors in units of u and of the bound."""
-    count = max(round(seeds * case.share), 4)
-    found, failed = each_seed(lambda seed: fitted(case, seed), count, first)
-    pulls = [one.pull for one in found]
-    table = {
-        **coverage(pulls, [one.inside for one in found]),
-        "median_pull": np.median(pulls, axis=0).tolist(),
-        "rms_to_bound": rms([one.to_bound for one in found]).tolist(),
-    }
-    grounds = [one.fit.ground for one in found if one.fit.ground is not None]
+    fits, failed = each_seed(
+        lambda seed: fit_exact(case.points(seed), pendulum, averaged=case.averaged), count, first
+    )
+    grounds = [fit.ground for fit in fits if fit.ground is not None]
     return {
         "seeds": count,
         "failed": failed,
-        "called_correlated": sum(bool(one.fit.whiteness and one.fit.whiteness.correlated) for one in found),
+        "called_correlated": sum(bool(fit.whiteness and fit.whiteness.correlated) for fit in fits),
         "half_cycles_left_out": sum(ground.left_out_half_cycles for ground in grounds),
         "q_median": float(np.median([ground.density_rad_per_s2_rthz.value for ground in grounds])),
-        "fit_cpu_s": float(np.median([one.fit_cpu_s for one in found])),
-        **named(PAPER.names(), table),
+        **of_fits(fits, names, truth(parameters, names)),
     }
 
 

@@ -30,7 +30,7 @@ def point(
 ) -> dict[str, Any]:
     """RMS over the bound, claimed over actual, mean error of one kind of frame.
 
-    The bound is that of such frames, uneven pixels included; the one of even pixels stands beside it.
+    The bound is that of such frames, uneven pixels included.
     `told`: the tracker's sensor model has the PRNU.
     """
     sensor, scale = (EIGHT_BIT, 1) if bits == 8 else (TWELVE_BIT, 16)
@@ -45,23 +45,15 @@ def point(
     errors = errors_px(spots, truth)
     claimed = np.array([(spot.u_x_px, spot.u_y_px) for spot in spots])
     rms = math.sqrt(np.mean(errors**2))
-    bound, even_bound = (
-        bound_px((n, n), n / 2, n / 2, sigma, scale * peak, sensor, share) for share in (prnu, 0.0)
-    )
+    bound = bound_px((n, n), n / 2, n / 2, sigma, scale * peak, sensor, prnu)
     return {
         "sigma_px": sigma,
         "peak_8bit_dn": peak,
         "bits": bits,
         "prnu": prnu,
-        "told": told,
-        "frames": frames,
-        "rms_mpx": 1e3 * rms,
-        "bound_mpx": 1e3 * bound,
         "rms_over_bound": rms / bound,
-        "rms_over_bound_of_even_pixels": rms / even_bound,
         "claimed_over_actual": 1.0 / math.sqrt(np.mean((errors / claimed) ** 2)),
         "bias_mpx": 1e3 * float(errors.mean()),
-        "u_ratio": 1.0 / math.sqrt(2.0 * errors.size),
     }
 
 

@@ -41,11 +41,9 @@ def beam(path: Path, frames: int) -> dict[str, Any]:
         "poor": sum(bool(spot.flags & SpotFlag.POOR_FIT) for spot in spots),
         "lost": sum(bool(spot.flags & SpotFlag.LOST) for spot in spots),
         "chi2_per_dof": float(np.mean([spot.chi2_per_dof for spot in spots])),
-        "scatter_px": scatter.tolist(),
         "scatter_over_u": (scatter / claimed).tolist(),
         "scatter_over_bound": (scatter / bound).tolist(),
         "moved_as": [1.0 + float(np.polyfit(truth[:, k], errors[:, k], 1)[0]) for k in (0, 1)],
-        "u_ratio": 1.0 / math.sqrt(2.0 * frames),
     }
 
 

@@ -10,21 +10,16 @@ import gzip
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from processing.fit import FitResult, fit_exact
-from processing.fit.evidence import Evidence
-from processing.fit.exact_model import ExactModel
-from processing.fit.ground import Noise, density_of_step
-from processing.fit.known_drive import KnownDrive
 from processing.fit.seismometer import SeismometerUse, fit_with_seismometer
 from processing.fit.seismometer_terms import Seismogram
 from processing.swing import TurningPoints
 from tests.benchmarks.cases import each_seed, run_cases
-from tests.benchmarks.coverage import Floats, bound, coverage, rms, true_columns
+from tests.benchmarks.coverage import Floats, coverage, rms
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
 
@@ -46,13 +41,10 @@ class Ground(NamedTuple):
 
 
 class Case(NamedTuple):
-    """A ground for each seed; `left` is the density (rad/s^2/sqrt(Hz)) that the witness cannot know, if it is
-    known, and `related` whether the witness has to do with the ground."""
+    """A ground for each seed."""
 
     name: str
     ground: Callable[[int], Ground]
-    left: float | None = None
-    related: bool = True
     last_arcsec: float = 2.0
 
 
@@ -107,15 +99,14 @@ def unrelated(q: float) -> Callable[[int], Ground]:
 
 def cases() -> Iterator[Case]:
     for noise in (0.0, 0.1, 0.3, 1.0):
-        left = 1e-7 * noise / np.hypot(1.0, noise)
-        yield Case(f"white 1e-7, witness noise {noise:g}", white(1e-7, noise), left)
-    yield Case("unrelated, white 1e-7", unrelated(1e-7), 1e-7, related=False)
-    yield Case("unrelated, white 1e-8", unrelated(1e-8), 1e-8, related=False)
+        yield Case(f"white 1e-7, witness noise {noise:g}", white(1e-7, noise))
+    yield Case("unrelated, white 1e-7", unrelated(1e-7))
+    yield Case("unrelated, white 1e-8", unrelated(1e-8))
     if SEISMOMETERS.exists():
         yield Case("recorded 1e-7, the other sensor", recorded(1e-7))
         yield Case("recorded 3e-7, the other sensor", recorded(3e-7), last_arcsec=4.0)
         yield Case("recorded 1e-7, the same sensor", recorded(1e-7, same=True))
-        yield Case("recorded 1e-7, wrong by 200 s", recorded(1e-7, late_s=200.0), related=False)
+        yield Case("recorded 1e-7, wrong by 200 s", recorded(1e-7, late_s=200.0))
 
 
 def decay(ground: Ground, seed: int, last_arcsec: float) -> TurningPoints:
@@ -132,28 +123,12 @@ def decay(ground: Ground, seed: int, last_arcsec: float) -> TurningPoints:
     return with_noise(time, np.abs(turn), parameters.period0_s, NOISE_ARCSEC, rng)
 
 
-def least(points: TurningPoints, left: float, drive: KnownDrive | None = None) -> Floats:
-    """Standard deviations of the Cramer-Rao bound at the truth, with what a witness leaves of the drive.
-
-    With the `drive` that a witness tells, its response is unknown, as it is to the fit: gain and quadrature
-    are columns beside the law's. Without it the response is known: the bound of a calibrated witness.
-    """
-    parameters, pendulum = paper_pair(FLAT)
-    model = ExactModel(points, pendulum, evidence=Evidence(drive=drive))
-    columns = true_columns(model, parameters, points)
-    step = left / density_of_step(1.0, float(np.diff(points.time_s).mean())) / model.reference
-    jacobian = model.on_ground(columns, Noise(step=step, averaged=False))(columns)[1]
-    return bound(model, columns, jacobian)
-
-
 class Run(NamedTuple):
-    """The fits of a decay; the bounds with the response known, and as the fit has to find it."""
+    """The fits of a decay, without and with the witness."""
 
     alone: FitResult
     fit: FitResult
     use: SeismometerUse
-    cpu_s: float
-    bounds: dict[str, Floats]
 
 
 def one_run(case: Case, seed: int) -> Run:
@@ -163,14 +138,8 @@ def one_run(case: Case, seed: int) -> Run:
     alone = fit_exact(points, pendulum, averaged=False)
     times = ground.time_s if ground.witness_time_s is None else ground.witness_time_s
     witness = Seismogram(times, ground.witness[:, None], ("Z",))
-    began_s = process_time()
     found = fit_with_seismometer(points, pendulum, witness, alone, averaged=False)
-    run = Run(alone, found.fit, found.use, process_time() - began_s, {})
-    if case.left is not None and case.related:
-        run.bounds["rms_to_bound"] = least(points, case.left)
-        if (drive := found.fit.evidence.drive) is not None:
-            run.bounds["rms_to_bound_with_response"] = least(points, case.left, drive)
-    return run
+    return Run(alone, found.fit, found.use)
 
 
 def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
@@ -180,23 +149,17 @@ def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
     true = truth(paper_pair(FLAT)[0], runs[0].alone.names)[at]
     alone, fit = (np.array([of.values[at] - true for of in fits]) for fits in _fits(runs))
     u_alone, u = (np.array([of.standard_uncertainty[at] for of in fits]) for fits in _fits(runs))
-    to_bound: dict[str, list[Floats]] = {}
-    for run, off in zip(runs, fit, strict=True):
-        for key, limit in run.bounds.items():
-            to_bound.setdefault(key, []).append(off / limit[at])
     return {
         "seeds": seeds,
         "failed": failed,
         "used": sum(run.use.used for run in runs),
         "explained": float(np.median([run.use.explained for run in runs])),
         "gain_of_prediction": np.quantile([run.use.gain_of_prediction for run in runs], (0, 0.5, 1)).tolist(),
-        "cpu_s": float(np.median([run.cpu_s for run in runs])),
         "u_relative": (np.median(u, axis=0) / true).tolist(),
         "saved_u": np.median(u_alone / u, axis=0).tolist(),
         "saved_scatter": (rms(alone) / rms(fit)).tolist(),
         **coverage(fit / u),
         "moved_in_u": np.max(np.abs(fit - alone) / u_alone, axis=0).tolist(),
-        **{key: rms(rows).tolist() for key, rows in to_bound.items()},
     }
 
 

@@ -1,21 +1,19 @@
-"""Decays of known parameters: how often intervals hold the truth, errors over the claimed u and the bound."""
+"""Decays of known parameters: how often intervals hold the truth, and errors over the claimed u."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from processing.contact import ContactParameters, PendulumOnBall
+from processing.contact import PendulumOnBall
 from processing.deflections import DeflectionUnit
 from processing.fit import FitResult
-from processing.fit.exact_model import ExactModel
-from processing.least_squares import covariance_of
-from processing.swing import TurningPoints, swings_of_blocks
+from processing.swing import swings_of_blocks
 from rig.analysis import refined_half_cycles
 from rig.analysis.air import FittedDrag
 from rig.analysis.contact_fits import RefinedHalfCycles
 from rig.settings import FitSettings
-from tests.processing.fit.decays import ARCSEC, truth
+from tests.processing.fit.decays import ARCSEC
 from tests.processing.fit.frames import seen_in_frames
 
 Floats = NDArray[np.float64]
@@ -56,17 +54,11 @@ def named(names: Sequence[str], table: Mapping[str, Sequence[float]]) -> dict[st
     return {key: dict(zip(names, values, strict=True)) for key, values in table.items()}
 
 
-def true_columns(model: ExactModel, parameters: ContactParameters, points: TurningPoints) -> Floats:
-    """The columns of a model for a decay of these parameters that begins with these points."""
-    known = dict(zip(model.names, truth(parameters, model.names), strict=False))
-    known |= {"initial_amplitude_rad": float(points.amplitude[0]), "start_time_s": float(points.time_s[0])}
-    return np.asarray(model.columns.from_physical(known))
-
-
-def bound(model: ExactModel, columns: Floats, jacobian: Floats) -> Floats:
-    """Standard deviations of the Cramer-Rao bound of the parameters, in the order of the model's names."""
-    matrix = model.columns.physical(columns)[1]
-    return np.asarray(np.sqrt(np.diag(matrix @ covariance_of(jacobian) @ matrix.T)))
+def of_fits(fits: Sequence[FitResult], names: Sequence[str], true: Floats) -> dict[str, dict[str, float]]:
+    """`coverage` of fits whose first parameters are these, by parameter."""
+    count = len(names)
+    pulls = [(fit.values[:count] - true) / fit.standard_uncertainty[:count] for fit in fits]
+    return named(names, coverage(pulls, [held(fit, names, true) for fit in fits]))
 
 
 def in_frames(

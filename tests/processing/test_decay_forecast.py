@@ -85,7 +85,7 @@ def test_a_decay_far_from_what_is_expected_of_friction() -> None:
     assert math.sqrt(np.mean(np.square(wrong))) < 0.07
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     walk=st.floats(0.0, 1.5),
     last_arcsec=st.floats(1.9, 6.0),

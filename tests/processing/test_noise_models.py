@@ -20,6 +20,9 @@ def test_levels_are_the_published_ones() -> None:
     assert low == pytest.approx([-168.0, -163.7, -141.1, -185.0, -185.0, -103.1], abs=0.2)
     high = nhnm_db(1 / np.array([0.1, 0.22, 4.6, 20.0, 354.8, 1e5]))
     assert high == pytest.approx([-91.5, -97.4, -96.5, -138.5, -126.0, -48.5], abs=0.2)
+    within = 1 / np.array([0.1, 4.3, 5.0, 1000.0])
+    assert nlnm_db(within) == pytest.approx([-168.0, -141.1, -141.1, -178.5], abs=0.03)
+    assert nhnm_db(within) == pytest.approx([-91.5, -97.03, -97.69, -111.77], abs=0.03)
 
 
 def test_beyond_the_ends_the_last_value_holds() -> None:

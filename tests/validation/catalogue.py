@@ -171,11 +171,9 @@ ROWS: tuple[Row, ...] = (
         Limit(high=1.06), known="half-cycles while"),
     # damage, kills, light
     Row("damage-lost", _HARM, "A damaged record loses at most one chunk", "300 flipped bits, 300 cuts, both",
-        benchmark("damage", *(f"{kind}: most frames lost" for kind in (
-            "flipped", "cut", "flipped and without footer", "flipped and cut")), part="damages", argument=300), "number", "frames", Limit(high=32)),
+        benchmark("damage", "most frames lost", part="damages", argument=300), "number", "frames", Limit(high=32)),
     Row("damage-wrong", _HARM, "and reads nothing never written", "the same",
-        benchmark("damage", *(f"{kind}: with frames that were never written" for kind in (
-            "flipped", "cut", "flipped and without footer", "flipped and cut")), part="damages", argument=300), "number", "files", Limit(0, 0)),
+        benchmark("damage", "with frames that were never written", part="damages", argument=300), "number", "files", Limit(0, 0)),
     Row("power-cut", _HARM, "A record survives a cut of power", "a virtual machine switched off, two file systems",
         benchmark("power_cut", "ext4: wrong after recovery", "exfat: wrong after recovery"), "number", "wrong records",
         Limit(0, 0)),
@@ -196,9 +194,6 @@ ROWS: tuple[Row, ...] = (
         benchmark("presses", "lit afterwards", "without a trip"), "number", "presses", Limit(0, 0)),
     Row("safety-latch", _HARM, "The firmware's latch holds", "a million random steps, a week, against a short oracle",
         benchmark("firmware", "without leave", "too much", "dark"), "number", "lights without leave", Limit(0, 0)),
-    Row("kernels-stress", _HARM, "Kernels that threads and processes call first at once do not crash",
-        "processes ended by signals, 100 rounds", benchmark("kernel_stress", "crashed"), "number", "crashes", Limit(0, 0),
-        known="kernels called first"),
     # speed
     Row("speed-follow", SPEED, "Following a spot costs less than summing the frame", "ratio to `cv2.sumElems`; spots of 3, 6, 12 px, 0 and 200 hot pixels",
         benchmark("spot_speed", "following, ratio", part="against_sums", argument=200), "number", "", Limit(high=0.4),

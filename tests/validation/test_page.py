@@ -21,8 +21,14 @@ from tests.validation.outside.printed import units_off
 from tests.validation.row import Found, Limit, Missing, Row, limit_of_share
 
 QUICK = [row for row in ROWS if row.quick]
-SHORT = {"nist-starts"}
-"""Quick rows that are known to fall short: bold on the page. One that no longer does is taken out here."""
+SHORT = {"nist-starts": (53.0,)}
+"""Quick rows that are known to fall short, and by what: bold on the page. One that no longer does goes here.
+
+From its far start the search for MGH17 creeps along a bent valley and ends where 60 evaluations gain little,
+though some 900 reach the minimum. The linear model promises 10 there, in units of what a residual adds to
+chi2/2. On plateaus of runs that determine little it promises 2 to 2.5, and all evaluations gain none of it: a
+search that went on for what is promised would end those fits without a result.
+"""
 
 
 def test_the_page_follows_from_what_is_kept() -> None:
@@ -55,6 +61,7 @@ def test_quick_rows_hold(row: Row) -> None:
     except Missing as missing:
         pytest.skip(str(missing))
     assert row.limit.holds(found.values) is (row.name not in SHORT), found
+    assert found.values == SHORT.get(row.name, found.values)
 
 
 def _source_of_benchmark(name: str) -> str:

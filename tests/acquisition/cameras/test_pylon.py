@@ -27,6 +27,15 @@ def _emulation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYLON_CAMEMU", "1")
 
 
+@pytest.fixture
+def camera(_emulation: None) -> Iterator[PylonCamera]:
+    """The emulated camera, open."""
+    camera = PylonCamera()
+    camera.open()
+    yield camera
+    camera.close()
+
+
 class TestConformance(CameraConformance):
     PIXEL_FORMATS: ClassVar[tuple[PixelFormat, ...]] = ("mono8", "mono10", "mono12", "mono16")
     APPLIES: ClassVar[dict[str, float]] = {"exposure_us": 2000.0, "frame_rate_hz": 50.0, "width_px": 320}
@@ -143,9 +152,7 @@ def test_the_camera_that_is_meant_is_found_or_asked_for(monkeypatch: pytest.Monk
     camera.close()
 
 
-def test_features_and_settings_are_those_of_the_camera() -> None:
-    camera = PylonCamera()
-    camera.open()
+def test_features_and_settings_are_those_of_the_camera(camera: PylonCamera) -> None:
     applied = camera.configure(CameraSettings(features={"TestImageSelector": "Testimage2"}))
     assert applied.features == {"TestImageSelector": "Testimage2"}
     values = camera.feature_values()
@@ -154,12 +161,9 @@ def test_features_and_settings_are_those_of_the_camera() -> None:
     assert camera.feature_value("NoSuchFeature") is None
     with pytest.raises(DeviceError, match="has no feature NoSuchFeature"):
         camera.configure(CameraSettings(features={"NoSuchFeature": 1}))
-    camera.close()
 
 
-def test_what_another_program_left_on_is_switched_off_unless_asked() -> None:
-    camera = PylonCamera()
-    camera.open()
+def test_what_another_program_left_on_is_switched_off_unless_asked(camera: PylonCamera) -> None:
     left_on = {"GainAuto": "Continuous", "ExposureAuto": "Continuous", "ExposureMode": "TriggerWidth"}
     for name, value in left_on.items():
         camera._camera.GetNodeMap().GetNode(name).Value = value
@@ -169,12 +173,9 @@ def test_what_another_program_left_on_is_switched_off_unless_asked() -> None:
     assert [camera.feature_value(name) for name in names] == ["Off", "Off", "Timed", "Off"]
     camera.configure(CameraSettings(features={"GainAuto": "Once"}))
     assert camera.feature_value("GainAuto") == "Once"
-    camera.close()
 
 
-def test_trigger_and_exposure_output() -> None:
-    camera = PylonCamera()
-    camera.open()
+def test_trigger_and_exposure_output(camera: PylonCamera) -> None:
     asked = CameraSettings(trigger="Line1", trigger_edge="falling", exposure_output="Line2")
     applied = camera.configure(asked)
     assert (applied.trigger, applied.trigger_edge) == ("Line1", "falling")
@@ -194,12 +195,9 @@ def test_trigger_and_exposure_output() -> None:
         camera.configure(CameraSettings(exposure_output="Line9"))
     with pytest.raises(DeviceError, match=r"has no PtpEnable; leave camera\.ptp out"):
         camera.configure(CameraSettings(ptp=True))
-    camera.close()
 
 
-def test_binning_that_another_program_left_on_is_undone_unless_asked() -> None:
-    camera = PylonCamera()
-    camera.open()
+def test_binning_that_another_program_left_on_is_undone_unless_asked(camera: PylonCamera) -> None:
     camera._camera.BinningHorizontal.Value = 2
     camera._camera.BinningVertical.Value = 2
     assert camera.configure(CameraSettings()).binning == 1
@@ -207,12 +205,9 @@ def test_binning_that_another_program_left_on_is_undone_unless_asked() -> None:
     assert camera.configure(CameraSettings(binning=2)).binning == 2
     assert camera.feature_value("BinningVertical") == 2
     assert camera.configure(CameraSettings(exposure_us=100.0)).binning == 2, "kept"
-    camera.close()
 
 
-def test_one_colour_of_a_mosaic_has_half_the_rows_and_columns() -> None:
-    camera = PylonCamera()
-    camera.open()
+def test_one_colour_of_a_mosaic_has_half_the_rows_and_columns(camera: PylonCamera) -> None:
     asked = CameraSettings(
         colour_plane="green", pixel_format="mono12", width_px=320, height_px=200, frame_rate_hz=50.0
     )
@@ -228,14 +223,12 @@ def test_one_colour_of_a_mosaic_has_half_the_rows_and_columns() -> None:
     camera.open()
     assert camera.configure(CameraSettings()).colour_plane is None
     assert str(camera.feature_value("PixelFormat")).startswith("Mono")
-    camera.close()
 
 
-def test_a_rate_that_the_exposure_does_not_allow_is_said_with_the_one_that_is_possible() -> None:
+def test_a_rate_that_the_exposure_does_not_allow_is_said_with_the_one_that_is_possible(
+    camera: PylonCamera,
+) -> None:
     """The emulation takes any exposure and says that its rate results."""
-    camera = PylonCamera()
-    camera.open()
     asked = CameraSettings(exposure_us=50_000.0, frame_rate_hz=100.0)
     (line,) = setting_differences(asked, camera.configure(asked))
     assert line == "camera.frame_rate_hz = 100 was requested, an exposure of 50000 µs leaves at most 20 Hz"
-    camera.close()

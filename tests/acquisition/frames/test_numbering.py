@@ -140,33 +140,34 @@ def arrivals(times: list[int]) -> list[int]:
     return [HOST_NS + t + round(1e6 * abs(rng.normal(1.0, 0.3))) for t in times]
 
 
-def test_where_frames_without_numbers_are_missing_the_computer_s_clock_says_the_step() -> None:
-    """The camera was reset for 0.98 s: its clock begins again, and its numbers go on by one."""
-    true = [n * INTERVAL_NS + (980_000_000 if n >= 120 else 0) for n in range(300)]
-    shown = [t + 7 * 10**9 if n < 120 else t - true[120] for n, t in enumerate(true)]
-    frames, _, notes, _ = carried(shown, arrivals(true))
-    assert [one.sequence for one in frames] == list(range(300))
-    off = [one.device_time_ns - 7 * 10**9 - t for one, t in zip(frames, true, strict=True)]
-    assert max(map(abs, off)) < 3e6
-    assert len(notes) == 1
+def hanging(true: list[int], first: int, until: int) -> list[int]:
+    """Arrivals at a reader that hangs from one frame to another, and then reads all at once."""
+    host = arrivals(true)
+    for n in range(first, until):
+        host[n] = host[until] - 10_000 * (until - n)
+    return host
 
 
-def test_readings_that_have_become_later_meanwhile_do_not_make_the_step_smaller() -> None:
-    """The computer says the step, and has been busy for some time: it reads all frames 12 ms later."""
-    true = [n * INTERVAL_NS + (980_000_000 if n >= 600 else 0) for n in range(700)]
-    shown = [t + 7 * 10**9 if n < 600 else t - true[600] for n, t in enumerate(true)]
-    host = [ns + 12_000_000 * (n >= 50) for n, ns in enumerate(arrivals(true))]
+@pytest.mark.parametrize(("reset", "later_ns"), [(120, 0), (600, 12_000_000)])
+def test_where_frames_without_numbers_are_missing_the_computer_s_clock_says_the_step(
+    reset: int, later_ns: int
+) -> None:
+    """The camera was reset for 0.98 s: its clock begins again, and its numbers go on by one.
+
+    A computer that has been busy for some time, and reads all frames later, makes the step no smaller.
+    """
+    true = [n * INTERVAL_NS + (980_000_000 if n >= reset else 0) for n in range(reset + 180)]
+    shown = [t + 7 * 10**9 if n < reset else t - true[reset] for n, t in enumerate(true)]
+    host = [ns + later_ns * (n >= 50) for n, ns in enumerate(arrivals(true))]
     frames, _, notes, _ = carried(shown, host)
-    assert len(notes) == 1
+    assert [one.sequence for one in frames] == list(range(reset + 180))
     assert max(abs(one.device_time_ns - 7 * 10**9 - true[one.sequence]) for one in frames) < 3e6
+    assert len(notes) == 1
 
 
 def test_a_step_while_the_reader_hangs_is_as_exact_as_the_camera_s_rate() -> None:
     times = [t + 130_000_000 * (n >= 120) for n, t in enumerate(steady())]
-    host = arrivals([n * INTERVAL_NS for n in range(300)])
-    for n in range(118, 134):
-        host[n] = host[134] - 10_000 * (134 - n)
-    frames, _, notes, _ = carried(times, host)
+    frames, _, notes, _ = carried(times, hanging([n * INTERVAL_NS for n in range(300)], 118, 134))
     assert len(frames) == 300
     assert len(notes) == 1
     assert off_ns(frames) < 20e3
@@ -175,10 +176,7 @@ def test_a_step_while_the_reader_hangs_is_as_exact_as_the_camera_s_rate() -> Non
 def test_what_is_missing_without_numbers_while_the_reader_hangs_for_long_is_no_step() -> None:
     """No clock erred: until the reader is up, those that it takes late say nothing of when they came."""
     true = [n * INTERVAL_NS + 5 * INTERVAL_NS * (n >= 120) for n in range(400)]
-    host = arrivals(true)
-    for n in range(110, 260):
-        host[n] = host[260] - 10_000 * (260 - n)
-    frames, _, notes, _ = carried([10**9 + t for t in true], host)
+    frames, _, notes, _ = carried([10**9 + t for t in true], hanging(true, 110, 260))
     assert [one.sequence for one in frames] == list(range(400))
     off = [one.device_time_ns - 10**9 - t for one, t in zip(frames, true, strict=True)]
     assert max(map(abs, off)) < 3e6
@@ -269,14 +267,6 @@ def test_times_never_run_backwards_however_irregularly_a_camera_without_numbers_
     assert all(later > earlier for earlier, later in pairwise(found))
 
 
-def hanging(true: list[int], first: int, until: int) -> list[int]:
-    """Arrivals at a reader that hangs from one frame to another, and then reads all at once."""
-    host = arrivals(true)
-    for n in range(first, until):
-        host[n] = host[until] - 10_000 * (until - n)
-    return host
-
-
 def rising_by(intervals: list[int]) -> list[int]:
     return [0, *np.cumsum(intervals).tolist()]
 
@@ -347,6 +337,14 @@ def test_a_step_belongs_to_the_frame_after_it_however_many_waited_before(gap: in
     assert step.time_ns == {one.sequence: one.time_ns for one in frames}[135]
 
 
+def after(count: int, first_ns: int = 10**12, in_real_time: bool = True) -> FrameLine:
+    """A line that has taken so many frames, one in 10 ms."""
+    line = FrameLine(in_real_time=in_real_time)
+    for number in range(count):
+        joined_one(line, number, first_ns + number * 10**7, HOST_NS + number * 10**7)
+    return line
+
+
 def joined_one(line: FrameLine, number: int, device_ns: int, host_ns: int) -> tuple[Frame, str]:
     """The frame that the line makes of one whose time is sure, and what is said."""
     passed = line.take(Frame(IMAGE, number, device_ns, host_ns))
@@ -355,9 +353,7 @@ def joined_one(line: FrameLine, number: int, device_ns: int, host_ns: int) -> tu
 
 
 def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
-    line = FrameLine()
-    for number in range(10):
-        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
+    line = after(10, in_real_time=False)
     line.restart()
     host_ns = HOST_NS + 9 * 10**7 + 2 * 10**9
     frame, note = joined_one(line, 0, 12345, host_ns)
@@ -370,9 +366,7 @@ def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
 
 def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
     """As by a network's clock, decades ahead of the camera's own."""
-    line = FrameLine(in_real_time=True)
-    for number in range(10):
-        joined_one(line, number, 10**9 + number * 10**7, HOST_NS + number * 10**7)
+    line = after(10, 10**9)
     line.restart()
     passed = line.take(Frame(IMAGE, 0, 1_700_000_000 * 10**9, HOST_NS + 9 * 10**7 + 10**9))
     (frame,), (step,), ((_, note),) = passed.frames, passed.steps, passed.notes
@@ -384,9 +378,7 @@ def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
 @pytest.mark.parametrize("senseless", [3, 40])
 def test_a_camera_that_comes_back_without_times_continues_its_numbers_all_the_same(senseless: int) -> None:
     """Some first frames, or all, show no time; then a clock that began again, or the computer's."""
-    line = FrameLine(in_real_time=True)
-    for number in range(20):
-        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
+    line = after(20)
     line.restart()
     passed = [
         line.take(Frame(IMAGE, n, 2**62 if n < senseless else 500 + n * 10**7, HOST_NS + 10**9 + n * 10**7))
@@ -401,9 +393,7 @@ def test_a_camera_that_comes_back_without_times_continues_its_numbers_all_the_sa
 
 
 def test_what_waits_when_a_camera_is_lost_is_counted() -> None:
-    line = FrameLine(in_real_time=True)
-    for number in range(20):
-        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
+    line = after(20)
     assert line.take(Frame(IMAGE, 20, 7, HOST_NS + 20 * 10**7)).frames == []
     assert (line.waiting, line.rejected) == (1, 0)
     line.restart()

@@ -27,6 +27,16 @@ class Clock:
         return self.now_s
 
 
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "run.mcap"
+
+
 def written_after_a_second(writer: RecordWriter, clock: Clock, kind: str) -> None:
     """An event, whose writing flushes once."""
     clock.now_s += 1.0
@@ -46,9 +56,9 @@ def kinds(path: Path) -> list[str]:
         return [event.kind for event in reader.events()]
 
 
-def test_writing_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "run.mcap"
-    clock = Clock()
+def test_writing_does_not_wait_for_the_disk(
+    path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
     writer = RecordWriter(path, 0, clock=clock)
     real = mcap_file._sync_file
     entered, go_on = threading.Event(), threading.Event()
@@ -76,10 +86,8 @@ def test_writing_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_what_fails_behind_ones_back_is_said_by_the_next_flush(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "run.mcap"
-    clock = Clock()
     writer = RecordWriter(path, 0, clock=clock)
 
     def gone(number: int) -> None:
@@ -95,10 +103,8 @@ def test_what_fails_behind_ones_back_is_said_by_the_next_flush(
 
 
 def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "run.mcap"
-    clock = Clock()
     writer = RecordWriter(path, 0, clock=clock)
     real = mcap_file._sync_file
     failures = [OSError(errno.EIO, "Input/output error")]
@@ -115,9 +121,9 @@ def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
     assert kinds(path) == ["a", "record", "failed", "stop"]
 
 
-def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "run.mcap"
-    clock = Clock()
+def test_a_disk_that_is_full_behind_ones_back(
+    path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
     writer = RecordWriter(path, 0, clock=clock, reserve_bytes=4096)
 
     def full(self: Reserve, size: int) -> None:
@@ -133,8 +139,7 @@ def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytes
     assert not [finding for finding in check_record(path) if finding.severity == "error"]
 
 
-def test_a_record_that_is_removed_while_it_is_written_is_said_and_saved(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
+def test_a_record_that_is_removed_while_it_is_written_is_said_and_saved(path: Path) -> None:
     writer = RecordWriter(path, 0)
     writer.write_event(0, "a", "")
     path.unlink()

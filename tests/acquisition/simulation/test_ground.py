@@ -56,26 +56,6 @@ def agree(
 
 
 @pytest.mark.parametrize(
-    ("period_s", "low_db", "high_db"),
-    # Peterson 1993, Tables 3 and 4: printed coefficients at printed periods
-    [(0.1, -168.0, -91.5), (4.3, -141.1, -97.03), (1000.0, -178.5, -111.77), (5.0, -141.1, -97.69)],
-)
-def test_noise_models_have_the_printed_values(period_s: float, low_db: float, high_db: float) -> None:
-    frequency_hz = np.array([1 / period_s])
-    assert nlnm_db(frequency_hz)[0] == pytest.approx(low_db, abs=0.03)
-    assert nhnm_db(frequency_hz)[0] == pytest.approx(high_db, abs=0.03)
-
-
-@pytest.mark.skipif(not SHARED.is_dir(), reason="data/ground is not there")
-def test_noise_models_agree_with_the_published_table() -> None:
-    table = np.genfromtxt(SHARED / "peterson.csv", delimiter=",", names=True)
-    # the table is drawn through the breaks of the models, which jump there by up to 0.01 dB
-    assert nlnm_db(1 / table["period_s"]) == pytest.approx(table["nlnm_db"], abs=0.08)
-    assert nhnm_db(1 / table["period_s"]) == pytest.approx(table["nhnm_db"], abs=0.18)
-    assert np.median(np.abs(nlnm_db(1 / table["period_s"]) - table["nlnm_db"])) < 0.01
-
-
-@pytest.mark.parametrize(
     "ground",
     [
         {"model": "white", "white_m_per_s2_per_sqrt_hz": 3e-6},
@@ -109,8 +89,8 @@ def test_level_half_way_is_the_mean_of_the_models_in_db() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("by", ["acceleration", "tilt"])
-def test_linear_oscillator_answers_with_its_transfer_function(by: str) -> None:
+@pytest.mark.parametrize(("by", "hours"), [("acceleration", 3.0), ("tilt", 1.0)])
+def test_linear_oscillator_answers_with_its_transfer_function(by: str, hours: float) -> None:
     """Both modes without friction, with drag: the spectrum from 0.02 Hz to the band's end."""
     drags_s = 0.03, 0.01
     level = 1e-5
@@ -124,7 +104,7 @@ def test_linear_oscillator_answers_with_its_transfer_function(by: str) -> None:
         axes={"leakage": 0.0},
         ground=ground,
     )
-    path = true_path(settings, 3 * 3600.0, 20.0)
+    path = true_path(settings, hours * 3600.0, 20.0)
     for angles, w0, drag_s in ((path.y_rad, W0, drags_s[0]), (path.x_rad, 5 * W0, drags_s[1])):
 
         def answer(f: NDArray[np.float64], w0: float = w0, drag_s: float = drag_s) -> NDArray[np.float64]:

@@ -59,46 +59,39 @@ def integrated(
     return np.array(out)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("drag_s", [0.0, 1e-3])
-@pytest.mark.parametrize("flat", PAIRS)
-def test_agrees_with_integration_over_some_half_cycles(flat: str, drag_s: float) -> None:
-    parameters, pendulum = paper_pair(flat, drag_s)
-    expected = integrated(parameters, pendulum, 124 * ARCSEC, 10)
-    amplitude, time = turning_points_of(parameters, pendulum, 124 * ARCSEC, 10)
-    np.testing.assert_allclose(amplitude, expected[:, 0], rtol=1e-10)
-    np.testing.assert_allclose(time, expected[:, 1], rtol=1e-10)
-
-
-@pytest.mark.slow
-def test_agrees_with_integration_over_a_whole_decay() -> None:
-    """Eight times the friction of steel: from 124 arcsec to 9 in 100 half-cycles."""
-    printed, pendulum = paper_pair("steel", 1e-4)
-    parameters = replace(printed, b=8 * printed.b, c=8 * printed.c)
-    expected = integrated(parameters, pendulum, 124 * ARCSEC, 100)
-    amplitude, time = turning_points_of(parameters, pendulum, 124 * ARCSEC, 100)
-    assert amplitude[-1] < 10 * ARCSEC
-    np.testing.assert_allclose(amplitude, expected[:, 0], rtol=1e-9)
-    np.testing.assert_allclose(time, expected[:, 1], rtol=1e-9)
-
-
-@pytest.mark.parametrize(("p", "n"), [(0.0, 0.0), (0.02, 0.3), (1.0, 1.0), (1.7, 0.01), (0.3, 1.5)])
-def test_agrees_with_integration_at_other_exponents(p: float, n: float) -> None:
+def other_exponents(p: float, n: float) -> tuple[ContactParameters, PendulumOnBall]:
+    """Glass with other exponents, and the same loss and moment at 124 arcsec; in air."""
     printed, pendulum = paper_pair("glass_k8")
     size = 124 * ARCSEC
-    parameters = ContactParameters(
-        printed.b * size ** (printed.p - p),
-        p,
-        printed.c,
-        n,
-        2.5,
-        printed.gamma_pa * size ** (printed.n - n),
-        2e-3,
-    )
-    expected = integrated(parameters, pendulum, size, 10)
-    amplitude, time = turning_points_of(parameters, pendulum, size, 10)
-    np.testing.assert_allclose(amplitude, expected[:, 0], rtol=1e-9)
-    np.testing.assert_allclose(time, expected[:, 1], rtol=1e-9)
+    b, gamma_pa = printed.b * size ** (printed.p - p), printed.gamma_pa * size ** (printed.n - n)
+    return ContactParameters(b, p, printed.c, n, 2.5, gamma_pa, 2e-3), pendulum
+
+
+def eight_times_the_friction() -> tuple[ContactParameters, PendulumOnBall]:
+    """From 124 arcsec to 9 in 100 half-cycles."""
+    printed, pendulum = paper_pair("steel", 1e-4)
+    return replace(printed, b=8 * printed.b, c=8 * printed.c), pendulum
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("contact", "half_cycles", "rtol"),
+    [
+        *((paper_pair(flat, drag_s), 10, 1e-10) for flat in PAIRS for drag_s in (0.0, 1e-3)),
+        *(
+            (other_exponents(p, n), 10, 1e-9)
+            for p, n in ((0.0, 0.0), (0.02, 0.3), (1.0, 1.0), (1.7, 0.01), (0.3, 1.5))
+        ),
+        (eight_times_the_friction(), 100, 1e-9),
+    ],
+)
+def test_agrees_with_integration(
+    contact: tuple[ContactParameters, PendulumOnBall], half_cycles: int, rtol: float
+) -> None:
+    expected = integrated(*contact, 124 * ARCSEC, half_cycles)
+    amplitude, time = turning_points_of(*contact, 124 * ARCSEC, half_cycles)
+    np.testing.assert_allclose(amplitude, expected[:, 0], rtol=rtol)
+    np.testing.assert_allclose(time, expected[:, 1], rtol=rtol)
 
 
 def test_a_free_pendulum_keeps_its_amplitude_and_period() -> None:

@@ -13,7 +13,6 @@ from processing.estimate import Estimate
 from tests.processing.fit.decays import PAIRS, paper_pair
 
 FORCE = 0.406 * STANDARD_GRAVITY_M_PER_S2
-TABLE1 = {"steel": (54, 0.50, 31), "silicon": (59, 0.60, 34), "glass_k8": (66, 0.70, 38)}
 CALCULATED = {
     "steel": (54.04, 0.483, 30.7),
     "silicon": (59.16, 0.579, 33.6),
@@ -28,17 +27,14 @@ SURFACE_ENERGY = {
 
 @pytest.mark.parametrize("flat", PAIRS)
 def test_table_1(flat: str) -> None:
+    """To more digits than are printed; as printed it is a row of docs/validation.md."""
     contact = hertz_contact(FORCE, 6.05e-3, MATERIALS["steel"], MATERIALS[flat])
     found = (
         contact.radius_m.value * 1e6,
         contact.depth_m.value * 1e6,
         np.degrees(contact.angle_rad.value) * 60,
     )
-    for value, printed, calculated, digits in zip(
-        found, TABLE1[flat], CALCULATED[flat], (0.5, 0.05, 0.5), strict=True
-    ):
-        assert abs(value - printed) <= digits, "Table 1 as printed, to its own rounding"
-        assert value == pytest.approx(calculated, rel=2e-3)
+    assert found == pytest.approx(CALCULATED[flat], rel=2e-3)
 
 
 @pytest.mark.parametrize("flat", PAIRS)
@@ -47,8 +43,6 @@ def test_both_forms_of_surface_energy(flat: str) -> None:
     found = surface_energy(Estimate(parameters.c, 0.0), pendulum)
     assert found.table2.value == pytest.approx(SURFACE_ENERGY[flat][0], rel=1e-3)
     assert found.eq2.value == pytest.approx(SURFACE_ENERGY[flat][1], rel=3e-3)
-    printed = {"steel": 27.3e-3, "silicon": 13.2e-3, "glass_k8": 28.9e-3}[flat]
-    assert found.table2.value == pytest.approx(printed, rel=5e-3), "Table 2 as printed"
 
 
 def test_uncertainty_is_that_of_drawn_inputs() -> None:

@@ -1,5 +1,7 @@
 """Both fits recover the true parameters of simulated decays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -91,7 +93,7 @@ def random_contact(seed: int) -> tuple[ContactParameters, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_exact_fit_converges_from_any_reasonable_decay(seed: int) -> None:
     parameters, noise = random_contact(seed)
     _, pendulum = paper_pair("silicon")
@@ -116,13 +118,7 @@ def test_missing_half_cycles_cost_nothing_but_their_information() -> None:
 def test_a_decay_counted_from_any_half_cycle_and_second_is_the_same() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=3)
-    shifted = TurningPoints(
-        points.index + 17,
-        points.time_s + 250.0,
-        points.u_time_s,
-        points.amplitude,
-        points.u_amplitude,
-    )
+    shifted = replace(points, index=points.index + 17, time_s=points.time_s + 250.0)
     first, second = fit_exact(points, pendulum), fit_exact(shifted, pendulum)
     moved = np.abs(second.values[:7] - first.values[:7])
     assert np.all(moved < 1e-3 * first.standard_uncertainty[:7])
@@ -132,12 +128,8 @@ def test_a_decay_counted_from_any_half_cycle_and_second_is_the_same() -> None:
 
 
 def in_pixels(points: TurningPoints, px_per_rad: float) -> TurningPoints:
-    return TurningPoints(
-        points.index,
-        points.time_s,
-        points.u_time_s,
-        points.amplitude * px_per_rad,
-        points.u_amplitude * px_per_rad,
+    return replace(
+        points, amplitude=points.amplitude * px_per_rad, u_amplitude=points.u_amplitude * px_per_rad
     )
 
 
@@ -186,7 +178,7 @@ def test_robust_losses_list_and_outlive_outliers() -> None:
     struck = np.sort(rng.choice(len(points), 20, replace=False))
     amplitude = points.amplitude.copy()
     amplitude[struck] += 60 * points.u_amplitude[struck] * rng.choice([-1, 1], 20)
-    spoilt = TurningPoints(points.index, points.time_s, points.u_time_s, amplitude, points.u_amplitude)
+    spoilt = replace(points, amplitude=amplitude)
     plain = fit_exact(spoilt, pendulum)
     assert plain.chi2_per_dof > 5
     for loss in ("soft_l1", "huber", "cauchy"):
@@ -219,28 +211,19 @@ def test_printed_curvature_is_an_option() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["asymptotic", "exact"])
-def test_stated_uncertainties_are_the_scatter(kind: str) -> None:
-    """Ten seeded runs; the full count, and what intervals hold, are rows of docs/validation.md."""
+def test_stated_uncertainties_of_eqs_5_and_6_are_the_scatter() -> None:
+    """Ten seeded runs; those of the exact fit and of its intervals are a row of docs/validation.md."""
     parameters, pendulum = paper_pair("glass_k8")
-    fit = fit_exact if kind == "exact" else fit_asymptotic
     results = [
-        fit(decay(parameters, pendulum, noise_arcsec=0.02, seed=100 + seed, last_arcsec=5), pendulum)
+        fit_asymptotic(
+            decay(parameters, pendulum, noise_arcsec=0.02, seed=100 + seed, last_arcsec=5), pendulum
+        )
         for seed in range(10)
     ]
     scatter = np.std([result.values[:6] for result in results], axis=0, ddof=1)
     stated = np.mean([result.standard_uncertainty[:6] for result in results], axis=0)
     # a standard deviation from 10 is known to 24 %
     np.testing.assert_allclose(scatter, stated, rtol=3 * 0.24)
-    inside = [
-        low <= getattr(parameters, name) <= high
-        for result in results
-        for name in PAPER.names()
-        for low, high in [result.interval(name, 0.6827)]
-    ]
-    # b and p, gamma, n and T0 nearly share one random number each: three independent ones a seed
-    if kind == "exact":
-        assert np.mean(inside) == pytest.approx(0.68, abs=3.5 * 0.47 / np.sqrt(30))
 
 
 def test_drag_appears_in_the_result() -> None:

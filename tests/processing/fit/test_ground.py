@@ -1,6 +1,6 @@
 """The exact fit on ground that moves: an independent integration drives the pendulum."""
 
-from itertools import product
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_a_short_run_does_not_take_its_drive_for_a_larger_scatter(seed: int) -> 
     assert abs(value - parameters.period0_s) < 2 * u
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_at_rest_the_fit_is_that_of_one_free_decay(seed: int) -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=seed)
@@ -112,12 +112,12 @@ def test_with_a_drive_alone_the_residuals_are_errors_of_one_step() -> None:
 
 @pytest.mark.slow
 def test_on_driven_ground_the_truth_lies_within_the_uncertainties() -> None:
-    """Two seeds each; the full count is the row coverage-ground of docs/validation.md."""
+    """One seed each; the full count is the row coverage-ground of docs/validation.md."""
     z = []
     driven = [("glass_k8", 1e-9), ("glass_k8", 1e-8), ("glass_k8", 1e-7), ("silicon", 1e-8), ("steel", 1e-8)]
-    for seed, (flat, q) in product(range(2), driven):
+    for flat, q in driven:
         parameters, pendulum = paper_pair(flat)
-        points = driven_decay(parameters, pendulum, q=q, noise_arcsec=0.005, seed=seed)
+        points = driven_decay(parameters, pendulum, q=q, noise_arcsec=0.005, seed=0)
         result = fit_exact(points, pendulum, averaged=False)
         z.append(pulls(result, parameters))
         assert result.ground is not None
@@ -131,7 +131,7 @@ def test_on_driven_ground_the_truth_lies_within_the_uncertainties() -> None:
         assert not result.whiteness.correlated
     # six parameters with about three independent errors: 4 u once in 500, and the rms within 4 of its u
     assert np.abs(z).max() < 4.0
-    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(60)
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(30)
 
 
 def test_fits_that_see_no_drive_were_wrong_by_many_uncertainties() -> None:
@@ -190,9 +190,7 @@ def test_a_ground_as_strong_as_the_swing_is_refused_in_one_line() -> None:
 def test_amplitudes_in_another_unit_state_the_drive_in_it() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = driven_decay(parameters, pendulum, q=1e-7, noise_arcsec=0.005, seed=1, last_arcsec=20)
-    scaled = TurningPoints(
-        points.index, points.time_s, points.u_time_s, points.amplitude * 5e4, points.u_amplitude * 5e4
-    )
+    scaled = replace(points, amplitude=points.amplitude * 5e4, u_amplitude=points.u_amplitude * 5e4)
     known, found = fit_exact(points, pendulum).ground, fit_exact(scaled, None).ground
     assert known is not None
     assert found is not None

@@ -24,7 +24,7 @@ def run_of(area_m2: float, seed: int, *, rougher: float = 1.0) -> VanedRun:
         period0_s=PARAMETERS.period0_s * (1 + 0.3 * area_m2),
         b=rougher * PARAMETERS.b,
     )
-    path = driven_path(true, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE, last_arcsec=10)[2]
+    path = driven_path(true, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE, last_arcsec=25)[2]
     points, harmonics = points_and_harmonics(seen_in_frames(path, 0.005 * ARCSEC, [seed, 3], RATE))
     fit = fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform_of(harmonics)))
     return VanedRun(points, fit, area_m2)

@@ -23,7 +23,8 @@ from tests.processing.spot.frames import (
     tilted_light,
 )
 
-FRAMES = {3: 1500, 6: 1000, 12: 350}
+FRAMES = {3: 600, 6: 500, 12: 250}
+"""Of 10,000 a point: rows `spot-bound` and `spot-claims` of docs/validation.md."""
 
 
 @pytest.mark.slow
@@ -33,11 +34,8 @@ FRAMES = {3: 1500, 6: 1000, 12: 350}
         (3, 20, 8, "pedestal"),
         (3, 200, 12, "light"),
         (6, 20, 12, "pedestal"),
-        (6, 20, 8, "light"),
-        (6, 200, 12, "light"),
-        (6, 200, 8, "pedestal"),
+        (6, 200, 8, "light"),
         (12, 20, 12, "light"),
-        (12, 200, 8, "light"),
     ],
 )
 def test_scatter_is_the_bound_and_is_what_is_claimed(
@@ -72,7 +70,7 @@ def test_uneven_pixels_of_one_per_cent_cost_little(peak: int) -> None:
     """Beyond the bound that such pixels themselves leave, which is 9 % above even ones' at peak 200."""
     n = side_of(6)
     rng = np.random.default_rng(7)
-    truth = n / 2 + rng.uniform(-0.5, 0.5, (1000, 2))
+    truth = n / 2 + rng.uniform(-0.5, 0.5, (500, 2))
     images = [exposed(light((n, n), x, y, 6, peak), rng, prnu=0.01) for x, y in truth]
     bound = bound_px((n, n), n / 2, n / 2, 6, peak, prnu=0.01)
     tolerance = rms_tolerance(2 * len(images))

@@ -1,6 +1,7 @@
 """A pendulum that the ground drives, or that is read through air: followed, and with honest uncertainties."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ PER_ACCELERATION = 2e-4 / (9.80665 * 6.05e-3)
 """Angle per acceleration of the ground, in rad s^2/m, with the mass centre 0.2 mm high."""
 
 
+@cache
 def driven(contact: str, q: float, seed: int, frames_per_s: float = 25.0, noise: float = 0.005) -> Record:
     """A decay of the published contact in arcsec, driven by q rad/s^2/sqrt(Hz)."""
     b, p, c, n, period0_s, gamma, _ = CONTACTS[contact]

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import ClassVar
 
@@ -32,6 +33,24 @@ def wait_for_camera() -> None:
     deadline_s = time.monotonic() + PATIENCE_S
     while not find_cameras():
         assert time.monotonic() < deadline_s, "the fake camera does not answer"
+
+
+def begin(camera: AravisCamera) -> None:
+    """Plain frames from now on."""
+    camera.open()
+    camera.configure(PLAIN)
+    camera.start()
+
+
+@contextmanager
+def pulled_out(fake: FakeCamera) -> Iterator[None]:
+    """Without the camera, which answers again at the end."""
+    fake.pull_out()
+    try:
+        yield
+    finally:
+        fake.plug_in()
+        wait_for_camera()
 
 
 @pytest.fixture(scope="module")
@@ -113,9 +132,7 @@ def test_frames_come_whole_while_their_ids_roll_over(
 
     monkeypatch.setattr(BlockNumbers, "number", noted)
     camera = AravisCamera()
-    camera.open()
-    camera.configure(PLAIN)
-    camera.start()
+    begin(camera)
     frames: list[Frame] = []
     while not ids or ids[-1] > 60_000 or ids[-1] < 50:
         frame = camera.read(5.0)
@@ -136,9 +153,7 @@ def test_packets_that_are_lost_make_frames_that_are_counted(fake: FakeCamera) ->
     wait_for_camera()
     camera = AravisCamera()
     try:
-        camera.open()
-        camera.configure(PLAIN)
-        camera.start()
+        begin(camera)
         frames = []
         while not frames or frames[-1].sequence < 200:
             frame = camera.read(10.0)
@@ -159,9 +174,7 @@ def test_packets_that_are_lost_make_frames_that_are_counted(fake: FakeCamera) ->
 
 def test_frames_that_a_late_reader_loses_are_ours(fake: FakeCamera) -> None:
     camera = AravisCamera(AravisSettings(buffers=2))
-    camera.open()
-    camera.configure(PLAIN)
-    camera.start()
+    begin(camera)
     assert camera.read(5.0) is not None
     deadline_s = time.monotonic() + PATIENCE_S
     while camera._stream.get_info_uint64_by_name("n_underruns") < 100:
@@ -174,11 +187,8 @@ def test_frames_that_a_late_reader_loses_are_ours(fake: FakeCamera) -> None:
     assert status.dropped_by_host > 0
 
 
-def test_the_run_goes_on_when_the_camera_comes_back(fake: FakeCamera) -> None:
-    camera = AravisCamera()
-    camera.open()
-    camera.configure(PLAIN)
-    camera.start()
+def test_the_run_goes_on_when_the_camera_comes_back(fake: FakeCamera, camera: AravisCamera) -> None:
+    begin(camera)
     stream = FrameStream(camera, PLAIN)
     assert stream.begin() is not None
     events: list[tuple[str, str]] = []
@@ -211,48 +221,36 @@ def test_the_run_goes_on_when_the_camera_comes_back(fake: FakeCamera) -> None:
 
 def test_a_silent_camera_that_is_there_is_not_taken_for_lost(fake: FakeCamera) -> None:
     camera = Triggered()
-    camera.open()
-    camera.configure(PLAIN)
-    camera.start()
+    begin(camera)
     for _ in range(4):
         with pytest.raises(FrameTimeout):
             camera.read(1.0)
     camera.close()
 
 
-def test_stop_and_close_return_at_once_although_the_camera_is_dead(fake: FakeCamera) -> None:
-    camera = AravisCamera()
-    camera.open()
-    camera.configure(PLAIN)
-    camera.start()
+def test_stop_and_close_return_at_once_although_the_camera_is_dead(
+    fake: FakeCamera, camera: AravisCamera
+) -> None:
+    begin(camera)
     assert camera.read(5.0) is not None
-    fake.pull_out()
-    try:
+    with pulled_out(fake):
         begin_s = time.monotonic()
         camera.stop()
         camera.close()
         # libaravis alone takes 2.5 s for the one and 5 s for the other
         assert time.monotonic() - begin_s < 2.0
-    finally:
-        fake.plug_in()
-        wait_for_camera()
     camera.open()
     camera.close()
 
 
-def test_a_dead_camera_can_not_be_opened_or_set(fake: FakeCamera) -> None:
-    camera = AravisCamera()
+def test_a_dead_camera_can_not_be_opened_or_set(fake: FakeCamera, camera: AravisCamera) -> None:
     camera.open()
-    fake.pull_out()
-    try:
+    with pulled_out(fake):
         with pytest.raises(DeviceError, match=SERIAL):
             camera.configure(PLAIN)
         camera.close()
         with pytest.raises(DeviceError, match="no camera answers"):
             camera.open()
-    finally:
-        fake.plug_in()
-        wait_for_camera()
 
 
 def test_a_wrong_serial_number_lists_what_is_there(fake: FakeCamera) -> None:
@@ -395,9 +393,7 @@ def test_rig_devices_lists_it(fake: FakeCamera) -> None:
 
 
 def test_a_camera_that_is_closed_gives_no_frames_and_no_crash(camera: AravisCamera) -> None:
-    camera.open()
-    camera.configure(PLAIN)
-    camera.start()
+    begin(camera)
     camera.close()
     assert camera.read(0.1) is None
     with pytest.raises(DeviceError, match="not open"):

@@ -6,6 +6,7 @@ import pytest
 from acquisition.camera import CameraSettings, ColourPlane, FrameTimeout
 from acquisition.cameras.pixel_formats import FORMATS
 from acquisition.cameras.usb3vision import camera as driver
+from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from processing.errors import DeviceError
 from rig.instrument import setting_differences
 from tests.acquisition.cameras.usb3vision import description as layout
@@ -16,11 +17,9 @@ from tests.acquisition.cameras.usb3vision.registers import SIRM
 
 @pytest.mark.parametrize("name", [name for name in layout.FORMATS if name.startswith("Mono")])
 def test_every_format_gives_the_cameras_pixels(
-    device: VisionDevice, name: str, monkeypatch: pytest.MonkeyPatch
+    camera: Usb3VisionCamera, device: VisionDevice, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(driver, "_MAX_TRANSFER_BYTES", 1 << 16)  # frames of several transfers
-    camera = camera_on(device)
-    camera.open()
     camera.features.put("PixelFormat", name)
     camera.configure(CameraSettings(width_px=328, height_px=202, offset_x_px=10))
     camera.start()
@@ -31,7 +30,6 @@ def test_every_format_gives_the_cameras_pixels(
         assert np.array_equal(frame.image, device.pixels(frame.sequence))
         assert frame.image.dtype == (np.uint8 if full_scale_dn[device.pixel_format] == 255 else np.uint16)
         assert not frame.image.flags.writeable
-    camera.close()
 
 
 @pytest.mark.parametrize(
@@ -46,20 +44,15 @@ def test_every_format_gives_the_cameras_pixels(
     ],
 )
 def test_a_setting_out_of_range_says_the_range(
-    device: VisionDevice, settings: dict[str, float], expected: str
+    camera: Usb3VisionCamera, settings: dict[str, float], expected: str
 ) -> None:
-    camera = camera_on(device)
-    camera.open()
     with pytest.raises(DeviceError, match=expected):
         camera.configure(CameraSettings.model_validate(settings))
     camera.start()  # and the camera is still good
     assert camera.read(2.0) is not None
-    camera.close()
 
 
-def test_a_region_moves_although_old_and_new_limits_cross(device: VisionDevice) -> None:
-    camera = camera_on(device)
-    camera.open()
+def test_a_region_moves_although_old_and_new_limits_cross(camera: Usb3VisionCamera) -> None:
     for width, offset in ((160, 1280), (1440, 0), (800, 640), (640, 800), (8, 0)):
         applied = camera.configure(CameraSettings(width_px=width, offset_x_px=offset))
         assert (applied.width_px, applied.offset_x_px) == (width, offset)
@@ -67,18 +60,14 @@ def test_a_region_moves_although_old_and_new_limits_cross(device: VisionDevice) 
     with pytest.raises(DeviceError, match=r"width_px with its offset reaches 1480; .*set the offset, too"):
         camera.configure(CameraSettings(width_px=200))
     assert camera.features.region()[::2] == (1280, 160), "as it was"
-    camera.close()
 
 
-def test_a_colour_camera_is_refused_with_the_formats_that_work(device: VisionDevice) -> None:
-    camera = camera_on(device)
-    camera.open()
+def test_a_colour_camera_is_refused_with_the_formats_that_work(camera: Usb3VisionCamera) -> None:
     camera.features.put("PixelFormat", "BayerRG8")
     with pytest.raises(
         DeviceError, match=r"BayerRG8 is not supported; set one of: mono8, mono10, mono12, mono14, mono16"
     ):
         camera.start()
-    camera.close()
 
 
 @pytest.mark.parametrize(
@@ -93,10 +82,8 @@ def test_a_colour_camera_is_refused_with_the_formats_that_work(device: VisionDev
     ],
 )
 def test_one_colour_of_a_mosaic_is_delivered_as_it_was_read(
-    device: VisionDevice, name: str, plane: ColourPlane, row: int, column: int
+    camera: Usb3VisionCamera, device: VisionDevice, name: str, plane: ColourPlane, row: int, column: int
 ) -> None:
-    camera = camera_on(device)
-    camera.open()
     camera.features.put("PixelFormat", name)
     asked = CameraSettings(colour_plane=plane, width_px=160, height_px=101, offset_x_px=5, offset_y_px=3)
     applied = camera.configure(asked)
@@ -110,12 +97,9 @@ def test_one_colour_of_a_mosaic_is_delivered_as_it_was_read(
         assert frame.image.shape == (101, 160)
         assert np.array_equal(frame.image, device.pixels(frame.sequence)[row::2, column::2])
         assert not frame.image.flags.writeable
-    camera.close()
 
 
-def test_a_mosaic_is_chosen_where_a_colour_is_asked_for(device: VisionDevice) -> None:
-    camera = camera_on(device)
-    camera.open()
+def test_a_mosaic_is_chosen_where_a_colour_is_asked_for(camera: Usb3VisionCamera) -> None:
     assert camera.configure(CameraSettings(colour_plane="red")).pixel_format == "mono8"
     assert camera.features.read("PixelFormat") == "BayerRG8"
     assert camera.configure(CameraSettings(pixel_format="mono12")).colour_plane == "red", "kept"
@@ -126,7 +110,6 @@ def test_a_mosaic_is_chosen_where_a_colour_is_asked_for(device: VisionDevice) ->
     camera.open()
     camera.configure(CameraSettings(pixel_format="mono8"))
     assert camera.features.read("PixelFormat") == "Mono8"
-    camera.close()
 
 
 def test_triggers_and_automatisms_are_off_when_they_would_be_in_the_way(device: VisionDevice) -> None:
@@ -181,23 +164,22 @@ def test_a_description_that_is_wrong_is_one_clear_line(xml: str, expected: str) 
     camera.close()
 
 
-def test_what_another_program_left_on_is_switched_off_unless_asked(device: VisionDevice) -> None:
+def test_what_another_program_left_on_is_switched_off_unless_asked(
+    camera: Usb3VisionCamera, device: VisionDevice
+) -> None:
     for address in (layout.EXPOSURE_AUTO, layout.GAIN_AUTO, layout.GAMMA_ENABLE):
         device.poke(address, b"\1\0\0\0")
-    camera = camera_on(device)
-    camera.open()
     camera.configure(CameraSettings())
     names = ("ExposureAuto", "GainAuto", "GammaEnable")
     assert [camera.feature_value(name) for name in names] == ["Off", "Off", False]
     applied = camera.configure(CameraSettings(features={"GainAuto": "Continuous", "GammaEnable": True}))
     assert applied.features == {"GainAuto": "Continuous", "GammaEnable": True}
     assert camera.feature_value("ExposureAuto") == "Off"
-    camera.close()
 
 
-def test_each_edge_on_the_trigger_line_gives_one_frame(device: VisionDevice) -> None:
-    camera = camera_on(device)
-    camera.open()
+def test_each_edge_on_the_trigger_line_gives_one_frame(
+    camera: Usb3VisionCamera, device: VisionDevice
+) -> None:
     applied = camera.configure(CameraSettings(trigger="Line3", frame_rate_hz=5000.0, exposure_us=500.0))
     assert (applied.trigger, applied.trigger_edge) == ("Line3", "rising")
     assert applied.frame_rate_hz == 2000.0, "what the exposure allows, whoever triggers"
@@ -219,12 +201,11 @@ def test_each_edge_on_the_trigger_line_gives_one_frame(device: VisionDevice) -> 
     assert camera.configure(CameraSettings()).trigger is None
     camera.start()
     assert camera.read(2.0) is not None, "without the setting it runs freely again"
-    camera.close()
 
 
-def test_the_exposure_is_shown_on_the_line_that_is_named(device: VisionDevice) -> None:
-    camera = camera_on(device)
-    camera.open()
+def test_the_exposure_is_shown_on_the_line_that_is_named(
+    camera: Usb3VisionCamera, device: VisionDevice
+) -> None:
     assert camera.configure(CameraSettings(exposure_output="Line2")).exposure_output == "Line2"
     assert device.peek(layout.LINE_MODE, 2) == device.peek(layout.LINE_SOURCE, 2) == b"\0\1"
     with pytest.raises(DeviceError, match="LineSelector cannot be Line7; it can be Line1, Line2"):
@@ -235,40 +216,31 @@ def test_the_exposure_is_shown_on_the_line_that_is_named(device: VisionDevice) -
         camera.configure(CameraSettings(binning=2))
     with pytest.raises(DeviceError, match=r"has no PtpEnable; leave camera\.ptp out"):
         camera.configure(CameraSettings(ptp=True))
-    camera.close()
 
 
 @pytest.mark.parametrize(
     ("exposure_us", "bytes_per_s", "possible_hz"), [(40_000.0, 0, 25.0), (1000.0, 30_720_000, 100.0)]
 )
 def test_a_rate_that_exposure_or_bus_do_not_allow_is_said_with_the_one_that_is_possible(
-    device: VisionDevice, exposure_us: float, bytes_per_s: int, possible_hz: float
+    camera: Usb3VisionCamera, device: VisionDevice, exposure_us: float, bytes_per_s: int, possible_hz: float
 ) -> None:
     device.poke(layout.THROUGHPUT, bytes_per_s.to_bytes(4, "little"))
-    camera = camera_on(device)
-    camera.open()
     asked = CameraSettings(exposure_us=exposure_us, frame_rate_hz=500.0)
     applied = camera.configure(asked)
     assert setting_differences(asked, applied) == [
         f"camera.frame_rate_hz = 500.0 was requested, the camera reports {possible_hz}"
     ]
-    camera.close()
 
 
-def test_exposure_and_rate_that_fit_together_are_set_in_either_direction(device: VisionDevice) -> None:
+def test_exposure_and_rate_that_fit_together_are_set_in_either_direction(camera: Usb3VisionCamera) -> None:
     """Each limits the other: 500 Hz do not fit while an exposure takes 40 ms."""
-    camera = camera_on(device)
-    camera.open()
     for exposure_us, rate_hz in ((40_000.0, 20.0), (1000.0, 500.0), (40_000.0, 20.0)):
         applied = camera.configure(CameraSettings(exposure_us=exposure_us, frame_rate_hz=rate_hz))
         assert (applied.exposure_us, applied.frame_rate_hz) == (exposure_us, rate_hz)
     assert camera.configure(CameraSettings(gain_db=-6.0)).gain_db == -6.0, "attenuation is reported as such"
-    camera.close()
 
 
-def test_all_features_can_be_listed(device: VisionDevice) -> None:
-    camera = camera_on(device)
-    camera.open()
+def test_all_features_can_be_listed(camera: Usb3VisionCamera, device: VisionDevice) -> None:
     seen = {reading.name: reading for reading in camera.features.readings()}
     assert seen["Width"].value == 640
     assert (seen["Width"].minimum, seen["Width"].maximum) == (8, 1440)
@@ -278,4 +250,3 @@ def test_all_features_can_be_listed(device: VisionDevice) -> None:
     assert seen["AcquisitionStart"].access == "write-only"
     assert seen["DeviceSerialNumber"].value == device.serial
     assert all(reading.problem == "" for reading in seen.values())
-    camera.close()
