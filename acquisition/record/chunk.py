@@ -18,6 +18,9 @@ of their compression, and the size of the compressed messages, which follow.
 _COMPRESSION = b"zstd"
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode and length of a message, its channel, sequence, log time, publish time; its content follows."""
+MESSAGE_HEAD_BYTES: Final = _MESSAGE.size
+_BEGIN = struct.Struct("<BQH")
+"""The part of it that all messages of one channel and length share."""
 
 
 class Message(NamedTuple):
@@ -89,32 +92,57 @@ def chunk_at(place: int, data: bytes) -> ChunkPlace | None:
     return ChunkPlace(place, HEAD.size + length, start_ns, end_ns) if agree else None
 
 
-def messages_in(record: bytes, place: ChunkPlace, topics: Mapping[int, str], from_ns: int) -> list[Message]:
-    """Messages in a chunk from a time (UTC) on, of the channels in `topics`.
-
-    Raises ValueError, with what has changed, for a damaged chunk.
-    """
+def content_of(record: bytes, place: ChunkPlace, zstd: zstandard.ZstdDecompressor) -> bytes:
+    """The messages of a chunk, verified. Raises ValueError, with what has changed, for a damaged chunk."""
     if len(record) < place.length:
         raise ValueError("ends early, or its disk cannot give all of it")
     if chunk_at(place.offset, record) is None:
         raise ValueError("its head has changed")
     _, _, _, _, size, crc, *_ = CHUNK_HEAD.unpack_from(record)
+    packed = memoryview(record)[CHUNK_HEAD.size :]
     try:
         # one changed bit in either size could make the decompression ask for gigabytes of memory
-        if zstandard.get_frame_parameters(record[CHUNK_HEAD.size :]).content_size != size:
+        if zstandard.get_frame_parameters(packed).content_size != size:
             raise ValueError("its head has changed: it and its data state different sizes")
-        data = zstandard.decompress(record[CHUNK_HEAD.size :])
+        content = zstd.decompress(packed)
     except zstandard.ZstdError as error:
         raise ValueError(f"cannot be decompressed ({error})") from None
-    if len(data) != size or crc != zlib.crc32(data):
+    if len(content) != size or crc != zlib.crc32(content):
         raise ValueError("its checksum does not match: bytes have changed")
-    found, at, last, unpack, message_opcode = [], 0, len(data), _MESSAGE.unpack_from, int(Opcode.MESSAGE)
-    head_bytes, content_at = HEAD.size, _MESSAGE.size
+    return content
+
+
+def messages_in(content: bytes, topics: Mapping[int, str], from_ns: int = 0) -> list[Message]:
+    """Messages in the content of a chunk from a time (UTC) on, of the channels in `topics`."""
+    found, at, last, unpack, message_opcode = [], 0, len(content), _MESSAGE.unpack_from, int(Opcode.MESSAGE)
+    head_bytes = HEAD.size
     while at < last:
         # the first chunk begins with schemas and channels, which are no messages
-        opcode, length, channel, sequence, log_time_ns, _ = unpack(data, at)
+        opcode, length, channel, sequence, log_time_ns, _ = unpack(content, at)
         end = at + head_bytes + length
         if opcode == message_opcode and channel in topics and log_time_ns >= from_ns:
-            found.append(Message(topics[channel], sequence, log_time_ns, data[at + content_at : end]))
+            found.append(
+                Message(topics[channel], sequence, log_time_ns, content[at + MESSAGE_HEAD_BYTES : end])
+            )
         at = end
     return found
+
+
+def rows_in(content: bytes, channel: int, row_bytes: int) -> Iterator[memoryview]:
+    """Consecutive messages of a channel with their heads, `row_bytes` each, in the content of a chunk.
+
+    Raises ValueError if any of its messages has another length.
+    """
+    head = _BEGIN.pack(Opcode.MESSAGE, row_bytes - HEAD.size, channel)
+    at, view = 0, memoryview(content)
+    while at < len(content):
+        begin = at
+        while content.startswith(head, at):
+            at += row_bytes
+        if at > begin:
+            yield view[begin:at]
+            continue
+        opcode, length, number = _BEGIN.unpack_from(content, at)
+        if (opcode, number) == (Opcode.MESSAGE, channel):
+            raise ValueError
+        at += HEAD.size + length

@@ -15,11 +15,11 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 from typing import IO
 
 import numpy as np
+import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, McapRecord, Statistics
@@ -36,7 +36,9 @@ from acquisition.record.chunk import (
     Message,
     bits,
     chunk_at,
+    content_of,
     messages_in,
+    rows_in,
 )
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
@@ -94,6 +96,7 @@ class ReadFile:
         self.attachments: dict[str, list[int]] = {}
         self.damages: dict[int, Damage] = {}
         self._data_end = self._data_crc = 0
+        self._zstd = zstandard.ZstdDecompressor()
         self.file = _open_mcap(path)
         try:
             self.update()
@@ -116,27 +119,42 @@ class ReadFile:
             self._walk()
         return self.readable_bytes > before
 
-    def messages(self, place: ChunkPlace, topic: str | None = None, from_ns: int = 0) -> list[Message]:
-        """Messages of a chunk from a time (UTC) on, those of one topic or all.
-
-        There are none of a damaged chunk, which is listed.
-        """
-        wanted = {number: name for number, name in self.channels.items() if topic in (None, name)}
-        try:
-            return messages_in(self._read(place.offset, place.length), place, wanted, from_ns)
-        except ValueError as error:
-            topics = sorted(name for number, name in self.channels.items() if place.channels >> number & 1)
-            self.note_damage(place.offset, str(error), place.start_ns, place.end_ns, tuple(topics))
-            return []
+    def messages(self, place: ChunkPlace) -> list[Message]:
+        """Messages of a chunk; none of a damaged one, which is listed."""
+        return messages_in(self._content(place), self.channels)
 
     def messages_of(self, topic: str, from_ns: int = 0) -> Iterator[Message]:
         """Messages of a topic in the order of the file; chunks that end before `from_ns` are not read."""
-        wanted = bits(number for number, name in self.channels.items() if name == topic)
-        return chain.from_iterable(
-            self.messages(place, topic, from_ns)
-            for place in (self.chunks if wanted else ())
-            if place.end_ns >= from_ns and (place.channels & wanted or not place.channels)
-        )
+        for channel, content in self._contents(topic, from_ns):
+            yield from messages_in(content, {channel: topic}, from_ns)
+
+    def rows_of(self, topic: str, row_bytes: int, from_ns: int = 0) -> Iterator[memoryview]:
+        """The same in pieces of whole messages with their heads, which have `row_bytes` each.
+
+        Messages before `from_ns` are left out by whole chunks only. Raises RecordError for another length.
+        """
+        for channel, content in self._contents(topic, from_ns):
+            try:
+                yield from rows_in(content, channel, row_bytes)
+            except ValueError:
+                raise other_fields(self.path, topic) from None
+
+    def _contents(self, topic: str, from_ns: int) -> Iterator[tuple[int, bytes]]:
+        """The topic's channel, and the content of each intact chunk that may have messages of it."""
+        for channel in (number for number, name in self.channels.items() if name == topic):
+            wanted = bits([channel])
+            for place in self.chunks:
+                if place.end_ns >= from_ns and (place.channels & wanted or not place.channels):
+                    yield channel, self._content(place)
+
+    def _content(self, place: ChunkPlace) -> bytes:
+        """The verified content of a chunk; nothing of a damaged one, which is listed."""
+        try:
+            return content_of(self._read(place.offset, place.length), place, self._zstd)
+        except ValueError as error:
+            topics = sorted(name for number, name in self.channels.items() if place.channels >> number & 1)
+            self.note_damage(place.offset, str(error), place.start_ns, place.end_ns, tuple(topics))
+            return b""
 
     def copies(self, name: str) -> Iterator[bytes]:
         """The intact copies of an attached file; damaged ones are listed."""
@@ -338,6 +356,11 @@ class ReadFile:
                     return place + at
             place += len(values)
         return None
+
+
+def other_fields(path: Path, topic: str) -> RecordError:
+    """Error for messages of numbers that have another length than those of this version."""
+    return RecordError(f"{path}: {topic} has other fields than this version writes")
 
 
 def _open_mcap(path: Path) -> IO[bytes]:

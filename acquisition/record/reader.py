@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
-from acquisition.record.chunk import Damage, Message
+from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Damage, Message
 from acquisition.record.codec import (
     balances_of,
     decode_preview,
@@ -24,7 +24,7 @@ from acquisition.record.codec import (
 )
 from acquisition.record.digest import is_being_written, utc
 from acquisition.record.events import Event
-from acquisition.record.read_file import ReadFile
+from acquisition.record.read_file import ReadFile, other_fields
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     BALANCE,
@@ -216,7 +216,9 @@ class RecordReader:
             self._picture_chunks_read += 1
             if place.end_ns - self.epoch_offset_ns < self._picture_due_ns:
                 continue
-            for message in self._pixels.messages(place, PREVIEW_TOPIC):
+            for message in self._pixels.messages(place):
+                if message.topic != PREVIEW_TOPIC:
+                    continue
                 time_ns = message.log_time_ns - self.epoch_offset_ns
                 if time_ns >= self._picture_due_ns:
                     self._picture_due_ns = time_ns + interval_ns
@@ -254,8 +256,11 @@ class RecordReader:
 
         Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
-        from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
-        return chain.from_iterable(file.messages_of(topic, from_ns) for file in self.files)
+        return chain.from_iterable(file.messages_of(topic, self._utc_ns(start_ns)) for file in self.files)
+
+    def _utc_ns(self, start_ns: int | None) -> int:
+        """Log time of a time on the frames' clock; 0 for the record's beginning (None)."""
+        return 0 if start_ns is None else start_ns + self.epoch_offset_ns
 
     def _of(self, topic: str, piece: Piece | None) -> Iterable[Message]:
         """Messages of a topic: all, or those in a piece."""
@@ -267,7 +272,12 @@ class RecordReader:
         The names of the fields are those in the file, with units.
         """
         kind = self._kinds[topic]
-        parts = list(self._tables(kind, self._of(topic, piece)))
+        if piece is not None:
+            data = [message.data for message in piece.get(topic, ())]
+            if not {kind.wire_dtype.itemsize}.issuperset(map(len, data)):
+                raise other_fields(self.path, topic)
+            return kind.decode_table(b"".join(data))
+        parts = list(self._tables(kind))
         return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
     def values(self, value_class: type[_Value], piece: Piece | None = None) -> list[_Value]:
@@ -299,7 +309,7 @@ class RecordReader:
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
         wanted = None if fields is None else {"time_ns", *fields}
-        return self._tables(self._kinds[SPOT.topic], self.messages(SPOT.topic, start_ns), wanted)
+        return self._tables(self._kinds[SPOT.topic], start_ns, wanted)
 
     def swings(self, piece: Piece | None = None) -> list[HalfCycle]:
         """All half-cycles, or those in a piece, with amplitudes in `deflection_unit`."""
@@ -337,11 +347,16 @@ class RecordReader:
             yield Frame(image, sequence, time_ns, time_ns)
 
     def _tables(
-        self, kind: MessageType, messages: Iterable[Message], fields: Collection[str] | None = None
+        self, kind: MessageType, start_ns: int | None = None, fields: Collection[str] | None = None
     ) -> Iterator[NDArray[Any]]:
         """Messages of numbers, some thousand rows at a time: a chunk may hold only a few dozen."""
-        data = (message.data for message in messages)
-        while block := list(islice(data, _ROWS_AT_ONCE)):
-            if not {kind.wire_dtype.itemsize}.issuperset(map(len, block)):
-                raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
-            yield kind.decode_table(b"".join(block), fields)
+        row_bytes = MESSAGE_HEAD_BYTES + kind.wire_dtype.itemsize
+        rows = bytearray()
+        for piece in chain(self.numbers.rows_of(kind.topic, row_bytes, self._utc_ns(start_ns)), (b"",)):
+            rows += piece
+            if len(rows) >= _ROWS_AT_ONCE * row_bytes or not piece:
+                table = kind.decode_table(rows, fields, MESSAGE_HEAD_BYTES)
+                table = table if start_ns is None else table[table["time_ns"] >= start_ns]
+                if len(table):
+                    yield table
+                rows = bytearray()
