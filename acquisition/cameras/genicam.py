@@ -12,6 +12,7 @@ from acquisition.camera import (
 )
 from acquisition.cameras.genicam_access import RATE_SWITCH, FeatureAccess, NumericFeature, is_on
 from acquisition.cameras.pixel_formats import (
+    ExpectedFrames,
     Format,
     format_of,
     in_plane_px,
@@ -103,6 +104,13 @@ class GenicamFeatures(FeatureAccess):
             f"set one of: {depths or '(this camera has none)'}"
             + (", or camera.colour_plane to the laser's colour" if mosaic else "")
         )
+
+    def expected_frames(self, *, has_clock: bool) -> ExpectedFrames:
+        """The frames of a run with the present settings; DeviceError if their format is not supported."""
+        pixel_format = self.pixel_format()
+        pixel_format.prepare()
+        _, _, width_px, height_px = self.region()
+        return ExpectedFrames(pixel_format, width_px, height_px, has_clock, self.plane)
 
     def choose_usable_format(self) -> None:
         """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported."""

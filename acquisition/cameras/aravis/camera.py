@@ -6,11 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from acquisition.camera import (
-    CameraInfo,
-    CameraLost,
-    Frame,
-)
+from acquisition.camera import CameraInfo, CameraLost, Frame
 from acquisition.cameras.aravis.library import (
     LAST_SHORT_ID,
     AravisFeatures,
@@ -134,24 +130,15 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             self._closing.wait(self._name)
             camera, library = features.camera, self._library
             assert library is not None
-            pixel_format = features.pixel_format()
-            _, _, width_px, height_px = features.region()
+            expected = features.expected_frames(has_clock=self._has_clock)
             features.select_continuous()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
             count = buffer_count(self._settings.buffers, features.stated_rate(), payload, 64, 4096)
             for _ in range(count):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
-            self._buffers = BufferReader(
-                library.aravis,
-                self._name,
-                pixel_format,
-                width_px,
-                height_px,
-                self._has_clock,
-                self._begin((LAST_SHORT_ID,) if camera.is_gv_device() else ()),
-                features.plane,
-            )
+            numbers = self._begin((LAST_SHORT_ID,) if camera.is_gv_device() else ())
+            self._buffers = BufferReader(library.aravis, self._name, expected, numbers)
             self._last_reply_s = time.monotonic()
             self._stream = stream
             del stream

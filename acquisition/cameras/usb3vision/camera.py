@@ -7,24 +7,20 @@ from typing import Final
 
 import usb.backend
 
-from acquisition.camera import (
-    CameraInfo,
-    CameraLost,
-)
+from acquisition.camera import CameraInfo, CameraLost
 from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.genicam import GenicamCamera
 from acquisition.cameras.reading import CameraRun
-from acquisition.cameras.usb3vision.description import read_description
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink, find_camera
-from acquisition.cameras.usb3vision.node_map import NodeMap, load_genapi
+from acquisition.cameras.usb3vision.node_map import NodeMap, load_genapi, read_description
 from acquisition.cameras.usb3vision.packets import (
     Identity,
     StreamRegisters,
     read_identity,
     silence_events,
 )
-from acquisition.cameras.usb3vision.stream import COUNTERS, ExpectedFrames, UsbFrameStream
+from acquisition.cameras.usb3vision.stream import COUNTERS, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, LibusbTransfers, Transfers
 from processing.errors import DeviceError
 
@@ -138,25 +134,24 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             assert registers is not None
             self._must_be_idle()
             self._end_run()
-            pixel_format = features.pixel_format()
-            pixel_format.prepare()
+            expected = features.expected_frames(has_clock=self._has_clock)
             features.select_continuous()
-            _, _, width_px, height_px = features.region()
-            expected = ExpectedFrames(pixel_format, width_px, height_px, self._has_clock, features.plane)
             registers.enable(False)
             link.reset_stream()
             plan = registers.set_up(_MAX_FRAME_BYTES, _MAX_TRANSFER_BYTES)
-            if sum(plan.payload) < expected.image_bytes:
-                size = f"{expected.width_px} x {expected.height_px} in {pixel_format.name}"
+            image_bytes = expected.image_bytes()
+            if sum(plan.payload) < image_bytes:
+                size = f"{expected.width_px} x {expected.height_px} in {expected.pixel_format.name}"
                 raise DeviceError(
                     f"{self._name}: announces frames of {sum(plan.payload)} bytes, but {size} takes "
-                    f"{expected.image_bytes}; set its size again"
+                    f"{image_bytes}; set its size again"
                 )
             _set_locked(features, True)
             registers.enable(True)
             numbers = self._begin(COUNTERS, has_clock=expected.has_clock)
-            ahead = self._settings.frames_ahead(features.stated_rate(), expected.image_bytes)
-            transfers = self._transfers(link, ahead)
+            transfers = self._transfers(
+                link, self._settings.frames_ahead(features.stated_rate(), image_bytes)
+            )
             self._stream = UsbFrameStream(transfers, plan, expected, link, numbers)
             self._run = CameraRun(self._stream.step, transfers.cancel)
             self._camera_is_running = True

@@ -4,6 +4,7 @@ import errno
 import logging
 import sys
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -82,32 +83,27 @@ class UsbLink:
         stream = self._interface(_STREAM)
         self._control_interface: int = control.bInterfaceNumber
         self.stream_interface: int = stream.bInterfaceNumber
-        self._control_in = self._endpoint(control, usb.util.ENDPOINT_IN)
-        self._control_out = self._endpoint(control, usb.util.ENDPOINT_OUT)
-        self.stream_in = self._endpoint(stream, usb.util.ENDPOINT_IN)
-        self.packet_size = self._packet_size(stream)
+        self._control_in: int = self._endpoint(control, usb.util.ENDPOINT_IN).bEndpointAddress
+        self._control_out: int = self._endpoint(control, usb.util.ENDPOINT_OUT).bEndpointAddress
+        read_from = self._endpoint(stream, usb.util.ENDPOINT_IN)
+        self.stream_in: int = read_from.bEndpointAddress
+        self.packet_size = int(read_from.wMaxPacketSize) & 0x7FF or 1024
 
     def _interface(self, protocol: int) -> Any:
-        for configuration in self.device:
-            for interface in configuration:
-                kind = (interface.bInterfaceClass, interface.bInterfaceSubClass)
-                if kind == (VISION_CLASS, VISION_SUBCLASS) and interface.bInterfaceProtocol == protocol:
-                    self._configuration = configuration.bConfigurationValue
-                    return interface
+        for configuration, interface in _interfaces(self.device):
+            if _is_of_vision(interface) and interface.bInterfaceProtocol == protocol:
+                self._configuration = configuration
+                return interface
         what = "control" if protocol == _CONTROL else "stream"
         raise DeviceError(
             f"{self.name}: has no USB3 Vision {what} interface; it cannot be used with this driver"
         )
 
-    def _endpoint(self, interface: Any, direction: int) -> int:
+    def _endpoint(self, interface: Any, direction: int) -> Any:
         for endpoint in interface:
             if usb.util.endpoint_direction(endpoint.bEndpointAddress) == direction:
-                return int(endpoint.bEndpointAddress)
+                return endpoint
         raise DeviceError(f"{self.name}: interface {interface.bInterfaceNumber} lacks an endpoint")
-
-    def _packet_size(self, stream: Any) -> int:
-        sizes = [e.wMaxPacketSize for e in stream if e.bEndpointAddress == self.stream_in]
-        return int(sizes[0]) & 0x7FF or 1024
 
     def reset_stream(self) -> None:
         """Discard old data of the stream endpoint, by halting it and clearing the halt."""
@@ -319,13 +315,20 @@ def _libusb() -> usb.backend.IBackend:
     return backend
 
 
+def _interfaces(device: Any) -> Iterator[tuple[int, Any]]:
+    """All interfaces of a device, each with the number of its configuration."""
+    for configuration in device:
+        for interface in configuration:
+            yield configuration.bConfigurationValue, interface
+
+
+def _is_of_vision(interface: Any) -> bool:
+    return (interface.bInterfaceClass, interface.bInterfaceSubClass) == (VISION_CLASS, VISION_SUBCLASS)
+
+
 def _is_vision(device: Any) -> bool:
     try:
-        return any(
-            (interface.bInterfaceClass, interface.bInterfaceSubClass) == (VISION_CLASS, VISION_SUBCLASS)
-            for configuration in device
-            for interface in configuration
-        )
+        return any(_is_of_vision(interface) for _, interface in _interfaces(device))
     except usb.core.USBError:
         return False  # unplugged during the search, or without valid descriptors
 
@@ -358,14 +361,13 @@ def _text(device: Any, index: int) -> str:
 
 def _string_indices(device: Any) -> tuple[int, int, int]:
     """String indices of vendor, model and serial, from the camera's descriptor or else the device's."""
-    for configuration in device:
-        for interface in configuration:
-            extra = bytes(interface.extra_descriptors)
-            while len(extra) >= 3 and extra[0] >= 3:
-                length, kind, subtype = extra[0], extra[1], extra[2]
-                if (kind, subtype) == (_DEVICE_INFO_TYPE, _DEVICE_INFO_SUBTYPE):
-                    if length >= _DEVICE_INFO_LENGTH and len(extra) >= length:
-                        return extra[_VENDOR_INDEX], extra[_MODEL_INDEX], extra[_SERIAL_INDEX]
-                    break
-                extra = extra[length:]
+    for _, interface in _interfaces(device):
+        extra = bytes(interface.extra_descriptors)
+        while len(extra) >= 3 and extra[0] >= 3:
+            length, kind, subtype = extra[0], extra[1], extra[2]
+            if (kind, subtype) == (_DEVICE_INFO_TYPE, _DEVICE_INFO_SUBTYPE):
+                if length >= _DEVICE_INFO_LENGTH and len(extra) >= length:
+                    return extra[_VENDOR_INDEX], extra[_MODEL_INDEX], extra[_SERIAL_INDEX]
+                break
+            extra = extra[length:]
     return device.iManufacturer, device.iProduct, device.iSerialNumber

@@ -5,9 +5,9 @@ import struct
 import pytest
 
 from acquisition.camera import CameraLost
-from acquisition.cameras.usb3vision.description import decode_description, read_description, read_manifest
 from acquisition.cameras.usb3vision.gencp import GenCpChannel, NoAnswer, RegisterRefused
 from acquisition.cameras.usb3vision.link import UsbLink, find_camera, find_cameras
+from acquisition.cameras.usb3vision.node_map import decode_description, read_description, read_manifest
 from acquisition.cameras.usb3vision.packets import plan_transfers, read_identity
 from processing.errors import DeviceError
 from tests.acquisition.cameras.usb3vision import description
