@@ -7,7 +7,6 @@ from typing import Final, NamedTuple, Protocol, Self, TypeAlias
 from acquisition.camera import Image
 from acquisition.record.events import Event, EventKind
 from acquisition.record.schemas import Kind, MessageType, message_type_of
-from acquisition.record.window_residual import IntegerGaussian
 from processing.balance import names_with_units
 from processing.deflections import DeflectionUnit
 from processing.spot import Spot, SpotFlag
@@ -228,6 +227,21 @@ class RecordedWindow(NamedTuple):
     origin_px: tuple[int, int]
 
 
+class IntegerGaussian(NamedTuple):
+    """An upright Gaussian in integers.
+
+    Centre in 1/256 px from the window's first pixel, 2^32 over the variances in px^2, amplitude and
+    background in 1/8 DN.
+    """
+
+    x: int
+    y: int
+    inverse_x: int
+    inverse_y: int
+    amplitude: int
+    background: int
+
+
 def _doubles(*names: str) -> tuple[tuple[str, Kind], ...]:
     return tuple((name, "double") for name in names)
 
@@ -310,7 +324,7 @@ WINDOW = MessageType("Window", "/window", _PIXELS, (("pixels", "bytes"),))
 """Pixels row by row: first the low bytes of all, then their high bytes; in a zstd frame if `compressed`.
 
 If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a model of the spot; see
-`acquisition.record.window_residual`.
+`acquisition.record.codec`.
 """
 IMAGE = MessageType("Image", "/image", _PIXELS, (("pixels", "bytes"),))
 """A whole frame, stored as a window is."""

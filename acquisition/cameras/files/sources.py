@@ -21,13 +21,14 @@ from acquisition.cameras.files.formats import (
     HEIGHT,
     STRIP_OFFSETS,
     WIDTH,
+    RawSource,
+    is_raw,
     portable_images,
     read_portable,
     tiff_head,
 )
 from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage
 from acquisition.cameras.files.frame_source import UnreadableFrame as UnreadableFrame
-from acquisition.cameras.files.raw import RawSource, is_raw
 from processing.errors import DeviceError
 
 _PORTABLE = (".pgm", ".ppm", ".pnm")
