@@ -2,14 +2,7 @@
 
 from typing import Final, TypeVar
 
-from acquisition.camera import (
-    CLOCK_STATES,
-    CameraSettings,
-    ColourPlane,
-    Edge,
-    FeatureValue,
-    PixelFormat,
-)
+from acquisition.camera import CLOCK_STATES, CameraSettings, ColourPlane, Edge, FeatureValue, PixelFormat
 from acquisition.cameras.genicam_access import RATE_SWITCH, FeatureAccess, NumericFeature, is_on
 from acquisition.cameras.pixel_formats import (
     ExpectedFrames,
@@ -246,14 +239,13 @@ class GenicamFeatures(FeatureAccess):
 
     def _read_back(self, settings: CameraSettings) -> CameraSettings:
         """The camera's present settings, in pixels of the colour plane; None for those that it lacks."""
-        possible_hz = self.possible_rate()
         # a triggered camera is expected to be triggered at the requested rate
-        triggered_hz = min(filter(None, (settings.frame_rate_hz, possible_hz)), default=None)
+        triggered_hz = min(filter(None, (settings.frame_rate_hz, self.possible_rate())), default=None)
         x, y, width_px, height_px = self.region()
         applied = CameraSettings(
             exposure_us=self.number("exposure_us") or None,
             gain_db=self.number("gain_db"),
-            frame_rate_hz=self.free_rate(possible_hz) if settings.trigger is None else triggered_hz,
+            frame_rate_hz=self.free_rate() if settings.trigger is None else triggered_hz,
             pixel_format=self.pixel_format().pixel_format,
             binning=None if (binned := self.read(_BINNING[0])) is None else round(float(binned)),
             width_px=width_px,

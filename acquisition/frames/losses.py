@@ -20,6 +20,8 @@ _MAX_LOSS_AT_WRAP: Final = 1000
 """Largest number of frames that can be lost where a counter begins again."""
 _RESTARTED_AFTER: Final = 3
 """This many old but rising numbers in a row are no late frames: the camera has begun to count again."""
+LAST_SHORT_ID: Final = 65535
+"""Last 16-bit number of a block, which is followed by 1; zero is not used (GigE Vision 1.x)."""
 LossCause = Literal["dropped_by_camera", "dropped_by_bus", "dropped_by_host"]
 
 

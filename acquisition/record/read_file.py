@@ -132,7 +132,7 @@ class ReadFile:
         for channel, content in self._contents(topic, from_ns):
             yield from messages_in(content, {channel: topic}, from_ns)
 
-    def rows_of(self, topic: str, row_bytes: int, from_ns: int = 0) -> Iterator[memoryview]:
+    def rows_of(self, topic: str, row_bytes: int, from_ns: int = 0) -> Iterator[bytes | memoryview]:
         """The same in pieces of whole messages with their heads, which have `row_bytes` each.
 
         Messages before `from_ns` are left out by whole chunks only. Raises RecordError for another length.
@@ -264,10 +264,10 @@ class ReadFile:
             opcode, length = HEAD.unpack_from(summary, at)
             if opcode == Opcode.CHUNK_INDEX:
                 # not by the library, which takes ten times as long for the chunks of a day
-                _, _, *times, offset, size, index_bytes = _CHUNK_INDEX.unpack_from(summary, at)
+                _, _, start_ns, end_ns, offset, size, index_bytes = _CHUNK_INDEX.unpack_from(summary, at)
                 index = summary[at + _CHUNK_INDEX.size : at + _CHUNK_INDEX.size + index_bytes]
                 channels = bits(channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(index))
-                self._add_chunk(ChunkPlace(offset, size, *times, channels))
+                self._add_chunk(ChunkPlace(offset, size, start_ns, end_ns, channels))
             else:
                 match _parsed(summary[at : at + HEAD.size + length]):
                     case Channel() as channel:

@@ -352,7 +352,8 @@ class RecordReader:
         """Messages of numbers, some thousand rows at a time: a chunk may hold only a few dozen."""
         row_bytes = MESSAGE_HEAD_BYTES + kind.wire_dtype.itemsize
         rows = bytearray()
-        for piece in chain(self.numbers.rows_of(kind.topic, row_bytes, self._utc_ns(start_ns)), (b"",)):
+        pieces = self.numbers.rows_of(kind.topic, row_bytes, self._utc_ns(start_ns))
+        for piece in chain(pieces, (b"",)):
             rows += piece
             if len(rows) >= _ROWS_AT_ONCE * row_bytes or not piece:
                 table = kind.decode_table(rows, fields, MESSAGE_HEAD_BYTES)

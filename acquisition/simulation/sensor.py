@@ -141,8 +141,7 @@ def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int, bi
     empty = np.empty((0, 0), dtype=np.float32)
     response = empty
     if truth.prnu > 0:
-        noise = np.empty((truth.height_px, truth.width_px))
-        randomness.frame_normals(seed, 0, _MAP, 0, randomness.ziggurat(), noise)
+        noise = randomness.normals(seed, 0, _MAP, 0, (truth.height_px, truth.width_px))
         part = np.s_[y0 * binning : (y0 + ny) * binning, x0 * binning : (x0 + nx) * binning]
         blocks = np.maximum(1 + truth.prnu * noise, 0)[part].reshape(ny, binning, nx, binning)
         response = blocks.mean(axis=(1, 3)).astype(np.float32)

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 from acquisition.camera import CameraInfo, CameraLost, Frame
 from acquisition.cameras.aravis.library import (
-    LAST_SHORT_ID,
     AravisFeatures,
     BufferReader,
     Library,
@@ -18,6 +17,7 @@ from acquisition.cameras.aravis.library import (
 from acquisition.cameras.drivers import AravisSettings, buffer_count
 from acquisition.cameras.genicam import GenicamCamera
 from acquisition.cameras.reading import CameraRun
+from acquisition.frames.losses import LAST_SHORT_ID
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)

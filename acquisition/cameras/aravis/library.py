@@ -168,10 +168,6 @@ class AravisFeatures(GenicamFeatures):
         return self.camera.get_device().get_feature(feature)
 
 
-LAST_SHORT_ID: Final = 65535
-"""Last 16-bit id of a frame, which is followed by 1; zero is not used (GigE Vision 1.x)."""
-
-
 class Underruns:
     """Detects that libaravis lacked free buffers, by its count of such events, which may run ahead."""
 

@@ -230,9 +230,14 @@ def missing_frames(time_ns: Sequence[int], numbers: Sequence[int], source: str) 
     ]
     if not gaps:
         return []
-    places = ", ".join(f"{count} after {time_s:.3f} s" for time_s, count in gaps[:_MAX_LISTED])
-    more = f" and {len(gaps) - _MAX_LISTED} more places" if len(gaps) > _MAX_LISTED else ""
-    return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {places}{more}"]
+    places = some_of([f"{count} after {time_s:.3f} s" for time_s, count in gaps])
+    return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {places}"]
+
+
+def some_of(places: Sequence[str]) -> str:
+    """The first places of a list in words, and the number of the others."""
+    more = f" and {len(places) - _MAX_LISTED} more places" if len(places) > _MAX_LISTED else ""
+    return ", ".join(places[:_MAX_LISTED]) + more
 
 
 ONE_IMAGE = "is one image; name the folder that holds the images, or a film"

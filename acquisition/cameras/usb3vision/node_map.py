@@ -181,8 +181,8 @@ class NodeMap(GenicamFeatures):
             if one.value is not None and not one.problem and one.kind != "Command"
         }
 
-    def free_rate(self, possible_hz: float | None) -> float | None:
-        return super().free_rate(possible_hz) if self.number("frame_rate_hz") else None
+    def free_rate(self) -> float | None:
+        return self.stated_rate() if self.number("frame_rate_hz") else None
 
     def possible_rate(self) -> float | None:
         found = self.find("AcquisitionFrameRate")
