@@ -106,9 +106,10 @@ def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Findi
             where = f" before anything was measured, after {file.readable_bytes} bytes"
         findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
     for place in file.chunks:
-        for message in file.messages(place):
-            if message.topic in frames:
-                frames[message.topic].add(message.sequence, message.log_time_ns)
+        piece = file.piece(place)
+        for topic, tally in frames.items():
+            for message in piece.messages(topic):
+                tally.add(message.sequence, message.log_time_ns)
     for attached in file.attachments:
         list(file.copies(attached))
     for offset, damage in file.damages.items():
@@ -255,7 +256,7 @@ def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
     """Copy all intact messages; returns how many, by topic."""
     counts: Counter[str] = Counter()
     for place in file.chunks:
-        for message in file.messages(place):
+        for message in file.piece(place).messages():
             copy.add(*message)
             counts[message.topic] += 1
         if copy.disk.full is not None:

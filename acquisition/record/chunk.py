@@ -1,4 +1,4 @@
-"""One chunk of an MCAP file: its place, its messages, verified by its checksum."""
+"""One chunk of an MCAP file: its place, its content, verified by its checksum, and the messages in that."""
 
 import struct
 import zlib
@@ -112,37 +112,41 @@ def content_of(record: bytes, place: ChunkPlace, zstd: zstandard.ZstdDecompresso
     return content
 
 
-def messages_in(content: bytes, topics: Mapping[int, str], from_ns: int = 0) -> list[Message]:
-    """Messages in the content of a chunk from a time (UTC) on, of the channels in `topics`."""
-    found, at, last, unpack, message_opcode = [], 0, len(content), _MESSAGE.unpack_from, int(Opcode.MESSAGE)
-    head_bytes = HEAD.size
-    while at < last:
-        # the first chunk begins with schemas and channels, which are no messages
-        opcode, length, channel, sequence, log_time_ns, _ = unpack(content, at)
-        end = at + head_bytes + length
-        if opcode == message_opcode and channel in topics and log_time_ns >= from_ns:
-            found.append(
-                Message(topics[channel], sequence, log_time_ns, content[at + MESSAGE_HEAD_BYTES : end])
-            )
-        at = end
-    return found
+class Piece:
+    """The messages of one verified chunk, by topic; `topic in piece` says whether it has any of that topic.
 
-
-def rows_in(content: bytes, channel: int, row_bytes: int) -> Iterator[memoryview]:
-    """Consecutive messages of a channel with their heads, `row_bytes` each, in the content of a chunk.
-
-    Raises ValueError if any of its messages has another length.
+    `channels` are the topics by channel. Runs of messages of one channel and length are found without
+    decoding any of them.
     """
-    head = _BEGIN.pack(Opcode.MESSAGE, row_bytes - HEAD.size, channel)
-    at, view = 0, memoryview(content)
-    while at < len(content):
-        begin = at
-        while content.startswith(head, at):
-            at += row_bytes
-        if at > begin:
-            yield view[begin:at]
-            continue
-        opcode, length, number = _BEGIN.unpack_from(content, at)
-        if (opcode, number) == (Opcode.MESSAGE, channel):
-            raise ValueError
-        at += HEAD.size + length
+
+    def __init__(self, content: bytes, channels: Mapping[int, str]) -> None:
+        self._content = content
+        self._runs: dict[str, list[range]] = {}
+        at = 0
+        while at < len(content):
+            begin, head = at, content[at : at + _BEGIN.size]
+            opcode, length, channel = _BEGIN.unpack(head)
+            step = HEAD.size + length
+            at += step
+            # the first chunk begins with schemas and channels, which are no messages
+            if opcode == Opcode.MESSAGE and channel in channels:
+                while content.startswith(head, at):
+                    at += step
+                self._runs.setdefault(channels[channel], []).append(range(begin, at, step))
+
+    def __contains__(self, topic: str) -> bool:
+        return topic in self._runs
+
+    def messages(self, topic: str | None = None) -> Iterator[Message]:
+        """Messages of a topic, or all, in the order of the file."""
+        runs = [(run, name) for name, found in self._runs.items() if topic in (None, name) for run in found]
+        for run, name in sorted(runs, key=lambda one: one[0].start):
+            for at in run:
+                _, _, _, sequence, log_time_ns, _ = _MESSAGE.unpack_from(self._content, at)
+                data = self._content[at + MESSAGE_HEAD_BYTES : at + run.step]
+                yield Message(name, sequence, log_time_ns, data)
+
+    def rows(self, topic: str) -> Iterator[tuple[int, memoryview]]:
+        """Consecutive messages of a topic with their heads, and the number of bytes of each."""
+        view = memoryview(self._content)
+        return ((run.step, view[run.start : run.stop]) for run in self._runs.get(topic, ()))

@@ -33,12 +33,10 @@ from acquisition.record.chunk import (
     ChunkPlace,
     ChunkPlaces,
     Damage,
-    Message,
+    Piece,
     bits,
     chunk_at,
     content_of,
-    messages_in,
-    rows_in,
 )
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
@@ -123,42 +121,22 @@ class ReadFile:
             self._walk()
         return self.readable_bytes > before
 
-    def messages(self, place: ChunkPlace) -> list[Message]:
-        """Messages of a chunk; none of a damaged one, which is listed."""
-        return messages_in(self._content(place), self.channels)
-
-    def messages_of(self, topic: str, from_ns: int = 0) -> Iterator[Message]:
-        """Messages of a topic in the order of the file; chunks that end before `from_ns` are not read."""
-        for channel, content in self._contents(topic, from_ns):
-            yield from messages_in(content, {channel: topic}, from_ns)
-
-    def rows_of(self, topic: str, row_bytes: int, from_ns: int = 0) -> Iterator[bytes | memoryview]:
-        """The same in pieces of whole messages with their heads, which have `row_bytes` each.
-
-        Messages before `from_ns` are left out by whole chunks only. Raises RecordError for another length.
-        """
-        for channel, content in self._contents(topic, from_ns):
-            try:
-                yield from rows_in(content, channel, row_bytes)
-            except ValueError:
-                raise other_fields(self.path, topic) from None
-
-    def _contents(self, topic: str, from_ns: int) -> Iterator[tuple[int, bytes]]:
-        """The topic's channel, and the content of each intact chunk that may have messages of it."""
-        for channel in (number for number, name in self.channels.items() if name == topic):
-            wanted = bits([channel])
-            for place in self.chunks:
-                if place.end_ns >= from_ns and (place.channels & wanted or not place.channels):
-                    yield channel, self._content(place)
-
-    def _content(self, place: ChunkPlace) -> bytes:
-        """The verified content of a chunk; nothing of a damaged one, which is listed."""
+    def piece(self, place: ChunkPlace) -> Piece:
+        """The messages of a chunk; none of a damaged one, which is listed."""
         try:
-            return content_of(self._read(place.offset, place.length), place, self._zstd)
+            content = content_of(self._read(place.offset, place.length), place, self._zstd)
         except ValueError as error:
             topics = sorted(name for number, name in self.channels.items() if place.channels >> number & 1)
             self.note_damage(place.offset, str(error), place.start_ns, place.end_ns, tuple(topics))
-            return b""
+            content = b""
+        return Piece(content, self.channels)
+
+    def pieces(self, topic: str, from_ns: int = 0) -> Iterator[Piece]:
+        """The chunks that may have messages of a topic; those that end before `from_ns` are not read."""
+        wanted = bits(number for number, name in self.channels.items() if name == topic)
+        for place in self.chunks if wanted else ():
+            if place.end_ns >= from_ns and (place.channels & wanted or not place.channels):
+                yield self.piece(place)
 
     def copies(self, name: str) -> Iterator[bytes]:
         """The intact copies of an attached file; damaged ones are listed."""
@@ -370,11 +348,6 @@ class ReadFile:
 
 def _parsed(record: bytes) -> McapRecord:
     return next(StreamReader(io.BytesIO(record), skip_magic=True).records)
-
-
-def other_fields(path: Path, topic: str) -> RecordError:
-    """Error for messages of numbers that have another length than those of this version."""
-    return RecordError(f"{path}: {topic} has other fields than this version writes")
 
 
 def _open_mcap(path: Path) -> IO[bytes]:
