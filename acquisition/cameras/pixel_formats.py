@@ -236,17 +236,17 @@ class ExpectedFrames:
 
 def in_sensor_px(settings: CameraSettings) -> CameraSettings:
     """Settings with the region converted from pixels of the plane to those of the sensor, for the camera."""
-    if settings.colour_plane is None:
-        return settings
-    stated = {name: getattr(settings, name) for name in _REGION}
-    whole = {name: value * PITCH for name, value in stated.items() if value is not None}
-    return settings.model_copy(update=whole)
+    return settings if settings.colour_plane is None else _in_px_of(settings, lambda px: px * PITCH)
 
 
 def in_plane_px(applied: CameraSettings, plane: ColourPlane | None) -> CameraSettings:
     """Settings as read back, with the region converted from pixels of the sensor to those of the plane."""
     if plane is None:
         return applied
-    stated = {name: getattr(applied, name) for name in _REGION}
-    part = {name: value // PITCH for name, value in stated.items() if value is not None}
-    return applied.model_copy(update=part | {"colour_plane": plane})
+    return _in_px_of(applied, lambda px: px // PITCH).model_copy(update={"colour_plane": plane})
+
+
+def _in_px_of(settings: CameraSettings, convert: Callable[[int], int]) -> CameraSettings:
+    stated = {name: getattr(settings, name) for name in _REGION}
+    found = {name: convert(value) for name, value in stated.items() if value is not None}
+    return settings.model_copy(update=found)

@@ -88,7 +88,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             with self._translate_errors():
                 info, features = self._take_control(self._library, identity)
             if closings != self._closings:
-                self._closing.run(_no_action, features.release(), self._library.error)
+                self._closing.run(None, features.release(), self._library.error)
                 raise DeviceError(f"{self._name}: was closed while it was opened")
             self._features = features
             return info
@@ -193,7 +193,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         camera = None if features is None else features.camera
         if self._library is None:
             return
-        action = _no_action if camera is None or gone.is_set() else camera.stop_acquisition
+        action = None if camera is None or gone.is_set() else camera.stop_acquisition
         del camera
         self._closing.run(action, references, self._library.error)
 
@@ -202,7 +202,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         self.stop()
         features, self._features = self._features, None
         if features is not None and self._library is not None:
-            self._closing.run(_no_action, features.release(), self._library.error)
+            self._closing.run(None, features.release(), self._library.error)
 
 
 class _ClosingActions:
@@ -213,8 +213,8 @@ class _ClosingActions:
     def __init__(self) -> None:
         self._threads: list[threading.Thread] = []
 
-    def run(self, action: Callable[[], None], references: list[Any], error: type[Exception]) -> None:
-        """Run the action, then clear the list `references`; returns after 0.4 s at most, finished or not.
+    def run(self, action: Callable[[], None] | None, references: list[Any], error: type[Exception]) -> None:
+        """Run the action, if any, then clear the list `references`; returns after 0.4 s, finished or not.
 
         There must be no other references to the objects in the list, because dropping the last reference to a
         camera waits for its reply.
@@ -243,17 +243,17 @@ class _ClosingActions:
                 raise DeviceError(f"{name}: does not answer, and is still being closed; wait")
 
 
-def _no_action() -> None:
-    """Empty action."""
-
-
 def _run_action(
-    action: Callable[[], None], references: list[Any], error: type[Exception], earlier: list[threading.Thread]
+    action: Callable[[], None] | None,
+    references: list[Any],
+    error: type[Exception],
+    earlier: list[threading.Thread],
 ) -> None:
     for other in earlier:
         other.join()
     try:
-        action()
+        if action is not None:
+            action()
     except error as failure:
         logger.info("%s", failure)
     references.clear()

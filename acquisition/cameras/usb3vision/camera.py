@@ -91,12 +91,12 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
                 identity = read_identity(self._channel)
                 silence_events(self._channel, identity.event_address)
                 features = self._read_features(self._channel, identity)
-                self._registers = StreamRegisters(self._channel, identity.stream_address, link.name)
+                registers = StreamRegisters(self._channel, identity.stream_address, link.name)
                 self._has_clock = identity.timestamp_increment_ns > 0
                 # end an acquisition that a killed program left running
                 self._try_each(
                     lambda: features.write("AcquisitionStop", True),
-                    lambda: self._enable(False),
+                    lambda: registers.enable(False),
                     lambda: _set_locked(features, False),
                 )
                 info = features.info(
@@ -106,7 +106,7 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
                 self._channel = None
                 link.release()
                 raise
-            self._link, self._features = link, features
+            self._link, self._features, self._registers = link, features, registers
             return info
 
     def _read_features(self, channel: GenCpChannel, identity: Identity) -> NodeMap:
@@ -174,27 +174,23 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
                 self._end_run()
 
     def _end_run(self) -> None:
-        run, features, channel = self._run, self._features, self._channel
+        run, features, registers = self._run, self._features, self._registers
         if run is None:
             return
         run.request_stop()
-        if features is None or channel is None or not self._camera_is_running:
+        if features is None or registers is None or not self._camera_is_running:
             run.stop(_JOIN_S)
             return
         self._camera_is_running = False
         with suppress(CameraLost):
             self._try_each(
                 lambda: features.write("AcquisitionStop", True),
-                lambda: self._enable(False),
+                lambda: registers.enable(False),
                 limit_s=_COMMANDS_S / 2,
             )
         run.stop(_JOIN_S)
         with suppress(CameraLost):
             self._try_each(lambda: _set_locked(features, False), limit_s=_COMMANDS_S / 2)
-
-    def _enable(self, on: bool) -> None:
-        if self._registers is not None:
-            self._registers.enable(on)
 
     def _try_each(self, *steps: Callable[[], None], limit_s: float | None = None) -> None:
         """Call each step, even if earlier ones failed because the camera does not answer.
@@ -218,7 +214,8 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             if not locked:
                 return  # the aborted call, which still holds the lock, will release the camera
             self._end_run()
-            link, self._link, self._features, self._channel = self._link, None, None, None
+            link, self._link, self._features = self._link, None, None
+            self._channel = self._registers = None
             if link is not None:
                 self._when_idle(link.release)
 
