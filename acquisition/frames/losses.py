@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import sub
 from typing import Final, Literal, NamedTuple, Self
 
@@ -163,9 +163,7 @@ class FrameLosses:
     @property
     def discarded_text(self) -> str:
         """The discarded frames by reason, in words."""
-        return str(
-            FrameLosses(0, 0, 0, self.incomplete, 0, self.wrong_time, self.error_status, self.wrong_id)
-        )
+        return str(replace(self, by_camera=0, by_bus=0, by_host=0, while_unplugged=0))
 
     def since(self, before: "FrameLosses") -> "FrameLosses":
         """Losses since the counts `before`."""
