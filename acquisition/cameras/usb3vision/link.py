@@ -49,13 +49,16 @@ class StreamHalted(DeviceError):
     """The stream endpoint has stalled or an error occurred in its transfers; clearing the halt may help."""
 
 
+def _no_access() -> str:
+    """Why a connected camera cannot be opened, and the remedy."""
+    if sys.platform == "win32":
+        return WINUSB
+    return "no permission to use it; run rig doctor --install-udev, and plug the camera in again"
+
+
 def no_permission(name: str) -> DeviceError:
     """Error for a user without permission to open the camera, or on Windows without its driver."""
-    if sys.platform == "win32":
-        return DeviceError(f"{name}: {WINUSB}")
-    return DeviceError(
-        f"{name}: no permission to use it; run rig doctor --install-udev, and plug the camera in again"
-    )
+    return DeviceError(f"{name}: {_no_access()}")
 
 
 def is_gone(error: usb.core.USBError) -> bool:
@@ -258,9 +261,6 @@ def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCame
 
 def list_cameras() -> list[PluggedCamera]:
     """All connected USB3 Vision cameras for ``rig doctor``, with the USB speed as `place`."""
-    remedy = "no permission: run rig doctor --install-udev, and plug the camera in again"
-    if sys.platform == "win32":
-        remedy = WINUSB
     missing = ""
     try:
         load_genapi()
@@ -272,7 +272,7 @@ def list_cameras() -> list[PluggedCamera]:
             name=f"{found.vendor} {found.model}".strip(),
             serial=found.serial,
             place=found.speed_text,
-            problem=missing if found.accessible else remedy,
+            problem=missing if found.accessible else _no_access(),
         )
         for found in find_cameras()
     ]
