@@ -153,10 +153,8 @@ def _times_from_csv(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
         raise DeviceError(
             f"{path}: has {len(body)} rows of times for {count} frames; one row a frame is needed"
         )
-    if "time_ns" in header:
-        times_ns = _require_rising(path, "time_ns", _column(path, header, body, "time_ns", int))
-    else:
-        times_ns = _require_rising(path, "time_s", _column(path, header, body, "time_s", _ns_of_seconds))
+    name, convert = ("time_ns", int) if "time_ns" in header else ("time_s", _ns_of_seconds)
+    times_ns = _require_rising(path, name, _column(path, header, body, name, convert))
     sequence: Sequence[int] = range(count)
     if "sequence" in header:
         numbers = _require_rising(path, "sequence", _column(path, header, body, "sequence", int))

@@ -173,10 +173,8 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
     chosen, missing = devices, ""
     if path is not None:
         path = f"/dev/video{path}" if path.isdigit() else path
-        chosen, missing = (
-            [one for one in devices if one.path == os.path.realpath(path)],
-            f"{path}: is not a camera",
-        )
+        chosen = [one for one in devices if one.path == os.path.realpath(path)]
+        missing = f"{path}: is not a camera"
     elif serial is not None:
         chosen = [one for one in devices if one.serial == serial]
         missing = f"no video device has the serial number {serial!r}"
