@@ -190,10 +190,14 @@ class UsbLink:
         except usb.core.USBError as error:
             raise self.device_error(error, "clearing a stalled endpoint") from error
 
+    def unplugged(self, doing: str) -> CameraLost:
+        """The error of a camera that is no longer there."""
+        return CameraLost(f"{self.name}: is no longer connected ({doing}); plug it in again")
+
     def device_error(self, error: usb.core.USBError, doing: str) -> DeviceError:
         """A DeviceError for an error of the bus."""
         if is_gone(error):
-            return CameraLost(f"{self.name}: is no longer connected ({doing}); plug it in again")
+            return self.unplugged(doing)
         if error.errno == errno.EACCES:
             return no_permission(self.name)
         if error.errno == errno.EBUSY:
