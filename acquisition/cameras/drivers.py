@@ -178,6 +178,10 @@ class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
         default="auto", description="auto queues reads ahead if libusb 1.0 is available; blocking never does"
     )
 
+    def frames_ahead(self, rate_hz: float | None, frame_bytes: int) -> int:
+        """Number of frames of this size for which reads are queued; `rate_hz` is the camera's stated rate."""
+        return buffer_count(self.transfers, rate_hz, frame_bytes, 4, 1024)
+
 
 class V4l2Settings(BaseModel, frozen=True, extra="forbid"):
     """Choice of the camera, and options of this driver."""
