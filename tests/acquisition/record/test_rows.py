@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import REFERENCE, SPOT, SWING
+from acquisition.record.topics import REFERENCE, SPOT, SWING, RecordedLosses
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
@@ -32,6 +32,8 @@ def test_rows_are_those_of_the_messages_one_by_one(tmp_path: Path) -> None:
                 deflections,
                 spots[: count * (block % 2)],
             )
+            # as long as a reference, which it follows
+            writer.write(RecordedLosses(int(times_ns[0]), *range(8)))
             writer.write_event(int(times_ns[0]), "kind", "x" * block)
             if block % 5 == 4:
                 writer.flush()
@@ -44,7 +46,8 @@ def test_rows_are_those_of_the_messages_one_by_one(tmp_path: Path) -> None:
             # every piece is given once, so that the second kind has none
             assert kind is REFERENCE or np.concatenate(pieces).tobytes() == table.tobytes()
         spots = reader.spots()
-        assert len(spots) == 76
+        assert (len(spots), len(reader.table(REFERENCE.topic))) == (76, 48)
+        assert [losses[1:] for losses in reader.values(RecordedLosses)] == [tuple(range(8))] * 24
         for start_ns in (
             0,
             int(spots["time_ns"][9]),
