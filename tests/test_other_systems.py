@@ -31,7 +31,7 @@ for name in ("SIGCHLD", "SIGHUP", "SIGKILL", "SIGPIPE", "SIGUSR1", "SIGUSR2", "p
     vars(signal).pop(name, None)
 
 # what only Linux has is loaded where it is opened; the firmware runs on the board
-ELSEWHERE = ("acquisition.cameras.v4l2.linux", "acquisition.cameras.aravis", "rig.control.firmware")
+ELSEWHERE = ("acquisition.cameras.aravis", "rig.control.firmware")
 for package in sys.argv[1:]:
     root = importlib.import_module(package)
     for module in pkgutil.walk_packages(root.__path__, f"{package}."):

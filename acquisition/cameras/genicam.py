@@ -2,16 +2,10 @@
 
 from typing import Final, TypeVar
 
-from acquisition.camera import (
-    CLOCK_STATES,
-    CameraSettings,
-    ColourPlane,
-    Edge,
-    FeatureValue,
-    PixelFormat,
-)
+from acquisition.camera import CLOCK_STATES, CameraSettings, ColourPlane, Edge, FeatureValue, PixelFormat
 from acquisition.cameras.genicam_access import RATE_SWITCH, FeatureAccess, NumericFeature, is_on
 from acquisition.cameras.pixel_formats import (
+    ExpectedFrames,
     Format,
     format_of,
     in_plane_px,
@@ -103,6 +97,13 @@ class GenicamFeatures(FeatureAccess):
             f"set one of: {depths or '(this camera has none)'}"
             + (", or camera.colour_plane to the laser's colour" if mosaic else "")
         )
+
+    def expected_frames(self, *, has_clock: bool) -> ExpectedFrames:
+        """The frames of a run with the present settings; DeviceError if their format is not supported."""
+        pixel_format = self.pixel_format()
+        pixel_format.prepare()
+        _, _, width_px, height_px = self.region()
+        return ExpectedFrames(pixel_format, width_px, height_px, has_clock, self.plane)
 
     def choose_usable_format(self) -> None:
         """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported."""
@@ -238,14 +239,13 @@ class GenicamFeatures(FeatureAccess):
 
     def _read_back(self, settings: CameraSettings) -> CameraSettings:
         """The camera's present settings, in pixels of the colour plane; None for those that it lacks."""
-        possible_hz = self.possible_rate()
         # a triggered camera is expected to be triggered at the requested rate
-        triggered_hz = min(filter(None, (settings.frame_rate_hz, possible_hz)), default=None)
+        triggered_hz = min(filter(None, (settings.frame_rate_hz, self.possible_rate())), default=None)
         x, y, width_px, height_px = self.region()
         applied = CameraSettings(
             exposure_us=self.number("exposure_us") or None,
             gain_db=self.number("gain_db"),
-            frame_rate_hz=self.free_rate(possible_hz) if settings.trigger is None else triggered_hz,
+            frame_rate_hz=self.free_rate() if settings.trigger is None else triggered_hz,
             pixel_format=self.pixel_format().pixel_format,
             binning=None if (binned := self.read(_BINNING[0])) is None else round(float(binned)),
             width_px=width_px,

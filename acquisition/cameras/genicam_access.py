@@ -182,9 +182,9 @@ class FeatureAccess(ABC):
         """Highest frame rate in Hz to expect, triggered or not; None if the camera states none."""
         return min(filter(None, (self.number("frame_rate_hz"), self.possible_rate())), default=None)
 
-    def free_rate(self, possible_hz: float | None) -> float | None:
-        """Frame rate in Hz without a trigger, at most `possible_hz`; None: unknown."""
-        return min(filter(None, (self.number("frame_rate_hz"), possible_hz)), default=None)
+    def free_rate(self) -> float | None:
+        """Frame rate in Hz without a trigger; None: unknown."""
+        return self.stated_rate()
 
     def info(self, driver: str, vendor: str, model: str, serial: str, *, has_clock: bool) -> CameraInfo:
         """Identity and sensor of the camera at its present pixel format."""

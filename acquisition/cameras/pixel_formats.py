@@ -208,19 +208,45 @@ def place_in_mosaic(colours: str, plane: ColourPlane) -> tuple[int, int]:
     return row, rows[row].index(plane[0].upper())
 
 
+@dataclass(frozen=True, slots=True)
+class ExpectedFrames:
+    """Format and size of every frame of a run, whether the camera has a clock, and the colour to deliver."""
+
+    pixel_format: Format
+    width_px: int
+    height_px: int
+    has_clock: bool
+    plane: ColourPlane | None
+
+    def image_bytes(self, x_padding: int = 0) -> int:
+        """Number of bytes of the image on the bus, with `x_padding` bytes after each row."""
+        return self.pixel_format.byte_count(self.width_px, self.height_px, x_padding)
+
+    def may_have_padding(self, x_padding: int) -> bool:
+        """Whether `x_padding` bytes after each row can be left out."""
+        return not x_padding or self.pixel_format.rows_end_with_bytes(self.width_px)
+
+    def image(self, raw: Bytes, x_padding: int = 0) -> Image:
+        """The image in these bytes, of the colour to deliver; read-only."""
+        whole = self.pixel_format.image(raw, self.width_px, self.height_px, x_padding)
+        image = plane_of(whole, self.pixel_format.colours, self.plane)
+        image.flags.writeable = False
+        return image
+
+
 def in_sensor_px(settings: CameraSettings) -> CameraSettings:
     """Settings with the region converted from pixels of the plane to those of the sensor, for the camera."""
-    if settings.colour_plane is None:
-        return settings
-    stated = {name: getattr(settings, name) for name in _REGION}
-    whole = {name: value * PITCH for name, value in stated.items() if value is not None}
-    return settings.model_copy(update=whole)
+    return settings if settings.colour_plane is None else _in_px_of(settings, lambda px: px * PITCH)
 
 
 def in_plane_px(applied: CameraSettings, plane: ColourPlane | None) -> CameraSettings:
     """Settings as read back, with the region converted from pixels of the sensor to those of the plane."""
     if plane is None:
         return applied
-    stated = {name: getattr(applied, name) for name in _REGION}
-    part = {name: value // PITCH for name, value in stated.items() if value is not None}
-    return applied.model_copy(update=part | {"colour_plane": plane})
+    return _in_px_of(applied, lambda px: px // PITCH).model_copy(update={"colour_plane": plane})
+
+
+def _in_px_of(settings: CameraSettings, convert: Callable[[int], int]) -> CameraSettings:
+    stated = {name: getattr(settings, name) for name in _REGION}
+    found = {name: convert(value) for name, value in stated.items() if value is not None}
+    return settings.model_copy(update=found)

@@ -7,18 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from acquisition.camera import (
-    CameraInfo,
-    CameraLost,
-    ColourPlane,
-    FeatureValue,
-    Frame,
-    PluggedCamera,
-)
+from acquisition.camera import CameraInfo, CameraLost, ColourPlane, FeatureValue, Frame, PluggedCamera
 from acquisition.cameras.drivers import PylonSettings, buffer_count
 from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures
 from acquisition.cameras.pixel_formats import Format, plane_of
 from acquisition.cameras.reading import CameraRun, only_camera
+from acquisition.frames.losses import LAST_SHORT_ID
 from processing.errors import MissingPackage
 from processing.units import NS_PER_S
 
@@ -90,8 +84,6 @@ class PylonFeatures(GenicamFeatures):
 
 _NO_BLOCK: Final = 2**64 - 1
 """Block number that means "not known"."""
-_LAST_GIGE_BLOCK: Final = 65535
-"""Last block number of a GigE camera, which is followed by 1."""
 
 
 class PylonCamera(GenicamCamera[PylonFeatures]):
@@ -148,7 +140,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         with self._lock, self._translate_errors():
             features, camera = self._open_device(), self._camera
             self._must_be_idle()
-            self._begin((_LAST_GIGE_BLOCK,))
+            self._begin((LAST_SHORT_ID,))
             self._format_and_plane = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             frame_bytes = camera.PayloadSize.Value

@@ -210,10 +210,7 @@ class _SimulatedFrames:
         self._numbered_from = 0
         self._begin_ns = time.monotonic_ns()
         self._last_host_ns = 0
-        self._delivered = 0
-        self._dropped_by_camera = 0
-        self._dropped_by_host = 0
-        self._reconnects = 0
+        self.status = CameraStatus()
         self._unplug_at: float = _frame_at(faults.camera_unplugged_at_s, self._rate_hz)
         self._stall_at: float = _frame_at(faults.frames_stalled_at_s, self._rate_hz)
         self._stall_end: float = self._stall_at + math.ceil(faults.frames_stalled_duration_s * self._rate_hz)
@@ -229,15 +226,6 @@ class _SimulatedFrames:
     def stalled(self) -> bool:
         """Whether no frames come although the camera is plugged in, which opening it again does not cure."""
         return self._stall_at <= self._next < self._stall_end
-
-    @property
-    def status(self) -> CameraStatus:
-        return CameraStatus(
-            delivered=self._delivered,
-            dropped_by_camera=self._dropped_by_camera,
-            dropped_by_host=self._dropped_by_host,
-            reconnects=self._reconnects,
-        )
 
     def stop(self) -> None:
         self._stopped.set()
@@ -295,7 +283,7 @@ class _SimulatedFrames:
         if self._settings.real_time:
             self._next = max(self._next, self._due(time.monotonic_ns()))
         self._numbered_from = self._next
-        self._reconnects += 1
+        self.status += CameraStatus(reconnects=1)
         self.lost = False
         self._stopped.clear()
 
@@ -321,12 +309,12 @@ class _SimulatedFrames:
         late = self._due(time.monotonic_ns()) - frame - self._settings.buffer_frames
         if late > 0:
             self._next += late
-            self._dropped_by_host += late
+            self.status += CameraStatus(dropped_by_host=late)
         return self._next
 
     def _pass_over(self, count: int) -> None:
         self._next += count
-        self._dropped_by_camera += count
+        self.status += CameraStatus(dropped_by_camera=count)
 
     def _row(self, frame: int) -> int:
         while frame >= self._plan.first + self._block:
@@ -355,7 +343,7 @@ class _SimulatedFrames:
             host_ns = max(arrived_ns, self._last_host_ns + 1)
         self._last_host_ns = host_ns
         self._next = frame + 1
-        self._delivered += 1
+        self.status += CameraStatus(delivered=1)
         device_ns = int(plan.device_time_ns[row])
         if self._settings.real_time:
             device_ns = self._faulty_clock_ns(frame, device_ns)

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import sub
 from typing import Final, Literal, NamedTuple, Self
 
@@ -20,6 +20,8 @@ _MAX_LOSS_AT_WRAP: Final = 1000
 """Largest number of frames that can be lost where a counter begins again."""
 _RESTARTED_AFTER: Final = 3
 """This many old but rising numbers in a row are no late frames: the camera has begun to count again."""
+LAST_SHORT_ID: Final = 65535
+"""Last 16-bit number of a block, which is followed by 1; zero is not used (GigE Vision 1.x)."""
 LossCause = Literal["dropped_by_camera", "dropped_by_bus", "dropped_by_host"]
 
 
@@ -161,9 +163,7 @@ class FrameLosses:
     @property
     def discarded_text(self) -> str:
         """The discarded frames by reason, in words."""
-        return str(
-            FrameLosses(0, 0, 0, self.incomplete, 0, self.wrong_time, self.error_status, self.wrong_id)
-        )
+        return str(replace(self, by_camera=0, by_bus=0, by_host=0, while_unplugged=0))
 
     def since(self, before: "FrameLosses") -> "FrameLosses":
         """Losses since the counts `before`."""

@@ -1,4 +1,4 @@
-"""One chunk of an MCAP file: its place, its messages, verified by its checksum."""
+"""One chunk of an MCAP file: its place, its content, verified by its checksum, and the messages in that."""
 
 import struct
 import zlib
@@ -18,6 +18,9 @@ of their compression, and the size of the compressed messages, which follow.
 _COMPRESSION = b"zstd"
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode and length of a message, its channel, sequence, log time, publish time; its content follows."""
+MESSAGE_HEAD_BYTES: Final = _MESSAGE.size
+_BEGIN = struct.Struct("<BQH")
+"""The part of it that all messages of one channel and length share."""
 
 
 class Message(NamedTuple):
@@ -89,32 +92,61 @@ def chunk_at(place: int, data: bytes) -> ChunkPlace | None:
     return ChunkPlace(place, HEAD.size + length, start_ns, end_ns) if agree else None
 
 
-def messages_in(record: bytes, place: ChunkPlace, topics: Mapping[int, str], from_ns: int) -> list[Message]:
-    """Messages in a chunk from a time (UTC) on, of the channels in `topics`.
-
-    Raises ValueError, with what has changed, for a damaged chunk.
-    """
+def content_of(record: bytes, place: ChunkPlace, zstd: zstandard.ZstdDecompressor) -> bytes:
+    """The messages of a chunk, verified. Raises ValueError, with what has changed, for a damaged chunk."""
     if len(record) < place.length:
         raise ValueError("ends early, or its disk cannot give all of it")
     if chunk_at(place.offset, record) is None:
         raise ValueError("its head has changed")
     _, _, _, _, size, crc, *_ = CHUNK_HEAD.unpack_from(record)
+    packed = memoryview(record)[CHUNK_HEAD.size :]
     try:
         # one changed bit in either size could make the decompression ask for gigabytes of memory
-        if zstandard.get_frame_parameters(record[CHUNK_HEAD.size :]).content_size != size:
+        if zstandard.get_frame_parameters(packed).content_size != size:
             raise ValueError("its head has changed: it and its data state different sizes")
-        data = zstandard.decompress(record[CHUNK_HEAD.size :])
+        content = zstd.decompress(packed)
     except zstandard.ZstdError as error:
         raise ValueError(f"cannot be decompressed ({error})") from None
-    if len(data) != size or crc != zlib.crc32(data):
+    if len(content) != size or crc != zlib.crc32(content):
         raise ValueError("its checksum does not match: bytes have changed")
-    found, at, last, unpack, message_opcode = [], 0, len(data), _MESSAGE.unpack_from, int(Opcode.MESSAGE)
-    head_bytes, content_at = HEAD.size, _MESSAGE.size
-    while at < last:
-        # the first chunk begins with schemas and channels, which are no messages
-        opcode, length, channel, sequence, log_time_ns, _ = unpack(data, at)
-        end = at + head_bytes + length
-        if opcode == message_opcode and channel in topics and log_time_ns >= from_ns:
-            found.append(Message(topics[channel], sequence, log_time_ns, data[at + content_at : end]))
-        at = end
-    return found
+    return content
+
+
+class Piece:
+    """The messages of one verified chunk, by topic; `topic in piece` says whether it has any of that topic.
+
+    `channels` are the topics by channel. Runs of messages of one channel and length are found without
+    decoding any of them.
+    """
+
+    def __init__(self, content: bytes, channels: Mapping[int, str]) -> None:
+        self._content = content
+        self._runs: dict[str, list[range]] = {}
+        at = 0
+        while at < len(content):
+            begin, head = at, content[at : at + _BEGIN.size]
+            opcode, length, channel = _BEGIN.unpack(head)
+            step = HEAD.size + length
+            at += step
+            # the first chunk begins with schemas and channels, which are no messages
+            if opcode == Opcode.MESSAGE and channel in channels:
+                while content.startswith(head, at):
+                    at += step
+                self._runs.setdefault(channels[channel], []).append(range(begin, at, step))
+
+    def __contains__(self, topic: str) -> bool:
+        return topic in self._runs
+
+    def messages(self, topic: str | None = None) -> Iterator[Message]:
+        """Messages of a topic, or all, in the order of the file."""
+        runs = [(run, name) for name, found in self._runs.items() if topic in (None, name) for run in found]
+        for run, name in sorted(runs, key=lambda one: one[0].start):
+            for at in run:
+                _, _, _, sequence, log_time_ns, _ = _MESSAGE.unpack_from(self._content, at)
+                data = self._content[at + MESSAGE_HEAD_BYTES : at + run.step]
+                yield Message(name, sequence, log_time_ns, data)
+
+    def rows(self, topic: str) -> Iterator[tuple[int, memoryview]]:
+        """Consecutive messages of a topic with their heads, and the number of bytes of each."""
+        view = memoryview(self._content)
+        return ((run.step, view[run.start : run.stop]) for run in self._runs.get(topic, ()))

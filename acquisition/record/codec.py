@@ -1,8 +1,13 @@
 """Encoding of values as messages, and decoding: pixels, spots, half-cycles, balances, Foxglove's types.
 
-Windows around the spot and whole frames are both compressed without loss.
+Windows around the spot and whole frames are both compressed without loss. Windows are stored in about half
+the bytes as the pixels minus a model of the fitted spot. The model is computed from six integers by integer
+arithmetic only, so that every computer computes the same; docs/reference/record.md states the rule.
+Differences are stored as bit planes, which zstd compresses best.
 """
 
+import functools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -25,11 +30,12 @@ from acquisition.record.topics import (
     SENSOR_FRAME,
     SWING,
     WINDOW,
+    IntegerGaussian,
     RecordedWindow,
 )
-from acquisition.record.window_residual import IntegerGaussian, from_planes, spot_model, to_planes
 from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
+from processing.kernel import kernel
 from processing.spot import Spot
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
@@ -38,6 +44,18 @@ _ZSTD_LEVEL = 1
 _LARGE_BYTES = 64 * 1024
 """Size from which on an image is compressed by itself, which is faster than in a chunk of small messages."""
 _NO_MODEL = IntegerGaussian(0, 0, 0, 0, 0, 0)
+
+_LAST = 9216
+"""Last entry of the table: 6 standard deviations, where less than one part in 4096 is left."""
+_DECAY = 1150671902385460292
+"""exp(-1/512) times 2^60, rounded down."""
+_VALUE_LIMIT = 2**16
+"""Upper limit of all numbers in px and DN, so that the pixels of the model fit into 32 bits."""
+_MAX_CORRELATION = 0.05
+"""Correlation of x and y in the beam above which the upright model leaves more than noise."""
+_LOWEST_BITS = np.uint64(0x0101010101010101)
+_GATHER = np.uint64(0x8040201008040201)
+_TOP_BYTE = np.uint64(56)
 
 
 def encode_window(
@@ -85,6 +103,127 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
         image = np.ascontiguousarray(planes.T).view(f"<u{size}").reshape(shape)
     image.flags.writeable = False
     return RecordedWindow(field["sequence"], field["time_ns"], image, (field["x0_px"], field["y0_px"]))
+
+
+def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> IntegerGaussian | None:
+    """Model of a spot in a window (ny, nx) with the first pixel (x0, y0).
+
+    None where the spot was lost, is too tilted, or needs larger integers than these.
+    """
+    x_px, y_px = spot.x_px - x0_px, spot.y_px - y0_px
+    numbers = (x_px, y_px, *spot[4:9])
+    if not all(abs(number) < _VALUE_LIMIT for number in numbers):
+        return None
+    cos, sin = math.cos(spot.rotation_rad), math.sin(spot.rotation_rad)
+    # pixels integrate over the light, which widens the spot by the variance of their width
+    square_x, square_y = spot.sigma_x_px**2, spot.sigma_y_px**2
+    variance_x = square_x * cos**2 + square_y * sin**2 + 1 / 12
+    variance_y = square_x * sin**2 + square_y * cos**2 + 1 / 12
+    root = math.sqrt(variance_x * variance_y)
+    amplitude_dn = spot.amplitude_dn * abs(spot.sigma_x_px * spot.sigma_y_px) / root
+    if abs((square_x - square_y) * sin * cos) > _MAX_CORRELATION * root:
+        return None
+    model = IntegerGaussian(
+        round(256 * x_px),
+        round(256 * y_px),
+        round(2**32 / variance_x),
+        round(2**32 / variance_y),
+        round(8 * amplitude_dn),
+        max(0, round(8 * spot.background_dn)),
+    )
+    if min(model[2:]) < 0 or model.inverse_x == 0 or model.amplitude + model.background >= 8 * _VALUE_LIMIT:
+        return None
+    reach_x = max(abs(model.x), abs(256 * shape[1] - model.x))
+    reach_y = max(abs(model.y), abs(256 * shape[0] - model.y))
+    fits = max(reach_x**2 * model.inverse_x, reach_y**2 * model.inverse_y) < 2**63
+    return model if fits else None
+
+
+def to_planes(image: Image, model: IntegerGaussian) -> tuple[int, bytes]:
+    """Bit planes of the image (ny, nx) minus the model: their number and their bytes."""
+    # a copy where it is not writable: for such arrays numba would compile the kernel a second time
+    pixels = np.require(image, f"u{image.itemsize}", ("C", "W"))
+    planes = np.empty((8 * image.itemsize, (image.size + 7) // 8), dtype=np.uint8)
+    count = _fill_planes(pixels, _table(), *model, planes)
+    return count, planes[:count].tobytes()
+
+
+def from_planes(
+    data: bytes, count: int, model: IntegerGaussian, shape: tuple[int, int], bytes_per_pixel: int
+) -> Image:
+    """Image of this shape (ny, nx) from `count` bit planes. Raises ValueError where sizes differ."""
+    kind = np.dtype(f"u{bytes_per_pixel}")
+    size = shape[0] * shape[1]
+    planes = np.frombuffer(data, dtype=np.uint8).reshape(count, (size + 7) // 8)
+    folded = np.zeros(size, dtype=kind)
+    for plane, bits in enumerate(np.unpackbits(planes, axis=1, count=size)):
+        folded |= bits.astype(kind) << kind.type(plane)
+    rest = (folded >> kind.type(1)) ^ -(folded & kind.type(1))
+    down = model.amplitude * _profile(shape[0], model.y, model.inverse_y) >> 12
+    across = _profile(shape[1], model.x, model.inverse_x)
+    modelled = (np.multiply.outer(down, across) + ((model.background << 12) + (1 << 14))) >> 15
+    image: Image = modelled.astype(kind) + rest.reshape(shape)
+    return image
+
+
+def _profile(count: int, centre: int, inverse: int) -> NDArray[np.int64]:
+    """Gaussian of height 4096 at the pixels 0, 1, ... of a line."""
+    distance = 256 * np.arange(count, dtype=np.int64) - centre
+    return _table().take(distance * distance * inverse >> 40, mode="clip")
+
+
+@kernel
+def _fill_planes(
+    image: Image,
+    table: NDArray[np.int64],
+    x: int,
+    y: int,
+    inverse_x: int,
+    inverse_y: int,
+    amplitude: int,
+    background: int,
+    planes: NDArray[np.uint8],
+) -> int:
+    """Write the bit planes of the image minus the model; returns how many are not empty."""
+    ny, nx = image.shape
+    bits, in_plane = planes.shape
+    modulus = (1 << bits) - 1
+    offset = (background << 12) + (1 << 14)
+    across = np.empty(nx, dtype=np.int64)
+    for column in range(nx):
+        across[column] = table[min((256 * column - x) ** 2 * inverse_x >> 40, _LAST)]
+    low = np.zeros(8 * in_plane, dtype=np.uint8)
+    high = np.zeros(8 * in_plane if bits > 8 else 0, dtype=np.uint8)
+    used = 0
+    for row in range(ny):
+        height = amplitude * table[min((256 * row - y) ** 2 * inverse_y >> 40, _LAST)] >> 12
+        for column in range(nx):
+            rest = (np.int64(image[row, column]) - ((height * across[column] + offset) >> 15)) & modulus
+            # 0, -1, 1, -2, ... become 0, 1, 2, 3, ...: twice the number, all bits turned where it is negative
+            number = ((rest << 1) ^ -(rest >> (bits - 1))) & modulus
+            used |= number
+            low[row * nx + column] = number & 255
+            if bits > 8:
+                high[row * nx + column] = number >> 8
+    count = 0
+    while used >> count:
+        eights = (low if count < 8 else high).view(np.uint64)
+        shift = np.uint64(count % 8)
+        for i in range(in_plane):
+            # the product brings the lowest bits of eight bytes together, the first byte's to the top
+            planes[count, i] = (((eights[i] >> shift) & _LOWEST_BITS) * _GATHER) >> _TOP_BYTE
+        count += 1
+    return count
+
+
+@functools.cache
+def _table() -> NDArray[np.int64]:
+    """exp(-i/512) times 4096, rounded, from repeated products of integers; the last entry is 0."""
+    entries, value = [], 1 << 60
+    for _ in range(_LAST):
+        entries.append(((value >> 47) + 1) >> 1)
+        value = value * _DECAY >> 60
+    return np.array([*entries, 0], dtype=np.int64)
 
 
 def encode_spots(

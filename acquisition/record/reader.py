@@ -3,9 +3,9 @@
 import datetime
 import time
 from collections.abc import Collection, Iterable, Iterator
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
-from typing import Any, Self, TypeAlias, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
-from acquisition.record.chunk import Damage, Message
+from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Damage, Message
+from acquisition.record.chunk import Piece as Piece
 from acquisition.record.codec import (
     balances_of,
     decode_preview,
@@ -49,8 +50,6 @@ from processing.errors import RecordError
 from processing.swing import HalfCycle
 
 _Value = TypeVar("_Value", bound=TimedMessage)
-Piece: TypeAlias = dict[str, list[Message]]
-"""Messages of a chunk, by topic."""
 
 _ROWS_AT_ONCE = 4096
 _LOOK_S = 0.1
@@ -199,10 +198,7 @@ class RecordReader:
         """
         while self._chunks_read < len(self.numbers.chunks):
             self._chunks_read += 1
-            piece: Piece = {}
-            for message in self.numbers.messages(self.numbers.chunks[self._chunks_read - 1]):
-                piece.setdefault(message.topic, []).append(message)
-            yield piece
+            yield self.numbers.piece(self.numbers.chunks[self._chunks_read - 1])
 
     def unread_pictures(self, interval_ns: int, until_ns: int) -> Iterator[tuple[int, int, bytes]]:
         """Frame number, time and JPEG of previews that this method has not yielded before, in order of time.
@@ -216,7 +212,7 @@ class RecordReader:
             self._picture_chunks_read += 1
             if place.end_ns - self.epoch_offset_ns < self._picture_due_ns:
                 continue
-            for message in self._pixels.messages(place, PREVIEW_TOPIC):
+            for message in self._pixels.piece(place).messages(PREVIEW_TOPIC):
                 time_ns = message.log_time_ns - self.epoch_offset_ns
                 if time_ns >= self._picture_due_ns:
                     self._picture_due_ns = time_ns + interval_ns
@@ -254,12 +250,18 @@ class RecordReader:
 
         Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
-        from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
-        return chain.from_iterable(file.messages_of(topic, from_ns) for file in self.files)
+        from_ns = self._utc_ns(start_ns)
+        for file in self.files:
+            for piece in file.pieces(topic, from_ns):
+                yield from (one for one in piece.messages(topic) if one.log_time_ns >= from_ns)
 
-    def _of(self, topic: str, piece: Piece | None) -> Iterable[Message]:
+    def _utc_ns(self, start_ns: int | None) -> int:
+        """Log time of a time on the frames' clock; 0 for the record's beginning (None)."""
+        return 0 if start_ns is None else start_ns + self.epoch_offset_ns
+
+    def _of(self, topic: str, piece: Piece | None) -> Iterator[Message]:
         """Messages of a topic: all, or those in a piece."""
-        return self.messages(topic) if piece is None else piece.get(topic, ())
+        return self.messages(topic) if piece is None else piece.messages(topic)
 
     def table(self, topic: str, piece: Piece | None = None) -> NDArray[Any]:
         """Messages of a topic of numbers, all or those in a piece, as a structured array (n,).
@@ -267,7 +269,8 @@ class RecordReader:
         The names of the fields are those in the file, with units.
         """
         kind = self._kinds[topic]
-        parts = list(self._tables(kind, self._of(topic, piece)))
+        pieces = self.numbers.pieces(topic) if piece is None else [piece]
+        parts = list(self._tables(kind, pieces))
         return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
     def values(self, value_class: type[_Value], piece: Piece | None = None) -> list[_Value]:
@@ -299,7 +302,11 @@ class RecordReader:
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
         wanted = None if fields is None else {"time_ns", *fields}
-        return self._tables(self._kinds[SPOT.topic], self.messages(SPOT.topic, start_ns), wanted)
+        pieces = self.numbers.pieces(SPOT.topic, self._utc_ns(start_ns))
+        for table in self._tables(self._kinds[SPOT.topic], pieces, wanted):
+            rest = table if start_ns is None else table[table["time_ns"] >= start_ns]
+            if len(rest):
+                yield rest
 
     def swings(self, piece: Piece | None = None) -> list[HalfCycle]:
         """All half-cycles, or those in a piece, with amplitudes in `deflection_unit`."""
@@ -337,11 +344,18 @@ class RecordReader:
             yield Frame(image, sequence, time_ns, time_ns)
 
     def _tables(
-        self, kind: MessageType, messages: Iterable[Message], fields: Collection[str] | None = None
+        self, kind: MessageType, pieces: Iterable[Piece], fields: Collection[str] | None = None
     ) -> Iterator[NDArray[Any]]:
         """Messages of numbers, some thousand rows at a time: a chunk may hold only a few dozen."""
-        data = (message.data for message in messages)
-        while block := list(islice(data, _ROWS_AT_ONCE)):
-            if not {kind.wire_dtype.itemsize}.issuperset(map(len, block)):
-                raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
-            yield kind.decode_table(b"".join(block), fields)
+        wanted_bytes = MESSAGE_HEAD_BYTES + kind.wire_dtype.itemsize
+        rows = bytearray()
+        for piece in pieces:
+            for row_bytes, run in piece.rows(kind.topic):
+                if row_bytes != wanted_bytes:
+                    raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
+                rows += run
+            if len(rows) >= _ROWS_AT_ONCE * wanted_bytes:
+                yield kind.decode_table(rows, fields, MESSAGE_HEAD_BYTES)
+                rows = bytearray()
+        if rows:
+            yield kind.decode_table(rows, fields, MESSAGE_HEAD_BYTES)

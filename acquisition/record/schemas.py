@@ -218,9 +218,14 @@ class MessageType:
             raise ValueError(f"{self.full_name}: is not such a message")
         return tuple(values)
 
-    def decode_table(self, messages: bytes, names: Collection[str] | None = None) -> NDArray[Any]:
-        """Joined messages of numbers as a structured array (n,), of all fields or of those in `names`."""
-        wire = np.frombuffer(messages, self.wire_dtype)
+    def decode_table(
+        self, messages: bytes | bytearray, names: Collection[str] | None = None, head_bytes: int = 0
+    ) -> NDArray[Any]:
+        """Joined messages of numbers as a structured array (n,), of all fields or of those in `names`.
+
+        `head_bytes` other bytes precede each message.
+        """
+        wire = np.frombuffer(messages, [("head", f"V{head_bytes}"), ("message", self.wire_dtype)])["message"]
         wanted = [(name, kind) for name, kind in self.numbers if names is None or name in names]
         table = np.empty(len(wire), dtype=[(name, _NUMPY[kind]) for name, kind in wanted])
         for name, _ in wanted:

@@ -7,7 +7,6 @@ from typing import Final, NamedTuple, Protocol, Self, TypeAlias
 from acquisition.camera import Image
 from acquisition.record.events import Event, EventKind
 from acquisition.record.schemas import Kind, MessageType, message_type_of
-from acquisition.record.window_residual import IntegerGaussian
 from processing.balance import names_with_units
 from processing.deflections import DeflectionUnit
 from processing.spot import Spot, SpotFlag
@@ -228,32 +227,27 @@ class RecordedWindow(NamedTuple):
     origin_px: tuple[int, int]
 
 
+class IntegerGaussian(NamedTuple):
+    """An upright Gaussian in integers.
+
+    Centre in 1/256 px from the window's first pixel, 2^32 over the variances in px^2, amplitude and
+    background in 1/8 DN.
+    """
+
+    x: int
+    y: int
+    inverse_x: int
+    inverse_y: int
+    amplitude: int
+    background: int
+
+
 def _doubles(*names: str) -> tuple[tuple[str, Kind], ...]:
     return tuple((name, "double") for name in names)
 
 
 def _ints(*names: str) -> tuple[tuple[str, Kind], ...]:
     return tuple((name, "int") for name in names)
-
-
-_FRAME = _ints("sequence", "time_ns", "device_time_ns", "host_time_ns")
-_SPOT = (*_doubles(*Spot._fields[:-1]), *_ints("flags"))
-
-
-def _turning_point(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
-    """The fields of `HalfCycle` in its order, their names with the unit."""
-    return (
-        *_ints("index", "turn_time_ns"),
-        *_doubles("u_turn_time_s", f"amplitude_{unit}", f"u_amplitude_{unit}"),
-        *_doubles("half_period_s", "u_half_period_s", f"centre_{unit}"),
-        *_ints("side", "flags"),
-    )
-
-
-def _balance(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
-    """The numbers of `Balance` in its order, their names with the unit."""
-    time_ns, *numbers = names_with_units(unit).values()
-    return *_ints(time_ns), *_doubles(*numbers)
 
 
 _SPOT_DESCRIPTION = (
@@ -270,38 +264,40 @@ DEFLECTION_FIELDS = {
 }
 """Names of the fields for x, y and their standard uncertainties in the message of a spot, by unit."""
 
-_UNITS: Final = ((DeflectionUnit.RAD, ""), (DeflectionUnit.PX, "Uncalibrated"))
-"""Units of deflections: with a calibrated lever, and without one."""
-SPOT, SPOT_UNCALIBRATED = (
-    MessageType(
-        f"{prefix}Spot",
-        "/spot",
-        (
-            *_FRAME,
-            *_SPOT,
-            *_doubles(*DEFLECTION_FIELDS[unit], *(() if prefix else ("x_arcsec", "y_arcsec"))),
-        ),
-        description=_SPOT_DESCRIPTION,
-        meanings=(SpotFlag,),
+
+def _types_in(unit: DeflectionUnit) -> tuple[MessageType, MessageType, MessageType]:
+    """Types of one frame, one half-cycle and one state of the balance, with deflections in this unit."""
+    calibrated = unit is DeflectionUnit.RAD
+    prefix = "" if calibrated else "Uncalibrated"
+    spot = (
+        *_ints("sequence", "time_ns", "device_time_ns", "host_time_ns"),
+        *_doubles(*Spot._fields[:-1]),
+        *_ints("flags"),
+        *_doubles(*DEFLECTION_FIELDS[unit], *(("x_arcsec", "y_arcsec") if calibrated else ())),
     )
-    for unit, prefix in _UNITS
-)
-"""One frame: its number and times, the spot, the deflections of the pendulum."""
-SWING, SWING_UNCALIBRATED = (
-    MessageType(
-        f"{prefix}Swing",
-        "/swing",
-        (*_turning_point(unit), *_doubles(*(() if prefix else ("amplitude_arcsec",)), "period_s")),
-        description=_SWING_DESCRIPTION,
-        meanings=(HalfCycleFlag, TurningSide),
+    # the fields of `HalfCycle` in its order, then those for displays
+    half_cycle = (
+        *_ints("index", "turn_time_ns"),
+        *_doubles("u_turn_time_s", f"amplitude_{unit}", f"u_amplitude_{unit}"),
+        *_doubles("half_period_s", "u_half_period_s", f"centre_{unit}"),
+        *_ints("side", "flags"),
+        *_doubles(*(("amplitude_arcsec",) if calibrated else ()), "period_s"),
     )
-    for unit, prefix in _UNITS
-)
-"""One half-cycle."""
-BALANCE, BALANCE_UNCALIBRATED = (
-    MessageType(f"{prefix}Balance", "/balance", _balance(unit)) for unit, prefix in _UNITS
-)
-"""One state of the balance; without a lever in px, except the line's angle."""
+    # the numbers of `Balance` in its order
+    time_ns, *numbers = names_with_units(unit).values()
+    half_cycle_meanings = (HalfCycleFlag, TurningSide)
+    return (
+        MessageType(f"{prefix}Spot", "/spot", spot, (), _SPOT_DESCRIPTION, (SpotFlag,)),
+        MessageType(f"{prefix}Swing", "/swing", half_cycle, (), _SWING_DESCRIPTION, half_cycle_meanings),
+        MessageType(f"{prefix}Balance", "/balance", (*_ints(time_ns), *_doubles(*numbers))),
+    )
+
+
+TYPES_BY_UNIT: Final = {unit: _types_in(unit) for unit in (DeflectionUnit.RAD, DeflectionUnit.PX)}
+"""Types of the messages whose fields have the unit of the deflections; they are the first in every record."""
+SPOT, SWING, BALANCE = TYPES_BY_UNIT[DeflectionUnit.RAD]
+SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED = TYPES_BY_UNIT[DeflectionUnit.PX]
+"""The same without a lever, in px but for the angle of the balance's line."""
 _PIXELS = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
@@ -310,7 +306,7 @@ WINDOW = MessageType("Window", "/window", _PIXELS, (("pixels", "bytes"),))
 """Pixels row by row: first the low bytes of all, then their high bytes; in a zstd frame if `compressed`.
 
 If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a model of the spot; see
-`acquisition.record.window_residual`.
+`acquisition.record.codec`.
 """
 IMAGE = MessageType("Image", "/image", _PIXELS, (("pixels", "bytes"),))
 """A whole frame, stored as a window is."""
@@ -354,11 +350,6 @@ KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
 ENVIRONMENT, REFERENCE, WITNESS, CLOCK = (
     KIND_OF[one] for one in (Environment, RecordedReference, RecordedWitness, ClockAnchor)
 )
-TYPES_BY_UNIT: Final = {
-    DeflectionUnit.RAD: (SPOT, SWING, BALANCE),
-    DeflectionUnit.PX: (SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED),
-}
-"""Types of the messages whose fields have the unit of the deflections; they are the first in every record."""
 Topics: TypeAlias = dict[str, MessageType | None]
 """Message types of a file by topic, in the order of the channels 1, 2, ...; None: a type of Foxglove's."""
 

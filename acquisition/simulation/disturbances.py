@@ -5,6 +5,7 @@ They depend only on the seed, the run and the number of the frame; frames are re
 
 import math
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +21,15 @@ JITTER, WALK, CLOCK, POWER, _DROP = 4, 5, 6, 7, 8
 _AIR, _PHASE, _OWN_AIR = (17, 18), 19, (20, 21)
 
 
-class FrameNoise:
+class FrameNoise(NamedTuple):
     """Random numbers of one run, for consecutive frames of which `first` is the number of the first one."""
 
-    def __init__(self, seed: int, run: int) -> None:
-        self._seed = seed
-        self._run = run
-        self._edges = randomness.ziggurat()
+    seed: int
+    run: int
 
     def normals(self, purpose: int, first: int, count: int, columns: int = 1) -> NDArray[np.float64]:
         """Standard normal numbers (count, columns) for one purpose."""
-        out = np.empty((count, columns))
-        randomness.frame_normals(self._seed, self._run, purpose, first, self._edges, out)
-        return out
+        return randomness.normals(self.seed, self.run, purpose, first, (count, columns))
 
     def dropped(self, first: int, count: int, fraction: float) -> NDArray[np.bool_]:
         """Whether the camera loses each frame, (count,), with the probability `fraction`."""

@@ -14,7 +14,7 @@ of laser and sensor with the base is neglected.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -303,7 +303,7 @@ class SimulatedSeismometer:
             )
         self._settings = settings
         self._run = -1
-        self._ground: Callable[[NDArray[np.float64]], list[NDArray[np.float64]]] | None = None
+        self._acceleration_m_per_s2: Sequence[SmoothSeries] = ()
         self._noise = np.random.default_rng()
         self._next = 0
 
@@ -311,20 +311,15 @@ class SimulatedSeismometer:
         """The samples since the last call, up to a time of a run; they begin anew with another run."""
         truth = self._settings.witness
         if run != self._run:
-            self._begin(run)
+            ground = ground_of(self._settings, run)
+            assert ground is not None
+            self._acceleration_m_per_s2, self._run, self._next = ground.acceleration_m_per_s2, run, 0
+            self._noise = np.random.default_rng([self._settings.seed, run, _SEISMOMETER])
         last = int(np.floor(time_s * truth.rate_hz))
         times = np.arange(self._next, last + 1) / truth.rate_hz
         self._next = max(self._next, last + 1)
-        assert self._ground is not None
         past_s = np.maximum(times - truth.delay_s, 0.0)
+        values = np.column_stack([series.at(past_s) for series in self._acceleration_m_per_s2])
         size = truth.noise_m_per_s2_per_sqrt_hz * np.sqrt(0.5 * truth.rate_hz)
-        values = np.column_stack(self._ground(past_s)) + size * self._noise.standard_normal((len(times), 2))
+        values = values + size * self._noise.standard_normal((len(times), 2))
         return SeismometerSamples(times, truth.counts_per_m_per_s2 * values)
-
-    def _begin(self, run: int) -> None:
-        found = ground_of(self._settings, run)
-        assert found is not None
-        series = found.acceleration_m_per_s2
-        self._run, self._next = run, 0
-        self._ground = lambda times: [one.at(times) for one in series]
-        self._noise = np.random.default_rng([self._settings.seed, run, _SEISMOMETER])

@@ -140,6 +140,15 @@ def poisson(state: np.uint64, mean: float) -> tuple[np.uint64, float]:
             return state, k
 
 
+def normals(
+    seed: int, run: int, purpose: int, first_frame: int, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Standard normal numbers of this shape, one row a frame; see `frame_normals`."""
+    out = np.empty(shape)
+    frame_normals(seed, run, purpose, first_frame, ziggurat(), out)
+    return out
+
+
 @kernel
 def frame_normals(
     seed: int, run: int, purpose: int, first_frame: int, edges: NDArray[np.float64], out: NDArray[np.float64]

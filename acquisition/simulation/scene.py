@@ -104,17 +104,10 @@ class Scene:
         self._outputs = RigState(laser_w=settings.optics.laser_w)
         if inputs is not None:
             self._command(inputs.begin(), 0.0)
-        self._state = state
         brightness = camera.exposure_us / truth.exposure_us
         self._peak_e = settings.optics.peak_dn * truth.gain_e_per_dn * brightness * area
-        self._readout = sensor.Readout(
-            gain_e_per_dn=state.gain_e_per_dn,
-            black_level_dn=state.black_level_dn,
-            full_scale_dn=float(state.full_scale_dn),
-            full_well_e=truth.full_well_e * area,
-            read_noise_e=state.read_noise_e,
-            ambient_e=truth.ambient_dn * truth.gain_e_per_dn * brightness * area,
-        )
+        ambient_e = truth.ambient_dn * truth.gain_e_per_dn * brightness * area
+        self._readout = state._replace(ambient_e=ambient_e)
         self._dark = sensor.dark_table(state)
         region_px = (camera.offset_x_px, camera.offset_y_px, camera.width_px, camera.height_px)
         self._pixels = sensor.pixels(truth, settings.seed, *region_px, camera.binning)

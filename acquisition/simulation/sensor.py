@@ -62,17 +62,6 @@ class Pixels(NamedTuple):
     hot_e: NDArray[np.float64]
 
 
-class Readout(NamedTuple):
-    """Constants of the readout, as an argument of the kernels."""
-
-    gain_e_per_dn: float
-    black_level_dn: float
-    full_scale_dn: float
-    full_well_e: float
-    read_noise_e: float
-    ambient_e: float
-
-
 def dark_probabilities(state: SensorState) -> NDArray[np.float64]:
     """Probability of each DN, 0 ... full scale, for a pixel without light."""
     spread_dn = max(state.read_noise_e / state.gain_e_per_dn, 1e-9)
@@ -141,8 +130,7 @@ def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int, bi
     empty = np.empty((0, 0), dtype=np.float32)
     response = empty
     if truth.prnu > 0:
-        noise = np.empty((truth.height_px, truth.width_px))
-        randomness.frame_normals(seed, 0, _MAP, 0, randomness.ziggurat(), noise)
+        noise = randomness.normals(seed, 0, _MAP, 0, (truth.height_px, truth.width_px))
         part = np.s_[y0 * binning : (y0 + ny) * binning, x0 * binning : (x0 + nx) * binning]
         blocks = np.maximum(1 + truth.prnu * noise, 0)[part].reshape(ny, binning, nx, binning)
         response = blocks.mean(axis=(1, 3)).astype(np.float32)
@@ -167,7 +155,7 @@ def expose_frames(
     shapes: NDArray[np.float64],
     mains: NDArray[np.float64],
     ghosts: NDArray[np.float64],
-    readout: Readout,
+    readout: SensorState,
     dark: DarkTable,
     pixel: Pixels,
     edges: NDArray[np.float64],
@@ -263,7 +251,7 @@ def _draw_lit(
     y1: int,
     x0: int,
     x1: int,
-    readout: Readout,
+    readout: SensorState,
     response: NDArray[np.float32],
     edges: NDArray[np.float64],
     state: np.uint64,
@@ -313,7 +301,7 @@ def _draw_lit(
 
 
 @kernel
-def _is_exact(mean_e: float, read_variance: float, readout: Readout) -> bool:
+def _is_exact(mean_e: float, read_variance: float, readout: SensorState) -> bool:
     """Whether a pixel needs the exact noise, being too far from normal or too near to the full well."""
     variance = mean_e + read_variance
     return variance < 36.0 or mean_e + _CLIP_SD * math.sqrt(variance) > readout.full_well_e
@@ -321,7 +309,7 @@ def _is_exact(mean_e: float, read_variance: float, readout: Readout) -> bool:
 
 # numpy's error model is needed: checks of each division for zero would prevent vector instructions
 @kernel
-def _bend(mean_e: NDArray[np.float64], number: NDArray[np.float64], readout: Readout) -> None:
+def _bend(mean_e: NDArray[np.float64], number: NDArray[np.float64], readout: SensorState) -> None:
     """Turn standard normal numbers into the DN of pixels with these means."""
     read_variance = readout.read_noise_e**2
     per_e = 1.0 / readout.gain_e_per_dn
@@ -342,7 +330,7 @@ def _bend(mean_e: NDArray[np.float64], number: NDArray[np.float64], readout: Rea
 @kernel
 def _read_exactly(
     mean_e: float,
-    readout: Readout,
+    readout: SensorState,
     edges: NDArray[np.float64],
     number: NDArray[np.float64],
     state: np.uint64,

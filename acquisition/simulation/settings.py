@@ -140,17 +140,24 @@ class ReferenceTruth(SimulationSection, frozen=True):
 
 
 class SensorState(NamedTuple):
-    """Properties of the sensor at one bit depth and gain, for `SensorTruth.at`."""
+    """Properties of the sensor at one bit depth and gain, for `SensorTruth.at`, and for the kernels.
+
+    `ambient_e` is the uniform background light of an exposure.
+    """
 
     gain_e_per_dn: float
     read_noise_e: float
     full_scale_dn: int
     black_level_dn: float
+    full_well_e: float
+    ambient_e: float = 0.0
 
     def binned(self, binning: int) -> "SensorState":
         """Properties of the mean of `binning` squared pixels, each of which is read with its own noise."""
         return self._replace(
-            gain_e_per_dn=self.gain_e_per_dn * binning**2, read_noise_e=self.read_noise_e * binning
+            gain_e_per_dn=self.gain_e_per_dn * binning**2,
+            read_noise_e=self.read_noise_e * binning,
+            full_well_e=self.full_well_e * binning**2,
         )
 
 
@@ -187,6 +194,7 @@ class SensorTruth(SimulationSection, frozen=True):
             read_noise_e=self.read_noise_e,
             full_scale_dn=2**bit_depth - 1,
             black_level_dn=self.black_level_dn * (2**bit_depth - 1) / (2**self.bit_depth - 1),
+            full_well_e=self.full_well_e,
         )
 
 

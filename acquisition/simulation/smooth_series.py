@@ -186,10 +186,8 @@ class BandNoise:
         self._key = key
 
     def __call__(self, block: int) -> NDArray[np.float64]:
-        white = np.empty((_FFT // _COLUMNS, _COLUMNS))
-        seed, run, purpose = self._key
         first = block * (BLOCK_KNOTS // _COLUMNS)
-        randomness.frame_normals(seed, run, purpose, first, randomness.ziggurat(), white)
+        white = randomness.normals(*self._key, first, (_FFT // _COLUMNS, _COLUMNS))
         filtered = np.fft.irfft(np.fft.rfft(white.reshape(-1)) * self._response)
         return filtered[: BLOCK_KNOTS + DEGREE]
 

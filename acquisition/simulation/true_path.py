@@ -85,8 +85,7 @@ def true_path(
 
 def noisy(truth: TruePath, u_x_rad: float, u_y_rad: float, seed: int) -> TruePath:
     """The same tilts with white normal noise of these standard deviations, which depends on `seed`."""
-    noise = np.empty((len(truth.times_ns), 2))
-    randomness.frame_normals(seed, 0, _PATH_NOISE, 0, randomness.ziggurat(), noise)
+    noise = randomness.normals(seed, 0, _PATH_NOISE, 0, (len(truth.times_ns), 2))
     return truth._replace(
         x_rad=truth.x_rad + u_x_rad * noise[:, 0], y_rad=truth.y_rad + u_y_rad * noise[:, 1]
     )

@@ -160,9 +160,9 @@ def recover(
     Example:
       rig record recover runs/first/run-1.mcap
     """
+    from acquisition.record.check import recover as recover_into
     from acquisition.record.digest import utc_text
     from acquisition.record.reader import RecordReader
-    from acquisition.record.recover import recover as recover_into
     from rig.terminal import answer, print_line
 
     path = one_record(record)

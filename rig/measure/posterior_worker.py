@@ -207,7 +207,8 @@ class FollowedMotion:
             deflector = optics.deflector(frame_shape(reader))
             self._beam_correction = BeamCorrection(deflector, optics.reference_gain, threaded=False)
         # rows of frames of which only one of the two spots is flushed yet
-        self._spots, self._references = (reader.table(kind.topic, {}) for kind in (SPOT, REFERENCE))
+        nothing = Piece(b"", {})
+        self._spots, self._references = (reader.table(kind.topic, nothing) for kind in (SPOT, REFERENCE))
 
     def unread(self) -> Iterator[tuple[Sequence[HalfCycle], Deflections]]:
         """Half-cycles, and deflections up to them, that were flushed since the last call, piece by piece."""

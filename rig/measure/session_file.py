@@ -15,9 +15,9 @@ from pydantic import BaseModel
 
 from acquisition import atomic_write
 from acquisition.record import recovered_beside
+from acquisition.record.check import recover
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError, RigError, require_schema
 from rig.terminal import say
 

@@ -104,7 +104,7 @@ def _frames_by_chunk(path: Path, damaged: Path) -> list[tuple[int, int]]:
         return [
             (
                 place.offset + place.length,
-                sum(one.topic in ("/spot", "/window") for one in file.messages(place)),
+                sum(one.topic in ("/spot", "/window") for one in file.piece(place).messages()),
             )
             for place in file.chunks
         ]

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.record.check import check_record
+from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
 from processing.errors import RecordError
 from tests.kernel.boot import DRIVE_MODULES, Missing, python_command, start_guest
 from tests.kernel.guest_recorder import FOLDER, HANDED, RATE_HZ, RECORD

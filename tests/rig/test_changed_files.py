@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.frame_source import FilesSettings
-from acquisition.record.check import check_record
+from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
 from acquisition.simulation.ground import read_ground_file
 from calibration.store import read_calibration
 from processing.errors import RigError

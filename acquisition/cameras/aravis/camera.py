@@ -6,13 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from acquisition.camera import (
-    CameraInfo,
-    CameraLost,
-    Frame,
-)
+from acquisition.camera import CameraInfo, CameraLost, Frame
 from acquisition.cameras.aravis.library import (
-    LAST_SHORT_ID,
     AravisFeatures,
     BufferReader,
     Library,
@@ -22,6 +17,7 @@ from acquisition.cameras.aravis.library import (
 from acquisition.cameras.drivers import AravisSettings, buffer_count
 from acquisition.cameras.genicam import GenicamCamera
 from acquisition.cameras.reading import CameraRun
+from acquisition.frames.losses import LAST_SHORT_ID
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
@@ -92,7 +88,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             with self._translate_errors():
                 info, features = self._take_control(self._library, identity)
             if closings != self._closings:
-                self._closing.run(_no_action, features.release(), self._library.error)
+                self._closing.run(None, features.release(), self._library.error)
                 raise DeviceError(f"{self._name}: was closed while it was opened")
             self._features = features
             return info
@@ -134,24 +130,15 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             self._closing.wait(self._name)
             camera, library = features.camera, self._library
             assert library is not None
-            pixel_format = features.pixel_format()
-            _, _, width_px, height_px = features.region()
+            expected = features.expected_frames(has_clock=self._has_clock)
             features.select_continuous()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
             count = buffer_count(self._settings.buffers, features.stated_rate(), payload, 64, 4096)
             for _ in range(count):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
-            self._buffers = BufferReader(
-                library.aravis,
-                self._name,
-                pixel_format,
-                width_px,
-                height_px,
-                self._has_clock,
-                self._begin((LAST_SHORT_ID,) if camera.is_gv_device() else ()),
-                features.plane,
-            )
+            numbers = self._begin((LAST_SHORT_ID,) if camera.is_gv_device() else ())
+            self._buffers = BufferReader(library.aravis, self._name, expected, numbers)
             self._last_reply_s = time.monotonic()
             self._stream = stream
             del stream
@@ -206,7 +193,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         camera = None if features is None else features.camera
         if self._library is None:
             return
-        action = _no_action if camera is None or gone.is_set() else camera.stop_acquisition
+        action = None if camera is None or gone.is_set() else camera.stop_acquisition
         del camera
         self._closing.run(action, references, self._library.error)
 
@@ -215,7 +202,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         self.stop()
         features, self._features = self._features, None
         if features is not None and self._library is not None:
-            self._closing.run(_no_action, features.release(), self._library.error)
+            self._closing.run(None, features.release(), self._library.error)
 
 
 class _ClosingActions:
@@ -226,8 +213,8 @@ class _ClosingActions:
     def __init__(self) -> None:
         self._threads: list[threading.Thread] = []
 
-    def run(self, action: Callable[[], None], references: list[Any], error: type[Exception]) -> None:
-        """Run the action, then clear the list `references`; returns after 0.4 s at most, finished or not.
+    def run(self, action: Callable[[], None] | None, references: list[Any], error: type[Exception]) -> None:
+        """Run the action, if any, then clear the list `references`; returns after 0.4 s, finished or not.
 
         There must be no other references to the objects in the list, because dropping the last reference to a
         camera waits for its reply.
@@ -256,17 +243,17 @@ class _ClosingActions:
                 raise DeviceError(f"{name}: does not answer, and is still being closed; wait")
 
 
-def _no_action() -> None:
-    """Empty action."""
-
-
 def _run_action(
-    action: Callable[[], None], references: list[Any], error: type[Exception], earlier: list[threading.Thread]
+    action: Callable[[], None] | None,
+    references: list[Any],
+    error: type[Exception],
+    earlier: list[threading.Thread],
 ) -> None:
     for other in earlier:
         other.join()
     try:
-        action()
+        if action is not None:
+            action()
     except error as failure:
         logger.info("%s", failure)
     references.clear()

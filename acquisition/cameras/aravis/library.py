@@ -9,10 +9,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from acquisition.camera import ColourPlane, FeatureValue, Frame, PluggedCamera
+from acquisition.camera import FeatureValue, Frame, PluggedCamera
 from acquisition.cameras.genicam import GenicamFeatures
 from acquisition.cameras.genicam_access import NumericFeature
-from acquisition.cameras.pixel_formats import Format, plane_of
+from acquisition.cameras.pixel_formats import ExpectedFrames
 from acquisition.cameras.reading import check_range, only_camera
 from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError
@@ -168,10 +168,6 @@ class AravisFeatures(GenicamFeatures):
         return self.camera.get_device().get_feature(feature)
 
 
-LAST_SHORT_ID: Final = 65535
-"""Last 16-bit id of a frame, which is followed by 1; zero is not used (GigE Vision 1.x)."""
-
-
 class Underruns:
     """Detects that libaravis lacked free buffers, by its count of such events, which may run ahead."""
 
@@ -195,20 +191,15 @@ class Underruns:
 class BufferReader:
     """Converts the buffers of one acquisition into frames.
 
-    `aravis` is the library's module; `has_clock` is True if timestamps come from the camera's own clock,
-    `plane` is the colour to deliver. Damaged frames count as incomplete, other missing ones as lost by the
+    `aravis` is the library's module. Damaged frames count as incomplete, other missing ones as lost by the
     host if libaravis lacked free buffers in the time in question, otherwise as lost on the bus: cameras do
     not report those that they lost themselves.
     """
 
     aravis: Any
     name: str
-    pixel_format: Format
-    width_px: int
-    height_px: int
-    has_clock: bool
+    expected: ExpectedFrames
     numbers: BlockNumbers
-    plane: ColourPlane | None = None
     _host_time_ns: int = field(default=0, init=False)
     _underruns: Underruns = field(default_factory=Underruns, init=False)
 
@@ -227,13 +218,14 @@ class BufferReader:
                 f"{self.name}: sends payload of type {payload}, not images; switch that off in the camera"
             )
         x_padding, _ = buffer.get_image_padding()
-        if x_padding and not self.pixel_format.rows_end_with_bytes(self.width_px):
+        expected = self.expected
+        if not expected.may_have_padding(x_padding):
             raise DeviceError(
-                f"{self.name}: pads rows of {self.width_px} px in {self.pixel_format.name}; set a width that "
-                "is a multiple of 4, or another pixel format"
+                f"{self.name}: pads rows of {expected.width_px} px in {expected.pixel_format.name}; set a "
+                "width that is a multiple of 4, or another pixel format"
             )
         data = buffer.get_data()
-        if len(data) < self.pixel_format.byte_count(self.width_px, self.height_px, x_padding):
+        if len(data) < expected.image_bytes(x_padding):
             self.numbers.lost_parts += 1
             return None
         now_ns = time.monotonic_ns()
@@ -243,11 +235,8 @@ class BufferReader:
         number = self.numbers.number(buffer.get_frame_id(), lost)
         if number is None:
             return None
-        raw = np.frombuffer(data, np.uint8)
-        image = self.pixel_format.image(raw, self.width_px, self.height_px, x_padding)
-        image = plane_of(image, self.pixel_format.colours, self.plane)
-        image.flags.writeable = False
-        device_time_ns = buffer.get_timestamp() if self.has_clock else -1
+        image = expected.image(np.frombuffer(data, np.uint8), x_padding)
+        device_time_ns = buffer.get_timestamp() if expected.has_clock else -1
         return Frame(image, number, device_time_ns, arrived_ns)
 
     def _arrived_ns(self, now_ns: int, wall_time_ns: int) -> int:

@@ -128,7 +128,7 @@ class RecordedFrames:
 
     def __init__(self, settings: FilesSettings) -> None:
         self._settings = settings
-        self._region = CameraSettings()
+        self._region: tuple[slice, slice] | None = None
         self.source = open_source(settings.path)
         self.times = frame_times(settings, self.source)
         image, full_scale_dn, self._first_label = self._first_image()
@@ -158,13 +158,14 @@ class RecordedFrames:
                 f"{info.width_px}x{info.height_px} px"
             )
         whole = (x0, y0, width, height) == (0, 0, info.width_px, info.height_px)
-        region = CameraSettings(width_px=width, height_px=height, offset_x_px=x0, offset_y_px=y0)
-        self._region = CameraSettings() if whole else region
-        return region.model_copy(
-            update={
-                "frame_rate_hz": self._settings.frame_rate_hz,
-                "pixel_format": FORMAT_OF_BITS.get(info.full_scale_dn.bit_length()),
-            }
+        self._region = None if whole else np.s_[y0 : y0 + height, x0 : x0 + width]
+        return CameraSettings(
+            frame_rate_hz=self._settings.frame_rate_hz,
+            pixel_format=FORMAT_OF_BITS.get(info.full_scale_dn.bit_length()),
+            width_px=width,
+            height_px=height,
+            offset_x_px=x0,
+            offset_y_px=y0,
         )
 
     def _first_image(self) -> tuple[Image, int, str]:
@@ -195,11 +196,7 @@ class RecordedFrames:
                 f"is {image.shape[1]}x{image.shape[0]} px, {self._first_label} is "
                 f"{self._shape[1]}x{self._shape[0]} px"
             )
-        region = self._region
-        if region.width_px is not None and region.height_px is not None:
-            x0, y0 = region.offset_x_px or 0, region.offset_y_px or 0
-            image = image[y0 : y0 + region.height_px, x0 : x0 + region.width_px].copy()
-        return image
+        return image if self._region is None else image[self._region].copy()
 
     def _grey(self, stored: StoredImage, label: str) -> tuple[Image, int]:
         """One channel of a frame at the requested bit depth, and its full scale."""

@@ -100,21 +100,16 @@ def _layouts() -> Mapping[str, _Layout]:
 _LAYOUTS: Final = _layouts()
 
 
-def require_known_format(label: str, name: str) -> None:
-    """Raise DeviceError for a pixel format whose layout is not known here."""
-    if name not in _LAYOUTS:
-        raise DeviceError(
-            f"{label}: its pixels are stored as {name}, which is not read here; convert the film: "
-            "ffmpeg -i FILM -c:v ffv1 -pix_fmt gray NEW.mkv"
-        )
-
-
 def film_pixels(frame: "VideoFrame", label: str) -> StoredImage:
     """The samples of a decoded frame, as stored: grey, or blue, green and red.
 
     Raises DeviceError for a pixel format that is not listed, and for interlaced frames.
     """
-    require_known_format(label, frame.format.name)
+    if frame.format.name not in _LAYOUTS:
+        raise DeviceError(
+            f"{label}: its pixels are stored as {frame.format.name}, which is not read here; convert the "
+            "film: ffmpeg -i FILM -c:v ffv1 -pix_fmt gray NEW.mkv"
+        )
     if frame.interlaced_frame:
         raise DeviceError(
             f"{label}: is interlaced: its odd and even rows are of two moments; film in progressive mode"

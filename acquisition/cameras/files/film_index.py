@@ -9,13 +9,16 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from acquisition.cameras.files.frame_source import ONE_IMAGE, missing_frames, numbers_by_steps
 from processing.errors import DeviceError, MissingPackage
 
 if TYPE_CHECKING:
     from av.container import InputContainer
+    from av.video.stream import VideoStream
+
+_SECOND_NS = 1_000_000_000
 
 
 def pyav() -> Any:
@@ -50,20 +53,14 @@ def ffmpeg_error() -> type[Exception]:
     return error
 
 
-if TYPE_CHECKING:
-    from av.video.stream import VideoStream
-
-_SECOND_NS: Final = 1_000_000_000
-
-
 @dataclass(frozen=True, slots=True)
 class FilmIndex:
     """Packets of a film that are shown, in the order of their times.
 
     `ticks` are times in units of `tick_s`, `time_ns` times since the first frame, `sequence` numbers that
     count missing frames too. `rate_hz` is the constant rate with which all times agree, else None.
-    `key_ticks` are the times of key frames, `first_packets` the bytes of the first packets. `cut_off` is the
-    number of frames that the container announces beyond its last packet; `time_ns` and `sequence` have them.
+    `key_ticks` are the times of key frames, `first_packets` the bytes of the first packets. `time_ns` and
+    `sequence` also have the frames that the container announces beyond its last packet.
     """
 
     ticks: Sequence[int]
@@ -72,7 +69,6 @@ class FilmIndex:
     tick_s: Fraction
     rate_hz: Fraction | None
     key_ticks: Sequence[int]
-    cut_off: int
     warnings: tuple[str, ...]
     codec: str
     pixel_format: str
@@ -173,7 +169,6 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         tick_s=tick_s,
         rate_hz=rate_hz,
         key_ticks=[tick for tick in ticks if shown[tick]],
-        cut_off=cut_off,
         warnings=tuple(warnings),
         codec=context.name,
         pixel_format=context.pix_fmt or "",

@@ -107,7 +107,10 @@ def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
 
 
 def _times_at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource") -> FrameTimes:
-    """Times of frames that were taken at a stated rate; missing frames count, too."""
+    """Times of frames that were taken at a stated rate; missing frames count, too.
+
+    Raises DeviceError where a frame's time differs from the film's own time.
+    """
     numbers: Sequence[int] = range(source.count)
     if settings.numbering == "names" and source.numbers is not None:
         numbers = source.numbers
@@ -115,26 +118,16 @@ def _times_at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource
         numbers = source.times.sequence
     times_ns = [round(number * NS_PER_S / rate_hz) for number in numbers]
     if source.times is not None and not settings.force_frame_rate:
-        _refuse_contradiction(settings, rate_hz, times_ns, source)
+        own_ns = source.times.time_ns
+        worst = max(range(source.count), key=lambda i: abs(times_ns[i] - own_ns[i]))
+        by_rate_s, by_film_s = times_ns[worst] / NS_PER_S, own_ns[worst] / NS_PER_S
+        if abs(by_rate_s - by_film_s) > max(_MAX_OFF_TICKS * source.tick_s, _MAX_OFF_FRACTION * by_film_s):
+            raise DeviceError(
+                f"{settings.path}: camera.files.frame_rate_hz = {rate_hz:g} puts frame {worst} at "
+                f"{by_rate_s:.4f} s, the film itself at {by_film_s:.4f} s; leave the rate "
+                "out, or state camera.files.force_frame_rate = true where the film is wrong"
+            )
     return FrameTimes(times_ns, numbers)
-
-
-def _refuse_contradiction(
-    settings: FilesSettings, rate_hz: float, times_ns: Sequence[int], source: "FrameSource"
-) -> None:
-    """Raise DeviceError where a frame's time by a stated rate differs from the film's own time."""
-    if source.times is None:
-        return
-    own_ns = source.times.time_ns
-    worst = max(range(source.count), key=lambda i: abs(times_ns[i] - own_ns[i]))
-    off_s = abs(times_ns[worst] - own_ns[worst]) / NS_PER_S
-    if off_s > max(_MAX_OFF_TICKS * source.tick_s, _MAX_OFF_FRACTION * own_ns[worst] / NS_PER_S):
-        raise DeviceError(
-            f"{settings.path}: camera.files.frame_rate_hz = {rate_hz:g} puts frame {worst} at "
-            f"{times_ns[worst] / NS_PER_S:.4f} s, the film itself at {own_ns[worst] / NS_PER_S:.4f} s; "
-            "leave the rate "
-            "out, or state camera.files.force_frame_rate = true where the film is wrong"
-        )
 
 
 def timestamps_beside(path: Path) -> Path:
@@ -160,10 +153,8 @@ def _times_from_csv(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
         raise DeviceError(
             f"{path}: has {len(body)} rows of times for {count} frames; one row a frame is needed"
         )
-    if "time_ns" in header:
-        times_ns = _require_rising(path, "time_ns", _column(path, header, body, "time_ns", int))
-    else:
-        times_ns = _require_rising(path, "time_s", _column(path, header, body, "time_s", _ns_of_seconds))
+    name, convert = ("time_ns", int) if "time_ns" in header else ("time_s", _ns_of_seconds)
+    times_ns = _require_rising(path, name, _column(path, header, body, name, convert))
     sequence: Sequence[int] = range(count)
     if "sequence" in header:
         numbers = _require_rising(path, "sequence", _column(path, header, body, "sequence", int))
@@ -230,9 +221,14 @@ def missing_frames(time_ns: Sequence[int], numbers: Sequence[int], source: str) 
     ]
     if not gaps:
         return []
-    places = ", ".join(f"{count} after {time_s:.3f} s" for time_s, count in gaps[:_MAX_LISTED])
-    more = f" and {len(gaps) - _MAX_LISTED} more places" if len(gaps) > _MAX_LISTED else ""
-    return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {places}{more}"]
+    places = some_of([f"{count} after {time_s:.3f} s" for time_s, count in gaps])
+    return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {places}"]
+
+
+def some_of(places: Sequence[str]) -> str:
+    """The first places of a list in words, and the number of the others."""
+    more = f" and {len(places) - _MAX_LISTED} more places" if len(places) > _MAX_LISTED else ""
+    return ", ".join(places[:_MAX_LISTED]) + more
 
 
 ONE_IMAGE = "is one image; name the folder that holds the images, or a film"

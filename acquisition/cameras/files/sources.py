@@ -21,13 +21,14 @@ from acquisition.cameras.files.formats import (
     HEIGHT,
     STRIP_OFFSETS,
     WIDTH,
+    RawSource,
+    is_raw,
     portable_images,
     read_portable,
     tiff_head,
 )
-from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage
+from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage, some_of
 from acquisition.cameras.files.frame_source import UnreadableFrame as UnreadableFrame
-from acquisition.cameras.files.raw import RawSource, is_raw
 from processing.errors import DeviceError
 
 _PORTABLE = (".pgm", ".ppm", ".pnm")
@@ -38,8 +39,6 @@ _FILMS = (
     ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv",
     ".3gp", ".nut", ".gif",
 )  # fmt: skip
-_MAX_LISTED = 5
-"""Largest number of gaps that a message lists."""
 
 
 def open_source(path: Path) -> FrameSource:
@@ -285,13 +284,8 @@ class ImageSource(FrameSource):
         self.numbers = [numbers[k] * counts[0] + page for k, page in self._places]
         gaps = [i for i, (before, after) in enumerate(pairwise(numbers)) if after - before > 1]
         count = counts[0] * sum(numbers[i + 1] - numbers[i] - 1 for i in gaps)
-        places = ", ".join(f"{files[i]} to {files[i + 1]}" for i in gaps[:_MAX_LISTED])
-        more = f" and {len(gaps) - _MAX_LISTED} more places" if len(gaps) > _MAX_LISTED else ""
-        return (
-            [f"{count} images are missing by the numbers in their names: between {places}{more}"]
-            if count
-            else []
-        )
+        places = some_of([f"{files[i]} to {files[i + 1]}" for i in gaps])
+        return [f"{count} images are missing by the numbers in their names: between {places}"] if gaps else []
 
 
 def _ignored_files(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:

@@ -7,24 +7,20 @@ from typing import Final
 
 import usb.backend
 
-from acquisition.camera import (
-    CameraInfo,
-    CameraLost,
-)
+from acquisition.camera import CameraInfo, CameraLost
 from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.genicam import GenicamCamera
 from acquisition.cameras.reading import CameraRun
-from acquisition.cameras.usb3vision.description import read_description
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink, find_camera
-from acquisition.cameras.usb3vision.node_map import NodeMap, load_genapi
+from acquisition.cameras.usb3vision.node_map import NodeMap, load_genapi, read_description
 from acquisition.cameras.usb3vision.packets import (
     Identity,
     StreamRegisters,
     read_identity,
     silence_events,
 )
-from acquisition.cameras.usb3vision.stream import COUNTERS, ExpectedFrames, UsbFrameStream
+from acquisition.cameras.usb3vision.stream import COUNTERS, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, LibusbTransfers, Transfers
 from processing.errors import DeviceError
 
@@ -95,12 +91,12 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
                 identity = read_identity(self._channel)
                 silence_events(self._channel, identity.event_address)
                 features = self._read_features(self._channel, identity)
-                self._registers = StreamRegisters(self._channel, identity.stream_address, link.name)
+                registers = StreamRegisters(self._channel, identity.stream_address, link.name)
                 self._has_clock = identity.timestamp_increment_ns > 0
                 # end an acquisition that a killed program left running
                 self._try_each(
                     lambda: features.write("AcquisitionStop", True),
-                    lambda: self._enable(False),
+                    lambda: registers.enable(False),
                     lambda: _set_locked(features, False),
                 )
                 info = features.info(
@@ -110,7 +106,7 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
                 self._channel = None
                 link.release()
                 raise
-            self._link, self._features = link, features
+            self._link, self._features, self._registers = link, features, registers
             return info
 
     def _read_features(self, channel: GenCpChannel, identity: Identity) -> NodeMap:
@@ -138,24 +134,22 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             assert registers is not None
             self._must_be_idle()
             self._end_run()
-            pixel_format = features.pixel_format()
-            pixel_format.prepare()
+            expected = features.expected_frames(has_clock=self._has_clock)
             features.select_continuous()
-            _, _, width_px, height_px = features.region()
-            expected = ExpectedFrames(pixel_format, width_px, height_px, self._has_clock, features.plane)
             registers.enable(False)
             link.reset_stream()
             plan = registers.set_up(_MAX_FRAME_BYTES, _MAX_TRANSFER_BYTES)
-            if sum(plan.payload) < expected.image_bytes:
-                size = f"{expected.width_px} x {expected.height_px} in {pixel_format.name}"
+            image_bytes = expected.image_bytes()
+            if sum(plan.payload) < image_bytes:
+                size = f"{expected.width_px} x {expected.height_px} in {expected.pixel_format.name}"
                 raise DeviceError(
                     f"{self._name}: announces frames of {sum(plan.payload)} bytes, but {size} takes "
-                    f"{expected.image_bytes}; set its size again"
+                    f"{image_bytes}; set its size again"
                 )
             _set_locked(features, True)
             registers.enable(True)
             numbers = self._begin(COUNTERS, has_clock=expected.has_clock)
-            ahead = self._settings.frames_ahead(features.stated_rate(), expected.image_bytes)
+            ahead = self._settings.frames_ahead(features.stated_rate(), image_bytes)
             transfers = self._transfers(link, ahead)
             self._stream = UsbFrameStream(transfers, plan, expected, link, numbers)
             self._run = CameraRun(self._stream.step, transfers.cancel)
@@ -179,27 +173,23 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
                 self._end_run()
 
     def _end_run(self) -> None:
-        run, features, channel = self._run, self._features, self._channel
+        run, features, registers = self._run, self._features, self._registers
         if run is None:
             return
         run.request_stop()
-        if features is None or channel is None or not self._camera_is_running:
+        if features is None or registers is None or not self._camera_is_running:
             run.stop(_JOIN_S)
             return
         self._camera_is_running = False
         with suppress(CameraLost):
             self._try_each(
                 lambda: features.write("AcquisitionStop", True),
-                lambda: self._enable(False),
+                lambda: registers.enable(False),
                 limit_s=_COMMANDS_S / 2,
             )
         run.stop(_JOIN_S)
         with suppress(CameraLost):
             self._try_each(lambda: _set_locked(features, False), limit_s=_COMMANDS_S / 2)
-
-    def _enable(self, on: bool) -> None:
-        if self._registers is not None:
-            self._registers.enable(on)
 
     def _try_each(self, *steps: Callable[[], None], limit_s: float | None = None) -> None:
         """Call each step, even if earlier ones failed because the camera does not answer.
@@ -223,7 +213,8 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             if not locked:
                 return  # the aborted call, which still holds the lock, will release the camera
             self._end_run()
-            link, self._link, self._features, self._channel = self._link, None, None, None
+            link, self._link, self._features = self._link, None, None
+            self._channel = self._registers = None
             if link is not None:
                 self._when_idle(link.release)
 

@@ -54,10 +54,6 @@ _STATUS_MEANINGS: Final = {
 class RegisterRefused(DeviceError):
     """The camera answered a register access with an error status."""
 
-    def __init__(self, message: str, status: int) -> None:
-        super().__init__(message)
-        self.status = status
-
 
 class NoAnswer(DeviceError):
     """The camera does not answer register accesses, or only with invalid replies, in spite of retries."""
@@ -188,7 +184,7 @@ class GenCpChannel:
                 meaning = _STATUS_MEANINGS.get(status, "unknown status")
                 problem = f"{meaning} (status 0x{status:04X})"
                 if status != _BUSY:
-                    raise RegisterRefused(f"{self._name}: {where}: {problem}", status)
+                    raise RegisterRefused(f"{self._name}: {where}: {problem}")
                 time.sleep(min(0.01, max(self._patience_s(0.01), 0.0)))
         raise NoAnswer(f"{self._name}: {where}: {problem}; unplug the camera and plug it in again")
 

@@ -4,6 +4,7 @@ import errno
 import logging
 import sys
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -48,13 +49,16 @@ class StreamHalted(DeviceError):
     """The stream endpoint has stalled or an error occurred in its transfers; clearing the halt may help."""
 
 
+def _no_access() -> str:
+    """Why a connected camera cannot be opened, and the remedy."""
+    if sys.platform == "win32":
+        return WINUSB
+    return "no permission to use it; run rig doctor --install-udev, and plug the camera in again"
+
+
 def no_permission(name: str) -> DeviceError:
     """Error for a user without permission to open the camera, or on Windows without its driver."""
-    if sys.platform == "win32":
-        return DeviceError(f"{name}: {WINUSB}")
-    return DeviceError(
-        f"{name}: no permission to use it; run rig doctor --install-udev, and plug the camera in again"
-    )
+    return DeviceError(f"{name}: {_no_access()}")
 
 
 def is_gone(error: usb.core.USBError) -> bool:
@@ -82,32 +86,27 @@ class UsbLink:
         stream = self._interface(_STREAM)
         self._control_interface: int = control.bInterfaceNumber
         self.stream_interface: int = stream.bInterfaceNumber
-        self._control_in = self._endpoint(control, usb.util.ENDPOINT_IN)
-        self._control_out = self._endpoint(control, usb.util.ENDPOINT_OUT)
-        self.stream_in = self._endpoint(stream, usb.util.ENDPOINT_IN)
-        self.packet_size = self._packet_size(stream)
+        self._control_in: int = self._endpoint(control, usb.util.ENDPOINT_IN).bEndpointAddress
+        self._control_out: int = self._endpoint(control, usb.util.ENDPOINT_OUT).bEndpointAddress
+        read_from = self._endpoint(stream, usb.util.ENDPOINT_IN)
+        self.stream_in: int = read_from.bEndpointAddress
+        self.packet_size = int(read_from.wMaxPacketSize) & 0x7FF or 1024
 
     def _interface(self, protocol: int) -> Any:
-        for configuration in self.device:
-            for interface in configuration:
-                kind = (interface.bInterfaceClass, interface.bInterfaceSubClass)
-                if kind == (VISION_CLASS, VISION_SUBCLASS) and interface.bInterfaceProtocol == protocol:
-                    self._configuration = configuration.bConfigurationValue
-                    return interface
+        for configuration, interface in _interfaces(self.device):
+            if _is_of_vision(interface) and interface.bInterfaceProtocol == protocol:
+                self._configuration = configuration
+                return interface
         what = "control" if protocol == _CONTROL else "stream"
         raise DeviceError(
             f"{self.name}: has no USB3 Vision {what} interface; it cannot be used with this driver"
         )
 
-    def _endpoint(self, interface: Any, direction: int) -> int:
+    def _endpoint(self, interface: Any, direction: int) -> Any:
         for endpoint in interface:
             if usb.util.endpoint_direction(endpoint.bEndpointAddress) == direction:
-                return int(endpoint.bEndpointAddress)
+                return endpoint
         raise DeviceError(f"{self.name}: interface {interface.bInterfaceNumber} lacks an endpoint")
-
-    def _packet_size(self, stream: Any) -> int:
-        sizes = [e.wMaxPacketSize for e in stream if e.bEndpointAddress == self.stream_in]
-        return int(sizes[0]) & 0x7FF or 1024
 
     def reset_stream(self) -> None:
         """Discard old data of the stream endpoint, by halting it and clearing the halt."""
@@ -191,10 +190,14 @@ class UsbLink:
         except usb.core.USBError as error:
             raise self.device_error(error, "clearing a stalled endpoint") from error
 
+    def unplugged(self, doing: str) -> CameraLost:
+        """The error of a camera that is no longer there."""
+        return CameraLost(f"{self.name}: is no longer connected ({doing}); plug it in again")
+
     def device_error(self, error: usb.core.USBError, doing: str) -> DeviceError:
         """A DeviceError for an error of the bus."""
         if is_gone(error):
-            return CameraLost(f"{self.name}: is no longer connected ({doing}); plug it in again")
+            return self.unplugged(doing)
         if error.errno == errno.EACCES:
             return no_permission(self.name)
         if error.errno == errno.EBUSY:
@@ -262,9 +265,6 @@ def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCame
 
 def list_cameras() -> list[PluggedCamera]:
     """All connected USB3 Vision cameras for ``rig doctor``, with the USB speed as `place`."""
-    remedy = "no permission: run rig doctor --install-udev, and plug the camera in again"
-    if sys.platform == "win32":
-        remedy = WINUSB
     missing = ""
     try:
         load_genapi()
@@ -276,7 +276,7 @@ def list_cameras() -> list[PluggedCamera]:
             name=f"{found.vendor} {found.model}".strip(),
             serial=found.serial,
             place=found.speed_text,
-            problem=missing if found.accessible else remedy,
+            problem=missing if found.accessible else _no_access(),
         )
         for found in find_cameras()
     ]
@@ -319,13 +319,20 @@ def _libusb() -> usb.backend.IBackend:
     return backend
 
 
+def _interfaces(device: Any) -> Iterator[tuple[int, Any]]:
+    """All interfaces of a device, each with the number of its configuration."""
+    for configuration in device:
+        for interface in configuration:
+            yield configuration.bConfigurationValue, interface
+
+
+def _is_of_vision(interface: Any) -> bool:
+    return (interface.bInterfaceClass, interface.bInterfaceSubClass) == (VISION_CLASS, VISION_SUBCLASS)
+
+
 def _is_vision(device: Any) -> bool:
     try:
-        return any(
-            (interface.bInterfaceClass, interface.bInterfaceSubClass) == (VISION_CLASS, VISION_SUBCLASS)
-            for configuration in device
-            for interface in configuration
-        )
+        return any(_is_of_vision(interface) for _, interface in _interfaces(device))
     except usb.core.USBError:
         return False  # unplugged during the search, or without valid descriptors
 
@@ -358,14 +365,13 @@ def _text(device: Any, index: int) -> str:
 
 def _string_indices(device: Any) -> tuple[int, int, int]:
     """String indices of vendor, model and serial, from the camera's descriptor or else the device's."""
-    for configuration in device:
-        for interface in configuration:
-            extra = bytes(interface.extra_descriptors)
-            while len(extra) >= 3 and extra[0] >= 3:
-                length, kind, subtype = extra[0], extra[1], extra[2]
-                if (kind, subtype) == (_DEVICE_INFO_TYPE, _DEVICE_INFO_SUBTYPE):
-                    if length >= _DEVICE_INFO_LENGTH and len(extra) >= length:
-                        return extra[_VENDOR_INDEX], extra[_MODEL_INDEX], extra[_SERIAL_INDEX]
-                    break
-                extra = extra[length:]
+    for _, interface in _interfaces(device):
+        extra = bytes(interface.extra_descriptors)
+        while len(extra) >= 3 and extra[0] >= 3:
+            length, kind, subtype = extra[0], extra[1], extra[2]
+            if (kind, subtype) == (_DEVICE_INFO_TYPE, _DEVICE_INFO_SUBTYPE):
+                if length >= _DEVICE_INFO_LENGTH and len(extra) >= length:
+                    return extra[_VENDOR_INDEX], extra[_MODEL_INDEX], extra[_SERIAL_INDEX]
+                break
+            extra = extra[length:]
     return device.iManufacturer, device.iProduct, device.iSerialNumber

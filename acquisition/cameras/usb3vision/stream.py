@@ -11,15 +11,14 @@ import logging
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraLost, ColourPlane, Frame
-from acquisition.cameras.pixel_formats import Format, plane_of
+from acquisition.camera import CameraLost, Frame
+from acquisition.cameras.pixel_formats import ExpectedFrames
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
     TRAILER_START,
@@ -45,22 +44,6 @@ _LOSSES_TO_UNLEARN: Final = 6
 """Consecutive lost frames after which the planned parts are expected again."""
 _MAX_MISFITS: Final = 10
 """This many consecutive frames of a wrong size or format are a wrong setting, not an error of the bus."""
-
-
-@dataclass(frozen=True, slots=True)
-class ExpectedFrames:
-    """Expected format and size of every frame, whether the camera has a clock, and the colour to deliver."""
-
-    pixel_format: Format
-    width_px: int
-    height_px: int
-    has_clock: bool
-    plane: ColourPlane | None = None
-
-    @property
-    def image_bytes(self) -> int:
-        """Number of bytes of the image on the bus."""
-        return self.pixel_format.byte_count(self.width_px, self.height_px)
 
 
 class _Part(Enum):
@@ -286,7 +269,7 @@ class UsbFrameStream:
 
     def _take_payload(self, data: NDArray[np.uint8], planned: int, host_time_ns: int) -> Frame | None:
         # Where a camera announced more than it sends, its trailer is in place of payload or right behind it.
-        image_end = max(self._expected.image_bytes - self._payload.byte_count, 0)
+        image_end = max(self._expected.image_bytes() - self._payload.byte_count, 0)
         limit = image_end + self._plan.trailer
         if data.size < planned and self._leader is not None and image_end < data.size <= limit:
             trailer = parse_trailer(data[image_end : image_end + 256].tobytes())
@@ -309,7 +292,7 @@ class UsbFrameStream:
         if data.size < planned and data.size <= max(self._plan.leader, self._plan.trailer):
             head = data[:256].tobytes()
             trailer = parse_trailer(head)
-            is_short = self._payload.byte_count + data.size < self._expected.image_bytes
+            is_short = self._payload.byte_count + data.size < self._expected.image_bytes()
             if is_short and trailer is not None and self._leader and trailer.block == self._leader.block:
                 self._lose_frame()
                 self._disturbed = True
@@ -334,7 +317,7 @@ class UsbFrameStream:
                 self._resume_at(-1)
             return None
         wanted = self._expected
-        image_bytes = wanted.pixel_format.byte_count(wanted.width_px, wanted.height_px, leader.x_padding)
+        image_bytes = wanted.image_bytes(leader.x_padding)
         is_complete = (
             trailer.status == 0
             and trailer.valid_bytes >= image_bytes
@@ -353,18 +336,17 @@ class UsbFrameStream:
         self._disturbed = False
         self._halted_since_s = None
         self._deviations, self._deviated = self._deviations * self._deviated, False
-        image = wanted.pixel_format.image(
-            self._payload.as_array(), wanted.width_px, wanted.height_px, leader.x_padding
-        )
-        image = plane_of(image, wanted.pixel_format.colours, wanted.plane)
-        image.flags.writeable = False
+        image = wanted.image(self._payload.as_array(), leader.x_padding)
         return Frame(image, number, leader.timestamp if wanted.has_clock else -1, host_time_ns)
 
     def _fits(self, leader: Leader) -> bool:
         wanted = self._expected
         size = (leader.width_px, leader.height_px, leader.pixel_format)
-        can_be_cut = not leader.x_padding or wanted.pixel_format.rows_end_with_bytes(wanted.width_px)
-        if can_be_cut and size == (wanted.width_px, wanted.height_px, wanted.pixel_format.code):
+        if wanted.may_have_padding(leader.x_padding) and size == (
+            wanted.width_px,
+            wanted.height_px,
+            wanted.pixel_format.code,
+        ):
             return True
         self._misfits += 1
         if self._misfits >= _MAX_MISFITS:

@@ -13,11 +13,11 @@ import numpy as np
 import usb.core
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraLost
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink, is_gone, is_timeout
 from processing.errors import DeviceError
 
 Bytes = NDArray[np.uint8]
+_READING: Final = "reading frames"
 
 
 class CompletedTransfer(NamedTuple):
@@ -97,7 +97,11 @@ class BlockingTransfers:
                 raise TimeoutError from None
             self._queued.popleft()
             self._filled = 0
-            raise stream_error(error, link) from error
+            if is_gone(error):
+                raise link.unplugged(_READING) from error
+            stalled = error.errno == errno.EPIPE
+            what = "the stream endpoint has stalled" if stalled else f"error while reading frames: {error}"
+            raise StreamHalted(f"{link.name}: {what}") from error
         now_ns = time.monotonic_ns()
         self._filled += count
         # whole packets only, and the time has elapsed, so the timeout ended the transfer and not the camera
@@ -112,20 +116,6 @@ class BlockingTransfers:
         """Remove all reads; none is pending between two calls of `wait`."""
         self._queued.clear()
         self._filled = 0
-
-
-def unplugged_error(link: UsbLink) -> CameraLost:
-    """The exception for a camera that was unplugged while frames were read."""
-    return CameraLost(f"{link.name}: is no longer connected (reading frames); plug it in again")
-
-
-def stream_error(error: usb.core.USBError, link: UsbLink) -> CameraLost | StreamHalted:
-    """The exception for an error of pyusb while the stream was read."""
-    if is_gone(error):
-        return unplugged_error(link)
-    if error.errno == errno.EPIPE:
-        return StreamHalted(f"{link.name}: the stream endpoint has stalled")
-    return StreamHalted(f"{link.name}: error while reading frames: {error}")
 
 
 logger = logging.getLogger(__name__)
@@ -238,7 +228,7 @@ class LibusbTransfers:
         if error:
             self._free(read)
             if error == _ERROR_NO_DEVICE:
-                raise unplugged_error(self._link)
+                raise self._link.unplugged(_READING)
             if error == _ERROR_NO_MEMORY:
                 raise DeviceError(
                     f"{self._link.name}: the system has no memory for {len(self._reads) + 1} transfers; "
@@ -272,7 +262,7 @@ class LibusbTransfers:
         if status == _COMPLETED:
             return CompletedTransfer(count, read.host_time_ns)
         if status == _NO_DEVICE:
-            raise unplugged_error(self._link)
+            raise self._link.unplugged(_READING)
         meaning = _STATUS_NAMES.get(status, f"status {status}")
         raise StreamHalted(f"{self._link.name}: a read of the stream ended with: {meaning}")
 

@@ -170,19 +170,16 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
     """
     devices = list_devices()
     listed = "; ".join(f"{device.path} {device.name} {device.serial}".strip() for device in devices)
-    chosen = devices
+    chosen, missing = devices, ""
     if path is not None:
         path = f"/dev/video{path}" if path.isdigit() else path
-        real = os.path.realpath(path)
-        chosen = [device for device in devices if device.path == real]
-        if not chosen:
-            raise DeviceError(f"{path}: is not a camera; there are: {listed or 'none'}")
+        chosen = [one for one in devices if one.path == os.path.realpath(path)]
+        missing = f"{path}: is not a camera"
     elif serial is not None:
-        chosen = [device for device in devices if device.serial == serial]
-        if not chosen:
-            raise DeviceError(
-                f"no video device has the serial number {serial!r}; there are: {listed or 'none'}"
-            )
+        chosen = [one for one in devices if one.serial == serial]
+        missing = f"no video device has the serial number {serial!r}"
+    if missing and not chosen:
+        raise DeviceError(f"{missing}; there are: {listed or 'none'}")
     if not chosen:
         raise DeviceError(
             "camera.driver = 'v4l2': no video device (/dev/video*) was found; is the camera plugged in, and "

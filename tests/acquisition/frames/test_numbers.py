@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition.camera import CameraLost, CameraStatus
-from acquisition.cameras.aravis.library import LAST_SHORT_ID, Underruns
-from acquisition.frames.losses import BlockNumbers
+from acquisition.cameras.aravis.library import Underruns
+from acquisition.frames.losses import LAST_SHORT_ID, BlockNumbers
 
 
 def short() -> BlockNumbers:

@@ -8,9 +8,8 @@ import pytest
 from mcap.writer import Writer
 
 from acquisition.record import pixels_beside
-from acquisition.record.check import check_record
+from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
 from acquisition.record.topics import METADATA_COPY, SCHEMA_VERSION
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError

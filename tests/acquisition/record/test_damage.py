@@ -12,12 +12,11 @@ import pytest
 from mcap.reader import make_reader
 
 from acquisition.record import pixels_beside
-from acquisition.record.check import Finding, check_record
+from acquisition.record.check import Finding, check_record, recover
 from acquisition.record.chunk import ChunkPlace
 from acquisition.record.digest import sha256_of
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError

@@ -12,11 +12,10 @@ import pytest
 from mcap.reader import make_reader
 
 from acquisition.record import pixels_beside
-from acquisition.record.check import check_record
+from acquisition.record.check import check_record, recover
 from acquisition.record.events import end_of
 from acquisition.record.mcap_file import McapFile, Reserve
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError

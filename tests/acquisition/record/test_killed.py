@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from acquisition.record import pixels_beside
-from acquisition.record.check import check_record
+from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
 from tests.waiting import until
 
 PROGRAM = "tests.acquisition.record.until_killed"

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from acquisition.record import pixels_beside
-from acquisition.record.check import check_record
+from acquisition.record.check import check_record, recover
 from acquisition.record.read_file import read_at
 from acquisition.record.reader import RecordReader
-from acquisition.record.recover import recover
 from processing.errors import RecordError
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
 from tests.acquisition.record.samples import write_sample

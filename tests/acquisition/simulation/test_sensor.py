@@ -58,14 +58,7 @@ def frames(
     """Images of a sensor under a steady beam and even light."""
     state = truth.at(bits or truth.bit_depth)
     shape = (truth.height_px, truth.width_px)
-    readout = sensor.Readout(
-        state.gain_e_per_dn,
-        state.black_level_dn,
-        float(state.full_scale_dn),
-        truth.full_well_e,
-        state.read_noise_e,
-        ambient_e,
-    )
+    readout = state._replace(ambient_e=ambient_e)
     dark = sensor.dark_table(state)
     pixels = sensor.pixels(truth, 1, 0, 0, truth.width_px, truth.height_px)
     images = np.empty((count, *shape), dtype=np.uint8 if state.full_scale_dn == 255 else np.uint16)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.record.recover import recover
+from acquisition.record.check import recover
 from rig.commands.fitting import fit_records
 from rig.measure import resume_session
 from rig.view.record_replay import replay_record

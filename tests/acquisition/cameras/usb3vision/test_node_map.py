@@ -12,8 +12,7 @@ import pytest
 from acquisition.camera import CameraLost
 from acquisition.cameras.usb3vision import link
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.cameras.usb3vision.description import decode_description
-from acquisition.cameras.usb3vision.node_map import ACCESS, NodeMap
+from acquisition.cameras.usb3vision.node_map import ACCESS, NodeMap, decode_description
 from processing.errors import DeviceError, MissingPackage
 from tests.acquisition.cameras.usb3vision.backend import WITHOUT_GENICAM, InProcessBackend, camera_on
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
