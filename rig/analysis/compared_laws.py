@@ -34,16 +34,16 @@ from processing.fit import (
 )
 from processing.swing import ORDERS, HarmonicClass, TurningPoints, harmonic_classes
 from processing.units import ARCSEC_RAD
-from rig.analysis.contact_results import (
+from rig.analysis.results import (
     ComparedLaws,
     Fit,
     Harmonics,
     LawFit,
     LawMoments,
     ModelFreeMoments,
+    RunResults,
     WaveformClass,
 )
-from rig.analysis.results import RunResults
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"

@@ -9,9 +9,8 @@ from processing.fit import FitMethod, FitQuality
 from processing.quantity import quantities_of
 from processing.swing import ORDERS
 from processing.units import ARCSEC_RAD
-from rig.analysis.contact_results import ComparedLaws, Fit
 from rig.analysis.result_rows import SURFACE_ENERGY
-from rig.analysis.results import RunResults, SessionResults
+from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
 from rig.analysis.run_remarks import dominant_text, has_apparatus
 from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity
 

@@ -19,10 +19,9 @@ from processing.fit import (
     Response,
     SeismometerUse,
 )
-from rig.analysis.contact_results import Correlation
 from rig.analysis.decay_values import DECAY
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
-from rig.analysis.results import RunResults, Series
+from rig.analysis.results import Correlation, RunResults, Series
 from rig.terminal import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
 
 _LARGE = 0.25
