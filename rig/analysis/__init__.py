@@ -34,9 +34,8 @@ from rig.analysis.results_file import (
 from rig.analysis.run_remarks import (
     Limit,
     decay_lines,
-    dominant_text,
     drive_text,
-    has_apparatus,
+    main_sources,
     remarks,
     whole_result,
 )

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from processing.units import seconds
 from rig.analysis.air import ambient_warnings, recorded_surroundings
-from rig.analysis.decay_values import decay_rows, values_of_points
+from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings, u_second
 from rig.analysis.passing_deflections import (
     ChangedDeflections,
@@ -148,8 +149,9 @@ def analyse_run(
     if kind.report == "contact":
         verdicts += run_balance_verdicts(balance_of_run(followed.balances, followed.plane), config.balance)
     points, values = run.points, None
-    if run.reduction is None:
-        values = values_of_points(points, unit.shown_size, u_second(config, u_clock))
+    with suppress(DataError):
+        if run.reduction is None:
+            values = decay_values(points, unit.shown_size, u_clock=u_second(config, u_clock))
     run = replace(
         run,
         table=(*run.table, *decay_rows(points, values, unit.shown, unit.shown_size, reader.path.stem)),
