@@ -15,7 +15,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.series import CombinedValue, Comparison, combine, compare_series
-from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, read_results
+from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, plain_row, read_results
 from rig.report import html
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, three_columns
 from rig.report.figures_contact import comparison_figure
@@ -251,11 +251,10 @@ def rows_of(session: SessionResults, series: Mapping[str, CombinedValue]) -> Map
     if rows := {row.quantity: row for row in session.table if row.fit == FitMethod.EXACT}:
         return rows
     return {
-        name: ResultRow(
-            quantity=name,
-            value=item.value,
-            u=item.standard_uncertainty,
-            u_total=item.standard_uncertainty,
+        name: plain_row(
+            name,
+            item.estimate,
+            "series",
             lower=item.value - item.expanded_uncertainty_95,
             upper=item.value + item.expanded_uncertainty_95,
         )

@@ -100,7 +100,7 @@ def series_table(series: Series) -> Table:
         cells = [getattr(exact.get(name), key, math.nan) for key in _SERIES_KEYS]
         item = asymptotic.get(name)
         others = [
-            NOT_DETERMINED if item is None else Estimate(item.value, item.standard_uncertainty),
+            NOT_DETERMINED if item is None else item.estimate,
             average.parameters.get(name, NOT_DETERMINED),
         ]
         known = (row.value, row.u_total, row.lower, row.upper) if row is not None else [math.nan] * 4
