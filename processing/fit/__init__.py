@@ -35,6 +35,7 @@ from processing.fit.law_comparison import (
 from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.fit.refinement import (
     DecayFit,
+    Refinement,
     describes_as_well,
     fitted_twice,
     known_motion,

@@ -21,10 +21,12 @@ from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
 from processing.least_squares import Loss
+from processing.position_map import PositionMap
 from processing.swing import (
     HalfCycle,
     HalfCycleFlag,
     KnownMotion,
+    SwingHarmonics,
     TurningPoints,
     swings_of_blocks,
     turning_points,
@@ -226,13 +228,17 @@ class Refinement(NamedTuple):
     """Outcome of a second measurement: the half-cycles to use, and the motion that gave their waveform.
 
     `motion` is None where they stay as detected, with the reason in `doubt`; `exact` is the fit to the
-    half-cycles of an accepted second measurement.
+    half-cycles of an accepted second measurement. `position_map` are the fixed-pattern position errors that
+    were taken off the deflections before it, None where none were; the uncertainties of `exact` then contain
+    the remaining errors. `harmonics` are those of the swing, None where they were not measured.
     """
 
     swings: Sequence[HalfCycle]
     motion: KnownMotion | None
     exact: FitResult | None = None
     doubt: str = ""
+    position_map: PositionMap | None = None
+    harmonics: SwingHarmonics | None = None
 
 
 def refine(

@@ -7,12 +7,20 @@ configuration and no reader of tables.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, ModelFreeMoments
 from rig.analysis.decay_values import INSTRUMENT, InstrumentResults, InstrumentSeries
 from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named, plain_row
-from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
+from rig.analysis.results import (
+    AveragedCurves,
+    ComparedLaws,
+    Correlation,
+    Fit,
+    ModelFreeMoments,
+    RunResults,
+    Series,
+    SessionResults,
+)
 from rig.analysis.results_file import (
     RESULTS_NAME,
     encoded,
@@ -26,9 +34,8 @@ from rig.analysis.results_file import (
 from rig.analysis.run_remarks import (
     Limit,
     decay_lines,
-    dominant_text,
     drive_text,
-    has_apparatus,
+    main_sources,
     remarks,
     whole_result,
 )

@@ -34,16 +34,16 @@ from processing.fit import (
 )
 from processing.swing import ORDERS, HarmonicClass, TurningPoints, harmonic_classes
 from processing.units import ARCSEC_RAD
-from rig.analysis.contact_results import (
+from rig.analysis.results import (
     ComparedLaws,
     Fit,
     Harmonics,
     LawFit,
     LawMoments,
     ModelFreeMoments,
+    RunResults,
     WaveformClass,
 )
-from rig.analysis.results import RunResults
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"
@@ -87,7 +87,15 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     }
     chances = waveform_chances(classes, predicted)
     verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
-    waveform = _waveform_classes(classes, predicted)
+    waveform = tuple(
+        WaveformClass(
+            amplitude_rad=one.amplitude,
+            measured=_harmonics(one.harmonics),
+            u_rad=one.u,
+            laws={name: _harmonics(laws[place]) for name, laws in predicted.items()},
+        )
+        for place, one in enumerate(classes)
+    )
     return replace(run, laws=ComparedLaws(_law_fits(compared, chances), verdict, free, waveform))
 
 
@@ -168,20 +176,6 @@ def _waveform_verdict(classes: Sequence[HarmonicClass], chances: Mapping[str, fl
     if len(against) == len(chances):
         return f"{measured} contradicts them all: sensor or beam distort it, or none is right"
     return f"{measured} contradicts {', '.join(against)}"
-
-
-def _waveform_classes(
-    classes: Sequence[HarmonicClass], predicted: Mapping[str, Sequence[NDArray[np.complex128]]]
-) -> tuple[WaveformClass, ...]:
-    return tuple(
-        WaveformClass(
-            amplitude_rad=one.amplitude,
-            measured=_harmonics(one.harmonics),
-            u_rad=one.u,
-            laws={name: _harmonics(laws[place]) for name, laws in predicted.items()},
-        )
-        for place, one in enumerate(classes)
-    )
 
 
 def _harmonics(values: NDArray[np.complex128]) -> Harmonics:

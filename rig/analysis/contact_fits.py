@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from processing.fit import (
     FitResult,
     LinearisedFit,
     PositionErrorFit,
+    Refinement,
     Seismogram,
     SeismometerUse,
     boundary_layer_drag,
@@ -54,23 +54,6 @@ from rig.analysis.air import OPEN_DRAG, FittedDrag, evidence_of
 from rig.settings import FitSettings
 
 
-class RefinedHalfCycles(NamedTuple):
-    """Half-cycles of a run, and the motion of their second measurement; None: they are as detected.
-
-    `exact` is the fit to them, where one was made, and `doubt` the reason for no second measurement.
-    `position_map` are the fixed-pattern position errors that were taken off the deflections, if the run shows
-    any; the uncertainties of `exact` then contain the remaining errors. `harmonics` are those of the swing,
-    None without deflections in rad.
-    """
-
-    swings: Sequence[HalfCycle]
-    motion: KnownMotion | None
-    exact: FitResult | None = None
-    doubt: str = ""
-    position_map: PositionMap | None = None
-    harmonics: SwingHarmonics | None = None
-
-
 def refined_half_cycles(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
@@ -79,7 +62,7 @@ def refined_half_cycles(
     settings: FitSettings,
     clock_rate: float = 1.0,
     drag: FittedDrag = OPEN_DRAG,
-) -> RefinedHalfCycles:
+) -> Refinement:
     """Half-cycles measured a second time with the motion that was fitted to all of them.
 
     `blocks` are consecutive deflections, in `unit`, in which the half-cycles were detected; they pass once
@@ -91,7 +74,7 @@ def refined_half_cycles(
     of both. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
     """
     if pendulum is None or unit is not DeflectionUnit.RAD:
-        return RefinedHalfCycles(swings, None)
+        return Refinement(swings, None)
     swings = with_learned_weights(swings)
     harmonics = _harmonics_of(blocks, swings)
     fit = DecayFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
@@ -99,12 +82,12 @@ def refined_half_cycles(
         first = fit.of(swings)
         motion = fit.motion(first, swings)
     except DataError:
-        return RefinedHalfCycles(swings, None, harmonics=harmonics)
+        return Refinement(swings, None, harmonics=harmonics)
     watch = CycleWatch(swings, motion)
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = second_measurement(swings, _watched(blocks, watch, search), motion)
-    refined = RefinedHalfCycles(*refine(swings, blocks, motion, first, fit, again), harmonics=harmonics)
+    refined = refine(swings, blocks, motion, first, fit, again)._replace(harmonics=harmonics)
     found = search.position_map()
     if found is None:
         return refined
@@ -135,7 +118,7 @@ def _without_position_errors(
     found: PositionMap,
     fit: DecayFit,
     drag: FittedDrag,
-) -> RefinedHalfCycles | None:
+) -> Refinement | None:
     """Half-cycles measured in deflections without the map's errors; None where the laws describe them worse.
 
     The motion was fitted to deflections with the errors, so that motion and search for errors are repeated
@@ -163,7 +146,7 @@ def _without_position_errors(
         left = _position_errors(found, again, exact, fit).of_parameters
     except DataError:
         return None
-    return RefinedHalfCycles(again, motion, exact.with_term(FIXED_PATTERN, left), "", final, harmonics)
+    return Refinement(again, motion, exact.with_term(FIXED_PATTERN, left), "", final, harmonics)
 
 
 def _with_remaining_errors(
@@ -240,7 +223,12 @@ def fit_decay(
     )
 
     def with_findings(fit: FitResult) -> FitResult:
-        fit = _with_findings(LinearisedFit.of(points, pendulum, fit), drifts, settings)
+        # each is estimated about the fit as it ended, so that their order does not matter
+        at = LinearisedFit.of(points, pendulum, fit)
+        fit = with_discrepancy(at, at.with_terms(*([] if drifts is None else [drift_term(at, drifts)])))
+        # a deviation that smooth errors of the law explain is no change
+        explained = 0.0 if fit.misfit is None else fit.misfit.against_law
+        fit = with_changes(at, settings.u_ageing, explained, fit)
         fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
         return fit if steeper is None else with_boundary_layer_drag(fit, steeper)
 
@@ -271,15 +259,3 @@ def _without_rolling_shutter(
     )
     fit = fit.with_terms_of(exact, FIXED_PATTERN)
     return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once
-
-
-def _with_findings(at: LinearisedFit, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
-    """A fit with drifts, the model discrepancy, and changes during the run.
-
-    Each is estimated about the fit as it ended, so that their order does not matter; a deviation that smooth
-    errors of the law explain is no change.
-    """
-    terms = [] if drifts is None else [drift_term(at, drifts)]
-    fit = with_discrepancy(at, at.with_terms(*terms))
-    explained = 0.0 if fit.misfit is None else fit.misfit.against_law
-    return with_changes(at, settings.u_ageing, explained, fit)

@@ -42,7 +42,6 @@ from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis.air import drift_note
-from rig.analysis.contact_results import Correlation, Fit
 from rig.analysis.result_rows import (
     SURFACE_ENERGY,
     ResultRow,
@@ -51,6 +50,7 @@ from rig.analysis.result_rows import (
     rows_of_others,
     withheld,
 )
+from rig.analysis.results import Correlation, Fit
 from rig.analysis.series import AnalysedRun
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings

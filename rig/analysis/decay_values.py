@@ -1,6 +1,7 @@
 """Values of any decay, with or without a law: period, decrement, damping, in the amplitude's own unit."""
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from math import hypot, pi
 from typing import Annotated, Any, Final, NamedTuple
@@ -8,7 +9,7 @@ from typing import Annotated, Any, Final, NamedTuple
 import numpy as np
 
 from processing.damping import PARTS, DampingTerms, fit_damping
-from processing.decay_summary import DecaySummary, summarise_decay
+from processing.decay_summary import summarise_decay
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.instruments import Check
@@ -124,51 +125,37 @@ def decay_rows(
 
 
 def decay_values(
-    points: TurningPoints,
-    summary: DecaySummary,
-    unit_size: float,
-    *,
-    u_clock: float = 0.0,
-    u_common: float = 0.0,
+    points: TurningPoints, unit_size: float, *, u_clock: float = 0.0, u_common: float = 0.0
 ) -> DecayValues:
     """Period, decrement, damping; amplitudes in a unit that is `unit_size` in that of the points.
+
+    Raises DataError for too few points.
 
     `u_clock` is the relative standard uncertainty of the second of the times, `u_common` that of an error
     that all half-cycles share, in the unit of the points: of their amplitudes and, as a lag of the position
     at the turning points, of their times. Its effect is in the uncertainties.
     """
-    found = _decay_values(points, summary, unit_size)
+    found = _decay_values(points, unit_size)
     period_s, u_s = found.mean_period_s
     found = found._replace(mean_period_s=Estimate(period_s, hypot(u_s, u_clock * period_s)))
     if not u_common > 0:
         return found
     lag_s = u_common * period_s / (2.0 * pi * points.amplitude)
     moved = replace(points, amplitude=points.amplitude + u_common, time_s=points.time_s + lag_s)
-    other = _decay_values(moved, summarise_decay(moved), unit_size)
-    return DecayValues(*map(_with_change, found, other))
+    return DecayValues(*map(_with_change, found, _decay_values(moved, unit_size)))
 
 
-def _decay_values(points: TurningPoints, summary: DecaySummary, unit_size: float) -> DecayValues:
-    damping = None
-    try:
+def _decay_values(points: TurningPoints, unit_size: float) -> DecayValues:
+    summary, damping = summarise_decay(points), None
+    with suppress(DataError):
         found = fit_damping(points.time_s, points.amplitude / unit_size, points.u_amplitude / unit_size)
         damping = amplitude_damping(found, 1.0 / summary.period_s.value)
-    except DataError:
-        pass
     return DecayValues(
         Estimate(summary.period_s.value, summary.period_s.u),
         Estimate(summary.decrement.value, summary.decrement.u),
         summary.quality_factor,
         damping,
     )
-
-
-def values_of_points(points: TurningPoints, unit_size: float, u_clock: float = 0.0) -> DecayValues | None:
-    """The values of a decay by its turning points alone; None where there are too few of them."""
-    try:
-        return decay_values(points, summarise_decay(points), unit_size, u_clock=u_clock)
-    except DataError:
-        return None
 
 
 def _with_change(found: Any, other: Any) -> Any:

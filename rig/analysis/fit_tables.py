@@ -9,10 +9,9 @@ from processing.fit import FitMethod, FitQuality
 from processing.quantity import quantities_of
 from processing.swing import ORDERS
 from processing.units import ARCSEC_RAD
-from rig.analysis.contact_results import ComparedLaws, Fit
 from rig.analysis.result_rows import SURFACE_ENERGY
-from rig.analysis.results import RunResults, SessionResults
-from rig.analysis.run_remarks import dominant_text, has_apparatus
+from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
+from rig.analysis.run_remarks import has_apparatus, main_sources
 from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity
 
 
@@ -32,18 +31,16 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
             row.unit,
             *(each for one in found for each in one),
         ]
-        item = run.budget.get(row.quantity)
         texts = [row.shown.symbol, row.text, row.shown.unit]
         if full:
             alone = row.u * row.shown.factor
             texts.append(plain(alone, 2) if alone > 0 else "")
             texts += ["" if isnan(one.value) else row.shown.text(*one) for one in found]
-        is_whole = item is not None and row.determined and has_apparatus(item)
-        lines.append(TableRow(cells, [*texts, dominant_text(item) if item is not None and is_whole else ""]))
+        lines.append(TableRow(cells, [*texts, main_sources(row, run.budget)]))
     head = ["", "value", "unit", *(["u of the swings", *map(_heading, others)] if full else []), _SOURCES]
     if not any(line.shown[-1] for line in lines):
         head, lines = head[:-1], [line._replace(shown=line.shown[:-1]) for line in lines]
-    return Table.of(
+    return Table(
         "parameters", "Parameters of the contact, exact fit",
         (*_COLUMNS, *(column for method in others for column in (method, f"u_{method}"))),
         tuple(head), lines, _whole_result_text(run),
@@ -77,7 +74,7 @@ def combined_table(results: SessionResults) -> Table | None:
         texts = ["" if row is None else row.text for row in found]
         lines.append(TableRow(cells, [whole.shown.symbol, *texts, whole.shown.unit]))
     heads = [f"run {number}" for number, _ in runs]
-    return Table.of(
+    return Table(
         "combined", "Parameters of the contact, exact fits",
         ("parameter", *(column for head in (*heads, "together") for column in (head, f"u_total_{head}"))),
         ("", *heads, "together", "unit"), lines,
@@ -88,30 +85,24 @@ def combined_table(results: SessionResults) -> Table | None:
 def quality_table(fits: Mapping[str, Fit]) -> Table:
     """The quantities of `FitQuality` and the outliers, a column for each fit."""
     methods = _in_order(fits)
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     for key in quantities_of(FitQuality):
         form = quantity(key)
         if not form.symbol:
             continue
         values = [getattr(fits[method], key) for method in methods]
         if isinstance(values[0], Estimate):
-            rows += [
-                [key, *(one.value for one in values)],
-                [f"u_{key}", *(one.standard_uncertainty for one in values)],
-            ]
-            texts = [form.text(*one) for one in values]
+            texts = [form.name, *(form.text(*one) for one in values), form.unit]
+            lines.append(TableRow([key, *(one.value for one in values)], texts))
+            lines.append(TableRow([f"u_{key}", *(one.standard_uncertainty for one in values)]))
         else:
-            rows.append([key, *values])
-            texts = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
-        shown.append([form.name, *texts, form.unit])
+            numbers = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
+            lines.append(TableRow([key, *values], [form.name, *numbers, form.unit]))
     outliers = [fits[method].outliers for method in methods]
-    rows.append(["outlying_half_cycles", *(" ".join(map(str, found)) for found in outliers)])
-    shown.append(["outlying half-cycles", *map(_listed, outliers), ""])
-    return Table(
-        "quality", "Quality of the fits", ("quantity", *methods), rows,
-        ("", *map(_heading, methods), "unit"), shown,
-    )  # fmt: skip
+    cells = ["outlying_half_cycles", *(" ".join(map(str, found)) for found in outliers)]
+    lines.append(TableRow(cells, ["outlying half-cycles", *map(_listed, outliers), ""]))
+    head = ("", *map(_heading, methods), "unit")
+    return Table("quality", "Quality of the fits", ("quantity", *methods), head, lines)
 
 
 def _in_order(fits: Mapping[str, Fit]) -> list[str]:
@@ -129,23 +120,28 @@ def _listed(items: Sequence[int]) -> str:
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
 
 
+_OF_A_LAW = (
+    "bic_above_best", "aic_above_best", "log_odds_against", "ground_rad_per_s2_rthz", "waveform_chance",
+)  # fmt: skip
+
+
 def law_table(compared: ComparedLaws) -> Table:
     """The laws, with the distance of each from the best one and the drive of the ground that it needs."""
     lines = []
     for name, law in compared.laws.items():
-        measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
-        cells: list[Cell] = [name, *measures, law.ground_rad_per_s2_rthz, law.waveform_chance, law.problem]
+        numbers = [getattr(law, key) for key in _OF_A_LAW]
+        cells: list[Cell] = [name, *numbers, law.problem]
         if law.problem:
             lines.append(TableRow(cells, [name, law.title, *[""] * 5, law.problem.partition(";")[0]]))
             continue
-        texts = [*(decimals(one, 1) for one in measures), plain(law.ground_rad_per_s2_rthz, 2)]
+        texts = [*(decimals(one, 1) for one in numbers[:3]), *(plain(one, 2) for one in numbers[3:])]
         left = "as noise" if law.residuals_are_noise else "more than noise"
         verdict = f"{left}; {'excluded' if law.excluded else 'remains'}"
-        lines.append(TableRow(cells, [name, law.title, *texts, plain(law.waveform_chance, 2), verdict]))
-    return Table.of(
+        lines.append(TableRow(cells, [name, law.title, *texts, verdict]))
+    return Table(
         "laws",
         "Laws of the contact",
-        "law bic_above_best aic_above_best log_odds_against ground_rad_per_s2_rthz waveform_chance problem",
+        ("law", *_OF_A_LAW, "problem"),
         ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
         lines,
         "BIC and AIC: distance from the best law; ln odds against the law, by the evidence. BIC above 10 "
@@ -159,14 +155,14 @@ def moments_table(compared: ComparedLaws) -> Table:
     """The contact's moments without a law and those of the fitted laws, for a file."""
     free = compared.without_law
     columns = ["phi_rad", "friction_n_m", "u_friction_n_m", "elastic_n_m", "u_elastic_n_m"]
-    rows: list[list[Cell]] = []
+    lines = []
     if free is not None:
         parts = [getattr(free, name) for name in columns]
         for name, law in free.laws.items():
             columns += [f"{name}_friction_n_m", f"{name}_elastic_n_m"]
             parts += [law.friction_n_m, law.elastic_n_m]
-        rows = [list(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
-    return Table("moments", "Moments of the contact without a law", columns, rows)
+        lines = [TableRow(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
+    return Table("moments", "Moments of the contact without a law", columns, (), lines)
 
 
 def waveform_table(compared: ComparedLaws) -> Table:
@@ -184,7 +180,7 @@ def waveform_table(compared: ComparedLaws) -> Table:
             shown = [f"{one.amplitude_rad / ARCSEC_RAD:.1f}", *texts] if order == 3 else ()
             lines.append(TableRow([one.amplitude_rad, order, u, *parts], shown))
     columns = [f"{name}_{part}_rad" for name in ("measured", *names) for part in ("cosine", "sine")]
-    return Table.of(
+    return Table(
         "waveform", "Third harmonic of the swing, mas",
         ("amplitude_rad", "order", "u_rad", *columns), ("arcsec", "measured", *names), lines,
         "Deflections stacked by phase. A law with a different third harmonic does not describe "

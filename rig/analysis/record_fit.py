@@ -1,21 +1,28 @@
 """From a closed record to its results: those of its half-cycles, and the conditions of its run."""
 
+import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from acquisition.record.digest import RecordedCamera
-from acquisition.record.events import end_of
+from acquisition.record.events import Event, EventKind, end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import DEFLECTION_FIELDS
+from acquisition.record.topics import CLOCK, DEFLECTION_FIELDS, ENVIRONMENT, RecordedClockStep
+from calibration import relate_clocks
 from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import DataError
+from processing.fit import FitMethod, Ground
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
+from processing.units import seconds
 from rig.analysis.air import ambient_warnings, recorded_surroundings
-from rig.analysis.decay_values import decay_rows, values_of_points
+from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings, u_second
 from rig.analysis.passing_deflections import (
     ChangedDeflections,
@@ -23,20 +30,24 @@ from rig.analysis.passing_deflections import (
     without_beam_motion,
     without_fixed_light,
 )
-from rig.analysis.run_conditions import run_clock, run_conditions
-from rig.analysis.run_values import Beam
+from rig.analysis.results import RunResults
+from rig.analysis.run_values import Beam, RunClock
 from rig.analysis.seismometer import recorded_witness
 from rig.analysis.seismometer_file import SeismometerRecord, TimedSeismometer
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import (
+    U_FREE_RUNNING,
+    U_QUARTZ,
+    U_SYNCHRONISED,
     inputs_sha256,
     judge_calibration,
     optics_of,
     recorded_configuration,
     run_balance_verdicts,
 )
-from rig.settings import Configuration, KeyUseMonitor
+from rig.settings import Configuration, KeyUseMonitor, PreflightSettings
+from rig.terminal import Verdict, percent
 
 
 def analyse_record(
@@ -138,8 +149,9 @@ def analyse_run(
     if kind.report == "contact":
         verdicts += run_balance_verdicts(balance_of_run(followed.balances, followed.plane), config.balance)
     points, values = run.points, None
-    if run.reduction is None:
-        values = values_of_points(points, unit.shown_size, u_second(config, u_clock))
+    with suppress(DataError):
+        if run.reduction is None:
+            values = decay_values(points, unit.shown_size, u_clock=u_second(config, u_clock))
     run = replace(
         run,
         table=(*run.table, *decay_rows(points, values, unit.shown, unit.shown_size, reader.path.stem)),
@@ -160,3 +172,217 @@ def analyse_run(
     )
     conditions = run_conditions(reader, run, deflections.lost_spots, config.preflight, verdicts)
     return replace(run, conditions=conditions)
+
+
+_MOST_FRAMES = 20_000
+"""Number of frames from twice which on only every second, third, ... one is fitted for the rate of the clock:
+more would not make it better known."""
+_U_UNKNOWN = 100e-6 / math.sqrt(3.0)
+"""Relative standard uncertainty of an unknown rate: a quartz within its usual tolerance, 100 ppm."""
+_MOST_STEP_S = 1e-3
+"""Largest uncertainty of a step that is no fault: turning points are timed to some 0.1 ms."""
+_LIMIT = f"steps known to {_MOST_STEP_S:g} s"
+_FIELDS = ("sequence", "device_time_ns", "host_time_ns")
+
+
+def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
+    """The clock of a record; None for frames made on demand, which have times of their own."""
+    if config.on_demand:
+        return None
+    anchors = reader.table(CLOCK.topic)
+    synchronised = len(anchors) > 0 and bool(np.all(anchors["synchronised"]))
+    u_host = U_SYNCHRONISED if synchronised else U_FREE_RUNNING
+    blocks = [block[list(_FIELDS)] for block in reader.spot_blocks(fields=_FIELDS)]
+    if RecordedCamera.from_metadata(reader.metadata).has_clock is False or not blocks:
+        return RunClock(drift_ppm=math.nan, u_drift_ppm=math.nan, u_rate=u_host, synchronised=synchronised)
+    table = np.concatenate(blocks)
+    sequence, device_ns, host_ns = (table[name].astype(np.int64) for name in _FIELDS)
+    steps = reader.values(RecordedClockStep)
+    u_steps_s = seconds(math.sqrt(sum(float(step.u_step_ns) ** 2 for step in steps)))
+    every = max(1, len(sequence) // _MOST_FRAMES)
+    try:
+        relation = relate_clocks(device_ns[::every], host_ns[::every], sequence[::every])
+        rate, u_rate, drift_ppm, u_drift_ppm = (
+            relation.rate, relation.u_rate, relation.drift_ppm, relation.u_drift_ppm,
+        )  # fmt: skip
+    except DataError:
+        rate, u_rate, drift_ppm, u_drift_ppm = 1.0, math.nan, math.nan, math.nan
+    over_s = max(seconds(int(device_ns[-1] - device_ns[0])), 1e-9)
+    return RunClock(
+        drift_ppm=drift_ppm,
+        u_drift_ppm=u_drift_ppm,
+        u_rate=math.hypot(_u_of_rate(config, rate, u_rate, u_host), u_steps_s / over_s),
+        steps=len(steps),
+        largest_step_s=seconds(max((step.step_ns for step in steps), key=abs, default=0)),
+        u_steps_s=u_steps_s,
+        synchronised=synchronised,
+    )
+
+
+def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float) -> float:
+    """Relative standard uncertainty of the rate with which the run's times were computed.
+
+    It is that of the calibration; for a calibrated rate that the run contradicts, and for an assumed rate, it
+    is the deviation from the run's own rate.
+    """
+    u_measured = math.hypot(u_rate, u_host, U_QUARTZ)
+    if config.timebase is None:
+        return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_measured)
+    deviation, u_known = rate - config.timebase.camera_rate, config.timebase.u_camera_rate
+    contradicted = math.isfinite(u_rate) and abs(deviation) > 3.0 * math.hypot(u_known, u_measured)
+    return math.hypot(deviation, u_measured) if contradicted else u_known
+
+
+_MOST_KELVIN = 1.0
+"""Largest change of the air's temperature in a run: the paper's arm, 1 m of steel, grows by 12 um, 2 arcsec,
+with each kelvin."""
+_MOST_LEFT_OUT = 0.2
+"""Largest share of half-cycles that the ground moves too much to be fitted."""
+_FORBIDDEN_EVENTS = {
+    EventKind.LASER_DARK: (
+        "light",
+        "nothing confirmed that the laser was lit",
+        "see the events; interlock, controller, cable",
+    ),
+    EventKind.REST_STEP: ("rest position", "it stepped", "find what touched the rig; measure again"),
+    EventKind.PUSH: ("draught", "the swing was pushed", "shield the rig from air; keep away from it"),
+    EventKind.LIGHT_STEP: ("ambient light", "it stepped", "keep the room dark; shield the sensor"),
+}
+
+
+def run_conditions(
+    reader: RecordReader,
+    run: RunResults,
+    lost_spots: int,
+    limits: PreflightSettings,
+    others: Sequence[Verdict] = (),
+) -> tuple[Verdict, ...]:
+    """One verdict for each condition of a run with its fits, before `others`.
+
+    A dropped frame costs as much as a lost spot: the limit of both is that of the preflight for lost spots.
+    """
+    frames, dropped, most = run.frames, run.dropped_frames, limits.max_lost_fraction
+    exact = run.fits.get(FitMethod.EXACT)
+    remedy = "find out where they were lost: camera, bus or computer"
+    of_beam = []
+    if run.beam is not None:
+        of_beam.append(_beam(run.beam, limits.max_poor_fit_fraction))
+        # the flanks of saturated spots alone are fitted, which is right only for Gaussian beams
+        saturated, most_saturated = run.beam.flags.get("SATURATED", 0), limits.max_saturated_fraction
+        reason = "pixels at full scale are lost to the fit"
+        lower = "lower the exposure (exposure_us) or the laser's power"
+        of_beam.append(_fraction("saturation", saturated, frames, most_saturated, lower, reason, warns=True))
+    return (
+        _end(end_of(reader.events())),
+        _fraction("lost spots", lost_spots, frames, most, "see laser, beam and exposure"),
+        _fraction("dropped frames", dropped, frames + dropped, most, remedy),
+        *of_beam,
+        *_forbidden_events(reader.events()),
+        *([] if run.clock is None else [_clock(run.clock)]),
+        *_watcher_failures(reader.events()),
+        *_temperature(reader),
+        *_ground(None if exact is None else exact.ground, run.half_cycles),
+        *others,
+    )
+
+
+def _condition(
+    name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str, *, warns: bool = False
+) -> Verdict:
+    """A condition, with reason and remedy where it is not met; not met it `warns`, or else is a fault."""
+    why, do = ("", "") if ok else (reason, remedy)
+    return Verdict(name, ok or warns, why, do, measured=measured, limit=limit)
+
+
+def _end(end: Event | None) -> Verdict:
+    """Whether the run reached its end; a run that a person ended early is no fault."""
+    if end is None or end.kind == EventKind.FAILED:
+        reason = "the record has no end event" if end is None else "an error ended it"
+        remedy = "remove the cause, then measure again: rig run --resume"
+        measured = "none" if end is None else end.text
+        return Verdict("end", False, reason, remedy, measured=measured, limit="its own")
+    early = "ended early" if end.kind == EventKind.ENDED_EARLY else ""
+    return Verdict("end", True, early, measured=end.text, limit="its own")
+
+
+def _fraction(
+    name: str,
+    count: int,
+    total: int,
+    most: float,
+    remedy: str,
+    reason: str = "too many",
+    *,
+    warns: bool = False,
+) -> Verdict:
+    part = count / total if total else 0.0
+    measured = f"{count} of {total} ({percent(part)})"
+    return _condition(name, part <= most, reason, remedy, measured, f"{100 * most:g} %", warns=warns)
+
+
+def _beam(beam: Beam, most: float) -> Verdict:
+    """A warning where more than the fraction `most` of the judged spots have the flag POOR_FIT."""
+    why = f"the model does not fit it, and uncertainties are only widened for that: {beam.likely_cause}"
+    part = percent(beam.poor_fit_frames / max(beam.judged_frames, 1))
+    measured = f"{beam.model or 'no spot'}, POOR_FIT in {beam.poor_fit_frames} of {beam.judged_frames}"
+    good = not beam.poor_fit_fraction > most
+    limit = f"{100 * most:g} %"
+    return _condition("beam", good, why, beam.remedy, f"{measured} ({part})", limit, warns=True)
+
+
+def _forbidden_events(events: Sequence[Event]) -> list[Verdict]:
+    unlit = EventKind.LASER_DARK
+    events = [one._replace(kind=unlit) if one.kind == EventKind.LASER_UNKNOWN else one for one in events]
+    happened = Counter(event.kind for event in events)
+    texts = {event.kind: event.text for event in reversed(events)}
+    times = {0: "never", 1: "once"}
+    return [
+        _condition(
+            name, not happened[kind], f"{reason}: {texts.get(kind, '')}", remedy,
+            times.get(happened[kind], f"{happened[kind]} times"), "never",
+        )
+        for kind, (name, reason, remedy) in _FORBIDDEN_EVENTS.items()
+    ]  # fmt: skip
+
+
+def _clock(clock: RunClock) -> Verdict:
+    """Verdict on the steps that were taken off: a warning if known to `_MOST_STEP_S`, else a fault."""
+    if not clock.steps:
+        return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
+    known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
+    remedy = "network clock, supply, cable of the camera; rig calibrate clock"
+    ok = clock.u_steps_s <= _MOST_STEP_S
+    return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_LIMIT)
+
+
+def _watcher_failures(events: Sequence[Event]) -> list[Verdict]:
+    """A warning where a part that only watches the run failed, which leaves the record whole."""
+    texts = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
+    if not texts:
+        return []
+    remedy = "the record is whole; report this with the program's log"
+    return [Verdict("watching", True, "what only watches failed", remedy, measured=texts[-1], limit="never")]
+
+
+def _temperature(reader: RecordReader) -> list[Verdict]:
+    table = reader.table(ENVIRONMENT.topic)
+    read_c = table["temperature_c"][np.isfinite(table["temperature_c"])] if len(table) else np.empty(0)
+    if not len(read_c):
+        return []
+    measured = f"{np.min(read_c):.2f} to {np.max(read_c):.2f} °C"
+    reason, remedy = "it changed during the run", "wait until the room is steady; shield the rig"
+    ok = float(np.ptp(read_c)) <= _MOST_KELVIN
+    return [_condition("temperature", ok, reason, remedy, measured, f"within {_MOST_KELVIN:g} K")]
+
+
+def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
+    """Whether the ground, by the exact fit, left most of the half-cycles to be fitted."""
+    if ground is None or not half_cycles:
+        return []
+    part = ground.left_out_half_cycles / (half_cycles + ground.left_out_half_cycles)
+    widest = max((value for value in ground.widening.values() if np.isfinite(value)), default=1.0)
+    reason = "it drove the pendulum more than friction braked it"
+    remedy = "measure at a quieter time or place; end at a larger amplitude"
+    measured = f"{percent(part)} of the half-cycles left out, uncertainties × {widest:.2g}"
+    limit = f"{100 * _MOST_LEFT_OUT:g} % left out"
+    return [_condition("ground", part <= _MOST_LEFT_OUT, reason, remedy, measured, limit)]

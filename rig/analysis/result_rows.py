@@ -142,15 +142,12 @@ def result_rows(
     rows = []
     for name in fit.contact_names:
         value, u = fit.estimate(name)
-        if (found := known.get(name)) is not None:
-            ends, verdict = (found.lower_95, found.upper_95), found.verdict
-        elif u <= WELL_DETERMINED * abs(value):
-            ends, verdict = fit.interval(name), Determinacy.DETERMINED
-        else:
-            ends, verdict = (nan, nan), Determinacy.UNDETERMINED
-        by_profile = found is not None and found.profile_likelihood
-        more = dict[str, Any](lower=ends[0], upper=ends[1], verdict=verdict, by_profile=by_profile)
-        rows.append(plain_row(name, Estimate(value, u), run, **more))
+        found = known.get(name) or Determination(name, Determinacy.UNDETERMINED, nan, nan)
+        if name not in known and u <= WELL_DETERMINED * abs(value):
+            found = Determination(name, Determinacy.DETERMINED, *fit.interval(name))
+        more = dict[str, Any](verdict=found.verdict, by_profile=found.profile_likelihood)
+        limits = dict[str, Any](lower=found.lower_95, upper=found.upper_95)
+        rows.append(plain_row(name, Estimate(value, u), run, **limits, **more))
     return _with_apparatus(run, rows, budget, pendulum)
 
 
@@ -184,8 +181,7 @@ def series_rows(
             verdict = Determinacy.INTERVAL
             if lower <= 0 and law_parameters()[name].lower == 0:
                 verdict, lower = Determinacy.UPPER_BOUND, 0.0
-        found = Estimate(item.value, item.standard_uncertainty)
-        rows.append(plain_row(name, found, "series", lower=lower, upper=upper, verdict=verdict))
+        rows.append(plain_row(name, item.estimate, "series", lower=lower, upper=upper, verdict=verdict))
     return _with_apparatus("series", rows, budget, pendulum)
 
 

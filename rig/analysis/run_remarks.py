@@ -19,10 +19,9 @@ from processing.fit import (
     Response,
     SeismometerUse,
 )
-from rig.analysis.contact_results import Correlation
 from rig.analysis.decay_values import DECAY
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
-from rig.analysis.results import RunResults, Series
+from rig.analysis.results import Correlation, RunResults, Series
 from rig.terminal import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
 
 _LARGE = 0.25
@@ -34,8 +33,14 @@ def has_apparatus(item: Budget | None) -> bool:
     return item is not None and any(line.type == "B" and line.share > 0 for line in item.sources)
 
 
-def dominant_text(item: Budget) -> str:
-    """The sources of most of the variance, largest first: `E of the flat 71 %, half-cycles 26 %`."""
+def main_sources(row: ResultRow, budget: Mapping[str, Budget]) -> str:
+    """The sources of most of a row's variance, largest first: `E of the flat 71 %, half-cycles 26 %`.
+
+    It is empty for a row that is not determined, or without contributions of the apparatus.
+    """
+    item = budget.get(row.quantity)
+    if item is None or not row.determined or not has_apparatus(item):
+        return ""
     lines = sorted(item.sources, key=lambda line: -line.share)
     named = [line for line in lines if line.share >= _LARGE] or lines[:1]
     return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,7 +44,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
     with the whole budget, its limits and the steps against them. With INFO enabled for this logger
     (``rig -v``), every run has both fits with the half-cycles' own uncertainties, their quality, all remarks.
     """
-    answer(results=encoded(results), written=[path for _, path in paths])
+    answer(results=partial(encoded, results), written=[path for _, path in paths])
     combined = combined_table(results)
     short = combined is not None and not logger.isEnabledFor(logging.INFO)
     for number, run in zip(results.numbers, results.runs, strict=True):
@@ -156,11 +157,9 @@ def fit_several(
     if together is not None:
         print_line(f"--- runs {', '.join(tables)}")
         _print_series(together.series)
-        answer(series=encoded(together)["series"])
+        answer(series=lambda: encoded(together)["series"])
         if output is not None:
-            write_results(output / RESULTS_NAME, together)
-            answer(written=[output / RESULTS_NAME])
-            print(f"results      {output / RESULTS_NAME}")
+            _save(output, together)
     return int(failed > 0)
 
 
@@ -234,10 +233,15 @@ def _write(path: Path, output: Path | None, results: SessionResults | EnvelopeRe
         if isinstance(results, SessionResults):
             record = relative_record(path, output)
             results = replace(results, runs=tuple(replace(run, record=record) for run in results.runs))
-        write_results(output / RESULTS_NAME, results)
-        answer(written=[output / RESULTS_NAME])
-        print(f"results      {output / RESULTS_NAME}")
-    answer(results=[encoded(results)])
+        _save(output, results)
+    answer(results=lambda: [encoded(results)])
+
+
+def _save(folder: Path, results: SessionResults | EnvelopeResults) -> None:
+    path = folder / RESULTS_NAME
+    write_results(path, results)
+    answer(written=[path])
+    print(f"results      {path}")
 
 
 def _print(path: Path, table: AnalysedTable) -> None:

@@ -78,7 +78,11 @@ def combined_series(
     measured = None if default is None else default.measured
     if measured is not None:
         try:
-            measured = replace(measured, by_inputs=_by_drifts(points, pendulum, fits[FitMethod.EXACT]))
+            pairs = zip(points, fits[FitMethod.EXACT], strict=True)
+            drifts = [drift_effects(LinearisedFit.of(one, pendulum, fit)) for one, fit in pairs]
+            # all runs have them alike
+            by_drifts = {name: np.mean([one[name] for one in drifts], axis=0) for name in DRIFTS}
+            measured = replace(measured, by_inputs=by_drifts)
         except DataError as error:
             problems.append(f"the budget has no lines for drifts: {error}")
     if measured is not None and rig is not None and of_runs and all(of_runs):
@@ -133,16 +137,6 @@ def _moved(of_runs: Sequence[Mapping[str, Budget]], names: Sequence[str], source
 
 def _lines(lines: Mapping[str, Budget], names: Sequence[str], source: str) -> list[BudgetSource]:
     return [one for name in names if name in lines for one in lines[name].sources if one.source == source]
-
-
-def _by_drifts(
-    points: Sequence[TurningPoints], pendulum: PendulumOnBall, fits: Sequence[FitResult]
-) -> dict[str, Floats]:
-    """Derivatives of the mean by drifts that all runs have alike."""
-    found = [
-        drift_effects(LinearisedFit.of(one, pendulum, fit)) for one, fit in zip(points, fits, strict=True)
-    ]
-    return {name: np.mean([drifts[name] for drifts in found], axis=0) for name in DRIFTS}
 
 
 _Readings = Sequence[Mapping[str, ValueWithSharedErrors]]

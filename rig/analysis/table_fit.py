@@ -266,7 +266,7 @@ def _analyse(
     oscillation = fast_oscillation(
         trajectory.times_ns[inside][free], deflection[free], summary.period_s.value
     )
-    decay = decay_values(points, summary, scale, u_common=u_common)
+    decay = decay_values(points, scale, u_common=u_common)
     warnings = [
         *run.warnings,
         *filter(None, [_direction_warning(trajectory, inside, run, followed)]),

@@ -13,12 +13,12 @@ from processing.arrays import Floats
 from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, rotate, square_axes
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections
+from processing.instruments import DEGREE_RAD
 from processing.swing import HalfCycle, TurningPoints, swings_of_blocks, turning_points
 from processing.units import seconds
 from rig.analysis.passing_deflections import ChangedDeflections, PassingDeflections
 from rig.terminal import with_uncertainty
 
-DEGREE_RAD: Final = math.pi / 180.0
 _SQUARE: Final = Axes()
 MATTERS: Final = 0.05
 """Largest change of any parameter of a fit, in standard uncertainties, by a rotation that is neglected."""

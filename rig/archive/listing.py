@@ -20,6 +20,7 @@ from rig.terminal import (
     NOT_KNOWN,
     Cell,
     Table,
+    TableRow,
     plain,
     print_json_line,
     print_tables,
@@ -208,7 +209,7 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
             for name, value in row.items()
             if (value not in (None, "") or row.get(f"verdict_{name}")) and name not in _NUMBERS
         ]
-        print_tables([Table(row["sha256"][:8], title, (), (), ("", ""), texts, "")])
+        print_tables([Table(row["sha256"][:8], title, (), ("", ""), [TableRow((), text) for text in texts])])
 
 
 def named_runs(archive: Path, names: Sequence[str]) -> str:
@@ -309,9 +310,11 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
     """Table of runs: on screen values with total u or bounds in one cell, in the file in separate columns."""
     found = [dict(zip(names, row, strict=True)) for row in rows]
     head = [name for name in names if name not in _NUMBERS or _PREFIX.sub("", name, count=1) not in names]
-    shown = [[_shown(name, row) for name in head] for row in found]
-    cells = [[_cell(value) for value in row] for row in rows]
-    return Table("runs", "", names, cells, head, shown, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
+    lines = [
+        TableRow([_cell(value) for value in row.values()], [_shown(name, row) for name in head])
+        for row in found
+    ]
+    return Table("runs", "", names, head, lines, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
 
 
 _PREFIX = re.compile("(u_total|u|lower|upper|verdict)_")

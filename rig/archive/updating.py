@@ -17,7 +17,6 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, MissingPackage, RecordError, RigError
 from rig.analysis import (
-    AnalysedRun,
     analyse_record,
     chosen_laws,
     free_path,
@@ -222,21 +221,18 @@ def refit(task: RefitTask) -> str:
         for record, sha256 in task.records:
             if sha256_of(record) != sha256:
                 return f"{record}: has changed since it was read; rig archive update"
-        runs = [_analysed(record, task) for record, _ in task.records]
+        runs = [
+            analyse_record(record, task.settings)
+            if task.level == "swings"
+            else analyse_replayed(record, retrack=task.level == "pixels", overrides=task.settings)
+            for record, _ in task.records
+        ]
+        if task.laws:
+            runs = [with_laws(run, chosen_laws(task.laws)) for run in runs]
         write_results(free_path(task.folder), session_results(runs, task.folder))
     except RigError as error:
         return str(error)
     return ""
-
-
-def _analysed(record: Path, task: RefitTask) -> AnalysedRun:
-    if task.level == "swings":
-        run = analyse_record(record, task.settings)
-    else:
-        run = analyse_replayed(record, retrack=task.level == "pixels", overrides=task.settings)
-    if task.laws:
-        run = with_laws(run, chosen_laws(task.laws))
-    return run
 
 
 def refit_runs(

@@ -200,7 +200,7 @@ def model_runs(
 
         runs = runs_of_archive(ordered_runs(archive, where))
     found = fit_model(runs, stated, sample=sample)
-    answer(campaign=encoded(found.results))
+    answer(campaign=lambda: encoded(found.results))
     print_tables(campaign_tables(found))
     for line in (*found.results.left_out, *found.results.warnings):
         say(line)

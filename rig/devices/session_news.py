@@ -16,7 +16,7 @@ from processing.deflections import Deflections
 from processing.spot import Spot, SpotFlag
 from processing.units import NS_PER_S
 from rig.instrument import Block
-from rig.terminal import Verdict, table_tree
+from rig.terminal import Verdict, plain_values
 
 PATH_S = 20.0
 """Length of the trajectory that a page draws, in s."""
@@ -76,7 +76,7 @@ class SessionNews:
 
     def preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Set the preflight table."""
-        self._values["preflight"] = table_tree(verdicts)
+        self._values["preflight"] = plain_values(verdicts)
 
     # -- in the run's thread --------------------------------------------------
 

@@ -46,7 +46,6 @@ from rig.terminal import (
     print_line,
     print_verdicts,
     say,
-    table_tree,
 )
 
 _NEVER_ARCSEC = 1e-9
@@ -167,7 +166,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
                 stop.because("stopped")
             verdicts = found.result()
     if json_lines:
-        print_json_line("preflight", {"table": table_tree(verdicts)})
+        print_json_line("preflight", {"table": verdicts})
     else:
         print_verdicts(Console(), verdicts)
     against = failures(verdicts)

@@ -20,7 +20,7 @@ from rig.measure.posterior import LivePosterior
 from rig.measure.run_status import RunStatus, Watcher
 from rig.measure.session_orders import OperatorNote
 from rig.settings import Configuration
-from rig.terminal import Verdict, table_tree
+from rig.terminal import Verdict, plain_values
 
 _log = logging.getLogger(__name__)
 
@@ -116,7 +116,7 @@ class RunParts:
         if features := features_json(camera.camera):
             attachments["camera-features-start.json"] = features
         if preflight:
-            attachments["preflight.json"] = json.dumps(table_tree(preflight), indent=1).encode()
+            attachments["preflight.json"] = json.dumps(plain_values(preflight), indent=1).encode()
         # the settings that were read back from the camera
         applied = camera.applied.model_dump(exclude_none=True)
         settings = {key: str(value) for key, value in applied.items()} | {

@@ -25,7 +25,7 @@ from rig.instrument import Phase, RecordContents, RunNow
 from rig.measure.end_of_run import BELOW_IN_A_ROW
 from rig.measure.run_status import Rates, estimate_rows, run_panel
 from rig.settings import StopCondition
-from rig.terminal import Verdict, loud, print_json_line, print_verdicts, say, table_tree
+from rig.terminal import Verdict, loud, print_json_line, print_verdicts, say
 
 _log = logging.getLogger(__name__)
 _PLAIN_INTERVAL_S = 5.0
@@ -101,7 +101,7 @@ class RunDisplay:
         """Queue the preflight table for printing above the live screen."""
         shown = list(verdicts)
         if self.json_lines:
-            self._to_print.append(lambda: self.line("preflight", {"table": table_tree(shown)}))
+            self._to_print.append(lambda: self.line("preflight", {"table": shown}))
         else:
             self._to_print.append(lambda: print_verdicts(self.console, shown))
 

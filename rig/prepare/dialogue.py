@@ -13,6 +13,7 @@ from rig.instrument import turn_text
 from rig.terminal import (
     NOT_KNOWN,
     Table,
+    TableRow,
     judged_number,
     print_json_line,
     print_line,
@@ -145,7 +146,7 @@ def print_faults(faults: Sequence[Fault], before: Sequence[Fault]) -> None:
         if before:
             row.append(_number(before[k]))
         rows.append([*row, f"{fault.limit:g} {fault.unit}".rstrip(), "" if fault.ok else fault.meaning])
-    print_tables([Table("balance", "", head, rows, head, rows)])
+    print_tables([Table("balance", "", head, head, [TableRow(row, row) for row in rows])])
 
 
 def _number(fault: Fault) -> str:

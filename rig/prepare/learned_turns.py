@@ -26,7 +26,7 @@ from processing.balance import (
 )
 from rig.instrument import WEIGHTS, mass_centre_height, nominal_effects, sensor_room
 from rig.settings import Configuration
-from rig.terminal import Table, answer, print_line, print_tables, say
+from rig.terminal import Table, TableRow, answer, print_line, print_tables, say
 
 Floats = NDArray[np.float64]
 
@@ -129,7 +129,7 @@ def show_turns(config: Configuration, path: Path) -> None:
                 f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um"
             )
     answer(turns=[dict(zip(_HEAD, row, strict=True)) for row in rows], learned=learned)
-    print_tables([Table("turns", "", _HEAD, rows, _HEAD, rows)])
+    print_tables([Table("turns", "", _HEAD, _HEAD, [TableRow(row, row) for row in rows])])
     for line in learned:
         print_line(line)
 

@@ -18,7 +18,7 @@ from processing.units import ARCSEC_RAD
 from rig.analysis import encoded
 from rig.report import html
 from rig.report.campaign import Campaign
-from rig.report.drawing import INK, ReportFigure, canvas, styled, three_columns
+from rig.report.drawing import INK, ReportFigure, canvas, three_columns
 from rig.report.likelihoods import CampaignEffect, CampaignResults
 from rig.terminal import (
     SOURCES,
@@ -69,9 +69,9 @@ def _contacts_table(results: CampaignResults) -> Table:
                     ],
                 )
             )  # fmt: skip
-    return Table.of(
+    return Table(
         "contacts", "Contacts",
-        "contact quantity value u lower_95 upper_95 without_priors u_without_priors",
+        ["contact", "quantity", "value", "u", "lower_95", "upper_95", "without_priors", "u_without_priors"],
         ("contact", "", "value", "95 %", "without priors"), rows,
         f"{len(results.runs)} run{'' if len(results.runs) == 1 else 's'}. Median and half of the 68 % band, "
         "at the reference of all effects; includes the inputs that runs share, counted once.",
@@ -97,9 +97,9 @@ def _differences_table(results: CampaignResults) -> Table | None:
             )
         )  # fmt: skip
     seen = sum(one.seen for one in results.differences)
-    return Table.of(
+    return Table(
         "differences", "Differences of contacts",
-        "first second quantity difference u lower_95 upper_95 chance verdict",
+        ["first", "second", "quantity", "difference", "u", "lower_95", "upper_95", "chance", "verdict"],
         ("", "", "difference", "chance"), rows,
         f"{seen} of {len(rows)} differ, the others are in the CSV; the 5 % level is shared by all. What runs "
         f"share cancels. b and γ at {results.reference_arcsec:g} arcsec.",
@@ -135,10 +135,11 @@ def effects_table(results: CampaignResults) -> Table | None:
             f" Probability: posterior, of each form tried alone; of no effect: "
             f"{plain(results.nothing, 2)}, with a prior of one half."
         )
-    return Table.of(
+    return Table(
         "effects", "Effects",
-        "effect kind slope u_slope lower_95 upper_95 over_span u_over_span chance verdict log_bayes_factor "
-        "probability equivalent slope_without_priors u_slope_without_priors",
+        ("effect", "kind", "slope", "u_slope", "lower_95", "upper_95", "over_span", "u_over_span", "chance",
+         "verdict", "log_bayes_factor", "probability", "equivalent", "slope_without_priors",
+         "u_slope_without_priors"),
         ("", "over the span", "chance", "judged", "probability", "slope without priors"), rows, note,
     )  # fmt: skip
 
@@ -170,9 +171,9 @@ def _covariate_words(name: str) -> tuple[str, str, float]:
 def _runs_table(results: CampaignResults) -> Table:
     """Table with a row for each run: residuals and probability of being bad; values in the CSV."""
     names, none, rows = results.parameters, (nan, nan), []
-    columns = "run contact sha256 results_sha256 bad"
+    columns = ["run", "contact", "sha256", "results_sha256", "bad"]
     for name in names:
-        columns += f" {name} u_{name} together_{name} u_together_{name} residual_{name}"
+        columns += [name, f"u_{name}", f"together_{name}", f"u_together_{name}", f"residual_{name}"]
     for run in results.runs:
         cells: list[Cell] = [run.label, run.contact, run.sha256, run.results_sha256, run.bad]
         off = [run.residuals.get(name, nan) for name in names]
@@ -180,7 +181,7 @@ def _runs_table(results: CampaignResults) -> Table:
             cells += [*run.alone.get(name, none), *run.together.get(name, none), one]
         bad = f"{100 * run.bad:.0f} %" if run.bad > 0.05 else ""
         rows.append(TableRow(cells, [run.label, run.contact, *(plain(one, 2) for one in off), bad]))
-    return Table.of(
+    return Table(
         "runs", "Residuals by run", columns,
         ("run", "contact", *(quantity(name).symbol for name in names), "bad"), rows,
         "Deviation from the model over its uncertainty from the run and the scatter between runs.",
@@ -201,8 +202,8 @@ def _budget_table(results: CampaignResults) -> Table:
             for rank, one in enumerate(parts):
                 cells: list[Cell] = [contact, name, one.source, one.contribution, one.share]
                 rows.append(TableRow(cells, () if rank else shown))
-    return Table.of(
-        "budget", "What limits the answer now", "contact quantity source contribution share",
+    return Table(
+        "budget", "What limits the answer now", ["contact", "quantity", "source", "contribution", "share"],
         ("contact", "", "verdict"), rows,
         "Shares of the variance of each level, in its coordinate. Shared inputs do not shrink with the "
         "number of runs; scatter and swings do.",
@@ -230,8 +231,8 @@ def _changes_table(results: CampaignResults) -> Table | None:
                 [quantity(one.parameter).symbol, plain(one.probability, 2), seen],
             )
         )
-    return Table.of(
-        "changes", "Changes", "quantity probability first_run at_least at_most",
+    return Table(
+        "changes", "Changes", ["quantity", "probability", "first_run", "at_least", "at_most"],
         ("", "probability", "where"), rows,
         "Probability of a change at some run, against none, allowing for the choice of the run. Runs count "
         "from 0.",
@@ -252,8 +253,8 @@ def _priors_table(campaign: Campaign) -> Table:
     for key, one in campaign.stated.prior.items():
         shown = [quantity(key).label, quantity(key).text(one.value, one.u), "see Contacts"]
         rows.append(TableRow([key, one.value, one.u, nan], shown))
-    return Table.of(
-        "priors", "Prior and posterior", "what before now u_now", ("", "prior", "posterior"), rows,
+    return Table(
+        "priors", "Prior and posterior", ("what", "before", "now", "u_now"), ("", "prior", "posterior"), rows,
         "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",
     )  # fmt: skip
 
@@ -276,7 +277,7 @@ def _shown(name: str, values: Floats, middle: float) -> Floats:
     return values - middle if name in POSITIVE else values * quantity(name).factor
 
 
-def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
+def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     """Figure of each coordinate with an effect against its covariate: runs, and 68 and 95 % bands."""
     found, results = campaign.posterior, campaign.results
     wanted = [
@@ -287,7 +288,7 @@ def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
         if name in found.model.names
     ]
     if not wanted:
-        return None
+        return []
     margins = {"left": 0.1, "wspace": 0.42, "hspace": 0.5}
     figure, panels = three_columns(len(wanted), lambda rows: 0.6 + 2.3 * rows, **margins)
     contacts = list(results.contacts)
@@ -329,13 +330,12 @@ def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
     whole_in = figure.get_figheight()
     figure.subplots_adjust(bottom=0.5 / whole_in, top=1 - 0.6 / whole_in)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
-    return ReportFigure(
-        "covariates",
-        "Parameters over what the runs were measured under",
+    title = "Parameters over what the runs were measured under"
+    words = (
         "Points: each run alone with its standard uncertainty. Lines and bands: the campaign's median, 68 "
-        "and 95 %, without the scatter between runs.",
-        figure,
+        "and 95 %, without the scatter between runs."
     )
+    return [ReportFigure("covariates", title, words, figure)]
 
 
 def _covariate(run: CompressedRun, runs: Sequence[CompressedRun], effect: Effect) -> float | None:
@@ -385,15 +385,14 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
     """
     files, path, target = folder / "campaign", folder / _NAME, folder / "campaign.html"
     with written(folder):
-        files.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
         atomic_write.write_new(path, text.encode())
         tables = campaign_tables(campaign)
-        html.save_tables(tables, files)
+        figures = html.save_parts(
+            files, tables, lambda: [*_covariate_figures(campaign), _residual_figure(campaign)]
+        )
         atomic_write.replace(files / "contacts.tex", latex_table(_contacts_table(campaign.results)).encode())
-        with styled():
-            over, residuals = _covariate_figure(campaign), _residual_figure(campaign)
-            figures = html.save_figures([residuals] if over is None else [over, residuals], files)
         atomic_write.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
     return [path, target]
 
@@ -417,7 +416,7 @@ def _page(campaign: Campaign, tables: list[Table], figures: Mapping[str, str], s
         f"model scatter as much as the real ones with p = {results.predictive_p:.2g}. "
         f"sha256 of {_NAME}: {sha256}."
     )
-    body = [f'<div class="warn">{html.escape(line)}</div>' for line in warnings]
+    body = [*map(html.warning, warnings)]
     body += [html.notes(results.left_out), first, *figures.values(), *others, html.paragraph(note, "note")]
     title = "SIMULATED: Campaign" if results.simulated else "Campaign"
     return html.page(title, words, body, results_sha256=sha256)

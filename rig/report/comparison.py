@@ -15,9 +15,9 @@ from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.series import CombinedValue, Comparison, combine, compare_series
-from rig.analysis import SURFACE_ENERGY, ResultRow, SessionResults, read_results
+from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, plain_row, read_results
 from rig.report import html
-from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, three_columns
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, three_columns
 from rig.report.figures_contact import comparison_figure
 from rig.terminal import (
     Cell,
@@ -34,12 +34,15 @@ _MIN_RUNS = 3
 
 
 class RunAtCondition(NamedTuple):
-    """One run: the value of an ambient condition, and parameters of the exact fit with their u."""
+    """A fitted run of a series, and the value of an ambient condition."""
 
     series: str
-    run: str
+    run: RunResults
     ambient_value: float
-    parameters: Mapping[str, Estimate]
+
+    def estimate(self, key: str) -> Estimate:
+        """A parameter of the exact fit."""
+        return self.run.fits[FitMethod.EXACT].estimate(key)
 
 
 def ambient_condition_name(name: str) -> str:
@@ -57,14 +60,13 @@ def ambient_condition_name(name: str) -> str:
 
 def runs_with_condition(sessions: Mapping[str, SessionResults], name: str) -> list[RunAtCondition]:
     """The fitted runs for which an ambient condition is known; raises RecordError for fewer than two."""
-    found = []
-    fitted = [(label, run) for label, one in sessions.items() for run in one.runs if run.fits]
-    for label, run in fitted:
-        at = nan if run.surroundings is None else getattr(run.surroundings, name)
-        if isfinite(at):
-            exact = run.fits[FitMethod.EXACT]
-            values = {key: exact.estimate(key) for key in DEFAULT_LAW.names()}
-            found.append(RunAtCondition(label, run.record, at, values))
+    fitted = [
+        RunAtCondition(label, run, getattr(run.surroundings, name, nan))
+        for label, one in sessions.items()
+        for run in one.runs
+        if run.fits
+    ]
+    found = [run for run in fitted if isfinite(run.ambient_value)]
     if len(found) < 2:
         raise RecordError(
             f"--against {name}: known for {len(found)} of {len(fitted)} fitted runs, two are needed: state "
@@ -75,33 +77,29 @@ def runs_with_condition(sessions: Mapping[str, SessionResults], name: str) -> li
 
 def ambient_table(runs: Sequence[RunAtCondition], name: str) -> Table:
     """Table of parameters against an ambient condition: runs in the CSV, fitted lines where it is shown."""
-    columns: list[str] = ["series", "run", name]
-    for key in DEFAULT_LAW.names():
-        columns += [key, f"u_{key}"]
-    rows: list[list[Cell]] = []
+    columns = ["series", "run", name, *(each for key in DEFAULT_LAW.names() for each in (key, f"u_{key}"))]
+    lines = []
     for run in runs:
-        cells: list[Cell] = [run.series, run.run, run.ambient_value]
-        for key in DEFAULT_LAW.names():
-            cells += run.parameters.get(key, (nan, nan))
-        rows.append(cells)
+        numbers = (number for key in DEFAULT_LAW.names() for number in run.estimate(key))
+        lines.append(TableRow([run.series, run.run.record, run.ambient_value, *numbers]))
     over = quantity(name)
-    shown = []
     for key in DEFAULT_LAW.names():
         slope, u, chance = _line(runs, key)
         if isfinite(u):
             of = quantity(key)
             factor = of.factor / over.factor
             unit = f"{of.unit or '1'}/{over.unit}"
-            shown.append([of.symbol, plain(slope * factor, 3), plain(u * factor, 2), unit, plain(chance, 2)])
+            texts = [of.symbol, plain(slope * factor, 3), plain(u * factor, 2), unit, plain(chance, 2)]
+            lines.append(TableRow((), texts))
     note = f"{len(runs)} runs. Slope of a straight line, with u from the scatter of the runs about it; "
     note += "chance: the probability of a slope this steep if there is no dependence."
-    if not shown:
+    if len(lines) == len(runs):
         note = f"{len(runs)} runs: too few, or all at the same value, for a line."
-    other = other_unit_warning(name, {f"{run.series} {run.run}": run.ambient_value for run in runs})
+    other = other_unit_warning(name, {f"{run.series} {run.run.record}": run.ambient_value for run in runs})
     note += f" {other}." if other else ""
     return Table(
-        "against", f"Parameters against {over.name}", columns, rows,
-        ("", "slope", "u", "unit", "chance"), shown, note,
+        "against", f"Parameters against {over.name}", columns,
+        ("", "slope", "u", "unit", "chance"), lines, note,
     )  # fmt: skip
 
 
@@ -109,9 +107,7 @@ def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float
     """Slope, its u, and the probability of a slope as large by chance; NaN without a line."""
     from scipy.special import stdtr
 
-    known = np.array(
-        [(run.ambient_value, *tuple(run.parameters[key])) for run in runs if key in run.parameters]
-    )
+    known = np.array([(run.ambient_value, *run.estimate(key)) for run in runs])
     if len(known) < _MIN_RUNS or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
         return nan, nan, nan
     # about the middle: far from zero the slope would lose digits
@@ -123,7 +119,7 @@ def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float
 
 def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
     """Figure of parameters against an ambient condition: a panel each, a point a run, a colour a series."""
-    names = [key for key in DEFAULT_LAW.names() if any(key in run.parameters for run in runs)]
+    names = DEFAULT_LAW.names()
     margins = {"left": 0.1, "bottom": 0.13, "top": 0.86, "wspace": 0.5, "hspace": 0.45}
     figure, panels = three_columns(len(names), lambda rows: 0.5 + 1.9 * rows, **margins)
     over = quantity(name)
@@ -132,14 +128,12 @@ def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
     for axes, key in zip(panels, names, strict=True):
         of = quantity(key)
         for label in labels:
-            seen = [run for run in runs if run.series == label and key in run.parameters]
-            if seen:
-                value, u = np.array([tuple(run.parameters[key]) for run in seen]).T * of.factor
-                at = np.array([run.ambient_value for run in seen]) * over.factor
-                axes.errorbar(
-                    at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9,
-                    color=colours[label], label=label,
-                )  # fmt: skip
+            seen = [run for run in runs if run.series == label]
+            value, u = np.array([tuple(run.estimate(key)) for run in seen]).T * of.factor
+            at = np.array([run.ambient_value for run in seen]) * over.factor
+            axes.errorbar(
+                at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9, color=colours[label], label=label
+            )
         axes.set_title(of.label)
         axes.tick_params(axis="y", labelsize=7)
         axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))
@@ -193,11 +187,11 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         compared = (*DEFAULT_LAW.names(), *_DECAY_QUANTITIES)
         names = [name for name in compared if all(name in known for known in rows.values())]
         with written(output, "name"):
-            files.mkdir(parents=True, exist_ok=True)
-            html.save_tables(tables, files)
-            with styled():
-                drawings = [comparison_figure(names, rows), *([ambient_figure(seen, over)] if over else [])]
-                figures = html.save_figures(drawings, files)
+            figures = html.save_parts(
+                files,
+                tables,
+                lambda: [comparison_figure(names, rows), *([ambient_figure(seen, over)] if over else [])],
+            )
             body = [*figures.values(), *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
             atomic_write.write_new(output, page.encode())
@@ -257,11 +251,10 @@ def rows_of(session: SessionResults, series: Mapping[str, CombinedValue]) -> Map
     if rows := {row.quantity: row for row in session.table if row.fit == FitMethod.EXACT}:
         return rows
     return {
-        name: ResultRow(
-            quantity=name,
-            value=item.value,
-            u=item.standard_uncertainty,
-            u_total=item.standard_uncertainty,
+        name: plain_row(
+            name,
+            item.estimate,
+            "series",
             lower=item.value - item.expanded_uncertainty_95,
             upper=item.value + item.expanded_uncertainty_95,
         )
@@ -297,16 +290,14 @@ def values_table(
         items = [each.get(name) for each in found.values()]
         cells: list[Cell] = [name]
         for row in items:
-            if row is None:
-                cells += [nan, nan, nan, nan, ""]
-            else:
-                cells += [row.value, row.u_total, row.lower, row.upper, row.verdict]
+            numbers = (nan,) * 4 if row is None else (row.value, row.u_total, row.lower, row.upper)
+            cells += [*numbers, "" if row is None else row.verdict]
         texts = ("–" if row is None else row.text for row in items)
         lines.append(TableRow(cells, [quantity(name).label, *texts]))
     what = ("value", "u_total", "lower_95", "upper_95", "verdict")
     columns = [f"{label}_{each}" for label in series for each in what]
     runs = ", ".join(f"{label}: {len(next(iter(one.values())).runs)}" for label, one in series.items())
-    return Table.of(
+    return Table(
         "values", "Parameters of each series", ("parameter", *columns), ("", *series), lines,
         ("Means over the decays" if known <= set(_DECAY_QUANTITIES) else "Exact fits")
         + f", value ± standard uncertainty of swings and apparatus, as far as stated. Runs: {runs}.{note}",
@@ -354,9 +345,9 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
             "A3 combines runs, rig compare --model default --by-sample takes their scatter)."
         )
     notes.append("Errors common to all series (mass, radius, scale) are left out.")
-    return Table.of(
+    return Table(
         "differences", "Differences",
-        "first second parameter difference standard_uncertainty p_value verdict",
+        ("first", "second", "parameter", "difference", "standard_uncertainty", "p_value", "verdict"),
         ("", "", "difference", "chance", "verdict"), lines,
         " ".join(notes),
     )  # fmt: skip

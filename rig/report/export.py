@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, cast, get_type_hints
+from typing import Any, Literal, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from processing.errors import ConfigurationError, MissingPackage, RecordError
 from processing.units import NS_PER_S, conversion, in_ascii, unit_of_name
 from rig.analysis import (
     RESULTS_NAME,
-    JsonObject,
     ResultRow,
     RunResults,
     Series,
@@ -42,10 +41,8 @@ class ExportData:
     """The data exported of a run or a series."""
 
     name: str
-    rows: Sequence[ResultRow]
-    """The table of results."""
-    results: JsonObject
-    """Its part of results.json; empty if the run was not fitted."""
+    results: RunResults | Series | None
+    """Its part of results.json; None if the run was not fitted."""
     provenance: Mapping[str, str]
     """Texts by name: hash, complete configuration and metadata of the record."""
     notes: tuple[str, ...] = ()
@@ -107,8 +104,7 @@ def _read_run(path: Path, results: RunResults | None) -> ExportData:
             "run rig fit again"
         )
     columns = {"spots": _fields(spots), "swings": _fields(swings)}
-    rows, tree = ((), {}) if results is None else (results.table, encoded(results))
-    return ExportData(path.stem, rows, tree, provenance, notes, columns, began, ended)
+    return ExportData(path.stem, results, provenance, notes, columns, began, ended)
 
 
 def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
@@ -142,8 +138,7 @@ def _exported_series(
     if simulated:
         about["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
     notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
-    tree = cast(JsonObject, encoded(SessionResults(runs=(), series=series))["series"])
-    return ExportData("series", series.table, tree, about, notes)
+    return ExportData("series", series, about, notes)
 
 
 def _read_table_decay(folder: Path, decay: RunResults, place: TableDecay, name: str) -> ExportData:
@@ -170,7 +165,7 @@ def _read_table_decay(folder: Path, decay: RunResults, place: TableDecay, name: 
     }
     units = {key: unit for key in (*spots, *swings) if key.endswith(f"_{suffix}")}
     columns = {"spots": spots, "swings": swings}
-    return ExportData(name, decay.table, encoded(decay), provenance, columns=columns, own_units=units)
+    return ExportData(name, decay, provenance, columns=columns, own_units=units)
 
 
 Format = Literal["csv", "parquet", "hdf5", "latex"]
@@ -278,12 +273,12 @@ def _tables(run: ExportData, text_of: Callable[[str], str]) -> Iterator[tuple[st
             for key, values in columns.items()
         ]
         yield name, pa.table(list(columns.values()), schema=pa.schema(fields))
-    if run.rows:
+    if run.results is not None and run.results.table:
         types = {float: pa.float64(), bool: pa.bool_()}
         schema = [(name, types.get(hint, pa.string())) for name, hint in get_type_hints(ResultRow).items()]
         rows = [
             {key: text_of(cell) if isinstance(cell, str) else cell for key, cell in asdict(row).items()}
-            for row in run.rows
+            for row in run.results.table
         ]
         yield "table", pa.Table.from_pylist(rows, schema=pa.schema(schema))
 
@@ -335,10 +330,14 @@ def _entry(file: Any, run: ExportData) -> None:
         lacking = _group(entry, "lacking", "NXnote")
         lacking["type"] = "text/plain"
         lacking["description"] = "\n".join(run.notes)
-    if run.results:
+    if run.results is not None:
         results = _group(entry, "results", "NXcollection")
-        results["json"] = json.dumps(run.results)
-        _rows(_group(results, "values", "NXcollection"), run.rows)
+        found = run.results
+        if isinstance(found, RunResults):
+            results["json"] = json.dumps(encoded(found))
+        else:
+            results["json"] = json.dumps(encoded(SessionResults(runs=(), series=found))["series"])
+        _rows(_group(results, "values", "NXcollection"), run.results.table)
     if run.columns:
         entry.attrs["default"] = "swings"
         entry["start_time"], entry["end_time"] = run.began, run.ended

@@ -3,7 +3,7 @@
 import base64
 import html
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -11,10 +11,12 @@ from acquisition import atomic_write
 from acquisition.record.check import Finding
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
-from rig.report.drawing import DATA, INK, ReportFigure, png, svg
+from rig.report.drawing import DATA, INK, ReportFigure, png, styled, svg
 from rig.terminal import Table, palette
 
 RESULTS_SHA256 = "results-sha256"
+_STYLE: Final = Path(__file__).with_name("report.css")
+"""Style sheet of a page, whose colours are those of a theme."""
 LIGHT: Final[Mapping[str, str]] = {
     "paper": "#ffffff", "ink": INK, "soft": "#566070", "line": "#d9dee5", "tint": "#f4f6f9",
     "accent": palette.BLUE, "warn": "#fdf3ec", "good": "#006b4e", "bad": "#a83f00", "card": "#ffffff",
@@ -32,93 +34,20 @@ def variables(theme: Mapping[str, str]) -> str:
     return " ".join(f"--{name}: {colour};" for name, colour in theme.items())
 
 
-STYLE = (
-    f"""
-:root {{ color-scheme: light; {variables(LIGHT)} }}
-@media screen and (prefers-color-scheme: dark) {{ :root {{ color-scheme: dark; {variables(DARK)} }} }}
-"""
-    """
-* { box-sizing: border-box; }
-html { font: 15px/1.5 system-ui, "Segoe UI", "Helvetica Neue", Arial, sans-serif; color: var(--ink);
-  background: var(--paper); -webkit-print-color-adjust: exact; print-color-adjust: exact; }
-body { background: var(--paper); max-width: 72rem; margin: 0 auto; padding: 1.2rem 1.6rem 4rem; }
-header { border-bottom: 2px solid var(--ink); padding-bottom: .5rem; margin-bottom: .8rem; }
-h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .2rem; letter-spacing: -.01em; }
-h2 { font-size: 1.3rem; margin: 2.6rem 0 .8rem; padding-top: .5rem; border-top: 1px solid var(--line); }
-h3 { font-size: 1.02rem; margin: 1.9rem 0 .5rem; }
-p { margin: .5rem 0; max-width: 46rem; }
-pre { background: var(--tint); padding: .5rem .8rem; font-size: .8rem; white-space: pre-wrap; }
-a { color: var(--accent); }
-.soft, figcaption, .note { color: var(--soft); font-size: .88rem; }
-.first { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); gap: 0 1.6rem; }
-.first figure, .first .key { margin: .2rem 0; }
-.verdict { list-style: none; padding: 0; margin: 0 0 .7rem; }
-.verdict li { margin: .15rem 0; }
-.verdict li:first-child { font-size: 1.3rem; font-weight: 600; line-height: 1.3; }
-.good { color: var(--good); }
-.bad { color: var(--bad); font-weight: 600; }
-.key { display: grid; grid-template-columns: repeat(auto-fit, minmax(14rem, 1fr)); gap: .5rem;
-  margin: 1.1rem 0; }
-.key div { background: var(--tint); border-left: 3px solid var(--accent); padding: .35rem .7rem; }
-.key span { display: block; color: var(--soft); font-size: .8rem; line-height: 1.35; }
-.key b { font-weight: 600; font-size: 1rem; font-variant-numeric: tabular-nums; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums; margin: .4rem 0; }
-thead th, thead td { text-align: right; font-weight: 600; color: var(--soft); padding: .22rem .6rem;
-  border-bottom: 1.5px solid var(--ink); vertical-align: bottom; }
-td { text-align: right; padding: .2rem .6rem; border-bottom: 1px solid var(--line); white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; padding-left: .2rem; }
-td:first-child { white-space: normal; max-width: 12rem; }
-.side { display: flex; flex-wrap: wrap; gap: 0 3rem; align-items: flex-start; }
-.side > div { max-width: 100%; }
-table.verdict td:last-child { white-space: normal; min-width: 8rem; text-align: left; }
-table.verdict th:last-child { text-align: left; }
-table.verdict td:nth-child(2) { text-align: left; }
-tr.group td { border-top: 1px solid var(--soft); }
-figure { margin: 1.3rem 0 1.6rem; max-width: 60rem; }
-figure img { width: 100%; height: auto; display: block; }
-figure img.card { background: var(--card); border-radius: 3px; }
-figcaption { margin-top: .25rem; max-width: 46rem; }
-figcaption b { color: var(--ink); font-weight: 600; }
-ul.notes { padding-left: 1.1rem; margin: .6rem 0; max-width: 60rem; }
-ul.notes li { margin: .25rem 0; }
-.warn { border-left: 3px solid #d55e00; background: var(--warn); padding: .35rem .9rem; margin: .6rem 0; }
-table.facts td { white-space: normal; text-align: left; overflow-wrap: anywhere; }
-table.facts td:first-child { color: var(--soft); vertical-align: top; min-width: 8rem; max-width: 15rem; }
-details { margin: .8rem 0; }
-summary { cursor: pointer; font-weight: 600; padding: .2rem 0; }
-.columns { columns: 2; column-gap: 2rem; }
-.columns table { width: 100%; font-size: .76rem; }
-@media (max-width: 56rem) { .first { grid-template-columns: minmax(0, 1fr); } }
-@media (max-width: 44rem) { .columns { columns: 1; } body { padding: 1rem 1rem 3rem; } }
-@page { size: A4; margin: 15mm 14mm; }
-@media print {
-  html { font-size: 10.2px; }
-  body { max-width: none; padding: 0; }
-  .first { grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); }
-  h2 { break-after: avoid; }
-  h3 { break-after: avoid; }
-  figure, .key, tr, .warn { break-inside: avoid; }
-  figure { max-width: 125mm; }
-  table.short { break-inside: avoid; }
-  .scroll { overflow: visible; }
-  thead { display: table-header-group; }
-  details::details-content { display: none; }
-  details > :not(summary) { display: none; }
-}
-"""
-)
-
-
 def page(title: str, subtitle: str, body: Sequence[str], results_sha256: str = "") -> str:
     """The whole page; its head states the SHA-256 of the results that it was made from."""
+    style = f"""
+:root {{ color-scheme: light; {variables(LIGHT)} }}
+@media screen and (prefers-color-scheme: dark) {{ :root {{ color-scheme: dark; {variables(DARK)} }} }}
+
+{_STYLE.read_text(encoding="utf-8")}"""
     made_from = f'<meta name="{RESULTS_SHA256}" content="{results_sha256}">' if results_sha256 else ""
     return (
         "<!DOCTYPE html>\n"
         f'<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"{made_from}"
-        f"<style>{STYLE}</style></head>\n<body>\n"
+        f"<style>{style}</style></head>\n<body>\n"
         f'<header><h1>{escape(title)}</h1><p class="soft">{escape(subtitle)}</p></header>\n<main>\n'
         + "\n".join(body)
         + "\n</main></body></html>\n"
@@ -139,6 +68,11 @@ def paragraph(text: str, kind: str = "") -> str:
     """A paragraph of plain text."""
     attribute = f' class="{kind}"' if kind else ""
     return f"<p{attribute}>{escape(text)}</p>"
+
+
+def warning(text: str) -> str:
+    """A paragraph of plain text with the colour of warnings."""
+    return f'<div class="warn">{escape(text)}</div>'
 
 
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
@@ -244,23 +178,25 @@ def check_report(results: Path) -> list[Finding]:
     return [Finding("note", f"{report.name} was made from {results.name}")]
 
 
-def save_figures(drawings: Sequence[ReportFigure], files: Path) -> dict[str, str]:
-    """Write every figure as a file, frames as PNG, others as SVG; returns the HTML of each by name."""
+def save_parts(
+    files: Path, tables: Sequence[Table], draw: Callable[[], Sequence[ReportFigure]] = tuple
+) -> dict[str, str]:
+    """Write tables as CSV, and figures, frames as PNG, others as SVG, into a folder, which is made.
+
+    `draw` makes the figures in the style of reports. Returns the HTML of each figure by name.
+    """
+    files.mkdir(parents=True, exist_ok=True)
     atomic_write.take_away_leftovers(files)
+    for content in tables:
+        atomic_write.replace(files / f"{content.name}.csv", content.csv().encode())
     found = {}
-    for drawing in drawings:
-        is_frame = drawing.name.endswith("frame")
-        data = png(drawing) if is_frame else svg(drawing)
-        atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
-        found[drawing.name] = picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
+    with styled():
+        for drawing in draw():
+            is_frame = drawing.name.endswith("frame")
+            data = png(drawing) if is_frame else svg(drawing)
+            atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
+            found[drawing.name] = picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
     return found
-
-
-def save_tables(tables: Sequence[Table], files: Path) -> None:
-    """Write every table as CSV."""
-    atomic_write.take_away_leftovers(files)
-    for table in tables:
-        atomic_write.replace(files / f"{table.name}.csv", table.csv().encode())
 
 
 def with_theme(figure: bytes) -> bytes:

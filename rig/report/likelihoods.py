@@ -29,6 +29,7 @@ from processing.series import (
 )
 from rig.analysis import Fit, JsonObject, ResultRow, RunResults
 from rig.report.campaign_input import SURROUNDING_COVARIATES, FoundRun
+from rig.terminal import plain_values
 
 _AIR, _MISFIT = "air", "misfit"
 _OWN = ("period_drift", "drag_drift", "plane_of_swing_rad")
@@ -88,7 +89,8 @@ def compress(
     for source in _OWN:
         if source in moved:
             own = own + np.outer(moved[source], moved[source])
-    duration_s = _duration_s(run)
+    time_s = run.stored.time_s
+    duration_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     return (
         CompressedRun(
             label=found.label,
@@ -221,11 +223,6 @@ def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float], duration_s: f
     if run.pendulum is not None:
         found["load_n"] = run.pendulum.mass_kg * run.pendulum.gravity_m_per_s2
     return {name: Estimate(value, u.get(name, 0.0)) for name, value in found.items()}
-
-
-def _duration_s(run: RunResults) -> float:
-    time_s = run.stored.time_s
-    return 0.0 if len(time_s) < 2 else float(time_s[-1] - time_s[0])
 
 
 SCHEMA = 1
@@ -373,17 +370,6 @@ class CampaignResults:
 
 def likelihood_tree(run: CompressedRun) -> JsonObject:
     """The likelihood of a run as a tree for the file."""
-    return {
-        "names": list(run.names),
-        "values": run.values.tolist(),
-        "covariance": run.covariance.tolist(),
-        "shared": {key: moved.tolist() for key, moved in run.shared.items()},
-        "asymmetry": dict(run.asymmetry),
-        "bounds": {
-            key: {"limit": b.limit, "side": str(b.side), "softness": b.softness}
-            for key, b in run.bounds.items()
-        },
-        "covariates": {key: list(found) for key, found in run.covariates.items()},
-        "by_growth": None if run.by_growth is None else run.by_growth.tolist(),
-        "duration_s": run.duration_s,
-    }
+    covariates = {key: tuple(found) for key, found in run.covariates.items()}
+    whole: JsonObject = plain_values({**asdict(run), "covariates": covariates})
+    return {key: value for key, value in whole.items() if key not in ("label", "contact")}

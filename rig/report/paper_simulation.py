@@ -130,17 +130,14 @@ class PairSeries:
     series: Series
 
 
-def _end_s(settings: SimulationSettings, run: int = 0) -> float:
-    return float(true_turning_points(settings, _LAST_ARCSEC, run=run).time_s[-1])
-
-
 def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
     """Simulate three runs of one pair, detect half-cycles, make both fits, and combine the runs.
 
     The runs differ only in their noise.
     """
     pendulum, settings = pair.pendulum, pair.settings
-    motion = true_path(settings, _end_s(settings) + 0.6 * pair.period0_s)
+    end_s = float(true_turning_points(settings, _LAST_ARCSEC).time_s[-1])
+    motion = true_path(settings, end_s + 0.6 * pair.period0_s)
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
     runs, exact, shown, stored = [], [], [], []
     for number in range(_RUNS):

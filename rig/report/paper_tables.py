@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -18,9 +19,9 @@ from processing.contact.laws import PAPER
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import ARCSEC_RAD
-from rig.analysis import curves_of
+from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, curves_of
 from rig.report import figures_contact, figures_laws, figures_motion, html
-from rig.report.drawing import ReportFigure, styled
+from rig.report.drawing import ReportFigure
 from rig.report.paper_simulation import (
     B_EXPONENT,
     BALL,
@@ -49,7 +50,6 @@ from rig.terminal import (
 CONTRADICTION: Final = "known contradiction"
 _AGREES: Final = "agrees"
 _SEED: Final = 1
-_LOOP_AMPLITUDE_ARCSEC: Final = 3.1
 _EXACT, _ASYMPTOTIC = FitMethod.EXACT, FitMethod.ASYMPTOTIC
 _DIFFERENCES: Final = (f"relative_difference_{_EXACT}", f"relative_difference_{_ASYMPTOTIC}")
 _FITS_HEAD: Final = (_EXACT.heading, "difference", _ASYMPTOTIC.heading, "difference", "verdict")
@@ -113,7 +113,7 @@ def table1() -> Table:
             label, name = f"{what} / {unit}", "" if place else pair.flat_name
             texts = [name, label, f"{printed:g}", plain(found, 4), _percent(difference), verdict]
             lines.append(TableRow([pair.name, what, unit, printed, found, difference, verdict], texts))
-    return Table.of(
+    return Table(
         "table1", "Table 1: contact after Hertz",
         ("pair", "quantity", "unit", "printed", "calculated", "relative_difference", "verdict"),
         ("", "", "printed", "calculated", "difference", "verdict"), lines,
@@ -161,7 +161,7 @@ def table4(found: Sequence[PairSeries]) -> Table:
         fits = [series.series.fits[method] for method in (_EXACT, _ASYMPTOTIC)]
         contacts = [ContactParameters(**{name: fit[name].value for name in PAPER.names()}) for fit in fits]
         works = [
-            cycle_work(_LOOP_AMPLITUDE_ARCSEC * ARCSEC_RAD, contact, series.pendulum)
+            cycle_work(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, contact, series.pendulum)
             for contact in (series.parameters, *contacts)
         ]
         for what, attribute in (("4A", "dissipated_j"), ("4Aₜ", "adhesive_j")):
@@ -172,8 +172,8 @@ def table4(found: Sequence[PairSeries]) -> Table:
                 plain(exact), _percent(off[0]), plain(asymptotic), _percent(off[1]), "no printed number",
             ]  # fmt: skip
             lines.append(TableRow([series.pair.name, what, "fJ", expected, exact, asymptotic, *off], texts))
-    return Table.of(
-        "table4", f"Table 4: work over one cycle at {_LOOP_AMPLITUDE_ARCSEC:g} arcsec",
+    return Table(
+        "table4", f"Table 4: work over one cycle at {TABLE4_AMPLITUDE_ARCSEC:g} arcsec",
         ("pair", "quantity", "unit", "of_printed_parameters", _EXACT, _ASYMPTOTIC, *_DIFFERENCES),
         ("", "", "of printed parameters", *_FITS_HEAD), lines,
     )  # fmt: skip
@@ -266,7 +266,7 @@ def _comparison_table(name: str, title: str, rows: Sequence[_PrintedRow]) -> Tab
         lines.append(TableRow([row.pair.name, *row[1:-3], *row.differences, row.verdict], texts))
         before = row.pair
     notes = dict.fromkeys(f"{row.label}: {row.note}. " for row in rows if row.note)
-    return Table.of(
+    return Table(
         name, title,
         ("pair", "quantity", "unit", "printed", _EXACT, f"u_{_EXACT}", _ASYMPTOTIC, *_DIFFERENCES, "verdict"),
         ("", "", "printed", *_FITS_HEAD), lines, "".join(notes).rstrip(),
@@ -297,16 +297,13 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
         *(html.table(content) for content in tables),
     ]
     with written(output):
-        files.mkdir(parents=True, exist_ok=True)
-        html.save_tables(tables, files)
+        html.save_parts(files, tables)
         for series in found:
-            folder, combined = files / series.pair.flat, series_table(series.series)
-            folder.mkdir(exist_ok=True)
-            html.save_tables([combined], folder)
+            combined = series_table(series.series)
             body.append(html.heading(series.pair.name[0].upper() + series.pair.name[1:]))
             body.append(html.table(combined))
-            with styled():
-                body += html.save_figures(_drawings(series), folder).values()
+            draw = partial(_drawings, series)
+            body += html.save_parts(files / series.pair.flat, [combined], draw).values()
         page = html.page("Tables and figures of Lubricants 2023, 11(2), 88", "made again", body)
         atomic_write.write_new(target, page.encode())
     return target
@@ -326,5 +323,5 @@ def _drawings(series: PairSeries) -> list[ReportFigure]:
             figures_laws.decay_figure(points, curves, motion.unit),
             figures_laws.period_figure(curves),
         ]
-    loop = figures_contact.loop_figure(exact.contact(), series.pendulum, _LOOP_AMPLITUDE_ARCSEC, has_c=True)
+    loop = figures_contact.loop_figure(exact.contact(), series.pendulum, TABLE4_AMPLITUDE_ARCSEC, has_c=True)
     return [*drawings, loop]

@@ -109,7 +109,7 @@ def plan_table(plan: Plan) -> Table:
         note += f" * session.max_duration_s = {plan.longest_s:g} would end it earlier: raise it for this."
     columns = ("first_arcsec", "last_arcsec", "duration_s", "half_cycles", "runs", "rig_time_s")
     symbols = [f"u({quantity(name).symbol})" for name in names]
-    return Table.of(
+    return Table(
         "plan", "Expected uncertainties", (*columns, *(f"u_{name}" for name in names)),
         ("amplitudes, arcsec", "runs", "min", *symbols), lines, note,
     )  # fmt: skip
@@ -154,7 +154,7 @@ def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
         rate = _percent_or_unknown(per_h) + (" per h" if per_h < 10 else "")
         lines.append(TableRow(cells, [words, waiting, f"{one.duration_s / 60:.1f}", *relative, rate]))
     symbol = quantity("b").symbol
-    return Table.of(
+    return Table(
         "plan_ageing", "Runs that reveal ageing of the contact",
         ("first_arcsec", "last_arcsec", "second_first_arcsec", "waiting_s", "elapsed_s", "u_b_steady",
          "u_b", "u_ageing_per_s"),

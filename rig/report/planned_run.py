@@ -14,7 +14,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.fit import LEAST_UNEXPLAINED, Conditions, FitMethod, waveform_of
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
-from processing.swing import HarmonicsMeasurement, swings_of_blocks, turning_points
+from processing.swing import HarmonicsMeasurement, TurningPoints, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, nanoseconds
 from rig.analysis import AnalysedRun, Fit, known_drag, read_results, stated_surroundings
 from rig.instrument import complete, pendulum_on_ball, sensor_model
@@ -73,10 +73,11 @@ def planned_contact_of_file(
     """
     config = complete(load_configuration(source, overrides))
     # read first, so that an unusable file is refused before the work
-    known = None if contact is None else _contact_of(contact)
+    fitted = [] if contact is None else _fitted(contact, "name another, or leave --contact out")
     planned = planned_contact(config, None if noise_arcsec is None else noise_arcsec * ARCSEC_RAD)
-    if known is None:
+    if not fitted:
         return planned
+    known = _values_of(fitted[0][0])
     # the drag is planned as it will be fitted, whether or not the earlier fit had one
     return planned._replace(values={name: known.get(name, own) for name, own in planned.values.items()})
 
@@ -95,20 +96,8 @@ def planned_contact_of_table(results: Path) -> PlannedContact:
 
     Raises DataError if no decay has a fit of the contact.
     """
-    exact, pendulum, points = max(
-        (
-            (run.fits[FitMethod.EXACT], run.pendulum, run.points)
-            for run in read_results(results).runs
-            if FitMethod.EXACT in run.fits and run.pendulum is not None
-        ),
-        key=lambda found: len(found[2]),
-        default=(None, None, None),
-    )
-    if exact is None or pendulum is None or points is None:
-        raise DataError(
-            f"{results}: no decay in it has a fit of the contact; rig fit TABLE --unit arcsec --config "
-            "CONFIG makes one"
-        )
+    fitted = _fitted(results, "rig fit TABLE --unit arcsec --config CONFIG makes one")
+    exact, pendulum, points = max(fitted, key=lambda found: len(found[2]))
     ground = exact.ground
     scale = 1.0 if ground is None else ground.measurement_scale
     conditions = Conditions(
@@ -119,16 +108,19 @@ def planned_contact_of_table(results: Path) -> PlannedContact:
     return PlannedContact(_values_of(exact), pendulum, conditions)
 
 
-def _contact_of(results: Path) -> dict[str, float]:
-    """The contact's values by key, of the first fitted run of a results file."""
-    fit = next(
-        (run.fits[FitMethod.EXACT] for run in read_results(results).runs if FitMethod.EXACT in run.fits), None
-    )
-    if fit is None:
-        raise DataError(
-            f"{results}: no run in it has a fit of the contact; name another, or leave --contact out"
-        )
-    return _values_of(fit)
+def _fitted(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, TurningPoints]]:
+    """Exact fit, pendulum and turning points of the fitted runs or decays of a results file.
+
+    Raises DataError if there are none.
+    """
+    fitted = [
+        (run.fits[FitMethod.EXACT], run.pendulum, run.points)
+        for run in read_results(results).runs
+        if FitMethod.EXACT in run.fits and run.pendulum is not None
+    ]
+    if not fitted:
+        raise DataError(f"{results}: nothing in it has a fit of the contact; {remedy}")
+    return fitted
 
 
 def _values_of(fit: Fit) -> dict[str, float]:

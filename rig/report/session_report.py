@@ -10,6 +10,7 @@ import numpy as np
 
 from acquisition import atomic_write
 from processing.contact.laws import DEFAULT_LAW
+from processing.decay_summary import mean_period
 from processing.errors import RecordError
 from processing.fit import Budget, FitMethod
 from processing.instruments import INSTRUMENTS
@@ -22,8 +23,7 @@ from rig.analysis import (
     SessionResults,
     curves_of,
     decay_lines,
-    dominant_text,
-    has_apparatus,
+    main_sources,
     named,
     remarks,
     results_path,
@@ -31,7 +31,7 @@ from rig.analysis import (
 )
 from rig.intake import write_positions
 from rig.report import figures_contact, figures_laws, figures_motion, html
-from rig.report.drawing import ReportFigure, styled
+from rig.report.drawing import ReportFigure
 from rig.report.figures_contact import instrument_figures
 from rig.report.figures_motion import damped_figure, position_error_figure, witness_figure
 from rig.report.source import ReportSource, RunData, read_source
@@ -56,7 +56,6 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     target = output or source.folder / f"{name}.html"
     files = target.parent / target.stem
     with written(target):
-        files.mkdir(parents=True, exist_ok=True)
         series = [] if source.series is None else _series(source, source.series, files)
         single = len(source.runs) == 1
         runs = [_run(run, files / f"run-{k}", single=single) for k, run in enumerate(source.runs, start=1)]
@@ -103,12 +102,10 @@ def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
     if tables:
         body.append(html.table(tables[0]))
     body.append(html.notes(disagreements))
-    if series.fits:
-        with styled():
-            body += html.save_figures([figures_contact.series_figure(series)], files).values()
-    body += [html.table(table) for table in tables[1:]]
-    html.save_tables(tables, files)
-    return body
+    drawings = html.save_parts(
+        files, tables, lambda: [figures_contact.series_figure(series)] if series.fits else []
+    )
+    return [*body, *drawings.values(), *(html.table(table) for table in tables[1:])]
 
 
 _ORDER = (
@@ -125,13 +122,10 @@ _ORDER = (
 
 def _run(run: RunData, files: Path, *, single: bool) -> dict[str, str]:
     """The parts of a run in their order, figures and tables by their names."""
-    files.mkdir(parents=True, exist_ok=True)
     curves = curves_of(run.results)
     tables = run_tables(run, curves)
-    html.save_tables(tables, files)
     tables_shown = {table.name: html.table(table) for table in tables if table.shown}
-    with styled():
-        figures = html.save_figures(_drawings(run, curves), files)
+    figures = html.save_parts(files, tables, lambda: _drawings(run, curves))
     body = {"heading": html.heading(run.title)}
     if not single:
         body["said"] = html.paragraph(_run_sentence(run)) + html.notes(_notes_of(run))
@@ -153,7 +147,9 @@ def _pop(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
 def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     motion, points = run.motion, run.results.points
     fit = run.results.fits.get(FitMethod.EXACT)
-    period_s = _period(run) if fit is None else fit.mean_period_s.value
+    # for the length of the detail views
+    period_s = mean_period(points) if len(points) > 1 else _DEFAULT_PERIOD_S
+    period_s = period_s if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
     if len(motion.time_s) > 1:
         drawings.append(figures_motion.slow_figure(motion, period_s))
@@ -164,7 +160,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             ]
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
-    if run.results.damping is not None and not run.results.fits:
+    if run.results.damping is not None and len(points) and not run.results.fits:
         drawings.append(damped_figure(run.results, motion.unit))
     if run.results.position_errors is not None:
         drawings.append(position_error_figure(run.results.position_errors))
@@ -199,14 +195,6 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         if witness is not None and witness.spectra is not None:
             drawings.append(witness_figure(witness.spectra))
     return drawings
-
-
-def _period(run: RunData) -> float:
-    """Mean period of the turning points, for the length of the detail views."""
-    points = run.results.points
-    if len(points) < 2:
-        return _DEFAULT_PERIOD_S
-    return float(2 * (points.time_s[-1] - points.time_s[0]) / (points.index[-1] - points.index[0]))
 
 
 def _provenance(source: ReportSource) -> list[str]:
@@ -269,8 +257,7 @@ def _summary_of(source: ReportSource, decay: str) -> list[str]:
     body = []
     if any(data.results.simulated for data in source.runs):
         body.append(
-            '<div class="warn">SIMULATED: every number comes from the simulated rig; '
-            "nothing was measured.</div>"
+            html.warning("SIMULATED: every number comes from the simulated rig; nothing was measured.")
         )
     first = [html.verdict(_verdict(source))]
     found = series if series is not None and series.table else run
@@ -295,7 +282,7 @@ def _summary_of(source: ReportSource, decay: str) -> list[str]:
     for data in source.runs:
         body.append(html.paragraph(_run_sentence(data)))
         if data.results.problem:
-            body.append(f'<div class="warn">{html.escape("No fit: " + data.results.problem)}</div>')
+            body.append(html.warning(f"No fit: {data.results.problem}"))
             body.append(html.notes(decay_lines(data.results)))
     if len(source.runs) == 1:
         body.append(html.notes(_notes_of(source.runs[0])))
@@ -371,10 +358,8 @@ def _key_results(found: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[
     names = [SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True)]
     shown = []
     for row in (found.rows[name] for name in names if name in found.rows):
-        item, label = budget.get(row.quantity), named(row.quantity)
-        if row.determined and item is not None and has_apparatus(item):
-            label = f"{label} (u: {dominant_text(item)})"
-        shown.append((label, row.text))
+        sources = main_sources(row, budget)
+        shown.append((named(row.quantity) + (f" (u: {sources})" if sources else ""), row.text))
     return shown
 
 

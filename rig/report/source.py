@@ -25,6 +25,7 @@ from rig.analysis import (
     Series,
     SessionResults,
     TableDecay,
+    clock_rate_of,
     read_results,
     results_path,
 )
@@ -178,11 +179,10 @@ def _spectrum(reader: RecordReader, deflections: Deflections) -> ResidualSpectru
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:
     """True seconds per second of the camera's clock, as used by the fits."""
     try:
-        timebase = recorded_configuration(reader).timebase
+        return clock_rate_of(recorded_configuration(reader))
     except RecordError as error:
         notes.append(f"times are the camera's own: {error}")
         return 1.0
-    return 1.0 if timebase is None else timebase.camera_rate
 
 
 def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> RecordedPicture | None:

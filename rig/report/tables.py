@@ -48,8 +48,7 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
 
     For undetermined quantities the bound, and only the shares of the sources.
     """
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     for key, item in budget.items():
         scale = quantity(key).factor
         u, row = item.standard_uncertainty, known.get(key)
@@ -59,28 +58,28 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
         small = []
         for line in item.sources:
             contribution, share = line.contribution, line.share
-            rows.append(
-                [
-                    key, item.value, u, line.source, line.type, line.u_source, line.sensitivity,
-                    contribution, share,
-                ]
-            )  # fmt: skip
+            cells: list[Cell] = [
+                key, item.value, u, line.source, line.type, line.u_source, line.sensitivity, contribution,
+                share,
+            ]  # fmt: skip
             if share < _MIN_SHOWN_SHARE:
                 small.append(line)
+                lines.append(TableRow(cells))
                 continue
-            cells = [SOURCES.get(line.source, line.source), line.type]
-            shown.append([*head, *cells, _part(contribution * scale), f"{100 * share:.1f} %"])
+            source = [SOURCES.get(line.source, line.source), line.type]
+            texts = [*head, *source, _part(contribution * scale), f"{100 * share:.1f} %"]
+            lines.append(TableRow(cells, texts))
             head = [""] * 3
         if small:
             rest = math.hypot(*(line.contribution for line in small)) * scale
             count = f"{len(small)} more" if len(small) < len(item.sources) else f"{len(small)} sources"
             share = sum(line.share for line in small)
-            shown.append([*head, count, "", _part(rest), f"{100 * share:.2f} %"])
+            lines.append(TableRow((), [*head, count, "", _part(rest), f"{100 * share:.2f} %"]))
     return Table(
         name, "Uncertainty budget (GUM)",
         ("quantity", "value", "u_total", "source", "type", "u_source", "sensitivity",
          "contribution", "share"),
-        rows, ("", "value ± u", "95 %", "source", "type", "u", "share"), shown,
+        ("", "value ± u", "95 %", "source", "type", "u", "share"), lines,
         "Largest contribution first. Type A: from the swings; B: stated in the configuration. Sources "
         "without a stated uncertainty contribute nothing; those below 0.5 % of the variance are summed here "
         "and listed one by one in budget.csv. What is not determined has a bound and no contributions.",
@@ -101,7 +100,7 @@ def series_table(series: Series) -> Table:
         cells = [getattr(exact.get(name), key, math.nan) for key in _SERIES_KEYS]
         item = asymptotic.get(name)
         others = [
-            NOT_DETERMINED if item is None else Estimate(item.value, item.standard_uncertainty),
+            NOT_DETERMINED if item is None else item.estimate,
             average.parameters.get(name, NOT_DETERMINED),
         ]
         known = (row.value, row.u_total, row.lower, row.upper) if row is not None else [math.nan] * 4
@@ -115,7 +114,7 @@ def series_table(series: Series) -> Table:
             *(shown_as.text(value, u) if is_determined else "" for value, u in others),
         ]
         lines.append(TableRow([name, *known, *cells, *others[0], *others[1]], texts))
-    return Table.of(
+    return Table(
         "series", "The series",
         ("parameter", "value", "u_total", "lower_95", "upper_95", *_SERIES_KEYS, "asymptotic_value",
          "asymptotic_u", "averaged_curves_value", "averaged_curves_u"),
@@ -161,12 +160,12 @@ _CONDITIONS = ("condition", "verdict", "measured", "limit", "reason")
 
 def conditions_table(results: RunResults) -> Table:
     """The conditions of the run against their limits."""
-    shown = [
-        [item.name, _verdict_text(item), item.measured, item.limit, item.reason]
+    rows = [
+        (item.name, _verdict_text(item), item.measured, item.limit, item.reason)
         for item in results.conditions
     ]
-    rows: list[list[Cell]] = [[*row] for row in shown]
-    return Table("conditions", "Conditions of the run", _CONDITIONS, rows, _CONDITIONS, shown)
+    lines = [TableRow(row, row) for row in rows]
+    return Table("conditions", "Conditions of the run", _CONDITIONS, _CONDITIONS, lines)
 
 
 def _verdict_text(item: Verdict) -> str:
@@ -187,7 +186,7 @@ def adhesion_table(results: RunResults) -> Table:
         f"of {results.number('tabor').value:.2g} (equilibrium separation 0.3 nm) selects {results.adhesion}; "
         "all other values follow the paper, with Hertz's theory."
     )
-    return Table.of("adhesion", "Contact with adhesion", _VALUE_COLUMNS, ("", "value", "unit"), lines, note)
+    return Table("adhesion", "Contact with adhesion", _VALUE_COLUMNS, ("", "value", "unit"), lines, note)
 
 
 def work_table(results: RunResults) -> Table:
@@ -206,8 +205,8 @@ def work_table(results: RunResults) -> Table:
                 moment_n_m = weight_moment(results.pendulum)
                 texts[1] = c.scaled_text(1e15 * 4 * moment_n_m * item.amplitude_arcsec * ARCSEC_RAD)
         lines.append(TableRow(cells, [plain(item.amplitude_arcsec, 4), *texts, share]))
-    return Table.of(
-        "work", "Work over one cycle", "amplitude_arcsec 4A_j u_4A_j 4A_t_j u_4A_t_j",
+    return Table(
+        "work", "Work over one cycle", ("amplitude_arcsec", "4A_j", "u_4A_j", "4A_t_j", "u_4A_t_j"),
         ("α / arcsec", "4A / fJ", "4Aₜ / fJ", "share of adhesion"), lines,
     )  # fmt: skip
 
@@ -220,7 +219,7 @@ def correlation_table(results: RunResults) -> Table:
         TableRow([name, *row], [symbol, *(decimals(one, 3) for one in row)])
         for name, symbol, row in zip(found.names, symbols, found.matrix, strict=True)
     ]
-    return Table.of(
+    return Table(
         "correlation", "Correlations of the exact fit", ("", *found.names), ("", *symbols), lines,
         "What two parameters share: near ±1 the data hardly distinguish them, though each may be determined.",
     )  # fmt: skip
@@ -242,8 +241,8 @@ def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
             curves.exact_rad / size,
             curves.exact_time_s,
         ]
-    rows = list(zip(*(array.tolist() for array in arrays), strict=True))
-    return Table("half-cycles", "Half-cycles", columns, rows)
+    lines = [TableRow(row) for row in zip(*(array.tolist() for array in arrays), strict=True)]
+    return Table("half-cycles", "Half-cycles", columns, (), lines)
 
 
 _MAX_HEADLINES = 4
@@ -284,10 +283,10 @@ def instrument_table(results: RunResults) -> Table:
         cells: list[Cell] = [check.name, check.value, check.standard_uncertainty]
         lines.append(TableRow(cells, [check.name, f"{check.value:.5g}", check.unit, limits]))
     head = ("", "value ± u", "unit", *(["standard"] if checks else []))
-    return Table.of("instrument", "What this kind of pendulum reports", _VALUE_COLUMNS, head, lines)
+    return Table("instrument", "What this kind of pendulum reports", _VALUE_COLUMNS, head, lines)
 
 
-_VALUE_COLUMNS = "quantity value standard_uncertainty"
+_VALUE_COLUMNS = ("quantity", "value", "standard_uncertainty")
 
 
 def _line(key: str, name: str, row: ResultRow, *more: str) -> TableRow:
@@ -301,7 +300,7 @@ def instrument_series_table(series: InstrumentSeries) -> Table:
         row = plain_row("damping_time_s", series.reference_time_s, "")
         found.append(("damping time of the reference", row))
     lines = [_line(name, name, row) for name, row in found]
-    return Table.of("series", "The series", _VALUE_COLUMNS, ("", "value ± u", "unit"), lines)
+    return Table("series", "The series", _VALUE_COLUMNS, ("", "value ± u", "unit"), lines)
 
 
 def _series_rows(series: InstrumentSeries, *, with_places: bool) -> Iterator[tuple[str, ResultRow]]:

@@ -22,7 +22,7 @@ from rig.analysis import (
 from rig.intake import FilmOptions, TableColumns, film_trajectory
 from rig.report import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
 from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
-from rig.settings import load_configuration
+from rig.settings import Configuration, load_configuration
 
 RecordSource = str | Path | Record | Session
 
@@ -133,12 +133,14 @@ def fit_film(
         The file is no film, cannot be read as it was recorded, or shows no free decay.
     """
     film = path_of(path, "path")
-    config = None
-    if configuration is not None:
-        config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)
+    config = _configuration(configuration)
     size = text_of(pixel, "pixel", "0.142 mm")
     asked = FilmOptions(rate_hz=rate_hz, dark=dark, size=size, begin_s=begin_s, end_s=end_s)
     return analyse_trajectory(film, film_trajectory(film, asked), config).results
+
+
+def _configuration(path: str | Path | None) -> Configuration | None:
+    return None if path is None else load_configuration(path_of(path, "configuration"), needs_camera=False)
 
 
 def _laws(law: StatedMoment | None, elastic: StatedMoment | None) -> tuple[Law | StatedLaw, ...]:
@@ -209,15 +211,12 @@ def fit_table(
         The table has no numbers or lacks a column, or the samples are not a free decay; a witness without a
         configuration.
     """
-    if witness is not None and configuration is None:
-        raise ConfigurationError("witness: has no effect without configuration, which gives the pendulum")
-    if law is not None and configuration is None:
-        raise ConfigurationError("law: has no effect without configuration, which gives the pendulum")
+    for name, stated in (("witness", witness), ("law", law)):
+        if stated is not None and configuration is None:
+            raise ConfigurationError(f"{name}: has no effect without configuration, which gives the pendulum")
     table = path_of(path, "path")
     ground = None if witness is None else SeismometerSource(path_of(witness, "witness")).read()
-    config = None
-    if configuration is not None:
-        config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)
+    config = _configuration(configuration)
     columns = TableColumns(
         None if time is None else columns_of(time, "time")[0],
         columns_of(positions, "positions"),

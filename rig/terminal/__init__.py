@@ -44,4 +44,4 @@ from rig.terminal.quantities import (
     quantity,
     unit_of,
 )
-from rig.terminal.verdict import Verdict, failures, print_verdicts, table_tree
+from rig.terminal.verdict import Verdict, failures, print_verdicts

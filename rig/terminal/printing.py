@@ -32,7 +32,7 @@ _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 
 class TableRow(NamedTuple):
-    """A line of a table: cells for the file, and texts for the user, empty if it is only in the file."""
+    """A line of a table: cells for the file, texts for the user; empty where it is not in one of these."""
 
     cells: Sequence[Cell]
     shown: Sequence[str] = ()
@@ -40,33 +40,24 @@ class TableRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Table:
-    """A table: headings and values for the CSV file (`columns`, `rows`), and texts (`head`, `shown`).
-
-    If `shown` is empty, the table is only written to a file, because it is too long to print.
-    """
+    """A table: its lines, with headings for the CSV file (`columns`) and for the user (`head`)."""
 
     name: str
     title: str
     columns: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    head: Sequence[str] = ()
-    shown: Sequence[Sequence[str]] = ()
+    head: Sequence[str]
+    lines: Sequence[TableRow]
     note: str = ""
 
-    @classmethod
-    def of(
-        cls,
-        name: str,
-        title: str,
-        columns: str | Sequence[str],
-        head: Sequence[str],
-        lines: Sequence[TableRow],
-        note: str = "",
-    ) -> "Table":
-        """A table from its lines; `columns` may be words in one text."""
-        columns = columns.split() if isinstance(columns, str) else columns
-        shown = [line.shown for line in lines if line.shown]
-        return cls(name, title, columns, [line.cells for line in lines], head, shown, note)
+    @property
+    def rows(self) -> Sequence[Sequence[Cell]]:
+        """The values for the CSV file."""
+        return [line.cells for line in self.lines if line.cells]
+
+    @property
+    def shown(self) -> Sequence[Sequence[str]]:
+        """The texts for the user; empty if the table is only written to a file, being too long to print."""
+        return [line.shown for line in self.lines if line.shown]
 
     def csv(self) -> str:
         """Comma-separated values with one header line; numbers have all digits, NaN is an empty cell."""
@@ -242,12 +233,13 @@ _JSON_ANSWER: ContextVar[dict[str, Any] | None] = ContextVar("found", default=No
 def answer(**found: object) -> None:
     """Add values to the JSON object that ``--json`` prints; without that option nothing happens.
 
-    A list that is stated again is extended: records, files, tables.
+    A function is called for its value. A list that is stated again is extended: records, files, tables.
     """
     stated = _JSON_ANSWER.get()
     if stated is None:
         return
-    for name, value in found.items():
+    for name, given in found.items():
+        value = given() if callable(given) else given
         if isinstance(value, list) and name in stated:
             stated[name] += value
         else:
@@ -330,12 +322,9 @@ def _drawn(content: Table, title: str, places: Sequence[int], width: int) -> Ric
             width=widths[place],
         )
     for row in content.shown:
-        drawn.add_row(*(_folded(row[place], widths[place]) for place in places))
+        lines = {place: row[place].split("\n") for place in places}
+        drawn.add_row(*("\n".join(folded(one, widths[place]) for one in lines[place]) for place in places))
     return drawn
-
-
-def _folded(cell: str, width: int) -> str:
-    return "\n".join(folded(line, width) for line in cell.split("\n"))
 
 
 def _is_numeric(content: Table, place: int) -> bool:

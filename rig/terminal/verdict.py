@@ -1,7 +1,7 @@
 """The verdict of one check of preflight or doctor, with finding and remedy, and the table of verdicts."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from rich.console import Console
 from rich.table import Table
@@ -67,11 +67,6 @@ def failures(verdicts: Sequence[Verdict]) -> str:
     """The failed checks in one line; empty if all passed."""
     bad = [f"{v.name}: {'; '.join(filter(None, (v.found, v.remedy)))}" for v in verdicts if not v.ok]
     return "; ".join(bad)
-
-
-def table_tree(verdicts: Sequence[Verdict]) -> list[dict[str, object]]:
-    """The results as plain values, for JSON."""
-    return [asdict(verdict) for verdict in verdicts]
 
 
 def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:

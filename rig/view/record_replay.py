@@ -26,6 +26,7 @@ from rig.terminal import (
     Keys,
     QuantityDisplay,
     Table,
+    TableRow,
     answer,
     plain,
     print_line,
@@ -64,7 +65,7 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
         )
     ]
     head = ("", "recorded", "replayed", "changed", "largest change")
-    print_tables([Table("comparison", "", head, rows, head, rows)])
+    print_tables([Table("comparison", "", head, head, [TableRow(row, row) for row in rows])])
     if retracked and not spots.once and 0 < spots.largest_u < _MAX_ROUNDING_U:
         # each fit starts at the spot of the previous frame, which passes rounding errors on
         print_line(
@@ -101,7 +102,7 @@ def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
         shown = quantity(parameter) if parameter != name else QuantityDisplay(name, "", name)
         asymptotic_change = [_in_u(asymptotic_fit) if asymptotic_fit else ""] if asymptotic else []
         rows.append([shown.label, shown.text(*change.recorded), _in_u(change), *asymptotic_change])
-    print_tables([Table("changes", "", head, rows, head, rows)])
+    print_tables([Table("changes", "", head, head, [TableRow(row, row) for row in rows])])
 
 
 def _in_u(change: ParameterDifference) -> str:

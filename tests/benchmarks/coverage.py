@@ -7,11 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from processing.contact import PendulumOnBall
 from processing.deflections import DeflectionUnit
-from processing.fit import FitResult
+from processing.fit import FitResult, Refinement
 from processing.swing import swings_of_blocks
 from rig.analysis import refined_half_cycles
 from rig.analysis.air import FittedDrag
-from rig.analysis.contact_fits import RefinedHalfCycles
 from rig.settings import FitSettings
 from tests.processing.fit.decays import ARCSEC
 from tests.processing.fit.frames import seen_in_frames
@@ -67,7 +66,7 @@ def in_frames(
     seed: list[int],
     pendulum: PendulumOnBall,
     drag: FittedDrag = FittedDrag(),  # noqa: B008
-) -> RefinedHalfCycles:
+) -> Refinement:
     """What a session makes of a path that a camera sees: detected, and measured again."""
     samples = seen_in_frames(path_rad, noise_arcsec * ARCSEC, seed, FRAMES_PER_S)
     swings = swings_of_blocks([samples])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from processing.spot import BeamUse, SpotFlag
+from rig.analysis.record_fit import _beam
 from rig.analysis.results_file import read_results
-from rig.analysis.run_conditions import _beam
 from rig.analysis.run_values import Beam
 from rig.settings import PreflightSettings
 

@@ -9,7 +9,7 @@ from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.record.reader import RecordReader
 from rig.analysis.contact_verdicts import rig_quantities
-from rig.analysis.run_conditions import run_clock
+from rig.analysis.record_fit import run_clock
 from rig.instrument import recorded_configuration
 from rig.measure import simulate_record
 from rig.settings import load_configuration

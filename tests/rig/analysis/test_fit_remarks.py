@@ -11,9 +11,9 @@ from processing.estimate import Determinacy, Estimate
 from processing.fit import BaseMotion, Budget, Drag, DragFinding, FitMethod, Ground, fit_exact
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
-from rig.analysis.contact_results import Correlation, Fit
 from rig.analysis.contact_verdicts import base_motion, fit_results
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
+from rig.analysis.results import Correlation, Fit
 from rig.analysis.run_remarks import (
     RemarkLevel,
     drag_headline,

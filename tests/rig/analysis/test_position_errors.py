@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit import FIXED_PATTERN, fit_exact, known_motion, second_measurement
+from processing.fit import FIXED_PATTERN, Refinement, fit_exact, known_motion, second_measurement
 from processing.swing import HarmonicsMeasurement, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, refined_half_cycles
 from rig.analysis.air import OPEN_DRAG, evidence_of
-from rig.analysis.contact_fits import RefinedHalfCycles
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results_file import read_results, write_results
 from rig.report.drawing import svg
@@ -26,7 +25,7 @@ def in_blocks(one: Run) -> list[Deflections]:
 
 
 @cache
-def refined_over_fringes() -> tuple[Run, PassingDeflections, RefinedHalfCycles]:
+def refined_over_fringes() -> tuple[Run, PassingDeflections, Refinement]:
     """A run over fringes, its deflections, and what is made of them."""
     one = run(fringes, seed=1)
     passing = PassingDeflections(in_blocks(one), DeflectionUnit.RAD)

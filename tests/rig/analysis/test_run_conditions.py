@@ -8,7 +8,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.fit import Ground
 from rig.analysis import Fit, RunResults
-from rig.analysis.run_conditions import run_conditions
+from rig.analysis.record_fit import run_conditions
 from rig.analysis.run_values import Beam
 from rig.settings import PreflightSettings
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words

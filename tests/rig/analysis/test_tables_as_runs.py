@@ -15,7 +15,7 @@ from rig.archive.session_rows import session_rows
 from rig.report.campaign_input import runs_of_folders
 from tests.rig.analysis.test_table_laws import swings
 from tests.rig.analysis.test_tables import ring_downs, write
-from tests.rig.command_line import rig
+from tests.rig.command_line import CONFIGS, rig
 from tests.rig.intake.test_film_positions import swing
 
 
@@ -85,6 +85,16 @@ def test_the_archive_lists_its_decays(fitted: Path, tmp_path: Path) -> None:
     found = {line.split()[0]: line for line in done.stdout.splitlines()[1:4]}
     assert set(found) == {"brass", "brass-decay-2", "steel"}
     assert all(" whole " in line and line.rstrip().endswith("mm") for line in found.values())
+
+
+def test_a_decay_without_turning_points_of_its_kind_has_a_report(tmp_path: Path) -> None:
+    """Twenty rows a swing are too few for Persoz's pendulum: the page stopped with an error of an index."""
+    time_s = np.arange(1200) / 20
+    table = write(tmp_path / "few.txt", time_s, 6.5 * np.exp(-time_s / 180) * np.cos(2 * np.pi * time_s))
+    config = CONFIGS / "instruments" / "persoz.toml"
+    done = rig("fit", table, "--unit", "deg", "--config", config, "-o", tmp_path / "o", figures=True)
+    assert done.returncode == 0, done.stderr
+    assert "0 usable turning points" in (tmp_path / "o" / "report.html").read_text()
 
 
 def test_the_archive_says_what_became_of_a_table(tmp_path: Path) -> None:

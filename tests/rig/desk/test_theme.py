@@ -73,7 +73,7 @@ def test_every_state_of_a_report_can_be_read_on_every_ground(theme: Mapping[str,
     inks, grounds = ("ink", "soft", "accent", "good", "bad"), ("paper", "tint", "warn")
     pairs = [(theme[ink], theme[ground]) for ink in inks for ground in grounds]
     assert {pair: found for pair in pairs if (found := contrast(*pair)) < 4.5} == {}
-    assert "body { background: var(--paper);" in html.STYLE
+    assert "body { background: var(--paper);" in html.page("", "", [])
 
 
 def test_every_colour_that_is_used_has_a_name() -> None:

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from processing.units import _OTHERS, _PREFIXABLE
-from rig.terminal import Table, latex_table
+from rig.terminal import Table, TableRow, latex_table
 from rig.terminal.latex import _UNITS, _UNNAMED_UNITS
 from tests.rig.command_line import rig
 
 
 def lines_of(*row: str, head: tuple[str, ...] = ("", "value", "unit")) -> list[str]:
-    table = Table("t", "Title", head, [row], head, [row])
+    table = Table("t", "Title", head, head, [TableRow(row, row)])
     return latex_table(table).splitlines()
 
 
