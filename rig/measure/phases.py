@@ -111,8 +111,8 @@ class PhasesBeforeRecord:
 
     def check_alone(
         self, stream: FrameStream, report: Callable[[RecordedPhase], None], stop: StopRequest
-    ) -> list[Verdict]:
-        """The preflight table of the pendulum as it hangs or swings, without a run; empty if stopped."""
+    ) -> None:
+        """Make the preflight table of the pendulum as it hangs or swings, without a run; none if stopped."""
         seconds = _preflight_s(self._config)
         frames = RecentFrames(stream, self._optics, seconds, seconds)
         self._wait = PhaseWait(frames, report, stop)
@@ -121,7 +121,6 @@ class PhasesBeforeRecord:
                 self._preflight_at_once()
             else:
                 self._preflight_at_rest()
-        return self.verdicts
 
     def correct_starter(self, first_amplitude: float) -> None:
         """Scale the next starter pulse by the amplitude that the last gave; unchanged if that is in px."""

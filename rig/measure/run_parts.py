@@ -49,6 +49,8 @@ class RunPlan:
     """Returns notes that operators have written during the run since the last call."""
     waited: Sequence[str] = ()
     """What the run has waited for, for the record."""
+    checked: Callable[[Sequence[Verdict]], None] | None = None
+    """Called with the preflight table of a run that ends there, without a record; None for other runs."""
 
 
 @dataclass(slots=True, kw_only=True)
