@@ -36,14 +36,6 @@ class HostClock:
     u_rate: float
 
 
-@dataclass(frozen=True, slots=True)
-class KernelClock:
-    """State of the kernel's clock of the day; `u_s` is its standard uncertainty in s, NaN if unknown."""
-
-    synchronised: bool
-    u_s: float
-
-
 class _Timex(ctypes.Structure):
     """The first members of Linux's struct timex, and memory for the others."""
 
@@ -58,17 +50,17 @@ class _Timex(ctypes.Structure):
     )
 
 
-def kernel_clock() -> KernelClock:
-    """State of the kernel's clock; on other systems than Linux it is unknown."""
+def u_of_kernel_clock() -> float:
+    """Standard uncertainty in s of the clock of the day; NaN unless the kernel says it is synchronised."""
     if not sys.platform.startswith("linux"):
-        return KernelClock(False, math.nan)
+        return math.nan
     state = _Timex()
     try:
         answer = ctypes.CDLL(None).adjtimex(ctypes.byref(state))
     except (OSError, AttributeError):
-        return KernelClock(False, math.nan)
+        return math.nan
     synchronised = 0 <= answer < _TIME_ERROR and not state.status & _UNSYNCHRONISED
-    return KernelClock(synchronised, state.estimated_error_us * 1e-6 if synchronised else math.nan)
+    return float(state.estimated_error_us * 1e-6) if synchronised else math.nan
 
 
 def ntp_state() -> HostClock:
@@ -199,9 +191,9 @@ class ClockAnchors:
         if now.host_time_ns < self._due_ns and not events:
             return None, []
         self._due_ns = now.host_time_ns + _PERIOD_NS
-        state = kernel_clock()
-        u_utc_s = math.hypot(state.u_s, 0.5e-9 * now.apart_ns)
-        return ClockAnchor(time_ns, now.host_time_ns, now.utc_ns, u_utc_s, state.synchronised), events
+        u_utc_s = math.hypot(u_of_kernel_clock(), 0.5e-9 * now.apart_ns)
+        synchronised = math.isfinite(u_utc_s)
+        return ClockAnchor(time_ns, now.host_time_ns, now.utc_ns, u_utc_s, synchronised), events
 
 
 _MOST_FRAMES = 800

@@ -101,16 +101,20 @@ def png_of(image: NDArray[Any], path: Path) -> bytes:
 
 
 def read_frames(camera: Camera, count: int, patience_s: float) -> list[Frame]:
-    """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer."""
+    """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer.
+
+    Frames that no camera may deliver raise DeviceError.
+    """
+    frames, delivered = list[Frame](), FrameChecks()
     camera.start()
     try:
-        frames = [camera.read(patience_s) for _ in range(count)]
+        while len(frames) < count and (frame := camera.read(patience_s)) is not None:
+            frames.append(delivered.check(frame))
     finally:
         camera.stop()
-    found = [frame for frame in frames if frame is not None]
-    if len(found) < count:
-        raise DataError(f"the camera gave {len(found)} frames, {count} were asked for")
-    return found
+    if len(frames) < count:
+        raise DataError(f"the camera gave {len(frames)} frames, {count} were asked for")
+    return frames
 
 
 _FRAMES = 9
@@ -177,17 +181,8 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
 
 
 def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
-    camera.start()
-    delivered = FrameChecks()
-    try:
-        seen: list[PictureFigures] = []
-        while len(seen) < _FRAMES:
-            frame = camera.read(_TIMEOUT_S)
-            if frame is None:
-                raise DeviceError(f"{info.model}: no more frames; finding an exposure needs a live camera")
-            seen.append(figures(delivered.check(frame).image, info.full_scale_dn))
-    finally:
-        camera.stop()
+    frames = read_frames(camera, _FRAMES, _TIMEOUT_S)
+    seen = [figures(frame.image, info.full_scale_dn) for frame in frames]
     return PictureFigures(
         statistics.median(one.peak for one in seen),
         max(one.saturated_px for one in seen),
