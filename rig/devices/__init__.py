@@ -17,13 +17,29 @@ from rig.devices.clocks import (
     ntp_state,
     wrong_rate,
 )
-from rig.devices.doctor import examine
+from rig.devices.doctor import RULES_FOLDER, examine, install_rules, udev_rules
 from rig.devices.frame_stream import FrameStream
 from rig.devices.laser import STAYS_LIT, WIRE_IT, check_wiring, through_controller, wait_for_command
 from rig.devices.lit_devices import NOT_OURS
 from rig.devices.order_line import NoSession, OrderConnection, SessionBusy, running_sessions
-from rig.devices.order_socket import LOOPBACK, ORDERS_NAME, Orders, OrderSocket, light_told, safety_values
-from rig.devices.picture import PictureFigures, find_exposure, png_of, read_frames
+from rig.devices.order_socket import (
+    LOOPBACK,
+    ORDERS_NAME,
+    PATH_S,
+    Orders,
+    OrderSocket,
+    SessionNews,
+    SessionPicture,
+    light_told,
+    safety_values,
+    thinned_path,
+)
+from rig.devices.picture import (
+    PictureFigures,
+    feature_lines,
+    find_exposure,
+    png_of,
+    read_frames,
+    watch_latest,
+)
 from rig.devices.session_devices import Devices, OpenCamera
-from rig.devices.session_news import PATH_S, SessionNews, SessionPicture, thinned_path
-from rig.devices.udev import RULES_FOLDER, feature_lines, install_rules, udev_rules, watch_latest

@@ -18,8 +18,7 @@ from processing.errors import DeviceError
 from processing.spot import Spot, SpotTracker
 from processing.units import nanoseconds
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
-from rig.devices.picture import png_of
-from rig.devices.udev import watch_latest
+from rig.devices.picture import png_of, watch_latest
 from rig.terminal import Keys, answer
 
 HELP = "e E exposure   g G gain   z zoom   s save a picture   q end"

@@ -69,10 +69,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
         ask_leave(devices)
         plan = RunPlan(config, source, record, record.stem, fitted=False, session_news=session_news)
         outcome = measure_run(plan, devices)
-    if outcome.failure is not None:
-        raise outcome.failure
-    if outcome.interrupt is not None:
-        raise outcome.interrupt
+    outcome.check()
     return record
 
 
@@ -119,10 +116,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
             checked=verdicts.extend,
         )
         outcome = measure_run(plan, devices)
-    if problem := outcome.interrupt or outcome.failure:
-        raise problem
-    if outcome.hangs:
-        raise DeviceError(outcome.hangs)
+    outcome.check()
     if json_lines:
         print_json_line("preflight", {"table": table_tree(verdicts)})
     else:

@@ -155,6 +155,11 @@ class RunOutcome:
     hangs: str
     """What hung while the run was ended; the record is then cut short. Empty if nothing did."""
 
+    def check(self) -> None:
+        """Raise what ended the run otherwise than regularly: an error, a thread that hangs, an interrupt."""
+        if problem := self.failure or (DeviceError(self.hangs) if self.hangs else self.interrupt):
+            raise problem
+
 
 def features_json(camera: Camera) -> bytes:
     """All features of the camera that can be read now, as JSON; empty for a camera that has none."""
