@@ -305,7 +305,7 @@ def _execute(
         stop_when=config.stop_conditions if posterior is not None else (),
         json_lines=plan.json_lines,
         simulated=config.simulated,
-        phases=phases_wanted(config),
+        phases=phases_wanted(config) if plan.checked is None else (),
     )
     session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, plan.record)
 

@@ -34,7 +34,7 @@ _PORT, _WEB_PORT = 9876, 9090
 
 
 class RunningView:
-    """The processes that show a record: a window or page, a Rerun file, both or none; a context manager.
+    """The processes that show a record: a window or page, a Rerun file, both or none.
 
     Parameters
     ----------
@@ -63,19 +63,6 @@ class RunningView:
             self._viewer_process = self._start("--view", shown, "--layout", layout, *ports)
             if mode == "web":
                 say(f"live view: {page_address(port, web_port)}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
-        problem = self.close()
-        if problem and kind is None:
-            raise RecordError(problem)
-
-    @property
-    def pids(self) -> tuple[int, ...]:
-        """Identifiers of the processes that were started."""
-        return tuple(one.pid for one in (self._file_process, self._viewer_process) if one is not None)
 
     def close(self, *, patient: bool = False) -> str:
         """Wait, after the record is closed, until the processes have drawn the rest of it.
