@@ -1,6 +1,5 @@
 """The view of a record in Rerun, complete or being written: a separate program, and its starters."""
 
 from rig.view.record_replay import analyse_replayed, replay_record
-from rig.view.scratch import RunningView, ScratchView
+from rig.view.scratch import LayoutName, Mode, RunningView, ScratchView
 from rig.view.show import show_records
-from rig.view.values import LayoutName, Mode

@@ -37,8 +37,7 @@ from rig.terminal import (
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
 from rig.view.replay_player import HELP, MAX_FRAMES, Player, ReplayLine
-from rig.view.scratch import ScratchView
-from rig.view.values import Mode
+from rig.view.scratch import Mode, ScratchView
 
 _MAX_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is attributed to rounding."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -26,8 +26,12 @@ from processing.swing import HalfCycle
 from rig.instrument import Block
 from rig.interruption import LOOPBACK, free_port, start_python
 from rig.terminal import say
-from rig.view.values import LayoutName, Mode
 
+ShowMode = Literal["spawn", "web"]
+"""In a window, or in a browser."""
+Mode = Literal["none", ShowMode]
+"""How a view is shown, if at all."""
+LayoutName = Literal["balancing", "measuring", "analysing"]
 _MAX_SHOW_END_S, _MAX_WRITE_END_S = 10.0, 30.0
 """Time that a window or page, and a Rerun file, may take to draw the rest of a run's record."""
 _PORT, _WEB_PORT = 9876, 9090
