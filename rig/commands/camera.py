@@ -270,21 +270,25 @@ def align(
 
     from rig.devices import align_camera
     from rig.instrument import complete, configuration_attachments, optics_of, session_metadata
-    from rig.view import ScratchHead, ScratchView
+    from rig.view import ScratchView
 
     stated = complete(loaded(config, set_))
     with ExitStack() as stack:
         camera, info, applied = stack.enter_context(_opened_camera(stated))
         show_frame = None
         if rrd is not None or view:
-            shown = stack.enter_context(ScratchView("aligning", MODES[view], rrd, "balancing"))
+            shown = stack.enter_context(
+                ScratchView("aligning", MODES[view], rrd, "balancing", stated.deflection_unit)
+            )
 
             def show_frame(frame: "Frame", spot: "Spot") -> None:
                 if not shown.begun:
-                    attachments = configuration_attachments(stated, config)
-                    metadata = session_metadata(stated, info, frame)
-                    unit, epoch_offset_ns = stated.deflection_unit, time.time_ns() - frame.time_ns
-                    shown.begin(frame.time_ns, ScratchHead(metadata, attachments, unit, epoch_offset_ns))
+                    shown.begin(
+                        frame.time_ns,
+                        epoch_offset_ns=time.time_ns() - frame.time_ns,
+                        metadata=session_metadata(stated, info, frame),
+                        attachments=configuration_attachments(stated, config),
+                    )
                 shown.look(frame, spot)
 
         optics = optics_of(stated, info.full_scale_dn)

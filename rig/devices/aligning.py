@@ -2,8 +2,8 @@
 
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,7 @@ from processing.errors import DeviceError
 from processing.spot import Spot, SpotTracker
 from processing.units import nanoseconds
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
-from rig.devices.picture import png_of
-from rig.devices.udev import watch_latest
+from rig.devices.picture import png_of, watch_latest
 from rig.terminal import Keys, answer
 
 HELP = "e E exposure   g G gain   z zoom   s save a picture   q end"
@@ -27,37 +26,19 @@ _BELOW_ROWS = 10
 _BARS = " ▁▂▃▄▅▆▇█"
 
 
-class AligningScreen:
-    """Display of picture, histogram and figures, updated in place; without a terminal one line per frame."""
-
-    def __init__(self, console: Console, keys_help: str) -> None:
-        self._console = console
-        self._help = keys_help
-        self._live = Live(console=console, auto_refresh=False, screen=False) if console.is_terminal else None
-
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def show(self, look: AlignmentFrame, zoom: float, note: str) -> None:
-        """Show a frame with its figures, at this zoom, with a note."""
-        if self._live is None:
-            self._console.print(
-                "  ".join(filter(None, [*look.lines(), look.beam_line, note])),
-                soft_wrap=True,
-                highlight=False,
-            )
-            return
-        size = self._console.size
-        picture = annotated_picture(look, size.width, 2 * max(size.height - _BELOW_ROWS, 4), zoom)
-        shown = [f"zoom {zoom:g}  {histogram_line(look)}", *look.lines(), look.beam_line, note, self._help]
-        text = Text("\n".join(shown), no_wrap=True, overflow="ellipsis")
-        self._live.update(Group(half_blocks(picture), text), refresh=True)
+def _show(
+    console: Console, live: Live | None, look: AlignmentFrame, zoom: float, note: str, keys_help: str
+) -> None:
+    """Show a frame with its figures, at this zoom, with a note; without a terminal as one line."""
+    if live is None:
+        shown = filter(None, [*look.lines(), look.beam_line, note])
+        console.print("  ".join(shown), soft_wrap=True, highlight=False)
+        return
+    size = console.size
+    picture = annotated_picture(look, size.width, 2 * max(size.height - _BELOW_ROWS, 4), zoom)
+    lines = [f"zoom {zoom:g}  {histogram_line(look)}", *look.lines(), look.beam_line, note, keys_help]
+    text = Text("\n".join(lines), no_wrap=True, overflow="ellipsis")
+    live.update(Group(half_blocks(picture), text), refresh=True)
 
 
 def half_blocks(picture: NDArray[np.uint8]) -> Text:
@@ -134,7 +115,9 @@ def align_camera(
     saved: list[Path] = []
     terminal = Keys() if keys is None else keys
     console = Console() if console is None else console
-    with terminal, AligningScreen(console, HELP if terminal.available else "Ctrl-C ends") as screen:
+    live = Live(console=console, auto_refresh=False) if console.is_terminal else None
+    with terminal, live or nullcontext():
+        keys_help = HELP if terminal.available else "Ctrl-C ends"
         going = True
         while going:
             going, wanted = False, None
@@ -153,7 +136,7 @@ def align_camera(
                         note = f"{saved[-1]} saved"
                     else:
                         wanted = _wanted(key, applied) or wanted
-                screen.show(look, _ZOOMS[zoom], note)
+                _show(console, live, look, _ZOOMS[zoom], note, keys_help)
                 answer(picture=tuple(look.lines()), beam=look.beam_line)  # the last one stays
                 if wanted is not None:
                     break

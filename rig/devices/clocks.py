@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +36,6 @@ class HostClock:
     u_rate: float
 
 
-@dataclass(frozen=True, slots=True)
-class KernelClock:
-    """State of the kernel's clock of the day; `u_s` is its standard uncertainty in s, NaN if unknown."""
-
-    synchronised: bool
-    u_s: float
-
-
 class _Timex(ctypes.Structure):
     """The first members of Linux's struct timex, and memory for the others."""
 
@@ -58,17 +50,17 @@ class _Timex(ctypes.Structure):
     )
 
 
-def kernel_clock() -> KernelClock:
-    """State of the kernel's clock; on other systems than Linux it is unknown."""
+def u_of_kernel_clock() -> float:
+    """Standard uncertainty in s of the clock of the day; NaN unless the kernel says it is synchronised."""
     if not sys.platform.startswith("linux"):
-        return KernelClock(False, math.nan)
+        return math.nan
     state = _Timex()
     try:
         answer = ctypes.CDLL(None).adjtimex(ctypes.byref(state))
     except (OSError, AttributeError):
-        return KernelClock(False, math.nan)
+        return math.nan
     synchronised = 0 <= answer < _TIME_ERROR and not state.status & _UNSYNCHRONISED
-    return KernelClock(synchronised, state.estimated_error_us * 1e-6 if synchronised else math.nan)
+    return float(state.estimated_error_us * 1e-6) if synchronised else math.nan
 
 
 def ntp_state() -> HostClock:
@@ -199,9 +191,9 @@ class ClockAnchors:
         if now.host_time_ns < self._due_ns and not events:
             return None, []
         self._due_ns = now.host_time_ns + _PERIOD_NS
-        state = kernel_clock()
-        u_utc_s = math.hypot(state.u_s, 0.5e-9 * now.apart_ns)
-        return ClockAnchor(time_ns, now.host_time_ns, now.utc_ns, u_utc_s, state.synchronised), events
+        u_utc_s = math.hypot(u_of_kernel_clock(), 0.5e-9 * now.apart_ns)
+        synchronised = math.isfinite(u_utc_s)
+        return ClockAnchor(time_ns, now.host_time_ns, now.utc_ns, u_utc_s, synchronised), events
 
 
 _MOST_FRAMES = 800
@@ -215,12 +207,11 @@ _FIRST_NS, _BETWEEN_NS = 3_000_000_000, 10_000_000_000
 class ClockRate:
     """Rate of the camera's clock, from a line through some hundred pairs of times, each 10 s of the run.
 
-    With `in_thread` the line is fitted in a thread of its own, so that frames do not wait for the 10 ms that
-    a fit takes; its error is raised by the next call.
+    The line is fitted in a thread of its own, so that frames do not wait for the 10 ms that a fit takes; its
+    error is raised by the next call.
     """
 
-    def __init__(self, *, in_thread: bool = True) -> None:
-        self._in_thread = in_thread
+    def __init__(self) -> None:
         self._pairs: list[tuple[int, int, int]] = []
         self._every = 1
         self._passed = 0
@@ -236,22 +227,18 @@ class ClockRate:
         for frame in frames[:: max(1, len(frames) // _LOOKED_AT)]:
             # the time is negative if the camera has no clock
             if frame.device_time_ns >= 0:
-                self.pair(frame.sequence, frame.device_time_ns, frame.host_time_ns)
-        return self.now
+                self._pair(frame)
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+        largest_s = max(self._steps_s, key=abs, default=0.0)
+        return CameraClock(*self._rate_ppm, len(self._steps_s), largest_s)
 
-    def take_rows(self, rows: NDArray[Any]) -> CameraClock:
-        """Take rows of a record's spots into account, as `take` does with frames."""
-        rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
-        for device_ns, host_ns, sequence in rows[["device_time_ns", "host_time_ns", "sequence"]].tolist():
-            if device_ns >= 0:
-                self.pair(sequence, device_ns, host_ns)
-        return self.now
-
-    def pair(self, sequence: int, device_ns: int, host_ns: int) -> None:
-        """Take one frame's times into account."""
+    def _pair(self, frame: Frame) -> None:
+        host_ns = frame.host_time_ns
         self._passed += 1
         if self._passed % self._every == 0:
-            self._pairs.append((device_ns, host_ns, sequence))
+            self._pairs.append((frame.device_time_ns, host_ns, frame.sequence))
             if len(self._pairs) >= _MOST_FRAMES:
                 del self._pairs[1::2]
                 self._every *= 2
@@ -260,21 +247,8 @@ class ClockRate:
         if host_ns >= self._due_ns and (self._thread is None or not self._thread.is_alive()):
             self._due_ns = host_ns + _BETWEEN_NS
             table = np.array(self._pairs, dtype=np.int64)
-            if self._in_thread:
-                self._thread = threading.Thread(target=self._look, args=(table,), name="clock", daemon=True)
-                self._thread.start()
-            else:
-                self._look(table)
-
-    @property
-    def now(self) -> CameraClock:
-        """The present estimate of the clock's rate and steps. Raises the error of the last fit, if any."""
-        error, self._error = self._error, None
-        if error is not None:
-            raise error
-        drift_ppm, u_drift_ppm = self._rate_ppm
-        largest_s = max(self._steps_s, key=abs, default=0.0)
-        return CameraClock(drift_ppm, u_drift_ppm, len(self._steps_s), largest_s)
+            self._thread = threading.Thread(target=self._look, args=(table,), name="clock", daemon=True)
+            self._thread.start()
 
     def _look(self, table: NDArray[np.int64]) -> None:
         try:

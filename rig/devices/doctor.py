@@ -1,7 +1,9 @@
-"""The command `rig doctor`: checks the whole rig without switching anything on."""
+"""The command `rig doctor`: checks the whole rig without switching anything on, and installs udev rules."""
 
 import os
+import shlex
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
@@ -10,9 +12,10 @@ from typing import Literal, cast
 
 from rich.console import Console
 
+from acquisition import atomic_write
 from acquisition.camera import CameraStatus, FrameTimeout
 from acquisition.cameras.drivers import Usb3VisionSettings
-from acquisition.cameras.usb3vision.link import SUPER_SPEED, FoundCamera, find_cameras
+from acquisition.cameras.usb3vision.link import SUPER_SPEED, UDEV_RULE, FoundCamera, find_cameras
 from acquisition.frames.losses import FrameLosses
 from processing.errors import ConfigurationError, DeviceError, RigError
 from processing.units import seconds
@@ -23,11 +26,12 @@ from rig.control import (
     check_controller,
     check_environment,
     check_laser,
+    udev_board,
+    udev_matches,
 )
 from rig.devices.ground_seismometer import check_witness
 from rig.devices.lit_devices import LEFT_LIT
 from rig.devices.session_devices import Devices
-from rig.devices.udev import as_root
 from rig.instrument import check_materials, complete
 from rig.settings import Configuration
 from rig.terminal import Verdict, print_json_line, print_verdicts
@@ -308,3 +312,73 @@ def check_usb_memory(frame_bytes: int, frames: int, memory: Path = _USBFS_MEMORY
             "" if enough else f"echo {wanted_mb} | sudo tee {memory}",
         ),
     )
+
+
+RULES_FOLDER = Path("/etc/udev/rules.d")
+_FILE = "70-optical-pendulum-rig.rules"
+_ACCESS = 'MODE="0660", TAG+="uaccess"'
+_HEAD = """\
+# Devices of an optical pendulum rig, written by rig doctor --install-udev: whoever sits at the computer may
+# use them, and so may a group, for services and remote users.
+# The number must stay below 73, where systemd grants what the tag "uaccess" asks for."""
+
+
+def udev_rules() -> str:
+    """The text of the file, with a rule for each kind of device that a driver of this program opens itself.
+
+    Video4Linux's nodes have systemd's own rules, and cameras on a network have no node.
+    """
+    lines = [
+        _HEAD,
+        "# USB3 Vision cameras of every make, also for pylon and libaravis",
+        f'{UDEV_RULE}, GROUP="plugdev", {_ACCESS}',
+    ]
+    for kind, match in udev_matches().items():
+        group = "dialout" if "tty" in match else "plugdev"
+        lines += [f"# {kind}", f'{match}, GROUP="{group}", {_ACCESS}']
+    lines += [
+        "# ModemManager writes to every new serial port: not to the board that switches the laser",
+        f'{udev_board()}, ENV{{ID_MM_DEVICE_IGNORE}}="1"',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def as_root() -> str:
+    """The command by which a user who is not root installs the rules."""
+    return shlex.join(["sudo", sys.executable, "-m", "rig", "doctor", "--install-udev"])
+
+
+def install_rules(folder: Path = RULES_FOLDER) -> tuple[Path, str]:
+    """Write the file, replacing that of an earlier version; returns its path and the next instruction.
+
+    Raises
+    ------
+    ConfigurationError
+        This system has no udev, or no such folder.
+    DeviceError
+        Only root may write there, or it cannot be written.
+    """
+    if sys.platform != "linux":
+        raise ConfigurationError("--install-udev: udev is a part of Linux; this system needs no such rules")
+    if folder == RULES_FOLDER and not folder.is_dir():
+        raise ConfigurationError(f"{folder}: no such folder; this system has no udev, and needs no rules")
+    path = folder / _FILE
+    try:
+        atomic_write.replace(path, udev_rules().encode(), mode=0o644)
+    except PermissionError:
+        raise DeviceError(f"{path}: only root may write it: {as_root()}") from None
+    except OSError as error:
+        raise DeviceError(f"{path}: cannot be written: {error.strerror or error}") from None
+    again = "plug the devices in again"
+    if folder == RULES_FOLDER and not _reloaded():
+        again = f"sudo udevadm control --reload, then {again}"
+    return path, again
+
+
+def _reloaded() -> bool:
+    """Make udev's daemon read the rules again; False if that fails, as in a container without one."""
+    udevadm = shutil.which("udevadm")
+    if udevadm is None or os.geteuid() != 0:
+        return False
+    done = subprocess.run([udevadm, "control", "--reload"], capture_output=True, timeout=30, check=False)
+    return done.returncode == 0

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from processing.errors import RigError
-from rig.devices.order_socket import BEAT, LOOK, LOOPBACK, NEWS, ORDERS_NAME
-from rig.devices.session_news import SessionPicture
+from rig.devices.order_socket import BEAT, LOOK, LOOPBACK, NEWS, ORDERS_NAME, SessionPicture
 
 _ANSWER_S = 3.0
 _ORDER_S = 20.0

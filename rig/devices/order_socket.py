@@ -1,21 +1,168 @@
-"""The order socket of the process that has the devices: a loopback port that answers holders of its key."""
+"""The state of a session, and the order socket by which other programs ask for it and give orders.
+
+The socket belongs to the process that has the devices: a loopback port that answers holders of its key.
+"""
 
 import json
+import math
 import os
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Connection, answer_challenge, deliver_challenge
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.camera import CameraSettings, Frame, Image
+from processing.deflections import Deflections
+from processing.spot import Spot, SpotFlag
+from processing.units import NS_PER_S
 from rig.devices.session_devices import Devices
-from rig.devices.session_news import SessionNews
-from rig.terminal import plain_values
+from rig.instrument import Block
+from rig.terminal import Verdict, plain_values, plain_values
+
+PATH_S = 20.0
+"""Length of the trajectory that a page draws, in s."""
+_PATH_POINTS = 400
+_PICTURE_INTERVAL_S = 0.1
+_WATCHED_S = 60.0
+"""Longest absence of a desk, which may come back, before a run that waits for an acknowledgement ends."""
+
+
+class SessionPicture(NamedTuple):
+    """A frame (ny, nx) in DN, the spot in it, its number, and the reference's spot where it has one."""
+
+    image: Image
+    spot: Spot
+    number: int
+    reference: Spot | None = None
+
+
+class SessionNews:
+    """The state of a session; written by its threads, read by those that answer.
+
+    Of frames it keeps only references, set in the processing thread. A frame is kept only if a program has
+    asked for one, at most ten times a second.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._asked_s = -math.inf
+        self._picture_wanted = False
+        self._picture_number = 0
+        self._picture_s = 0.0
+        self._frame: SessionPicture | None = None
+        self._begin("", "", {})
+
+    def _begin(self, run: str, record: str, camera: Mapping[str, Any]) -> None:
+        self._path: deque[Deflections] = deque()
+        self._values: dict[str, Any] = {"run": run, "record": record, "camera": camera}
+        self._values |= {"state": {}, "rows": (), "preflight": ()}
+        self._frames_s = self._seen_s = math.nan
+
+    def begin_run(
+        self, title: str, full_scale_dn: int, applied: CameraSettings | None, record: Path | None = None
+    ) -> None:
+        """Note the begin of a run, with the camera's settings as read back, and the path of its `record`."""
+        settings = {} if applied is None else applied.model_dump(exclude_none=True)
+        camera = {"full_scale_dn": full_scale_dn, "applied": settings}
+        with self._lock:
+            self._begin(title, "" if record is None else str(record.absolute()), camera)
+
+    def state(self, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
+        """Set the state of the run as displayed: values for programs, and rows of text."""
+        self._values |= {"state": values, "rows": rows}
+
+    def waits(self, what: str) -> None:
+        """Set the state between two runs: that of the last run, and what the next one waits for."""
+        self._values["state"] = {**self._values["state"], "progress": what}
+
+    def preflight(self, verdicts: Sequence[Verdict]) -> None:
+        """Set the preflight table."""
+        self._values["preflight"] = plain_values(verdicts)
+
+    # -- in the run's thread --------------------------------------------------
+
+    def look(self, frames: Sequence[Frame], block: Block, *, recorded: bool = False) -> None:
+        """Keep the newest frame if it is wanted, and the trajectory of frames that are not recorded."""
+        spots, deflections, now_s = block.spots, block.deflections, time.monotonic()
+        if recorded:
+            self._path.clear()
+        elif len(deflections):
+            with self._lock:
+                path, newest_ns = self._path, deflections.times_ns[-1]
+                path.append(deflections)
+                while newest_ns - path[0].times_ns[-1] > PATH_S * NS_PER_S:
+                    path.popleft()
+        if spots:
+            self._frames_s = now_s
+            # a spot that was never found counts as lost since the first frame
+            if math.isnan(self._seen_s) or not spots[-1].flags & SpotFlag.LOST:
+                self._seen_s = now_s
+        if self._picture_wanted and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
+            self._picture_wanted, self._picture_s = False, now_s
+            self._picture_number += 1
+            image = frames[-1].image
+            # a camera's frames are read-only and never written to again; anything else is copied
+            held = image.copy() if image.flags.writeable else image
+            reference = block.references[-1] if block.references else None
+            self._frame = SessionPicture(held, spots[-1], self._picture_number, reference)
+
+    # -- for those that answer -----------------------------------------------
+
+    def news(self) -> dict[str, Any]:
+        """Everything as plain values.
+
+        Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is the age of the
+        last processed frame, `spot_lost_s` the time for which the spot has been lost; NaN before the first
+        frame. Recorded values are read from `record`.
+        """
+        self._asked_s = time.monotonic()
+        with self._lock:
+            path, values = list(self._path), dict(self._values)
+        return {
+            **values,
+            "frames_age_s": time.monotonic() - self._frames_s,
+            "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
+            "path": thinned_path(path),
+        }
+
+    @property
+    def watched(self) -> bool:
+        """Whether a program has asked for the news within the last minute."""
+        return time.monotonic() - self._asked_s < _WATCHED_S
+
+    def picture(self, after: int = 0) -> SessionPicture | None:
+        """The newest frame if its number is above `after`, else None; this also requests the next one."""
+        self._picture_wanted = True
+        frame = self._frame
+        return None if frame is None or frame.number <= after else frame
+
+
+def thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
+    """The last seconds of the trajectory, in some hundred points, as they are shown."""
+    if not path:
+        return {"x": [], "y": []}
+    step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
+    # there may be thousands of single deflections, so they are joined before they are divided by their unit
+    size = path[0].unit.shown_size
+    x = np.concatenate([one.x for one in path])[::step] / size
+    y = np.concatenate([one.y for one in path])[::step] / size
+    return {"x": _or_none(x), "y": _or_none(y)}
+
+
+def _or_none(values: NDArray[np.float64]) -> list[float | None]:
+    return [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]
+
 
 ORDERS_NAME = ".orders.json"
 LOOPBACK = "127.0.0.1"

@@ -1,7 +1,9 @@
-"""Brightness, saturation and sharpness of a picture, and the exposure at which its peak is right."""
+"""Looks at a camera without a run: newest frames, figures of a picture, the right exposure, features."""
 
 import statistics
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame, Image
+from acquisition.cameras.usb3vision.node_map import READ_WRITE, WRITE_ONLY, FeatureReading
 from acquisition.frames.guard import FrameChecks
+from acquisition.frames.queue import BoundedQueue
 from processing.errors import DataError, DeviceError
 
 _FLOOR = 0.1
@@ -101,16 +105,20 @@ def png_of(image: NDArray[Any], path: Path) -> bytes:
 
 
 def read_frames(camera: Camera, count: int, patience_s: float) -> list[Frame]:
-    """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer."""
+    """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer.
+
+    Frames that no camera may deliver raise DeviceError.
+    """
+    frames, delivered = list[Frame](), FrameChecks()
     camera.start()
     try:
-        frames = [camera.read(patience_s) for _ in range(count)]
+        while len(frames) < count and (frame := camera.read(patience_s)) is not None:
+            frames.append(delivered.check(frame))
     finally:
         camera.stop()
-    found = [frame for frame in frames if frame is not None]
-    if len(found) < count:
-        raise DataError(f"the camera gave {len(found)} frames, {count} were asked for")
-    return found
+    if len(frames) < count:
+        raise DataError(f"the camera gave {len(frames)} frames, {count} were asked for")
+    return frames
 
 
 _FRAMES = 9
@@ -177,20 +185,105 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
 
 
 def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
-    camera.start()
-    delivered = FrameChecks()
-    try:
-        seen: list[PictureFigures] = []
-        while len(seen) < _FRAMES:
-            frame = camera.read(_TIMEOUT_S)
-            if frame is None:
-                raise DeviceError(f"{info.model}: no more frames; finding an exposure needs a live camera")
-            seen.append(figures(delivered.check(frame).image, info.full_scale_dn))
-    finally:
-        camera.stop()
+    frames = read_frames(camera, _FRAMES, _TIMEOUT_S)
+    seen = [figures(frame.image, info.full_scale_dn) for frame in frames]
     return PictureFigures(
         statistics.median(one.peak for one in seen),
         max(one.saturated_px for one in seen),
         statistics.median(one.background for one in seen),
         statistics.median(one.sharpness_per_px for one in seen),
     )
+
+
+_NO_LIMIT = 2.0**62
+"""A larger limit means none: cameras report the type's largest number for a feature without a limit."""
+
+
+def feature_lines(readings: Iterable[FeatureReading]) -> Iterator[str]:
+    """One line for each feature: name, value with its unit, range or choices, access."""
+    shown = [(reading.name, _value(reading), _remark(reading)) for reading in readings]
+    names = max((len(name) for name, _, _ in shown), default=0)
+    values = min(max((len(value) for _, value, _ in shown), default=0), 24)
+    for name, value, remark in shown:
+        yield f"{name:<{names}}  {value:<{values}}  {remark}".rstrip()
+
+
+def _value(reading: FeatureReading) -> str:
+    value = reading.value
+    if reading.kind == "Command":
+        return "command"
+    if value is None:
+        return "-"
+    if isinstance(value, bytes):
+        return value.hex(" ") or "empty"
+    text = f"{value:.9g}" if isinstance(value, float) else str(value)
+    return f"{text} {reading.unit}".strip()
+
+
+def _remark(reading: FeatureReading) -> str:
+    if reading.problem:
+        return reading.problem
+    if reading.kind == "Command":
+        return "" if reading.access == WRITE_ONLY else reading.access
+    if reading.access != READ_WRITE:
+        return reading.access
+    if reading.choices:
+        return "one of " + ", ".join(reading.choices)
+    low, high = reading.minimum, reading.maximum
+    if isinstance(reading.value, bool | str | bytes) or low is None or high is None:
+        return ""
+    if abs(low) >= _NO_LIMIT and abs(high) >= _NO_LIMIT:
+        return ""
+    return f"{low:.9g} to {high:.9g} {reading.unit}".strip()
+
+
+_LOOK_S = 0.2
+
+
+def watch_latest(
+    camera: Camera,
+    at_least: int,
+    end_s: float,
+    interval_s: float = _LOOK_S,
+) -> Generator[list[Frame]]:
+    """Yield blocks of `at_least` frames, at most one per `interval_s`; older frames are dropped.
+
+    The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one block
+    at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
+    camera, and frames that no camera may deliver, are raised here.
+    """
+    errors: list[Exception] = []
+    delivered, queue = FrameChecks(), BoundedQueue[Frame](at_least, "latest")
+
+    def acquire() -> None:
+        try:
+            while (frame := camera.read(_TIMEOUT_S)) is not None:
+                queue.put(delivered.check(frame))
+                if ended.is_set():
+                    break
+        except Exception as error:
+            errors.append(error)
+        finally:
+            queue.close()
+
+    ended = threading.Event()
+    camera.start()
+    thread = threading.Thread(target=acquire, name="camera", daemon=True)
+    thread.start()
+    try:
+        while not queue.drained:
+            frames: list[Frame] = []
+            while len(frames) < at_least and not queue.drained:
+                frames += queue.take(at_least - len(frames), 0.1)
+            if frames:
+                yield frames
+            if time.monotonic() >= end_s:
+                break
+            time.sleep(interval_s)
+        if errors:
+            raise errors[0]
+    finally:
+        ended.set()
+        queue.close()
+        camera.stop()
+        thread.join(_TIMEOUT_S)

@@ -260,11 +260,11 @@ class Devices(LitDevices):
         """
         if self.sensor is not None:
             air = self.sensor.latest
-            return air.temperature_c, air.humidity_percent, air.pressure_pa
-        if self.control is not None and self._config.environment_sensor.kind == "controller":
+        elif self.control is not None and self._config.environment_sensor.kind == "controller":
             air = self.control.snapshot.environment
-            return air.temperature_c, air.humidity_percent, air.pressure_pa
-        return math.nan, math.nan, math.nan
+        else:
+            return math.nan, math.nan, math.nan
+        return air.temperature_c, air.humidity_percent, air.pressure_pa
 
 
 def _unwired(_: float) -> None:

@@ -3,7 +3,7 @@
 import logging
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from acquisition.record.events import EventKind
@@ -164,34 +164,28 @@ def hand_over(folder: Path) -> HandOver:
     ended = state_of(session)
     reports = sorted(folder.glob("report*.html"), key=lambda path: path.stat().st_mtime)
     report = reports[-1] if reports else None
-    went, steps = _went(session, ended), _steps_of_end(ended)
+    steps = _steps_of_end(ended)
+    if not results_path(folder).exists() and session.entries and report is None:
+        steps.append("fit it again: there are no results yet (rig fit)")
+    summary = HandOver(folder, ended, _went(session, ended), next_steps=steps, report=report)
     if not results_path(folder).exists():
-        if session.entries and report is None:
-            steps = [*steps, "fit it again: there are no results yet (rig fit)"]
-        return HandOver(folder, ended, went, next_steps=steps, report=report)
+        return summary
     try:
         results = read_results(folder)
     except RigError as error:
-        return HandOver(folder, ended, went, next_steps=[*steps, str(error)], report=report)
+        return replace(summary, next_steps=[*steps, str(error)])
     run = results.runs[-1]
     whole = whole_result(run, results.series)
-    headline, of = whole.text, whole.of
     unmet = [f"{one.name}: {one.said}" for one in run.conditions if not one.ok or one.remedy]
-    remarks = [*run.warnings, *unmet]
-    if run.problem:
-        headline, of = "", ""
-        remarks.insert(0, f"no fit: {run.problem}")
-    return HandOver(
-        folder,
-        ended,
-        went,
-        headline,
-        of,
-        whole.limits,
-        [*steps, *whole.next_steps],
-        [(row.shown.label, row.text) for row in run.contact],
-        report,
-        remarks,
+    no_fit = [f"no fit: {run.problem}"] if run.problem else []
+    return replace(
+        summary,
+        headline="" if no_fit else whole.text,
+        of="" if no_fit else whole.of,
+        limits=whole.limits,
+        next_steps=[*steps, *whole.next_steps],
+        others=[(row.shown.label, row.text) for row in run.contact],
+        remarks=[*no_fit, *run.warnings, *unmet],
     )
 
 

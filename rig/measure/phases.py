@@ -18,7 +18,7 @@ from processing.units import ARCSEC_RAD, NS_PER_S, nanoseconds
 from rig.devices import AuditEntry, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
 from rig.instrument import Optics, Phase
 from rig.measure.end_of_run import StopRequest
-from rig.measure.preflight import TrialFrames, frame_checks, rest_checks, vault_checks
+from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
 from rig.measure.recent_frames import PhaseWait, RecentFrames, WaitStopped, Watch
 from rig.settings import Configuration
 from rig.terminal import Verdict, failures
@@ -111,8 +111,8 @@ class PhasesBeforeRecord:
 
     def check_alone(
         self, stream: FrameStream, report: Callable[[RecordedPhase], None], stop: StopRequest
-    ) -> list[Verdict]:
-        """The preflight table of the pendulum as it hangs or swings, without a run; empty if stopped."""
+    ) -> None:
+        """Make the preflight table of the pendulum as it hangs or swings, without a run; none if stopped."""
         seconds = _preflight_s(self._config)
         frames = RecentFrames(stream, self._optics, seconds, seconds)
         self._wait = PhaseWait(frames, report, stop)
@@ -121,7 +121,6 @@ class PhasesBeforeRecord:
                 self._preflight_at_once()
             else:
                 self._preflight_at_rest()
-        return self.verdicts
 
     def correct_starter(self, first_amplitude: float) -> None:
         """Scale the next starter pulse by the amplitude that the last gave; unchanged if that is in px."""
@@ -243,7 +242,7 @@ class PhasesBeforeRecord:
             frame_checks.controller(self._devices.safety(), config.controller.kind != "none"),
             frame_checks.laser(self._devices.laser_report(), through_controller(config.laser)),
             self._seismometer_verdict(look),
-            vault_checks.reference(look, config.reference, limits),
+            rest_checks.reference(look, config.reference, limits),
             frame_checks.air(
                 self._devices.environment(),
                 config.environment_sensor.kind != "none",
@@ -273,7 +272,7 @@ class PhasesBeforeRecord:
         if witness is not None and look.frames:
             samples = witness.recent(look.frames[-1], _preflight_s(self._config))
         problem = None if witness is None else witness.problem
-        return vault_checks.witness(look, problem, stated, samples, self._config.reference)
+        return rest_checks.witness(look, problem, stated, samples, self._config.reference)
 
     def _release(self) -> None:
         """Release the pendulum or ask the operator to, and wait until it moves."""

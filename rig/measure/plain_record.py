@@ -1,22 +1,18 @@
 """Work on the rig without a session: a plain record, a preflight, frames, light, trips, the audit log."""
 
 import math
-import queue
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
 from rich.console import Console
 
 from acquisition import atomic_write
-from acquisition.record.topics import RecordedPhase
-from processing.errors import ConfigurationError, DataError, DeviceError, RecordError, RigError
+from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
 from rig.control import SafetyNow, SafetyState, rig_state_path
 from rig.devices import (
     AUDIT_NAME,
     Devices,
-    LightWatch,
     NoSession,
     OrderConnection,
     SessionNews,
@@ -27,14 +23,7 @@ from rig.devices import (
     read_frames,
     running_sessions,
 )
-from rig.instrument import (
-    check_materials,
-    complete,
-    optics_of,
-    prepare_kernels,
-)
-from rig.measure.end_of_run import StopRequest
-from rig.measure.phases import PhasesBeforeRecord
+from rig.instrument import check_materials, complete
 from rig.measure.run import measure_run
 from rig.measure.run_parts import RunPlan
 from rig.settings import Configuration
@@ -79,10 +68,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
         ask_leave(devices)
         plan = RunPlan(config, source, record, record.stem, fitted=False, session_news=session_news)
         outcome = measure_run(plan, devices)
-    if outcome.failure is not None:
-        raise outcome.failure
-    if outcome.interrupt is not None:
-        raise outcome.interrupt
+    outcome.check()
     return record
 
 
@@ -113,58 +99,23 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     at rest (start.way is not 'at once'): the pendulum must rest then.
     """
     preflight = config.preflight.model_copy(update={"when": "always"})
-    config = complete(config.model_copy(update={"preflight": preflight}))
+    quiet = config.view.model_copy(update={"mode": "none", "file": False})
+    config = complete(config.model_copy(update={"preflight": preflight, "view": quiet}))
     check_materials(config)
-    folder = config.session.output
-    with (
-        Devices(config, folder, "rig doctor --preflight") as devices,
-        light_told(devices, folder),
-        devices.camera(config) as camera,
-    ):
-        optics = optics_of(config, camera.info.full_scale_dn)
-        phases = PhasesBeforeRecord(config, devices, camera, optics, _existing_output_folder(config))
-        stream = devices.stream(config, camera)
-        prepare_kernels(optics.sensor, say)
+    folder, verdicts = config.session.output, list[Verdict]()
+    with Devices(config, folder, "rig doctor --preflight") as devices, light_told(devices, folder):
         ask_leave(devices)
-        if lit := devices.light():
-            say(lit)
-        light = LightWatch(devices)
-        last_state = ("", "")
-        states: queue.SimpleQueue[RecordedPhase | None] = queue.SimpleQueue()
-
-        def report(phase: RecordedPhase) -> None:
-            nonlocal last_state
-            light.look()
-            if light.alarm:
-                raise DeviceError(light.alarm)
-            doing = phase.phase, phase.progress
-            if doing != last_state:
-                states.put(phase)
-            last_state = doing
-
-        def look(stop: StopRequest) -> list[Verdict]:
-            try:
-                stream.start_camera()
-                if stream.begin() is None:
-                    raise DataError("the camera delivered no frame at all")
-                return phases.check_alone(stream, report, stop)
-            finally:
-                devices.darken()
-                stream.close()
-                states.put(None)
-
-        # in a thread of its own: printing may wait for a slow reader, and frames may not
-        stop = StopRequest(stream)
-        with ThreadPoolExecutor(1, "preflight") as looking:
-            found = looking.submit(look, stop)
-            try:
-                while (state := states.get()) is not None:
-                    if json_lines:
-                        where = {"phase": state.phase, "progress": state.progress}
-                        print_json_line("state", {**where, "elapsed_s": state.elapsed_s})
-            finally:
-                stop.because("stopped")
-            verdicts = found.result()
+        plan = RunPlan(
+            config,
+            Path(),
+            _existing_output_folder(config) / "preflight",
+            "preflight",
+            json_lines=json_lines,
+            fitted=False,
+            checked=verdicts.extend,
+        )
+        outcome = measure_run(plan, devices)
+    outcome.check()
     if json_lines:
         print_json_line("preflight", {"table": verdicts})
     else:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 
 from acquisition.camera import Frame
 from acquisition.frames.queue import MAX_QUEUE_BYTES
@@ -146,6 +147,9 @@ class MeasurementRun:
             first = self._stream.begin()
             if first is None:
                 raise DataError("the camera delivered no frame at all; nothing was recorded")
+            if self._parts.plan.checked is not None:
+                self._check()
+                return
             at_first_ns = utc_offset_ns(first)
             number = 1
             while not self._attempt(number, at_first_ns):
@@ -160,6 +164,15 @@ class MeasurementRun:
                 self._stop.failed(error)
             finally:
                 self._done.set()
+
+    def _check(self) -> None:
+        """Make the preflight alone; the laser is switched off before the display, which may be slow."""
+        try:
+            if self._parts.phases is not None:
+                self._parts.phases.check_alone(self._stream, self._prepare, self._stop)
+        finally:
+            self._parts.devices.darken()
+        self._stop.because("the checks are made")
 
     def _attempt(self, number: int, at_first_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
@@ -238,9 +251,8 @@ LEAST_FREE_BYTES = 50 * 1024 * 1024
 """Free disk space below which no run begins."""
 
 
-def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
-    """Measure one run into one record; camera and view are closed at the end in any case."""
-    record = plan.record
+def _check_place(record: Path) -> None:
+    """Raise ConfigurationError for a record that exists, RecordError where too little disk is free."""
     if record.exists():
         raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
     free = free_bytes(record.parent)
@@ -249,6 +261,13 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             f"{record.parent}: {free // 2**20} MiB of disk are free, {LEAST_FREE_BYTES // 2**20} MiB "
             "are needed to begin; nothing was started: free some, or name another folder"
         )
+
+
+def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
+    """Measure one run into one record; camera and view are closed at the end in any case."""
+    record = plan.record
+    if plan.checked is None:
+        _check_place(record)
     if plan.config.simulated:
         _say_if_open(f"{plan.title}: SIMULATED (no camera is read; every number is the simulated rig's)")
     with devices.camera(plan.config) as camera:
@@ -286,12 +305,12 @@ def _execute(
         stop_when=config.stop_conditions if posterior is not None else (),
         json_lines=plan.json_lines,
         simulated=config.simulated,
-        phases=phases_wanted(config),
+        phases=phases_wanted(config) if plan.checked is None else (),
     )
     session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, plan.record)
 
     def show_table(verdicts: Sequence[Verdict]) -> None:
-        display.show_preflight(verdicts)
+        (plan.checked or display.show_preflight)(verdicts)
         session_news.preflight(verdicts)
 
     def show(now: RunNow) -> None:

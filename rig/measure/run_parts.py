@@ -49,6 +49,8 @@ class RunPlan:
     """Returns notes that operators have written during the run since the last call."""
     waited: Sequence[str] = ()
     """What the run has waited for, for the record."""
+    checked: Callable[[Sequence[Verdict]], None] | None = None
+    """Called with the preflight table of a run that ends there, without a record; None for other runs."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -152,6 +154,11 @@ class RunOutcome:
     """Whether the run ended because of that interrupt."""
     hangs: str
     """What hung while the run was ended; the record is then cut short. Empty if nothing did."""
+
+    def check(self) -> None:
+        """Raise what ended the run otherwise than regularly: an error, a thread that hangs, an interrupt."""
+        if problem := self.failure or (DeviceError(self.hangs) if self.hangs else self.interrupt):
+            raise problem
 
 
 def features_json(camera: Camera) -> bytes:

@@ -141,14 +141,23 @@ class SessionOutcome(NamedTuple):
 
 
 @contextmanager
-def _ends_noted(file: SessionFile) -> Iterator[None]:
-    """Notes how a run has ended that an interrupt separates from its entry in session.json."""
+def _interrupts_noted(file: SessionFile) -> Iterator[None]:
+    """Notes how a run has ended that an interrupt ends, and says after a signal how to continue."""
     try:
         yield
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
+        reason = reason_of(interrupt)
         for entry in file.state.entries:
             if entry.state is RunState.RECORDING:
+                # the interrupt came before the record; a run with a record holds by itself how it ended
+                if not (file.folder / entry.record).exists():
+                    file.note(entry.number, entry.record, RunState.STOPPED, reason)
                 end_noted(file, entry)
+        if isinstance(interrupt, Terminated):
+            remedy = f"rig run --resume {file.folder} continues, rig fit fits the runs so far"
+            # an OSError comes from a terminal that was closed
+            with suppress(OSError):
+                say(f"{reason}; {remedy if _has_record(file) else 'nothing was recorded'}")
         raise
 
 
@@ -163,7 +172,7 @@ def make_runs(
     folder, session_news = file.folder, SessionNews()
     notes = Notes(folder, config.session.operator)
     socket = OrderSocket(folder, session_news, orders(devices, notes), lambda: safety_values(devices))
-    with socket as watched, _ends_noted(file):
+    with socket as watched, _interrupts_noted(file):
         if watched.problem:
             say(watched.problem)
         records = [folder / entry.record for entry in file.state.complete]
@@ -206,13 +215,6 @@ def make_runs(
                 say_failed(number, error)
                 failed = True
                 break
-            except KeyboardInterrupt as interrupted:
-                # the interrupt came before the record; a run with a record holds by itself how it ended
-                if not record.exists():
-                    file.note(number, record.name, RunState.STOPPED, reason_of(interrupted))
-                if isinstance(interrupted, Terminated):
-                    _say_how_to_resume(reason_of(interrupted), file)
-                raise
             if outcome.hangs:
                 # the entry stays: the record can be repaired only when no thread writes to it any more
                 off = "" if config.laser.kind == "none" else "the laser was told off, "
@@ -243,17 +245,8 @@ def make_runs(
             else:
                 failed = True
             if isinstance(interrupt, Terminated):
-                _say_how_to_resume(reason, file)
                 raise interrupt
         return SessionOutcome(records, failed, stopped)
-
-
-def _say_how_to_resume(reason: str, file: SessionFile) -> None:
-    """Print how to continue after a signal; nothing is left of a session without a record."""
-    remedy = f"rig run --resume {file.folder} continues, rig fit fits the runs so far"
-    # an OSError comes from a terminal that was closed
-    with suppress(OSError):
-        say(f"{reason}; {remedy if _has_record(file) else 'nothing was recorded'}")
 
 
 def _has_record(file: SessionFile) -> bool:

@@ -32,7 +32,7 @@ from rig.prepare.dialogue import Reporter
 from rig.prepare.learned_turns import BalanceMeasurement, LearnedTurns, forget_last_turn, show_turns
 from rig.settings import Configuration
 from rig.terminal import say
-from rig.view import ScratchHead, ScratchView
+from rig.view import ScratchView
 
 _BAD_SPOT = SpotFlag.LOST | SpotFlag.EDGE
 _PAUSE_NS = 2_000_000_000
@@ -69,11 +69,14 @@ class BalanceView(contextlib.ExitStack):
             return
         if self._view is None:
             config = self._config
-            self._view = self.enter_context(ScratchView("balancing", mode, self._rrd, "balancing"))
-            metadata = session_metadata(config, info, first)
-            attachments = configuration_attachments(config, Path())
-            head = ScratchHead(metadata, attachments, config.deflection_unit, time.time_ns())
-            self._view.begin(0, head)
+            view = ScratchView("balancing", mode, self._rrd, "balancing", config.deflection_unit)
+            self._view = self.enter_context(view)
+            view.begin(
+                0,
+                epoch_offset_ns=time.time_ns(),
+                metadata=session_metadata(config, info, first),
+                attachments=configuration_attachments(config, Path()),
+            )
             self._view.event(Event(0, EventKind.START, "first frame"))
         else:
             self._shown_ns += _PAUSE_NS

@@ -5,12 +5,13 @@ Its XY plots are drawn in Spatial2DViews with axes of their own.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import rerun as rr
 
 from acquisition.record.digest import sha256_of
+from processing.arrays import Floats
 from processing.deflections import DeflectionUnit
 from processing.fit import FitMethod
 from rig.analysis import (
@@ -25,8 +26,8 @@ from rig.analysis import (
 from rig.terminal import Table, palette
 from rig.view import layout
 from rig.view.graticule import Graticule, faded, graticule_marks
-from rig.view.values import AnalysisCurve, Panel
 
+Panel = Literal["decay", "residuals", "period", "period_residuals"]
 TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "decay": ("time / s", "amplitude / {unit}"),
     "residuals": ("time / s", "residual / {unit}"),
@@ -41,6 +42,22 @@ COINCIDING: Final = frozenset({"decay", "period"})
 """Panels in which a good fit covers its data: curves drawn first are wider, so that they remain visible."""
 MAX_BARS: Final = 400
 """Largest number of error bars of one curve."""
+
+
+class AnalysisCurve(NamedTuple):
+    """One curve of the analysing layout, drawn as points (data) or as a line (fit); arrays (n,).
+
+    Axes of the panels: ``decay`` time in s, amplitude; ``residuals`` time in s, residual of the amplitude;
+    ``period`` amplitude, period in s; ``period_residuals`` amplitude, residual in ms. Amplitudes are in
+    the unit of the setup. NaN interrupts a line. `u_y` is drawn as error bars of one standard uncertainty.
+    """
+
+    panel: Panel
+    name: str
+    x: Floats
+    y: Floats
+    u_y: Floats | None = None
+    style: Literal["points", "line"] = "line"
 
 
 def run_analysis(record: Path) -> RunResults:

@@ -9,14 +9,15 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from acquisition.record.events import Event, EventKind, Severity
+from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.terminal import QuantityDisplay, balance_style, balance_table, palette, quantity
 from rig.view import layout
 from rig.view.graticule import spot_cross
+from rig.view.layout import Setup
 from rig.view.transverse import Decimator, GapBreaker, Lissajous, SendBuffer, TransverseCurves
-from rig.view.values import Floats, Setup, is_drawn
 
 MAX_SAMPLE_RATE_HZ, MAX_REFERENCE_RATE_HZ = 100.0, 10.0
 """Largest rates of drawn samples; of the reference spot only drift is of interest."""
@@ -289,3 +290,12 @@ def parameter_shown(key: str) -> QuantityDisplay:
     """Display of a parameter in its panel: c, about 10⁻⁸, is scaled, because axes show no powers of ten."""
     shown = quantity(key)
     return replace(shown, symbol="10⁹ c", factor=1e9 * shown.factor) if key == "c" else shown
+
+
+_MAX_DRAWN_U_RELATIVE = 0.5
+"""Largest relative uncertainty of a parameter that is drawn."""
+
+
+def is_drawn(value: float, u: float) -> bool:
+    """Whether a parameter is known well enough to be drawn: the first values would hide all later ones."""
+    return u <= _MAX_DRAWN_U_RELATIVE * abs(value)

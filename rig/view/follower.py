@@ -6,7 +6,7 @@ The drawing does not depend on when a piece is read, so that a live view equals 
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -22,6 +22,7 @@ from acquisition.record.topics import (
     RecordedHealth,
     RecordedPhase,
 )
+from processing.arrays import Floats
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
@@ -33,8 +34,7 @@ from rig.instrument import Phase, RecordContents, RunNow, advice_for, piece_cont
 from rig.settings import Configuration
 from rig.terminal import balance_numbers
 from rig.view import layout
-from rig.view.drawing import Drawing
-from rig.view.values import Floats, is_drawn
+from rig.view.drawing import Drawing, is_drawn
 
 _STATE_INTERVAL_NS, _LOSSES_INTERVAL_NS = 1_000_000_000, 10_000_000_000
 """Intervals of run time at which state and losses are drawn, even without a change."""
@@ -53,7 +53,7 @@ class RecordDrawer:
     ) -> None:
         self._reader, self._drawing, self._run = reader, drawing, run
         self._picture_interval_ns = nanoseconds(picture_interval_s)
-        self._advise = _adviser(configuration_of(reader))
+        self._config = configuration_of(reader)
         self._shape = reader.picture_shape
         self._held: list[Piece] = []
         self._start_ns: int | None = None
@@ -168,8 +168,10 @@ class RecordDrawer:
         for balance in balances:
             at_s = self._run_s(balance.time_ns)
             self._drawing.balance(self._run, at_s, balance_numbers(balance))
-            if not self._advised and (advice := self._advise(balance)):
-                self._drawing.text(self._run, layout.ADVICE, at_s, advice)
+            if self._config is not None and not self._advised:
+                advice = advice_for(self._config, balance).markdown
+                if advice:
+                    self._drawing.text(self._run, layout.ADVICE, at_s, advice)
 
     def _draw_session(self, contents: RecordContents, before: RunNow) -> None:
         """Draw messages on the session: phase, clock, estimates."""
@@ -286,10 +288,3 @@ def configuration_of(reader: RecordReader) -> Configuration | None:
         return recorded_configuration(reader)
     except RecordError:
         return None
-
-
-def _adviser(config: Configuration | None) -> Callable[[Balance], str]:
-    """A function that returns advice on a balance in Markdown; empty text without a configuration."""
-    if config is None:
-        return lambda _: ""
-    return lambda balance: advice_for(config, balance).markdown

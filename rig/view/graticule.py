@@ -13,8 +13,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from rig.terminal import palette
-from rig.view.values import Floats
 
 PLANE_REACH = 100.0
 """Half the side of the trajectory's axes, in units of the plane."""

@@ -10,15 +10,15 @@ parent EQUAL has one that stretches X. Rerun applies the transforms below a view
 origin EQUAL has equal scales, one with the origin STRETCHED shows X stretched.
 """
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from rig.terminal import balance_panels
 from rig.view.graticule import BACKGROUND, BOX, PLANE_REACH
-from rig.view.values import Setup
+from rig.view.scratch import LayoutName
 
 APPLICATION_ID: Final = "optical_pendulum_rig"
 TIMELINE: Final = "run_time"
@@ -64,6 +64,25 @@ BALANCE_WINDOW_S: Final = 120.0
 WHOLE_RUN: Final = rrb.TimeAxis(
     view_range=rr.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
 )
+
+
+class Setup(NamedTuple):
+    """Title, layout, expected values and panels that a drawing needs before its first value.
+
+    `runs` are the names of the runs that are overlaid, one empty name for a single run. `period_s` (of the
+    slow mode) and `amplitude` (of the first axes) are expected values, `unit` is that of all deflections.
+    `parameters`, with their labels, are estimated while the run is measured, and each has a panel of the
+    measuring layout. With `has_reference` there is a panel for the spot of a mirror on the base.
+    """
+
+    title: str
+    layout: LayoutName = "measuring"
+    runs: tuple[str, ...] = ("",)
+    period_s: float = 4.07
+    amplitude: float = 125.0
+    unit: str = "arcsec"
+    parameters: Mapping[str, str] = {}
+    has_reference: bool = False
 
 
 def entity(run: str, path: str) -> str:

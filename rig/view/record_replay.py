@@ -38,8 +38,7 @@ from rig.terminal import (
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
 from rig.view.replay_player import HELP, MAX_FRAMES, Player, ReplayLine
-from rig.view.scratch import ScratchHead, ScratchView
-from rig.view.values import Mode
+from rig.view.scratch import Mode, ScratchView
 
 _MAX_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is attributed to rounding."""
@@ -169,12 +168,16 @@ def replay_record(
             view = None
             if wants_view:
                 name = f"replay of {record.stem}"
-                view = stack.enter_context(ScratchView(name, mode, rrd, "measuring", math.inf))
+                unit = config.deflection_unit
+                view = stack.enter_context(ScratchView(name, mode, rrd, "measuring", unit, math.inf))
                 attachments = {**reader.attachments, **configuration_attachments(config, Path())}
                 metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
-                unit = config.deflection_unit
-                head = ScratchHead(metadata, attachments, unit, reader.epoch_offset_ns)
-                view.begin(replay.start_ns, head)
+                view.begin(
+                    replay.start_ns,
+                    epoch_offset_ns=reader.epoch_offset_ns,
+                    metadata=metadata,
+                    attachments=attachments,
+                )
             keys = stack.enter_context(Keys())
             line = stack.enter_context(
                 ReplayLine(config.deflection_unit.shown, HELP if keys.available else "")

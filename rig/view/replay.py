@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,14 +10,13 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import WINDOW, RecordedClockStep, RecordedWindow
+from acquisition.record.topics import WINDOW, RecordedWindow
 from processing.deflections import Deflections
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
-from rig.devices import ClockRate
-from rig.instrument import Block, CameraClock, frame_shape, optics_of, recorded_configuration, shutter_of
+from rig.instrument import Block, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.settings import Configuration
 from rig.view.replay_comparison import ReplayComparison, ReplayDifferences
 
@@ -114,7 +112,6 @@ class Replay:
             raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
         self.start_ns = int(head["time_ns"][0])
         self._last_ns = max(reader.numbers.end_ns - reader.epoch_offset_ns, self.start_ns)
-        self._steps = [(one.time_ns, one.step_ns) for one in reader.values(RecordedClockStep)]
         if from_s > seconds(self._last_ns - self.start_ns):
             length_s = seconds(self._last_ns - self.start_ns)
             raise ConfigurationError(
@@ -159,13 +156,6 @@ class Replay:
     def next_sequence(self) -> int:
         """Number of the next frame; 0 at the end."""
         return 0 if math.isinf(self.next_s) else int(self._table["sequence"][self._row])
-
-    @property
-    def clock(self) -> CameraClock:
-        """State of the camera's clock so far; unknown for frames made on demand."""
-        known = [step for time_ns, step in self._steps if time_ns <= self._position_ns]
-        largest_s = max((seconds(step_ns) for step_ns in known), key=abs, default=0.0)
-        return replace(self._clock, steps=len(known), largest_step_s=largest_s)
 
     def restart(self, time_s: float) -> None:
         """Start again at a time; the results so far are discarded."""
@@ -224,8 +214,6 @@ class Replay:
         self._swings: list[HalfCycle] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
-        self._rate = None if self._config.on_demand else ClockRate(in_thread=False)
-        self._clock = CameraClock()
         self._first_sequence, self._last_sequence = -1, -1
         self._comparison = ReplayComparison(self.start_ns)
 
@@ -241,8 +229,6 @@ class Replay:
         self._swings += block.swings
         self._deflections.append(block.deflections)
         self._beam.take(rows["sequence"], [spot.flags for spot in block.spots])
-        if self._rate is not None:
-            self._clock = self._rate.take_rows(rows)
         if self._first_sequence < 0:
             self._first_sequence = int(rows["sequence"][0])
         self._last_sequence = int(rows["sequence"][-1])

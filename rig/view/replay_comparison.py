@@ -79,17 +79,14 @@ class ReplayComparison:
         y_px = np.array([spot.y_px for spot in spots])
         changed = ~(_same(rows["x_px"], x_px) & _same(rows["y_px"], y_px))
         recorded, replayed, before = np.isfinite(rows["x_px"]), np.isfinite(x_px), self._spots
+        with np.errstate(invalid="ignore", divide="ignore"):
+            x_u, y_u = (x_px - rows["x_px"]) / rows["u_x_px"], (y_px - rows["y_px"]) / rows["u_y_px"]
+        change_u = np.maximum(np.abs(x_u), np.abs(y_u))
+        change_u[~np.isfinite(change_u)] = 0.0
+        row = int(np.argmax(change_u))
         largest_u, largest_at = before.largest_u, before.largest_at
-        if changed.any():
-            with np.errstate(invalid="ignore", divide="ignore"):
-                change_u = np.maximum(
-                    np.abs(x_px - rows["x_px"]) / rows["u_x_px"],
-                    np.abs(y_px - rows["y_px"]) / rows["u_y_px"],
-                )
-            change_u = np.where(np.isfinite(change_u), change_u, 0.0)
-            row = int(np.argmax(change_u))
-            if change_u[row] > largest_u:
-                largest_u, largest_at = float(change_u[row]), float(rows["sequence"][row])
+        if change_u[row] > largest_u:
+            largest_u, largest_at = float(change_u[row]), float(rows["sequence"][row])
         self._frames += len(spots)
         self._spots = Differences(
             before.recorded + int(recorded.sum()),

@@ -89,16 +89,15 @@ class ReplayLine:
         columns = terminal_columns(self._stream)
         part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
         amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
-        clock = f"  clock {state.clock.text}" if state.clock.text else ""
         left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
         begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
         half_cycles = f"  {state.half_cycles} half-cycles"
-        texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
+        texts = [f"  {state.frames} frames", half_cycles, amplitude, left]
         # a wrapped line could not be overwritten, so parts are left out, the least important first
         for place, _ in enumerate(texts):
             if columns and len(begin) + sum(map(len, texts)) >= columns:
                 texts[place] = ""
-        return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
+        return begin + "".join(texts)
 
 
 def _clock(seconds: float) -> str:
@@ -300,5 +299,5 @@ class Player:
         gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
         known = gone_s > 0 and host_s > _MIN_TIMED_S and not self.paused
         remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
-        now = replace(self._now, elapsed_s=position_s, clock=replay.clock)
+        now = replace(self._now, elapsed_s=position_s)
         self._line.show(now, replay.length_s, remaining_s, self._typed, paused=self.paused)

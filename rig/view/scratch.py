@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -26,15 +26,19 @@ from processing.swing import HalfCycle
 from rig.instrument import Block
 from rig.interruption import LOOPBACK, free_port, start_python
 from rig.terminal import say
-from rig.view.values import LayoutName, Mode
 
+ShowMode = Literal["spawn", "web"]
+"""In a window, or in a browser."""
+Mode = Literal["none", ShowMode]
+"""How a view is shown, if at all."""
+LayoutName = Literal["balancing", "measuring", "analysing"]
 _MAX_SHOW_END_S, _MAX_WRITE_END_S = 10.0, 30.0
 """Time that a window or page, and a Rerun file, may take to draw the rest of a run's record."""
 _PORT, _WEB_PORT = 9876, 9090
 
 
 class RunningView:
-    """The processes that show a record: a window or page, a Rerun file, both or none; a context manager.
+    """The processes that show a record: a window or page, a Rerun file, both or none.
 
     Parameters
     ----------
@@ -63,19 +67,6 @@ class RunningView:
             self._viewer_process = self._start("--view", shown, "--layout", layout, *ports)
             if mode == "web":
                 say(f"live view: {page_address(port, web_port)}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
-        problem = self.close()
-        if problem and kind is None:
-            raise RecordError(problem)
-
-    @property
-    def pids(self) -> tuple[int, ...]:
-        """Identifiers of the processes that were started."""
-        return tuple(one.pid for one in (self._file_process, self._viewer_process) if one is not None)
 
     def close(self, *, patient: bool = False) -> str:
         """Wait, after the record is closed, until the processes have drawn the rest of it.
@@ -142,24 +133,11 @@ _PICTURE_INTERVAL_NS = 300_000_000
 _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 
 
-class ScratchHead(NamedTuple):
-    """The head of a scratch record: what `RecordWriter` begins with.
-
-    `epoch_offset_ns` is UTC minus the times of the record, which may be some seconds below 0: a turning point
-    may lie before the first frame.
-    """
-
-    metadata: Mapping[str, Mapping[str, str]]
-    attachments: Mapping[str, bytes]
-    unit: DeflectionUnit
-    epoch_offset_ns: int
-
-
 class ScratchView:
     """Shows values by a scratch record, which is removed at the end; a context manager with the title `name`.
 
     At the end RecordError is raised if a Rerun file is not whole. Beyond `most_bytes` the record is replaced
-    by a new one, with which the view continues.
+    by a new one, with which the view continues. Deflections are in `unit`.
     """
 
     def __init__(
@@ -168,14 +146,14 @@ class ScratchView:
         mode: Mode,
         rrd: Path | None,
         layout: LayoutName,
+        unit: DeflectionUnit,
         most_bytes: float = 256 * 1024 * 1024,
     ) -> None:
-        self._most_bytes = most_bytes
+        self._unit, self._most_bytes = unit, most_bytes
         self._folder = tempfile.TemporaryDirectory(prefix="rig-view-")
         self._path = Path(self._folder.name) / f"{name}.mcap"
-        self._head: ScratchHead | None = None
+        self._head: Mapping[str, Any] = {}
         self._writer: RecordWriter | None = None
-        self._unit = DeflectionUnit.RAD
         self._failed = False
         self._sequence = self._last_ns = self._picture_due_ns = 0
         self._view = RunningView(self._path, mode, rrd, layout)
@@ -193,19 +171,16 @@ class ScratchView:
     @property
     def begun(self) -> bool:
         """Whether the record has begun."""
-        return self._head is not None
+        return self._writer is not None
 
-    def begin(self, time_ns: int, head: ScratchHead) -> None:
-        """Begin the record."""
-        self._head, self._unit = head, head.unit
+    def begin(self, time_ns: int, **head: Any) -> None:
+        """Begin the record; `head` holds `epoch_offset_ns`, `metadata` and `attachments` of `RecordWriter`.
+
+        Times may be some seconds below 0: a turning point may lie before the first frame.
+        """
+        self._head = head
         self._last_ns = self._picture_due_ns = time_ns
-        self._writer = RecordWriter(
-            self._path,
-            head.epoch_offset_ns,
-            metadata=head.metadata,
-            attachments=head.attachments,
-            deflection_unit=head.unit,
-        )
+        self._writer = RecordWriter(self._path, deflection_unit=self._unit, **head)
 
     def block(
         self,
@@ -293,8 +268,6 @@ class ScratchView:
 
     def _replace_record(self, full: RecordWriter) -> None:
         """Begin a new record, as after a rejected start."""
-        if self._head is None:
-            return
         full.write_event(self._last_ns, EventKind.REJECTED, "restarted")
         self._end()
         aside = self._path.with_suffix(".old")
@@ -302,7 +275,7 @@ class ScratchView:
         # them apart
         self._path.rename(aside)
         pixels_beside(self._path).unlink(missing_ok=True)
-        self.begin(self._last_ns, self._head)
+        self.begin(self._last_ns, **self._head)
         aside.unlink()
 
     def _end(self) -> None:

@@ -20,11 +20,12 @@ from processing.errors import ConfigurationError, RecordError
 from rig.instrument import pendulum_on_ball
 from rig.settings import Configuration
 from rig.terminal import say
-from rig.view.values import LayoutName, Setup, ShowMode
+from rig.view.scratch import LayoutName, ShowMode
 
 if TYPE_CHECKING:
     from rig.view.drawing import Drawing
     from rig.view.follower import RecordDrawer
+    from rig.view.layout import Setup
     from rig.view.rerun_program import ViewerProgram
 
 _LOOK_INTERVAL_S = 0.05
@@ -192,10 +193,11 @@ def _draw_ends(
         draw_fits(drawing.stream, analysis_curves(runs), report_text(runs), names[0], drawing.setup.unit)
 
 
-def setup_of(readers: Sequence[RecordReader], names: Sequence[str], layout: LayoutName) -> Setup:
+def setup_of(readers: Sequence[RecordReader], names: Sequence[str], layout: LayoutName) -> "Setup":
     """The setup of a drawing of these records; raises RecordError if their units differ."""
     from rig.view.drawing import parameter_shown
     from rig.view.follower import configuration_of
+    from rig.view.layout import Setup
 
     units = {reader.deflection_unit for reader in readers}
     if len(units) > 1:

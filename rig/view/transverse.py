@@ -11,10 +11,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from rig.view import layout
 from rig.view.graticule import PLANE_REACH, faded, graticule_marks, reach_beyond, trajectory_graticule
 from rig.view.layout import TIMELINE
-from rig.view.values import Floats
 
 _MAX_WAIT_S = 20.0
 """Time for which samples wait for the first balance of a run."""

@@ -127,7 +127,8 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         if viewed:
             record = Path(folder) / "run.mcap"
-            stack.enter_context(RunningView(record, "web", record.with_suffix(".rrd"), "measuring"))
+            view = RunningView(record, "web", record.with_suffix(".rrd"), "measuring")
+            stack.callback(view.close)
         camera = MemoryCamera(frames, rate_hz, duration_s)
         opened = OpenCamera(camera, camera.open(), ())
         sensor = SensorModel(10_000.0 / FULL_SCALE_DN, 7.0, FULL_SCALE_DN)

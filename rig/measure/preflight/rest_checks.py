@@ -1,23 +1,35 @@
-"""Preflight checks of the pendulum at rest: noise, vibration, ground, rest position."""
+"""Preflight checks of the pendulum at rest: noise, vibration, ground, rest position, what else is recorded.
+
+The benefit of auxiliary seismometer and reference spot forbids no run: the fit refuses a seismometer that
+explains nothing, and frames without the reference spot stay uncorrected. A short look predicts little, and
+its verdicts say how little.
+"""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from acquisition.camera import Frame
+from acquisition.record.topics import RecordedWitness
 from calibration import Stability, stability
 from processing.arrays import Floats
 from processing.balance import BalanceEstimator, BalanceLimits
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
-from processing.pendulum_at_rest import ground_at_rest
-from processing.spot import Spot, SpotModel
-from rig.analysis import base_motion, drive_text
+from processing.fit import Seismogram
+from processing.pendulum_at_rest import SeismometerAtRest, ground_at_rest, swing_at_rest, witness_at_rest
+from processing.reference_gain import ReferenceAtRest, gain_while_swinging, reference_at_rest
+from processing.reference_spot import common_motion
+from processing.spot import Spot, SpotFlag, SpotModel
+from processing.units import seconds
+from rig.analysis import base_motion, drive_text, sample_times
+from rig.control import SeismometerSettings
 from rig.instrument import PLANE_OF_SWING, balance_verdicts
-from rig.settings import PendulumSettings, PreflightSettings
-from rig.terminal import Verdict, decimals
+from rig.settings import PendulumSettings, PreflightSettings, ReferenceSettings
+from rig.terminal import Verdict, decimals, percent, plain, with_uncertainty
 
 _MIN_LONG_PREFLIGHT_S = 50.0
 NO_LEVER = "no lever: values in px have no limit in arcsec"
@@ -170,3 +182,166 @@ def _still(times_s: Floats, values: Floats, u: Floats) -> Stability | None:
         return stability(times_s, values, u)
     except DataError:
         return None
+
+
+_LIMIT = "samples come"
+_MIN_SAMPLES = 20
+_MAX_OFF_U = 4.0
+"""Deviation of the stated from the fitted gain, in standard uncertainties, at which it is called wrong."""
+_VALUES = ("first", "second", "third")
+
+
+def witness(
+    look: TrialFrames,
+    problem: str | None,
+    settings: SeismometerSettings,
+    samples: Sequence[RecordedWitness],
+    stated: ReferenceSettings | None,
+) -> Verdict:
+    """Check that samples of the auxiliary seismometer come and change, and predict its benefit at rest.
+
+    `problem` is why no samples come, None without a seismometer; `samples` were taken during the frames. If a
+    reference spot is `stated`, the beam's motion is subtracted first.
+    """
+    kind, names = settings.kind, settings.components
+    if problem is None:
+        return Verdict("witness", True, measured="none is configured", limit=_LIMIT, made=False)
+    if problem:
+        return judged("witness", False, (problem, "see [witness]: its port, rate and columns"), kind, _LIMIT)
+    if len(samples) < _MIN_SAMPLES:
+        return _alive(
+            f"{len(samples)} samples are too few to predict its benefit{longer_look(look.deflections)}",
+            kind,
+        )
+    value = np.array([[getattr(one, name) for name in _VALUES[: len(names)]] for one in samples])
+    if dead := [name for name, one in zip(names, value.T, strict=True) if not np.ptp(one) > 0]:
+        reason = f"{', '.join(dead)}: constant over {len(samples)} samples: dead, or its scale is wrong"
+        return judged("witness", False, (reason, "check its power, cable and range"), kind, _LIMIT)
+    if not look.resting:
+        return not_at_rest("witness", _LIMIT)
+    at = look.deflections
+    arrived_ns = np.array([one.time_ns for one in samples])
+    if np.any(np.diff(arrived_ns) <= 0):
+        order = np.concatenate([[True], np.diff(np.maximum.accumulate(arrived_ns)) > 0])
+        arrived_ns, value = arrived_ns[order], value[order]
+        samples = [one for one, kept in zip(samples, order.tolist(), strict=True) if kept]
+    times_ns = sample_times(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
+    record = Seismogram(seconds(times_ns - at.times_ns[0]), value, tuple(names))
+    try:
+        found = witness_at_rest(at.times_s, _without_beam_motion(look, stated), record)
+        ground_seen = ground_at_rest(at.times_s, at.y).density.value > 0
+    except DataError as error:
+        return _alive(f"{error}{longer_look(look.deflections)}", kind)
+    return _benefit_verdict(found, ground_seen, kind)
+
+
+def _without_beam_motion(look: TrialFrames, stated: ReferenceSettings | None) -> Floats:
+    """The slow deflections minus the beam's motion that the reference spot shows."""
+    at = look.deflections
+    if stated is None or not look.references:
+        return at.y
+    spots, refs = _positions(look.spots), _positions(look.references)
+    # deflection per px, fitted to the frames themselves
+    use = at.found & np.all(np.isfinite(spots), axis=0)
+    columns = np.column_stack([*spots[:2, use], np.ones(np.count_nonzero(use))])
+    per_px = np.linalg.lstsq(columns, at.y[use], rcond=None)[0]
+    beam = np.zeros(len(at.y))
+    for axis in (0, 1):
+        gain = stated.gain
+        if gain is None:
+            fitted = gain_while_swinging(
+                at.times_ns, spots[axis], spots[2 + axis], refs[axis], refs[2 + axis]
+            )
+            gain = fitted.value if fitted.value > _MAX_OFF_U * fitted.standard_uncertainty else 0.0
+        beam += gain * per_px[axis] * common_motion(at.times_ns, refs[axis], refs[2 + axis]).value
+    return np.asarray(at.y - beam)
+
+
+def _alive(reason: str, kind: str) -> Verdict:
+    return Verdict("witness", True, reason, measured=f"{kind}, alive", limit=_LIMIT, made=False)
+
+
+def _benefit_verdict(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
+    in_all = f"squared coherence {plain(found.coherence, 3)} in {found.steps} periods"
+    if not found.related:
+        chance = f"{in_all}; unrelated records reach {plain(found.chance_coherence, 2)}"
+        if not ground_seen:
+            hidden = "the ground does not exceed the noise of the spot, so its benefit is unknown"
+            return _alive(f"{hidden} ({chance})", kind)
+        reason = f"it does not show what moves the pendulum: {chance}"
+        remedy = "check its place, columns and clock; a fit refuses one that explains nothing"
+        return Verdict("witness", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_LIMIT)
+    falls = f"{plain(found.factor, 2)} ({plain(found.least, 2)} to {plain(found.most, 2)})"
+    measured = f"{in_all}: the swing at rest would fall by {falls}, "
+    measured += f"the ground's part of it by {plain(found.least, 2)} at least"
+    return Verdict("witness", True, measured=measured, limit=_LIMIT)
+
+
+class _ReferenceAxis(NamedTuple):
+    name: str
+    found: ReferenceAtRest
+
+
+def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: PreflightSettings) -> Verdict:
+    """Check that the reference spot is seen, and predict how much of the spot's motion it would remove."""
+    limit = f"found in {percent(1 - limits.max_lost_fraction, 3)}"
+    if stated is None or not look.references:
+        return Verdict("reference", True, measured="none is configured", limit=limit, made=False)
+    lost = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in look.references]))
+    seen = f"found in {percent(1 - lost, 3)} of {len(look.references)} frames"
+    if lost > limits.max_lost_fraction:
+        reason = "frames without it keep the beam's motion"
+        remedy = f"let its beam fall below row {stated.from_row_px}"
+        return Verdict("reference", True, reason, remedy, measured=seen, limit=limit)
+    if not look.resting:
+        return not_at_rest("reference", limit)
+    at = look.deflections
+    try:
+        period_s = swing_at_rest(at.times_s, at.y).period_s
+        spots, refs = _positions(look.spots), _positions(look.references)
+        axes = []
+        for axis, name in enumerate("xy"):
+            both = spots[axis], spots[2 + axis], refs[axis], refs[2 + axis]
+            found = reference_at_rest(at.times_ns, *both, gain=stated.gain, period_s=period_s)
+            axes.append(_ReferenceAxis(name, found))
+    except DataError as error:
+        return Verdict(
+            "reference",
+            True,
+            f"{error}{longer_look(look.deflections)}",
+            measured=seen,
+            limit=limit,
+            made=False,
+        )
+    return _judged_axes(axes, stated, seen, limit)
+
+
+def _judged_axes(axes: Sequence[_ReferenceAxis], stated: ReferenceSettings, seen: str, limit: str) -> Verdict:
+    texts, deviations, useless = [], [], True
+    for name, found in axes:
+        if not found.share > 0:
+            texts.append(f"{name}: it shows no motion above its own noise")
+            continue
+        useless = useless and not found.factor.value - 3 * found.factor.standard_uncertainty > 1
+        texts.append(f"{name}: {plain(found.before_px, 2)} px fall by {with_uncertainty(*found.factor)}")
+        if stated.gain is None:
+            continue
+        off = abs(found.gain.value - stated.gain)
+        if off > _MAX_OFF_U * np.hypot(found.gain.standard_uncertainty, stated.u_gain):
+            deviations.append(f"{name} shows a gain of {with_uncertainty(*found.gain)}")
+    measured = f"{seen}; {', '.join(texts)}"
+    if deviations:
+        reason = f"{', '.join(deviations)}, and reference.gain = {stated.gain:g} is stated"
+        remedy = "state the gain of the two arms, with its u_gain"
+        return Verdict("reference", True, reason, remedy, measured=measured, limit=limit)
+    if useless:
+        reason = "it does not make the spot at rest quieter, as far as this short record shows"
+        return Verdict("reference", True, reason, measured=measured, limit=limit)
+    return Verdict("reference", True, measured=measured, limit=limit)
+
+
+def _positions(spots: Sequence[Spot]) -> Floats:
+    """Positions x, y and their standard uncertainties in px, (4, n); NaN where the spot is lost."""
+    table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4).T
+    table[:, [bool(spot.flags & SpotFlag.LOST) for spot in spots]] = np.nan
+    return table

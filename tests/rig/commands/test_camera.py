@@ -21,8 +21,7 @@ from rig.cli import app
 from rig.devices import doctor as camera_checks
 from rig.devices import picture as camera_picture
 from rig.devices.doctor import check_usb_camera, check_usb_memory
-from rig.devices.picture import find_exposure
-from rig.devices.udev import feature_lines
+from rig.devices.picture import feature_lines, find_exposure
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 

@@ -9,7 +9,7 @@ from rig.archive.updating import Level
 from rig.cli import app
 from rig.report.export import Format as ExportFormat
 from rig.settings.configuration import ViewSettings
-from rig.view.values import LayoutName, Mode
+from rig.view import LayoutName, Mode
 from tests.rig.commands.wrong_inputs import commands
 
 

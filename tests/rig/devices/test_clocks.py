@@ -30,11 +30,12 @@ def frames(seconds: float, drift_ppm: float, *, seed: int = 3, clock: bool = Tru
 
 
 def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...] = ()) -> list[CameraClock]:
-    rate = ClockRate(in_thread=False)
-    return [
-        rate.take(given[first : first + size], steps if not first else ())
-        for first in range(0, len(given), size)
-    ]
+    rate, found = ClockRate(), list[CameraClock]()
+    for first in range(0, len(given), size):
+        found.append(rate.take(given[first : first + size], steps if not first else ()))
+        if rate._thread is not None:
+            rate._thread.join()
+    return found
 
 
 @pytest.mark.slow
@@ -74,12 +75,15 @@ def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: p
 
     monkeypatch.setattr(clocks, "relate_clocks", fails)
     rate = ClockRate()
-    for frame in frames(10.0, 0.0):
-        rate.pair(frame.sequence, frame.device_time_ns, frame.host_time_ns)
-    assert rate._thread is not None
-    rate._thread.join()
-    with pytest.raises(ValueError, match="no line"):
+
+    def take() -> None:
+        rate.take(frames(10.0, 0.0))
+        assert rate._thread is not None
+        rate._thread.join()
         rate.take([])
+
+    with pytest.raises(ValueError, match="no line"):
+        take()
     assert rate.take([]).text == ""
 
 

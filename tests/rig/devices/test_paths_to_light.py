@@ -40,7 +40,6 @@ ASKS = {
     ("prepare/balancing.py", "measure"),
     ("desk/aligner.py", "_lit"),
     ("devices/acknowledgement.py", "_light"),
-    ("measure/plain_record.py", "preflight_rig"),
     ("measure/run.py", "_execute"),
     ("measure/session_orders.py", "relight"),
 }
@@ -184,8 +183,7 @@ def typed(config: Configuration, folder: Path) -> None:
 WALKS: dict[tuple[str, str], tuple[Callable[[Configuration, Path], None], ...]] = {
     ("prepare/balancing.py", "measure"): (balance,),
     ("devices/acknowledgement.py", "_light"): (typed,),
-    ("measure/plain_record.py", "preflight_rig"): (preflight,),
-    ("measure/run.py", "_execute"): (run, calibrate),
+    ("measure/run.py", "_execute"): (run, calibrate, preflight),
     ("measure/session_orders.py", "relight"): (ordered,),
 }
 

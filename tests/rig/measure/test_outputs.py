@@ -19,7 +19,7 @@ from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from rig.devices import FrameStream, SessionNews
 from rig.interruption import _may_block
-from rig.measure import measure_session, plain_record, screen
+from rig.measure import measure_session, screen
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, configured, rig, set_words
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")
@@ -85,7 +85,7 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
 ) -> None:
     words = {**SMALL, "session.output": f"'{tmp_path.as_posix()}'", "preflight.duration_s": "3"}
     over = threading.Event()
-    usual_close, usual_print = FrameStream.close, plain_record.print_json_line
+    usual_close, usual_print = FrameStream.close, screen.print_json_line
 
     def close(stream: FrameStream) -> None:
         usual_close(stream)
@@ -96,7 +96,7 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
         usual_print(kind, values)
 
     monkeypatch.setattr(FrameStream, "close", close)
-    monkeypatch.setattr(plain_record, "print_json_line", read_late)
+    monkeypatch.setattr(screen, "print_json_line", read_late)
     done = rig("doctor", "--preflight", CONFIGS / "live.toml", "--json", *set_words(words))
     # on a busy machine frames may be lost
     assert done.returncode in (0, 1), done.stderr

@@ -14,7 +14,7 @@ from processing.spot import Spot, SpotFlag
 from rig.control import SeismometerSettings
 from rig.devices.ground_seismometer import check_witness
 from rig.measure import preflight_rig
-from rig.measure.preflight import TrialFrames, vault_checks
+from rig.measure.preflight import TrialFrames, rest_checks
 from rig.settings import ReferenceSettings, load_configuration
 from rig.settings.sections import PreflightSettings
 from rig.terminal import Verdict
@@ -50,7 +50,7 @@ def samples(values: Floats) -> list[RecordedWitness]:
 
 
 def judged(look: TrialFrames, of: Sequence[RecordedWitness], problem: str | None = "") -> Verdict:
-    return vault_checks.witness(look, problem, SETTINGS, of, None)
+    return rest_checks.witness(look, problem, SETTINGS, of, None)
 
 
 def test_a_witness_says_what_it_would_give(minute: tuple[TrialFrames, Floats]) -> None:
@@ -106,7 +106,7 @@ def with_reference(gain: float, *, lost: int = 0) -> Verdict:
     ours = spots(300 + swing + beam[0] + noise[0], 80 + beam[1] + noise[1])
     theirs = spots(684 + beam[0] + noise[2], 80 + beam[1] + noise[3], lost=lost)
     look = TrialFrames([], ours, at, True, None, theirs)
-    return vault_checks.reference(look, ReferenceSettings(from_row_px=646, gain=gain), LIMITS)
+    return rest_checks.reference(look, ReferenceSettings(from_row_px=646, gain=gain), LIMITS)
 
 
 def test_a_reference_says_what_it_would_take_off() -> None:

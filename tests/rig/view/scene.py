@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from acquisition.record.events import Event, EventKind
 from processing.units import ARCSEC_RAD
 from rig.view import layout
-from rig.view.analysis import draw_fits
+from rig.view.analysis import AnalysisCurve, draw_fits
 from rig.view.drawing import Drawing
-from rig.view.values import AnalysisCurve, Setup
+from rig.view.layout import Setup
 
 PERIOD_S = 4.07
 SECONDS = 60.0

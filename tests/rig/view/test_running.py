@@ -117,8 +117,8 @@ def test_a_view_that_is_stopped_costs_no_frame(tmp_path: Path) -> None:
 def test_a_view_that_is_killed_is_said(tmp_path: Path) -> None:
     record = make_record(tmp_path / "run.mcap")
     view = RunningView(record, "none", tmp_path / "run.rrd", "measuring")
-    (pid,) = view.pids
-    os.kill(pid, signal.SIGKILL)
+    assert view._file_process is not None
+    os.kill(view._file_process.pid, signal.SIGKILL)
     assert view.close().endswith("run.rrd is not whole: its writer was ended")
 
 
@@ -143,20 +143,22 @@ def test_the_rerun_file_of_a_run_that_was_killed_is_whole(tmp_path: Path) -> Non
 
 @posix_only
 def test_a_view_whose_record_never_comes_ends_with_what_started_it(tmp_path: Path) -> None:
-    with RunningView(tmp_path / "run.mcap", "none", tmp_path / "run.rrd", "measuring") as view:
-        (pid,) = view.pids
+    view = RunningView(tmp_path / "run.mcap", "none", tmp_path / "run.rrd", "measuring")
+    assert view._file_process is not None
+    assert view.close() == ""
     assert not (tmp_path / "run.rrd").exists()
     with pytest.raises(ProcessLookupError):
-        os.kill(pid, 0)
+        os.kill(view._file_process.pid, 0)
 
 
 def test_another_record_after_a_rejected_start_is_drawn_too(tmp_path: Path) -> None:
     record, rrd = tmp_path / "run.mcap", tmp_path / "run.rrd"
-    with RunningView(record, "none", rrd, "measuring"):
-        make_record(record, ended="rejected")
-        until(lambda: rrd.with_stem("run-start-1").exists())
-        record.rename(tmp_path / "run-start-1.mcap")
-        make_record(tmp_path / "made.mcap", rows=700).rename(record)
+    view = RunningView(record, "none", rrd, "measuring")
+    make_record(record, ended="rejected")
+    until(lambda: rrd.with_stem("run-start-1").exists())
+    record.rename(tmp_path / "run-start-1.mcap")
+    make_record(tmp_path / "made.mcap", rows=700).rename(record)
+    assert view.close() == ""
     assert len(scalars(rrd, "/deflection/x")[0]) == 700
     assert len(scalars(rrd.with_stem("run-start-1"), "/deflection/x")[0]) == 1000
 

@@ -6,7 +6,7 @@ from acquisition.record.events import Event, EventKind
 from acquisition.record.reader import RecordReader
 from processing.deflections import DeflectionUnit
 from processing.swing import HalfCycle
-from rig.view import ScratchHead, ScratchView
+from rig.view import ScratchView
 
 MOST_BYTES = 20_000
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -14,9 +14,9 @@ TEXTS = [f"event {number} " + 50 * "x" for number in range(400)]
 
 
 def test_a_record_that_has_grown_too_large_is_replaced_and_the_view_goes_on(tmp_path: Path) -> None:
-    head = ScratchHead({}, {}, DeflectionUnit.PX, EPOCH_NS)
-    with ScratchView("looking", "none", None, "balancing", most_bytes=MOST_BYTES) as view:
-        view.begin(0, head)
+    unit = DeflectionUnit.PX
+    with ScratchView("looking", "none", None, "balancing", unit, most_bytes=MOST_BYTES) as view:
+        view.begin(0, epoch_offset_ns=EPOCH_NS)
         folder, replaced = view._path.parent, 0
         for number, text in enumerate(TEXTS):
             before = view._writer
@@ -36,8 +36,8 @@ def test_a_record_that_has_grown_too_large_is_replaced_and_the_view_goes_on(tmp_
 def test_a_turning_point_before_the_first_frame_is_shown() -> None:
     """It is fitted, and the fit may place it there."""
     turn = HalfCycle(1, -3_000_000, 1e-6, 4e-4, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
-    with ScratchView("looking", "none", None, "balancing") as view:
-        view.begin(0, ScratchHead({}, {}, DeflectionUnit.RAD, EPOCH_NS))
+    with ScratchView("looking", "none", None, "balancing", DeflectionUnit.RAD) as view:
+        view.begin(0, epoch_offset_ns=EPOCH_NS)
         view.half_cycles([turn])
         view.flush()
         with RecordReader(view._path) as record:
