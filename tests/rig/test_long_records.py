@@ -10,7 +10,7 @@ from acquisition.record.check import check_record
 from rig.analysis import analyse_record
 from tests.rig.long_record import make_long_record
 
-SHORT, LONG = 12_000, 36_000
+SHORT, LONG = 6_000, 18_000
 
 
 @pytest.fixture(scope="module")

@@ -6,15 +6,16 @@ import re
 import shlex
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from rig.archive import add_folders, refit_runs
+from rig.interruption import free_port
 from tests.waiting import until
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -24,7 +25,6 @@ needs_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,
     reason="no Dask here: pip install 'optical-pendulum-rig[series]'",
 )
-needs_ss = pytest.mark.skipif(shutil.which("ss") is None, reason="needs ss (iproute2)")
 
 
 def documented() -> list[str]:
@@ -40,34 +40,22 @@ def documented() -> list[str]:
 
 def test_every_documented_command_names_the_loopback() -> None:
     found = documented()
-    assert {command.split()[1] for command in found} == {"scheduler", "worker"}
+    assert [command.split()[1] for command in found] == ["scheduler", "worker"]
     for command in found:
         assert "--host 127.0.0.1" in command, command
         assert "--dashboard-address 127.0.0.1:" in command, command
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port
+def listening(process: int) -> set[str]:
+    """The addresses on which a process and its children listen."""
+    from psutil import NoSuchProcess, Process
 
-
-def group_of(process: int) -> int:
-    try:
-        return os.getpgid(process)
-    except ProcessLookupError:
-        return 0
-
-
-def listening(group: int) -> set[tuple[str, int]]:
-    """The addresses and ports on which processes of a group listen, as the kernel tells `ss`."""
-    lines = subprocess.run(["ss", "-Hltnp"], capture_output=True, text=True, check=True).stdout.splitlines()
-    return {
-        (address, int(port))
-        for line in lines
-        if any(group_of(int(process)) == group for process in re.findall(r"pid=(\d+)", line))
-        for address, _, port in [line.split()[3].rpartition(":")]
-    }
+    found = set()
+    for one in (Process(process), *Process(process).children(recursive=True)):
+        with suppress(NoSuchProcess):
+            sockets = one.net_connections("inet")
+            found |= {socket.laddr.ip for socket in sockets if socket.status == "LISTEN"}
+    return found
 
 
 @pytest.fixture
@@ -93,32 +81,21 @@ def start(started: "list[subprocess.Popen[bytes]]", command: str, folder: Path) 
 
 
 @needs_dask
-@needs_ss
-def test_scheduler_and_worker_listen_on_the_loopback_alone(
+@pytest.mark.slow
+@pytest.mark.timeout(240)
+def test_a_cluster_listens_on_the_loopback_alone_and_fits_sessions_again(
     started: "list[subprocess.Popen[bytes]]", tmp_path: Path
 ) -> None:
     from distributed import Client
 
-    port = free_port()
-    commands = documented()
-    assert [text.split()[1] for text in commands] == ["scheduler", "worker"]
-    for command in commands:
+    port = free_port(0)
+    for command in documented():
         start(started, command.replace("8786", str(port)).replace("8787", "0"), tmp_path)
     with Client(f"tcp://127.0.0.1:{port}", timeout="60s", set_as_default=False) as client:
         client.wait_for_workers(1, timeout=60)
         assert client.submit(sum, [1, 2]).result(timeout=60) == 3
         for process in started:
-            assert {address for address, _ in listening(process.pid)} == {"127.0.0.1"}
-
-
-@needs_dask
-@needs_ss
-@pytest.mark.slow
-@pytest.mark.timeout(240)
-def test_a_cluster_fits_sessions_again(started: "list[subprocess.Popen[bytes]]", tmp_path: Path) -> None:
-    port = free_port()
-    for command in documented():
-        start(started, command.replace("8786", str(port)).replace("8787", "0"), tmp_path)
+            assert listening(process.pid) == {"127.0.0.1"}
     shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
     add_folders(tmp_path / "archive.duckdb", [tmp_path / "runs"])
     assert refit_runs(tmp_path / "archive.duckdb", [], "", "swings", cluster=f"tcp://127.0.0.1:{port}") == 0

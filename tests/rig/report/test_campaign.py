@@ -229,7 +229,7 @@ def test_a_chance_below_that_of_one_draw_is_a_limit(tmp_path: Path) -> None:
     path.write_text(STATED)
     chances = {}
     for slope in (-0.06, 0.0):
-        folders = humid_campaign(tmp_path / str(slope), slope=slope, count=10)
+        folders = humid_campaign(tmp_path / str(slope), slope=slope)
         found = fit_model(runs_of_folders(folders), read_campaign(path)).results
         table = effects_table(found)
         assert table is not None

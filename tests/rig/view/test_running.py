@@ -18,12 +18,17 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE
 from rig.interruption import LOOPBACK, start_python
 from rig.view import RunningView, replay_record, show_records
-from tests.rig.command_line import CONFIGS, rig, set_words
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 from tests.rig.view.rrd_contents import column, contents, entities, scalars
 from tests.rig.view.test_recorded import make_record
 from tests.waiting import until
 
-SHORT = {"session.max_duration_s": "20", "view.file": "true", "instrument.kind": '"tomlinson"'}
+SHORT = {
+    **SMALL,
+    "session.max_duration_s": "20",
+    "view.file": "true",
+    "instrument.kind": '"tomlinson"',
+}
 """Without a fit of the contact, which takes long for a short run."""
 IN_REAL_TIME = {
     "simulation.real_time": "true",
@@ -214,14 +219,17 @@ def listening(pid: int) -> set[str]:
     return found
 
 
-BRIEF = {"session.max_duration_s": "12", "instrument.kind": '"tomlinson"'}
-VAULT = Path(__file__).parents[3] / "configs" / "vault.toml"
+BESIDE_REFERENCE = SHORT | {
+    "session.max_duration_s": "12",
+    "simulation.sensor.height_px": "720",
+    "simulation.reference.x_px": "80",
+}
 
 
 @pytest.fixture(scope="module")
 def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("vault")
-    done = rig("run", VAULT, "-o", "out", *set_words(BRIEF), cwd=folder)
+    done = rig("run", CONFIGS / "vault.toml", "-o", "out", *set_words(BESIDE_REFERENCE), cwd=folder)
     assert (folder / "out" / "run-1.rrd").exists(), done.stderr
     return folder / "out"
 
