@@ -119,6 +119,7 @@ def test_koenig_series_with_its_glass_plate(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_fits_meanwhile")
 def test_two_balls_from_frames(tmp_path: Path) -> None:
     """The full model with half the load on each ball; truth within four standard uncertainties."""
     truth = {"b": 0.08, "c": 2e-6}
@@ -314,9 +315,3 @@ def test_wrong_settings_are_one_line(override: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words.replace(".", r"\.")) as error:
         load_configuration(CONFIGS / "instruments" / "koenig.toml", [override])
     assert "\n" not in str(error.value)
-
-
-def test_the_demonstration_is_the_single_ball() -> None:
-    config = load_configuration(CONFIGS / "demo.toml")
-    assert config.instrument.kind == "single_ball"
-    assert config.simulation.contact.exact_pendulum is False

@@ -13,7 +13,7 @@ from processing.ambient import AmbientConditions
 from rig.analysis import read_results
 from rig.archive.session_rows import session_rows
 from rig.report.campaign_input import runs_of_folders
-from tests.rig.analysis.test_table_laws import swings
+from tests.rig.analysis.test_compared_laws import swings
 from tests.rig.analysis.test_tables import ring_downs, write
 from tests.rig.command_line import rig
 from tests.rig.intake.test_film_positions import swing

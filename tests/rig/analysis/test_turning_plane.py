@@ -81,7 +81,7 @@ def test_a_decay_whose_plane_turns_is_followed(spin: Spin) -> None:
 
 
 def judge_series(runs: list[AnalysedRun], power: int, folder: Path) -> None:
-    """A series' line for the plane: own errors of its runs fall in the mean (power 2), common ones do not (1)."""
+    """A series' line for the plane: the mean lowers own errors (power 2), not common ones (1)."""
     series = session_results(runs, folder).series
     assert series is not None
     for name in ("b", "c"):

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from io import BytesIO
@@ -15,7 +16,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, SeismometerUse
 from processing.fit.seismometer import SeismometerVerdict
-from rig.analysis import AnalysedTable, analyse_record, session_results
+from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import witness_sentences
@@ -144,13 +145,13 @@ def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> N
 
 @pytest.mark.slow
 def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the_run(
-    measured_series: Path, tmp_path: Path
+    analysed_series: Sequence[AnalysedRun], tmp_path: Path
 ) -> None:
     times = 1.2e9 + STEP_S * np.arange(2000)
     path = tmp_path / "w.csv"
     path.write_text("\n".join(["time_s,z", *(f"{time:.1f},{k % 7}" for k, time in enumerate(times))]))
-    record = measured_series / "run-1.mcap"
-    alone, found = analyse_record(record), analyse_record(record, witness=SeismometerSource(path).read())
+    alone = analysed_series[0]
+    found = analyse_record(alone.path, witness=SeismometerSource(path).read())
     assert found.witness is not None
     assert found.witness.verdict is SeismometerVerdict.ABSENT
     results = [session_results([run], tmp_path) for run in (alone, found)]
