@@ -114,23 +114,18 @@ class Ran(NamedTuple):
 
 @pytest.fixture(scope="module")
 def ran(tree: Path) -> Ran:
-    """All commands of the page in the copy; the demonstration has small frames, the balance few tests."""
+    """All commands of the page in the copy; the demonstration has small frames."""
     lines = [*(line for title in examples() for line in commands(title)), BESIDE]
     words = [shlex.split(line) for line in lines]
     assert {program for program, *_ in words} == {"rig", "pytest"}
-    small, few = set_words(SMALL), {"pytest tests/processing/test_balance.py": ["-k", "values"]}
+    small = set_words(SMALL)
     process = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         cwd=tree,
         env={**os.environ, "PYTHONPATH": str(tree), "COLUMNS": "200"},
         capture_output=True,
         text=True,
-        input=json.dumps(
-            [
-                [*line, *(small if "configs/demo.toml" in line else []), *few.get(shlex.join(line), [])]
-                for line in words
-            ]
-        ),
+        input=json.dumps([[*line, *(small if "configs/demo.toml" in line else [])] for line in words]),
         timeout=590,
         check=False,
     )

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rig
+from tests.rig.command_line import SAMPLES
 
 ROOT = Path(__file__).resolve().parents[2]
-SAMPLES = Path(__file__).parent / "data" / "samples"
 
 
 @pytest.fixture

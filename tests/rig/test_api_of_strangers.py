@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import rig
+from tests.rig.command_line import SAMPLES
 
-SAMPLES = Path(__file__).parent / "data" / "samples"
 RECORD = SAMPLES / "uncalibrated" / "run-1.mcap"
 
 

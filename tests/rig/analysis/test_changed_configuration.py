@@ -13,14 +13,14 @@ from rig.instrument import recorded_configuration
 from rig.report import make_report
 from rig.view.record_replay import replay_record
 from tests.rig.command_line import rig
-from tests.rig.view.replay_record import make_record
+from tests.rig.view.replay_record import WITHOUT_FIT, make_record
 
 MASS, OTHER = b"0.406", b"0.606"
 
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_record(tmp_path_factory.mktemp("sound") / "run-1.mcap", 100.0)
+    return make_record(tmp_path_factory.mktemp("sound") / "run-1.mcap", 60.0, overrides=WITHOUT_FIT)
 
 
 def test_the_second_copy_is_taken(record: Path, tmp_path: Path) -> None:

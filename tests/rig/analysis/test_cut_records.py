@@ -11,13 +11,13 @@ from rig.commands.fitting import fit_records
 from rig.measure import resume_session
 from rig.view.record_replay import replay_record
 from rig.view.show import show_records
-from tests.rig.view.replay_record import make_record
+from tests.rig.view.replay_record import WITHOUT_FIT, make_record
 
 
 @pytest.fixture(scope="module")
 def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("cut")
-    data = make_record(folder / "whole.mcap", 20.0).read_bytes()
+    data = make_record(folder / "whole.mcap", 20.0, overrides=WITHOUT_FIT).read_bytes()
     path = folder / "run-1.mcap"
     path.write_bytes(data[: round(0.8 * len(data))])
     return path

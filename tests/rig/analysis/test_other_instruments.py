@@ -19,9 +19,8 @@ from rig.intake import TableColumns
 from rig.measure.session import measure_session, simulate_record
 from rig.settings import load_configuration
 from rig.terminal import with_uncertainty
-from tests.rig.command_line import figures_are_drawn
+from tests.rig.command_line import CONFIGS, figures_are_drawn
 
-CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 FAST_DECAY = ["simulation.contact.b=0.04", "view.mode=none", "view.file=false"]
 """A soft coating: 17 half-cycles from 6 to 3 degrees."""
 

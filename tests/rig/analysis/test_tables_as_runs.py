@@ -168,7 +168,6 @@ def test_what_the_configuration_states_of_air_and_sample_goes_with_the_table(tmp
     stated = (
         '[session]\nsample = "A7"\noperator = "O."\ncontact_made = 2024-05-01T10:00:00Z\n[environment]\n'
         "humidity_percent = 45.0\n"
-        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
     )
     (tmp_path / "mine.toml").write_text(stated)
     table = swings(tmp_path / "t.csv")

@@ -16,10 +16,9 @@ from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
 from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
-from tests.rig.command_line import rig
+from tests.rig.command_line import SAMPLES, rig
 
 ROOT = Path(__file__).resolve().parents[3]
-SAMPLES = ROOT / "tests" / "rig" / "data" / "samples"
 
 
 def made_sessions(folder: Path) -> Path:

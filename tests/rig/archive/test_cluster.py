@@ -16,11 +16,11 @@ import pytest
 
 from rig.archive import add_folders, refit_runs
 from rig.interruption import free_port
+from tests.rig.command_line import SAMPLES
 from tests.waiting import until
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENTS = (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"))
-SAMPLES = ROOT / "tests" / "rig" / "data" / "samples"
 needs_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,
     reason="no Dask here: pip install 'optical-pendulum-rig[series]'",

@@ -12,9 +12,7 @@ from rig.archive import add_folders, refit_runs, selected
 from rig.archive.updating import RefitTask, Work, _in_processes
 from rig.view import analyse_replayed
 from tests.rig.archive.deadly import Deadly, outcome_of
-from tests.rig.command_line import rig
-
-SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
+from tests.rig.command_line import SAMPLES, rig
 
 
 @pytest.fixture

@@ -1,7 +1,9 @@
-"""`rig compare --model`: from folders, or an archive, to campaign.json, page, tables and figures."""
+"""`rig compare --model`: from folders, or an archive, to the files of a paper, also as the page shows it."""
 
 import datetime
 import json
+import re
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +20,7 @@ from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
 from rig.report.campaign_input import FoundRun
 from rig.report.campaign_page import effects_table
 from rig.report.likelihoods import compress
-from tests.rig.command_line import rig
+from tests.rig.command_line import SAMPLES, rig
 from tests.rig.report.made_sessions import (
     ENERGY_OVER_C,
     GLASS,
@@ -30,7 +32,6 @@ from tests.rig.report.made_sessions import (
     twice,
 )
 
-SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 STATED = """
 parameters = ["b", "p", "c"]
 change_points = ["b"]
@@ -344,3 +345,39 @@ def test_names_that_exclude_each_other_are_refused(tmp_path: Path, words: list[s
     done = rig("compare", folder, "--model", "default", *words)
     assert done.returncode == 2
     assert message in done.stderr
+
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = (ROOT / "docs" / "many-runs.md").read_text(encoding="utf-8")
+TEXT = PAGE.partition("\n## One model of many runs\n")[2].partition("\n## ")[0]
+
+
+@pytest.mark.slow
+def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
+    humid_campaign(tmp_path / "runs")
+    ((name, block),) = re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    (tmp_path / name).write_text(block, encoding="utf-8")
+    folders, of_archive = (shlex.split(line) for line in re.findall(r"^ {4}rig (.*)$", TEXT, re.MULTILINE))
+    done = rig(*folders, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    tree = json.loads((tmp_path / "campaigns" / "glass" / "campaign.json").read_text())
+    assert tree["effects"][0]["margin"] == 0.3
+    assert tree["changes"][0]["parameter"] == "c"
+    # records with humidities and samples take minutes to measure: the words alone are checked here
+    shutil.copytree(SAMPLES / "first", tmp_path / "runs" / "first")
+    assert rig("archive", "add", "runs/first", cwd=tmp_path).returncode == 0
+    none = rig(*of_archive, cwd=tmp_path)
+    assert none.returncode == 2
+    assert "no run with results meets it" in none.stderr
+
+
+def test_forms_and_covariates_that_are_named_exist() -> None:
+    from dataclasses import fields
+
+    from processing.ambient import AmbientConditions
+    from processing.series import Form
+
+    forms = set(re.findall(r"^\| `(\w+)` \|", TEXT, re.MULTILINE))
+    assert forms == set(map(str, Form))
+    named = {field.name for field in fields(AmbientConditions)} - {"temperature_change_k"}
+    assert all(f"`{name}`" in TEXT for name in named)

@@ -20,6 +20,8 @@ START_NS = 5_000_000_000
 EPOCH_NS = 1_790_000_000_000_000_000
 LOST_FRAME, GAP_FRAME = 400, 700
 U_PX = 0.01
+WITHOUT_FIT = ("instrument.kind='tomlinson'",)
+"""The fit of a contact takes long for a short run."""
 
 
 def make_record(

@@ -17,7 +17,7 @@ from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.view.show import run_names, setup_of, show_records
 from tests.rig.view import scene as view_scene
-from tests.rig.view.replay_record import EPOCH_NS, make_record
+from tests.rig.view.replay_record import EPOCH_NS, WITHOUT_FIT, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
 
@@ -67,8 +67,7 @@ def nowhere(count: int) -> Deflections:
 
 
 def test_what_is_drawn_of_a_record_does_not_depend_on_how_much_was_there_at_first(tmp_path: Path) -> None:
-    without_fits = ["instrument.kind='tomlinson'"]
-    data = make_record(tmp_path / "run.mcap", 15.0, overrides=without_fits).read_bytes()
+    data = make_record(tmp_path / "run.mcap", 15.0, overrides=WITHOUT_FIT).read_bytes()
     (tmp_path / "begun").mkdir()
     begun = tmp_path / "begun" / "run.mcap"
     begun.write_bytes(data[: len(data) // 3])
