@@ -35,7 +35,9 @@ DISTURBED = {"leakage": 0.03, "fast_arcsec": 6.0, "rest_arcsec": (-30.0, 15.0)}
 
 
 def seen_of(spin: Spin, seed: int) -> Deflections:
-    """Six minutes of a pendulum that turns so."""
+    """Six minutes of a pendulum that turns so; ten where it is judged how little a rotation may matter."""
+    if abs(spin.rate_rad_per_s) < FAST / 10:
+        return positions(spin, seed)
     return positions(spin, seed, duration_s=360.0, noise_arcsec=0.001)
 
 

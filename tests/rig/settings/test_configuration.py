@@ -1,5 +1,6 @@
 """Configuration files: inheritance, overrides, conditions to stop; messages about faulty keys and values."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from processing.estimate import Estimate
 from rig.instrument import check_materials, complete, pendulum_on_ball
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 from tests.rig.command_line import CONFIGS
+from tests.rig.settings.example_configuration import TARGET, keys, text
 
 
 def write(path: Path, text: str) -> Path:
@@ -275,3 +277,26 @@ def test_a_drag_that_is_not_fitted_ends_no_run() -> None:
     assert load_configuration(CONFIGS / "demo.toml", wanted).stop_conditions
     with pytest.raises(ConfigurationError, match=r"session\.stop_when: .*fit\.drag = 'vacuum' fits none"):
         load_configuration(CONFIGS / "demo.toml", [*wanted, "fit.drag=vacuum"])
+
+
+def test_the_example_is_what_the_models_say() -> None:
+    assert TARGET.read_text(encoding="utf-8") == text(), (
+        "run: python -m tests.rig.settings.example_configuration"
+    )
+
+
+def test_the_example_loads_as_it_is() -> None:
+    config = load_configuration(TARGET)
+    assert config.camera.driver == "usb3vision"
+    assert config.session.runs == 3
+
+
+def test_every_key_stands_in_the_example() -> None:
+    section = ""
+    found = set()
+    for line in TARGET.read_text(encoding="utf-8").splitlines():
+        if match := re.fullmatch(r"(?:# )?\[+([\w.]+)\]+", line):
+            section = match.group(1) + "."
+        elif match := re.match(r"(?:# )?(\w+) = ", line):
+            found.add(section + match.group(1))
+    assert set(keys()) <= found

@@ -1,4 +1,4 @@
-"""Display of records: content, alignment, overlay, and bad input."""
+"""Display of records: content, alignment, overlay, bad input, and what the State panel says."""
 
 import math
 import sys
@@ -10,14 +10,23 @@ import pytest
 from acquisition.camera import Frame
 from acquisition.record.events import EventKind, Severity
 from acquisition.record.reader import RecordReader
+from acquisition.record.topics import (
+    RecordedClockStep,
+    RecordedEstimate,
+    RecordedHealth,
+    RecordedLosses,
+    RecordedPhase,
+)
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
+from rig.instrument import complete, configuration_attachments
+from rig.settings import load_configuration
 from rig.view.show import run_names, setup_of, show_records
 from tests.rig.view import scene as view_scene
-from tests.rig.view.replay_record import EPOCH_NS, WITHOUT_FIT, make_record
+from tests.rig.view.replay_record import CONFIG, EPOCH_NS, WITHOUT_FIT, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
 
@@ -180,3 +189,55 @@ def test_names_of_runs() -> None:
     assert run_names([Path("a/run-1.mcap"), Path("a/run-2.mcap")]) == ["run-1", "run-2"]
     assert run_names([Path("a/run-1.mcap"), Path("b/run-1.mcap")]) == ["a run-1", "b run-1"]
     assert len(set(run_names([Path("a/run-1.mcap")] * 3))) == 3
+
+
+HEALTHY = RecordedHealth(0, 1000, 4, 0, 0, 0, 10**6, 0.0123, 1e9, 0.0, 31.204, 0.052, "", "one Gaussian")
+
+
+def state_of(
+    folder: Path, *, calibrated: bool = True, estimates: dict[str, tuple[float, float]] | None = None
+) -> str:
+    """The last text but that of the end of a run of one spot, whose session says something of itself."""
+    config = complete(load_configuration(CONFIG))
+    if not calibrated:
+        config = config.model_copy(update={"lever": None})
+    unit, one = config.deflection_unit, np.zeros(1)
+    attachments = configuration_attachments(config, CONFIG)
+    with RecordWriter(folder / "run.mcap", EPOCH_NS, attachments=attachments, deflection_unit=unit) as writer:
+        spot = Spot(320.0, 160.0, 0.01, 0.01, 12.0, 12.0, 0.0, 200.0, 8.0, 1.0, 0)
+        writer.write_spots(
+            [0], [0], [0], [spot], Deflections(np.zeros(1, np.int64), one, one, one, one, unit)
+        )
+        writer.write(RecordedPhase(0, 0.0, "measuring", instruction="look at the laser"))
+        writer.write(RecordedClockStep(0, 130_000_000, 1000))
+        writer.write(RecordedLosses(0, 0, 3, 1, 0, 0))
+        writer.write(HEALTHY)
+        for name, (value, u) in (estimates or {}).items():
+            writer.write(RecordedEstimate(0, 80, value, u, name))
+    show_records([folder / "run.mcap"], rrd=folder / "run.rrd")
+    ((text,),) = column(folder / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
+    return str(text)
+
+
+def test_the_state_says_how_the_session_keeps_up_and_why_panels_are_empty(tmp_path: Path) -> None:
+    text = state_of(tmp_path)
+    assert text.startswith("**measuring**\n\nlook at the laser\n\n- state of ")
+    assert "- frames were 12 ms old when they were processed\n" in text
+    assert "- camera's clock +31.204 ± 0.052 ppm against the computer's, stepped once by +0.13 s\n" in text
+    assert "- lost: 3 by the bus, 1 by this computer\n" in text
+    assert "- beam: one Gaussian\n" in text
+    # every empty panel has a reason
+    assert "amplitude and period are empty until a half-cycle" in text
+    assert "the balance is empty until" in text
+    assert "enough half-cycles for a first fit" in text
+
+
+def test_without_a_lever_nothing_is_fitted(tmp_path: Path) -> None:
+    assert "without [lever]" in state_of(tmp_path, calibrated=False)
+
+
+@pytest.mark.parametrize(("u", "vague"), [(0.4, False), (0.6, True), (math.nan, True)])
+def test_a_parameter_that_is_not_drawn_is_named(tmp_path: Path, u: float, vague: bool) -> None:
+    names = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
+    text = state_of(tmp_path, estimates=dict.fromkeys(names, (1.0, 0.01)) | {"gamma_pa": (1.0, u)})
+    assert ("not known to a half of their values yet, hence not drawn: γ\n" in text) == vague
