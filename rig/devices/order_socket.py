@@ -28,7 +28,7 @@ from processing.spot import Spot, SpotFlag
 from processing.units import NS_PER_S
 from rig.devices.session_devices import Devices
 from rig.instrument import Block
-from rig.terminal import Verdict, plain_values, plain_values
+from rig.terminal import Verdict, plain_values
 
 PATH_S = 20.0
 """Length of the trajectory that a page draws, in s."""

@@ -2,11 +2,12 @@
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
+from rig.analysis import AnalysedRun, analyse_record
 from rig.measure.session import measure_session
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL, figures_are_drawn, verdicts_are_made
@@ -78,6 +79,13 @@ def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 assert measure_session(load_configuration(source, wanted), source, folder) == 0
             (shared / "series-is-whole").touch()
     return folder
+
+
+@pytest.fixture(scope="session")
+def analysed_series(measured_series: Path) -> Sequence[AnalysedRun]:
+    """The runs of the measured series as `rig fit` finds them, without verdicts."""
+    with verdicts_are_made(False):
+        return tuple(analyse_record(measured_series / f"run-{number}.mcap") for number in (1, 2))
 
 
 @contextlib.contextmanager

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rig
+from tests.rig.command_line import SAMPLES
 
 ROOT = Path(__file__).resolve().parents[2]
-SAMPLES = Path(__file__).parent / "data" / "samples"
 
 
 @pytest.fixture
@@ -60,24 +60,19 @@ def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) ->
 @pytest.mark.usefixtures("figures")
 def test_a_session_is_a_series(folder: Path) -> None:
     session = rig.open_session(folder / "runs" / "first")
-    (run,) = rig.fit(session).runs
-    assert run.sha256 == session.results.runs[0].sha256
-    assert sum(1 for _ in session.records[0].windows()) == 577
-    assert sum(1 for _ in session.records[0].images()) == 1
-    with pytest.raises(rig.RigError, match="run 2"):
-        session.figures(2)
-    again = rig.fit(folder / "runs" / "first")
+    again = rig.fit(session)
+    assert again.runs[0].sha256 == session.results.runs[0].sha256
     assert [row.quantity for row in again.runs[0].table] == [
         row.quantity for row in session.results.runs[0].table
     ]
+    assert sum(1 for _ in session.records[0].windows()) == 577
+    assert sum(1 for _ in session.records[0].images()) == 1
     assert set(rig.figures(again)) >= {"fig12-decay", "fig13-period", "table4-loops", "losses"}
+    with pytest.raises(rig.RigError, match="run 2"):
+        session.figures(2)
     with pytest.raises(rig.RigError, match="no such result; there are b, p"):
         session["bb"]
-
-
-def test_the_last_line_of_a_cell_is_short(folder: Path) -> None:
-    """A session printed 86,826 characters."""
-    session = rig.open_session(folder / "runs" / "first")
+    # a session printed 86,826 characters
     for shown in (session, session.results, session.results.runs[0], session.records[0], session["b"]):
         assert len(repr(shown)) < 1500, type(shown)
     assert str(session["b"]) in repr(session)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import rig
+from tests.rig.command_line import SAMPLES
 
-SAMPLES = Path(__file__).parent / "data" / "samples"
 RECORD = SAMPLES / "uncalibrated" / "run-1.mcap"
 
 
@@ -56,7 +56,7 @@ def test_what_is_no_change_is_refused(changes: Any, said: str) -> None:
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
-    found = rig.fit(RECORD, {"fit.robust": np.bool_(True), "fit.u_ageing": np.float32(0.25)})
+    found = rig.fit(RECORD.parent, {"fit.robust": np.bool_(True), "fit.u_ageing": np.float32(0.25)})
     assert found.runs[0].settings["robust"] is True
     assert found.runs[0].settings["u_ageing"] == 0.25
 

@@ -29,8 +29,8 @@ from rig.prepare.calibration_inputs import LadderFile, TransferFile, read_input
 from rig.prepare.learned_turns import read_turns
 from rig.settings import load_configuration
 from tests.acquisition.record.samples import write_sample
+from tests.rig.command_line import SAMPLES
 
-SAMPLES = Path(__file__).parent / "data" / "samples"
 STRANGE = [b"\0", b"-1", b"1e400", b"nan", b"null", b"[" * 2000, b"{", b'"', b"9" * 30, b"\xff", b"\n", b"[]"]
 FEW = settings(max_examples=60, suppress_health_check=list(HealthCheck))
 

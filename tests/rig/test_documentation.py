@@ -30,7 +30,7 @@ DOCUMENTS = [
     *sorted((ROOT / "docs" / "reference").glob("*.md")),
 ]
 SHORT = set_words(
-    {key: value for key, value in SMALL.items() if key != "view.file"} | {"session.max_duration_s": "40"}
+    {key: value for key, value in SMALL.items() if key != "view.file"} | {"session.max_duration_s": "24"}
 )
 
 

@@ -1,4 +1,4 @@
-"""`rig fit --law`: laws compared on a record."""
+"""`rig fit --law`: laws are compared on a record and on a table, or one line says what is missing."""
 
 import json
 from pathlib import Path
@@ -7,7 +7,64 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError
+from rig.analysis.table_fit import _taken_as_exact
 from rig.commands.fitting import fit_records
+from rig.settings import load_configuration
+from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import driven_path
+from tests.rig.command_line import rig
+
+
+def swings(path: Path) -> Path:
+    """The paper's pendulum on glass down to 60 arcsec, with noise, in arcsec."""
+    _, _, path_rad = driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=60.0, frames_per_s=20.0)
+    t = np.arange(len(path_rad)) / 20.0
+    phi = path_rad / ARCSEC + 0.02 * np.random.default_rng(1).standard_normal(len(t))
+    path.write_text(
+        "t [s],phi [arcsec]\n" + "".join(f"{a:.2f},{b:.4f}\n" for a, b in zip(t, phi, strict=True))
+    )
+    return path
+
+
+@pytest.mark.slow
+def test_laws_are_compared_on_a_table(tmp_path: Path) -> None:
+    config = tmp_path / "mine.toml"
+    config.write_text(
+        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
+        'ball_material = "steel"\nflat_material = "glass_k8"\n'
+    )
+    done = rig(
+        "fit", swings(tmp_path / "t.csv"), "--config", config, "--law", "viscous", "-o", tmp_path / "out"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "linear drag alone" in done.stdout
+    laws = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]["laws"]
+    assert {"paper", "viscous"} <= set(laws["laws"])
+
+
+def test_without_a_pendulum_one_line_says_so(tmp_path: Path) -> None:
+    done = rig("fit", swings(tmp_path / "t.csv"), "--law", "all")
+    assert done.returncode != 0
+    assert done.stderr.strip() == "rig: --law all: laws need swings and --config CONFIG with [pendulum]"
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ("", ["angles", "times"]),
+        ("[timebase]\nu_camera_rate = 5e-5\n", ["angles"]),
+        ("[timebase]\n", ["angles", "times"]),
+    ],
+)
+def test_what_a_table_states_no_uncertainty_of_is_said(tmp_path: Path, stated: str, said: list[str]) -> None:
+    """50 ppm of the clock moved T0 by 2.4 u, and only the angles were said to be taken as exact."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
+        f'ball_material = "steel"\nflat_material = "glass_k8"\n{stated}'
+    )
+    lines = _taken_as_exact(load_configuration(path, needs_camera=False))
+    assert [line.split("table's ")[1].split()[0] for line in lines] == said
 
 
 @pytest.mark.slow

@@ -7,51 +7,49 @@ from typing import Any
 import pytest
 
 from tests.rig.analysis.spinning import DEMONSTRATION
-from tests.rig.command_line import rig, set_words
+from tests.rig.command_line import SMALL, rig, set_words
 
 TRUE = {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "period0_s": 4.071}
 REFLECTION = {
+    **SMALL,
     "session.max_duration_s": "300",
     "camera.frame_rate_hz": "12.5",
     "simulation.reference.relative": "0.03",
-    # the spot swings along x 159.5, past y 400
+    # the spot swings along x 79.5, past y 400
     "simulation.reference.y_px": "400",
-    "simulation.reference.x_px": "163.5",
+    "simulation.reference.x_px": "83.5",
+}
+WITHOUT_PIXELS = {
+    **REFLECTION,
+    "session.max_duration_s": "60",
+    "record.windows": "false",
+    "record.full_frame_interval_s": "2",
+    "instrument.kind": '"tomlinson"',
 }
 
 
-def fitted(folder: Path, **words: str) -> dict[str, Any]:
-    rig("run", DEMONSTRATION, "-o", folder, *set_words(REFLECTION | words))
+def measured(folder: Path, words: dict[str, str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A run's results, and its condition of fixed light."""
+    rig("run", DEMONSTRATION, "-o", folder, *set_words(words))
     run: dict[str, Any] = json.loads((folder / "results.json").read_text())["runs"][0]
-    return run
-
-
-def condition(run: dict[str, Any]) -> dict[str, Any]:
     (found,) = [one for one in run["conditions"] if one["name"] == "fixed light"]
-    return dict(found)
+    return run, found
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_fits_meanwhile")
 def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(tmp_path: Path) -> None:
-    run = fitted(tmp_path / "run")
+    run, said = measured(tmp_path / "run", REFLECTION)
     exact = run["fits"]["exact"]
     for name, true in TRUE.items():
         assert abs(exact[name]["value"] - true) < 2.5 * exact[name]["standard_uncertainty"], name
     assert exact["c"]["standard_uncertainty"] < 0.06 * TRUE["c"]
     # as without the light: none is left out; the last half-cycle may miss the end of the record
     assert run["half_cycles"] >= 142
-    said = condition(run)
     assert said["ok"]
     assert "taken off" in said["measured"]
     assert "light that stays where it is, 3" in said["reason"]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("no_fits_meanwhile")
-def test_without_pixels_the_run_does_not_meet_its_conditions(tmp_path: Path) -> None:
-    run = fitted(tmp_path / "run", **{"record.windows": "false", "camera.frame_rate_hz": "25"})
-    said = condition(run)
+    _, said = measured(tmp_path / "without", WITHOUT_PIXELS)
     assert not said["ok"]
     assert "not taken off" in said["measured"]
     assert "block it" in said["remedy"]

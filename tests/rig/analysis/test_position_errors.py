@@ -1,22 +1,25 @@
-"""Errors of position that are fixed on the sensor are taken off before the laws are fitted."""
+"""Half-cycles once the motion is known: less errors of position, and from few and noisy samples."""
 
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
 from processing.fit import FIXED_PATTERN, Refinement, fit_exact, known_motion, second_measurement
-from processing.swing import HarmonicsMeasurement, turning_points
+from processing.swing import HarmonicsMeasurement, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
-from rig.analysis import PositionErrors, RunResults, SessionResults, refined_half_cycles
+from rig.analysis import PositionErrors, RunResults, SessionResults, passing_deflections, refined_half_cycles
 from rig.analysis.air import OPEN_DRAG, evidence_of
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results_file import read_results, write_results
 from rig.report.drawing import svg
 from rig.report.figures_motion import position_error_figure
 from rig.settings import FitSettings
+from tests.processing.fit.decays import paper_pair
+from tests.processing.fit.driven import driven_path
 from tests.processing.position_map.runs import Run, fringes, nothing, run
 
 
@@ -99,3 +102,46 @@ def test_the_waveform_is_that_of_the_deflections_without_the_errors() -> None:
         for each in (refined.harmonics, straight.harmonics(), raw.harmonics())
     )
     assert abs(found - without) < 0.2 * abs(with_errors - without)
+
+
+@pytest.mark.slow
+def test_few_noisy_samples_are_measured_again() -> None:
+    """25 a second with 0.2 arcsec: the detector's shared errors moved n by 5 u, and were kept for that."""
+    parameters, pendulum = paper_pair("glass_k8")
+    _, _, path = driven_path(parameters, pendulum, q=0.0, seed=1, frames_per_s=25.0)
+    noise = 0.2 * ARCSEC_RAD
+    times_ns = np.arange(len(path), dtype=np.int64) * 40_000_000
+    seen = path + noise * np.random.default_rng([0, 9]).standard_normal(len(path))
+    blocks = [slow_deflections(times_ns, seen, noise)]
+    swings = swings_of_blocks(blocks)
+    refined = refined_half_cycles(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
+    assert refined.motion is not None
+    assert not refined.doubt
+    assert refined.exact is not None
+    for name in ("n", "period0_s", "gamma_pa"):
+        value, u_value = refined.exact.estimate(name)
+        assert abs(value - getattr(parameters, name)) < 3 * u_value, name
+
+
+class _Record:
+    """Three blocks of ten frames, the second one empty, and how often they were asked for."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def __iter__(self) -> Iterator[Deflections]:
+        self.asked += 1
+        for first, count in ((0, 10), (10, 0), (10, 10)):
+            times_ns = np.arange(first, first + count, dtype=np.int64)
+            yield slow_deflections(times_ns, np.zeros(count), 1e-9)
+
+
+@pytest.mark.parametrize(("short", "asked"), [(20, 1), (19, 3)])
+def test_every_pass_has_the_same_frames(short: int, asked: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(passing_deflections, "_MOST_IN_MEMORY", short)
+    record = _Record()
+    passing = PassingDeflections(record, DeflectionUnit.RAD)
+    for _ in range(3):
+        assert joined(passing, passing.unit).times_ns.tolist() == list(range(20))
+    assert passing.frames == 20
+    assert record.asked == asked

@@ -1,5 +1,6 @@
 """From a closed record to its results: what they say of the run, and what a series needs."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,15 +11,9 @@ from acquisition.record.reader import RecordReader
 from rig.analysis import AnalysedRun, analyse_record, session_results
 
 
-@pytest.fixture(scope="module")
-def runs(measured_series: Path) -> list[AnalysedRun]:
-    return [analyse_record(measured_series / f"run-{number}.mcap") for number in (1, 2)]
-
-
-@pytest.mark.slow
-def test_results_say_what_the_record_holds(runs: list[AnalysedRun], measured_series: Path) -> None:
-    run = runs[0]
-    with RecordReader(measured_series / "run-1.mcap") as reader:
+def test_results_say_what_the_record_holds(analysed_series: Sequence[AnalysedRun]) -> None:
+    run = analysed_series[0]
+    with RecordReader(run.path) as reader:
         spots, swings = reader.spots(), reader.swings()
     assert run.frames == len(spots)
     assert run.dropped_frames == spots["sequence"][-1] + 1 - len(spots)
@@ -32,21 +27,27 @@ def test_results_say_what_the_record_holds(runs: list[AnalysedRun], measured_ser
     assert run.turning_points is not None
     assert not run.problem
     assert {verdict.name for verdict in run.conditions} >= {"lost spots", "dropped frames"}
+    assert run.rig is not None
+    assert run.rig.rest_rad == pytest.approx(float(np.median([swing.centre for swing in good])), abs=1e-7)
 
 
 @pytest.mark.slow
-def test_a_clock_that_is_slow_makes_the_period_longer(runs: list[AnalysedRun]) -> None:
-    slow = analyse_record(runs[0].path, ["timebase.camera_rate=1.001", "timebase.u_camera_rate=1e-6"])
-    before, after = (run.fits["exact"].estimate("period0_s") for run in (runs[0], slow))
+def test_a_clock_that_is_slow_makes_the_period_longer(analysed_series: Sequence[AnalysedRun]) -> None:
+    slow = analyse_record(
+        analysed_series[0].path, ["timebase.camera_rate=1.001", "timebase.u_camera_rate=1e-6"]
+    )
+    before, after = (run.fits["exact"].estimate("period0_s") for run in (analysed_series[0], slow))
     # what is known of the air stands in s and does not become longer with the clock
     assert after.value / 1.001 == pytest.approx(before.value, abs=0.05 * before.standard_uncertainty)
-    assert slow.half_cycles == runs[0].half_cycles
+    assert slow.half_cycles == analysed_series[0].half_cycles
 
 
-def test_what_all_fits_warn_of_is_said_once_and_what_one_does_with_its_name(runs: list[AnalysedRun]) -> None:
+def test_what_all_fits_warn_of_is_said_once_and_what_one_does_with_its_name(
+    analysed_series: Sequence[AnalysedRun],
+) -> None:
     from rig.analysis.half_cycle_fits import _fit_warnings
 
-    fits = runs[0].fitted
+    fits = analysed_series[0].fitted
     names = list(fits)
     assert len(names) > 1
     both = {name: replace(fit, warnings=("few half-cycles",)) for name, fit in fits.items()}
@@ -55,22 +56,16 @@ def test_what_all_fits_warn_of_is_said_once_and_what_one_does_with_its_name(runs
     assert _fit_warnings(both) == ["few half-cycles", f"{names[1]} fit: at a limit"]
 
 
-def test_a_series_needs_two_fitted_runs(runs: list[AnalysedRun], measured_series: Path) -> None:
-    both = session_results(runs, measured_series)
+def test_a_series_needs_two_fitted_runs(
+    analysed_series: Sequence[AnalysedRun], measured_series: Path
+) -> None:
+    both = session_results(analysed_series, measured_series)
     assert [run.record for run in both.runs] == ["run-1.mcap", "run-2.mcap"]
     assert both.series is not None
     assert both.series.runs == 2
-    unfitted = replace(runs[1], fitted={})
-    for fewer in (runs[:1], [runs[0], unfitted], [unfitted, unfitted]):
+    unfitted = replace(analysed_series[1], fitted={})
+    for fewer in (analysed_series[:1], [analysed_series[0], unfitted], [unfitted, unfitted]):
         assert session_results(fewer, measured_series).series is None
-    third = session_results([*runs, unfitted], measured_series).series
+    third = session_results([*analysed_series, unfitted], measured_series).series
     assert third is not None
     assert third.runs == 2
-
-
-def test_where_the_pendulum_rests_is_where_its_good_swings_do(runs: list[AnalysedRun]) -> None:
-    with RecordReader(runs[0].path) as reader:
-        centres = [swing.centre for swing in reader.swings() if not swing.flags]
-    rig = runs[0].rig
-    assert rig is not None
-    assert rig.rest_rad == pytest.approx(float(np.median(centres)), abs=1e-7)

@@ -33,7 +33,17 @@ def changed(folder: Path, tree: dict[str, Any]) -> Path:
 def test_what_is_read_is_written_the_same(measured_series: Path, tmp_path: Path) -> None:
     found = read_results(measured_series)
     write_results(tmp_path / "results.json", found)
-    assert (tmp_path / "results.json").read_text() == (measured_series / "results.json").read_text()
+    text = (measured_series / "results.json").read_text()
+    assert (tmp_path / "results.json").read_text() == text
+    arrays = [line for line in text.splitlines() if line.strip().startswith('"time_s": [')]
+    assert [line.rstrip(",")[-1] for line in arrays] == ["]", "]"], "each stands on one line"
+    run = found.runs[0]
+    assert len(run.points) == run.half_cycles
+    assert run.points.time_s[0] == 0.0
+    assert np.all(run.points.u_amplitude > 0)
+    stored = run.stored
+    assert len(stored.left_out_time_s) == len(stored.left_out_amplitude) == len(stored.left_out_flags)
+    assert np.all(stored.left_out_flags != 0)
 
 
 def test_reading_results_loads_nothing_that_analyses(measured_series: Path) -> None:
@@ -48,23 +58,6 @@ def test_reading_results_loads_nothing_that_analyses(measured_series: Path) -> N
     loaded = set(done.stdout.split())
     assert {"rig.settings", "rig.instrument", "rig.intake", "calibration"}.isdisjoint(loaded)
     assert {"rig.analysis.record_fit", "rig.analysis.series", "matplotlib"}.isdisjoint(loaded)
-
-
-def test_the_fitted_turning_points_are_stored(measured_series: Path) -> None:
-    run = read_results(measured_series).runs[0]
-    stored, points = run.stored, run.points
-    assert len(points) == run.half_cycles
-    assert points.time_s[0] == 0.0
-    assert np.all(points.u_amplitude > 0)
-    assert len(stored.left_out_time_s) == len(stored.left_out_amplitude) == len(stored.left_out_flags)
-    assert np.all(stored.left_out_flags != 0)
-
-
-def test_arrays_stand_on_one_line_each(measured_series: Path) -> None:
-    lines = (measured_series / "results.json").read_text().splitlines()
-    times = [line for line in lines if line.strip().startswith('"time_s": [')]
-    assert len(times) == 2
-    assert all(line.rstrip(",").endswith("]") for line in times)
 
 
 def test_null_says_not_determined(measured_series: Path, tmp_path: Path) -> None:
@@ -128,12 +121,9 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
         write_results(tmp_path / "results.json", SessionResults(runs=(RunResults(record="run-1.mcap"),)))
 
 
-def test_the_published_schema_is_current() -> None:
+def test_the_published_schema_is_current_and_names_every_key_of_a_file(measured_series: Path) -> None:
     """`make schema` writes it again."""
     assert SCHEMA_FILE.read_text(encoding="utf-8") == results_schema()
-
-
-def test_the_schema_names_every_key_of_a_file(measured_series: Path) -> None:
     schema = json.loads(results_schema())
     run = schema["$defs"]["RunResults"]["properties"]
     assert set(results_of(measured_series)["runs"][0]) <= set(run)

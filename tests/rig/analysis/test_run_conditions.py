@@ -1,17 +1,25 @@
-"""The conditions of a run are judged from its record, and decide the exit status."""
+"""The conditions of a run, with that of the beam, are judged from its record, and decide the exit status."""
 
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from acquisition.camera import Frame
+from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.record.reader import RecordReader
 from processing.fit import Ground
+from processing.spot import BeamUse, SpotFlag
 from rig.analysis import Fit, RunResults
-from rig.analysis.record_fit import run_conditions
+from rig.analysis.contact_verdicts import rig_quantities
+from rig.analysis.record_fit import _beam, run_clock, run_conditions
+from rig.analysis.results_file import read_results
 from rig.analysis.run_values import Beam
-from rig.settings import PreflightSettings
-from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
+from rig.instrument import recorded_configuration
+from rig.measure import simulate_record
+from rig.settings import PreflightSettings, load_configuration
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
 
 @pytest.mark.parametrize(
@@ -72,3 +80,96 @@ def test_a_ground_that_leaves_too_little_to_fit_is_a_condition(measured_series: 
             (verdict,) = (verdict for verdict in found if verdict.name == "ground")
             assert verdict.ok is ok
             assert "uncertainties × 12" in verdict.measured
+
+
+MOST = PreflightSettings().max_poor_fit_fraction
+POOR, LEARNED = SpotFlag.POOR_FIT, SpotFlag.LEARNED
+
+
+def beam(*stretches: tuple[int, int], noise_is_known: bool = True) -> Beam:
+    flags = np.repeat([flag for _, flag in stretches], [count for count, _ in stretches])
+    use = BeamUse()
+    use.take(np.arange(len(flags)), flags)
+    return Beam.of(use, noise_is_known=noise_is_known)
+
+
+def test_an_ordinary_run_with_a_learned_profile_is_no_warning() -> None:
+    found = beam((147, POOR), (3000, LEARNED), (20, LEARNED | POOR), (1000, LEARNED))
+    verdict = _beam(found, MOST)
+    assert verdict.ok
+    assert not verdict.remedy
+    assert found.sentence == "Beam: learned profile since frame 147; spots with POOR_FIT 167."
+    assert beam((147, POOR), (900, LEARNED)).sentence.endswith("POOR_FIT 147 (while it was learned).")
+
+
+@pytest.mark.parametrize(
+    ("stretches", "known", "cause"),
+    [
+        ([(900, 0), (100, POOR | SpotFlag.EDGE)], True, "edge of the sensor"),
+        ([(900, 0), (100, POOR | SpotFlag.SATURATED)], True, "saturated"),
+        ([(147, POOR), (900, LEARNED), (100, LEARNED | POOR)], True, "changes with position"),
+        ([(1000, 0), (400, POOR), (900, LEARNED)], True, "changed during the run"),
+        ([(200, POOR)], True, "too short"),
+        ([(2000, POOR)], False, "assumed, not measured"),
+        ([(2000, POOR)], True, "no constant profile"),
+    ],
+)
+def test_bad_fits_are_a_warning_with_cause_and_remedy(
+    stretches: list[tuple[int, int]], known: bool, cause: str
+) -> None:
+    verdict = _beam(beam(*stretches, noise_is_known=known), MOST)
+    assert verdict.ok  # the numbers stand, with widened uncertainties
+    assert cause in verdict.reason
+    assert verdict.remedy
+
+
+def test_a_measured_series_states_its_beam(measured_series: Path) -> None:
+    for run in read_results(measured_series).runs:
+        assert run.beam is not None
+        assert (run.beam.model, run.beam.since_frame, run.beam.poor_fit_frames) == ("one Gaussian", 0, 0)
+        assert run.beam.judged_frames == run.frames
+        assert "beam" in [item.name for item in run.conditions]
+
+
+LIVE = ["simulation.real_time=true"]
+WORDS = {**SMALL, "session.max_duration_s": "60", "preflight.when": '"never"'}
+
+
+def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A minute on demand, with arrivals as of a real camera."""
+    usual, rng = SimulatedCamera.read, np.random.default_rng(1)
+
+    def read(camera: SimulatedCamera, timeout_s: float) -> Frame | None:
+        frame = usual(camera, timeout_s)
+        if frame is None:
+            return None
+        late_ns = round(1e6 + 2e5 * abs(rng.standard_normal()))
+        return frame._replace(host_time_ns=10**13 + frame.device_time_ns + late_ns)
+
+    folder.mkdir()
+    record = folder / "run.mcap"
+    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in WORDS.items()])
+    with monkeypatch.context() as patch:
+        patch.setattr(SimulatedCamera, "read", read)
+        assert simulate_record(config, CONFIGS / "demo.toml", record) == 0
+    return record
+
+
+def test_an_assumed_rate_is_as_uncertain_as_its_clocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = recorded(tmp_path / "run", monkeypatch)
+    with RecordReader(record) as reader:
+        calibrated = [*LIVE, "timebase.camera_rate=1.0", "timebase.u_camera_rate=2e-6"]
+        contradicted = [*LIVE, "timebase.camera_rate=1.001", "timebase.u_camera_rate=2e-6"]
+        u_assumed, u_calibrated, u_contradicted = (
+            clock.u_rate
+            for words in (LIVE, calibrated, contradicted)
+            if (clock := run_clock(reader, recorded_configuration(reader, words))) is not None
+        )
+        assert run_clock(reader, recorded_configuration(reader)) is None
+        assert rig_quantities(recorded_configuration(reader, LIVE), u_clock=u_assumed).clock.u == u_assumed
+    # of a computer that follows no time server
+    assert u_assumed == pytest.approx(50e-6, rel=0.1)
+    assert u_calibrated == pytest.approx(2e-6, rel=0.01)
+    assert u_contradicted == pytest.approx(1e-3, rel=0.1)

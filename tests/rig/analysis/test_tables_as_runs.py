@@ -13,7 +13,7 @@ from processing.ambient import AmbientConditions
 from rig.analysis import read_results
 from rig.archive.session_rows import session_rows
 from rig.report.campaign_input import runs_of_folders
-from tests.rig.analysis.test_table_laws import swings
+from tests.rig.analysis.test_compared_laws import swings
 from tests.rig.analysis.test_tables import ring_downs, write
 from tests.rig.command_line import CONFIGS, rig
 from tests.rig.intake.test_film_positions import swing
@@ -178,7 +178,6 @@ def test_what_the_configuration_states_of_air_and_sample_goes_with_the_table(tmp
     stated = (
         '[session]\nsample = "A7"\noperator = "O."\ncontact_made = 2024-05-01T10:00:00Z\n[environment]\n'
         "humidity_percent = 45.0\n"
-        "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
     )
     (tmp_path / "mine.toml").write_text(stated)
     table = swings(tmp_path / "t.csv")

@@ -6,13 +6,12 @@ from functools import cache
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import pytest
 
 from processing.balance import balance_of_run
-from processing.deflections import DeflectionUnit
+from processing.deflections import Deflections, DeflectionUnit
 from rig.analysis import AnalysedRun, follow_plane, session_results
 from rig.analysis.results import RunResults
 from rig.instrument import balance_failures, balance_verdicts
@@ -26,7 +25,7 @@ from tests.rig.analysis.spinning import (
     passed,
     positions,
 )
-from tests.rig.command_line import rig, set_words
+from tests.rig.command_line import SMALL, rig, set_words
 
 FAST = 5e-4  # rad/s, 1.72 deg/min
 FIRST_ARCSEC = 123.236  # the first amplitude of all runs here
@@ -35,16 +34,18 @@ BACK = Spin(-0.003)
 DISTURBED = {"leakage": 0.03, "fast_arcsec": 6.0, "rest_arcsec": (-30.0, 15.0)}
 
 
-def run_of(spin: Spin, seed: int = 3, u_axes: float = 0.0) -> AnalysedRun:
-    """Ten minutes of a pendulum that turns so, by axes whose angle is known so well; analysed once."""
-    return _analysed_once(spin, seed, u_axes)
+def seen_of(spin: Spin, seed: int) -> Deflections:
+    """Six minutes of a pendulum that turns so; ten where it is judged how little a rotation may matter."""
+    if abs(spin.rate_rad_per_s) < FAST / 10:
+        return positions(spin, seed)
+    return positions(spin, seed, duration_s=360.0, noise_arcsec=0.001)
 
 
 @cache
-def _analysed_once(spin: Spin, seed: int, u_axes: float) -> AnalysedRun:
-    config = configuration(f"axes.u_non_orthogonality_rad={u_axes}")
+def run_of(spin: Spin, seed: int = 3) -> AnalysedRun:
+    """Analysed once."""
     with TemporaryDirectory() as folder:
-        return analysed(positions(spin, seed), config, Path(folder) / f"run-{seed}.mcap")
+        return analysed(seen_of(spin, seed), configuration(), Path(folder) / f"run-{seed}.mcap")
 
 
 def pulls(run: RunResults) -> dict[str, float]:
@@ -65,47 +66,25 @@ def pulls(run: RunResults) -> dict[str, float]:
 @pytest.mark.parametrize(
     "spin",
     [
-        Spin(FAST),
         Spin(FAST, **DISTURBED),
         BACK,
         Spin(0.002, lasts_s=90.0),
     ],
-    ids=["turning", "disturbed", "ten degrees a minute, back", "coming to rest"],
+    ids=["disturbed", "ten degrees a minute, back", "coming to rest"],
 )
 def test_a_decay_whose_plane_turns_is_followed(spin: Spin) -> None:
     run = run_of(spin)
     assert max(pulls(run).values()) < 3
-    assert run.half_cycles > 280
+    assert run.half_cycles > 166
     (said,) = [note for note in run.notes if "plane of swing" in note]
     assert "turned back" in said
     sources = {line.source for line in run.budget["b"].sources}
     assert "plane_of_swing_rad" in sources
 
 
-@pytest.mark.slow
-def test_an_angle_between_the_axes_that_is_not_known_is_a_line_of_the_budget(tmp_path: Path) -> None:
-    config = configuration("axes.u_non_orthogonality_rad=2e-3")
-    seen, run = positions(Spin(FAST), seed=3), run_of(Spin(FAST), u_axes=2e-3)
-    (line,) = [one for one in run.budget["c"].sources if one.source == "plane_of_swing_rad"]
-    assert line.u_source == pytest.approx(2e-3, rel=1e-3)
-    assert line.share > 0.05
-    # the true axes are as much askew as is stated
-    askew = replace(seen, y=seen.y + 2e-3 * seen.x)
-    off = analysed(askew, config, tmp_path / "run-1.mcap").budget["c"]
-    moved = abs(off.value - run.budget["c"].value)
-    assert moved == pytest.approx(line.contribution, rel=0.2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("u_axes", "power", "still"), [(0.0, 2, [(Spin(), 5)]), (2e-3, 1, [])], ids=["own", "common"]
-)
-def test_the_mean_of_a_series_has_a_line_for_the_plane(
-    u_axes: float, power: int, still: list[tuple[Spin, int]], tmp_path: Path
-) -> None:
-    """Also with a run that does not turn. What is not known of a plane falls in the mean, the axes do not."""
-    runs = [run_of(spin, seed, u_axes) for spin, seed in (*still, (Spin(FAST), 3), (BACK, 3))]
-    series = session_results(runs, tmp_path).series
+def judge_series(runs: list[AnalysedRun], power: int, folder: Path) -> None:
+    """A series' line for the plane: the mean lowers own errors (power 2), not common ones (1)."""
+    series = session_results(runs, folder).series
     assert series is not None
     for name in ("b", "c"):
         of_runs = [
@@ -114,6 +93,28 @@ def test_the_mean_of_a_series_has_a_line_for_the_plane(
         (line,) = [one for one in series.budget[name].sources if one.source == PLANE]
         expected = sum(one**power for one in of_runs) ** (1 / power) / len(runs)
         assert line.contribution == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_mean_of_a_series_has_a_line_for_the_plane(tmp_path: Path) -> None:
+    """Also with a run that does not turn."""
+    judge_series([run_of(Spin(), 5), run_of(Spin(FAST, **DISTURBED)), run_of(BACK)], 2, tmp_path)
+
+
+@pytest.mark.slow
+def test_an_angle_between_the_axes_that_is_not_known_is_a_line_of_the_budget(tmp_path: Path) -> None:
+    config, seen = configuration("axes.u_non_orthogonality_rad=2e-3"), seen_of(Spin(FAST), 3)
+    # the true axes of the second are as much askew as is stated
+    runs = [
+        analysed(one, config, tmp_path / f"run-{number}.mcap")
+        for number, one in enumerate((seen, replace(seen, y=seen.y + 2e-3 * seen.x)), 1)
+    ]
+    (line,) = [one for one in runs[0].budget["c"].sources if one.source == PLANE]
+    assert line.u_source == pytest.approx(2e-3, rel=1e-3)
+    assert line.share > 0.05
+    moved = abs(runs[1].budget["c"].value - runs[0].budget["c"].value)
+    assert moved == pytest.approx(line.contribution, rel=0.2)
+    judge_series(runs, 1, tmp_path)
 
 
 def test_without_a_rotation_nothing_is_turned() -> None:
@@ -161,7 +162,7 @@ def test_what_cannot_be_followed_is_withheld(spoiled: str, said: str, tmp_path: 
 def test_a_table_of_two_positions_is_fitted_in_both(spin: Spin, largest_u_b: float, tmp_path: Path) -> None:
     """Of `x`, `y` both are taken without being named, and amplitudes are those along the swing."""
     config = configuration().model_copy(update={"lever": None, "axes": None})
-    run = analysed_table(positions(spin, seed=4), config, tmp_path / "both.csv")
+    run = analysed_table(seen_of(spin, 4), config, tmp_path / "both.csv")
     scale = np.hypot(1.0, spin.leakage)
     assert run.amplitudes[0] == pytest.approx(FIRST_ARCSEC * scale, rel=3e-4)
     b, c = run.budget["b"], run.budget["c"]
@@ -219,17 +220,18 @@ def test_a_run_without_a_decay_has_no_balance() -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_fits_meanwhile")
 def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditions(tmp_path: Path) -> None:
-    """From frames on; `rig fit` of the record says the same."""
-    words = {
+    """From frames on."""
+    words = SMALL | {
         "simulation.sensor.width_px": "320",
         "session.max_duration_s": "600",
-        "simulation.clock.frame_rate_hz": "25",
+        "camera.frame_rate_hz": "12.5",
+        "record.windows": "false",
         "simulation.axes.spin_rad_per_s": str(-FAST),
     }
     done = rig("run", DEMONSTRATION, "-o", tmp_path / "out", *set_words(words))
     assert done.returncode == 1
     assert "PLANE OF SWING: " in done.stdout
-    run = first_run(tmp_path / "out")
+    (run,) = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
     failed = [one for one in run["conditions"] if not one["ok"]]
     assert [one["name"] for one in failed] == ["plane of swing"]
     assert failed[0]["limit"] == "0.2 deg/min"
@@ -238,11 +240,3 @@ def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditio
         assert abs(item["value"] - true) < 3 * item["standard_uncertainty"]
         assert item["standard_uncertainty"] < 0.01 * true
     assert any("turned back" in note for note in run["notes"])
-    rig("fit", tmp_path / "out" / "run-1.mcap", "-o", tmp_path / "again")
-    again = first_run(tmp_path / "again")
-    assert again["budget"]["c"]["value"] == run["budget"]["c"]["value"]
-
-
-def first_run(folder: Path) -> dict[str, Any]:
-    runs: list[dict[str, Any]] = json.loads((folder / "results.json").read_text())["runs"]
-    return runs[0]

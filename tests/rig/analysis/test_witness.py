@@ -1,7 +1,8 @@
-"""An auxiliary seismometer from a file, beside a table and beside a record."""
+"""An auxiliary seismometer from a file, beside a table or a record, and the times of a recorded one."""
 
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from io import BytesIO
@@ -9,16 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import rig
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, SeismometerUse
 from processing.fit.seismometer import SeismometerVerdict
-from rig.analysis import AnalysedTable, analyse_record, session_results
+from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import witness_sentences
+from rig.analysis.seismometer import sample_times
 from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.archive.session_rows import results_row
@@ -144,13 +147,13 @@ def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> N
 
 @pytest.mark.slow
 def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the_run(
-    measured_series: Path, tmp_path: Path
+    analysed_series: Sequence[AnalysedRun], tmp_path: Path
 ) -> None:
     times = 1.2e9 + STEP_S * np.arange(2000)
     path = tmp_path / "w.csv"
     path.write_text("\n".join(["time_s,z", *(f"{time:.1f},{k % 7}" for k, time in enumerate(times))]))
-    record = measured_series / "run-1.mcap"
-    alone, found = analyse_record(record), analyse_record(record, witness=SeismometerSource(path).read())
+    alone = analysed_series[0]
+    found = analyse_record(alone.path, witness=SeismometerSource(path).read())
     assert found.witness is not None
     assert found.witness.verdict is SeismometerVerdict.ABSENT
     results = [session_results([run], tmp_path) for run in (alone, found)]
@@ -364,3 +367,77 @@ def test_results_keep_what_a_witness_told_and_sentences_say_it() -> None:
     assert "7 half-swings have no seismometer's record" in said
     assert "the best of 300" in said
     assert "factors of 6.10 (b)." in said
+
+
+RATE_HZ, COUNT = 20.0, 12_000
+EPOCH_S = 1_790_000_000.0
+
+
+def arrived(
+    late_s: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Arrivals in ns, own times in s, and when samples were taken, in s, on the clock of the arrivals."""
+    own_s = EPOCH_S + np.arange(COUNT) / RATE_HZ
+    true_s = 100.0 + (own_s - EPOCH_S)
+    return np.rint(1e9 * (true_s + late_s)).astype(np.int64), own_s, true_s
+
+
+def off(late_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[float, ...]]:
+    """Errors of the times that are found, in s, and the steps that are said."""
+    arrived_ns, own_s, true_s = arrived(late_s)
+    found = sample_times(arrived_ns, own_s)
+    return found.times_ns * 1e-9 - true_s, found.steps_s
+
+
+@pytest.mark.parametrize("step_s", [-10.0, 0.7, 40.0])
+@pytest.mark.parametrize("at", [600, 7000])
+def test_where_a_clock_was_set_the_later_holds_and_it_is_said(step_s: float, at: int) -> None:
+    """The instrument's clock was wrong until somebody or a satellite receiver set it."""
+    rng = np.random.default_rng(1)
+    late = 1e-3 * rng.standard_normal(COUNT)
+    late[:at] -= step_s
+    error, said = off(late)
+    assert error == pytest.approx(0.0, abs=0.01)
+    assert said == pytest.approx((step_s,), abs=0.01)
+
+
+def test_lateness_that_comes_and_goes_and_a_clock_that_drifts_are_no_step() -> None:
+    rng = np.random.default_rng(3)
+    late = 0.05 * rng.exponential(size=COUNT) + 2e-4 * np.arange(COUNT) / RATE_HZ
+    # a thread waited for four seconds, and then all came at once
+    waited = np.arange(80)[::-1] / RATE_HZ
+    late[5000:5080] += waited
+    error, said = off(late)
+    assert said == ()
+    steady = 0.05 + 2e-4 * np.arange(COUNT) / RATE_HZ
+    assert error == pytest.approx(steady, abs=0.02)
+
+
+@pytest.mark.parametrize(("count", "speed"), [(1200, np.inf), (2500, np.inf), (6000, np.inf), (2500, 4.0)])
+def test_a_stall_of_arrivals_is_no_clock_that_was_set(count: int, speed: float) -> None:
+    """A host that hung for minutes reads at once, or some times as fast, what waited meanwhile."""
+    late = 1e-3 * np.random.default_rng(4).standard_normal(COUNT)
+    waited = np.maximum(count / RATE_HZ - np.arange(COUNT - 3000) / RATE_HZ * (1 - 1 / speed), 0.0)
+    late[3000:] += waited
+    error, said = off(late)
+    assert said == ()
+    assert error == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("late_by", "steps_s"),
+    [
+        ([(0, 3000, 2.0), (3000, 5000, -5.0)], (-7.0, 5.0)),
+        ([(2000, 3500, np.arange(1500)[::-1] / RATE_HZ), (0, 6000, -3.0)], (3.0,)),
+    ],
+    ids=["two steps", "after a stall"],
+)
+def test_all_steps_are_taken_off(
+    late_by: list[tuple[int, int, NDArray[np.float64]]], steps_s: tuple[float, ...]
+) -> None:
+    late = 1e-3 * np.random.default_rng(2).standard_normal(COUNT)
+    for first, last, by_s in late_by:
+        late[first:last] += by_s
+    error, said = off(late)
+    assert error == pytest.approx(0.0, abs=0.01)
+    assert said == pytest.approx(steps_s, abs=0.01)

@@ -16,18 +16,21 @@ from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
 from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
-from tests.rig.command_line import rig
+from tests.rig.command_line import SAMPLES, rig
 
 ROOT = Path(__file__).resolve().parents[3]
-SAMPLES = ROOT / "tests" / "rig" / "data" / "samples"
+
+
+def made_sessions(folder: Path) -> Path:
+    """Two sessions below a folder: one of two runs, the second of them cut short, and one in px."""
+    shutil.copytree(SAMPLES / "series", folder / "runs" / "series")
+    shutil.copytree(SAMPLES / "uncalibrated", folder / "runs" / "deeper" / "uncalibrated")
+    return folder / "runs"
 
 
 @pytest.fixture
 def sessions(tmp_path: Path) -> Path:
-    """Two sessions below a folder: one of two runs, the second of them cut short, and one in px."""
-    shutil.copytree(SAMPLES / "series", tmp_path / "runs" / "series")
-    shutil.copytree(SAMPLES / "uncalibrated", tmp_path / "runs" / "deeper" / "uncalibrated")
-    return tmp_path / "runs"
+    return made_sessions(tmp_path)
 
 
 @pytest.fixture
@@ -35,6 +38,14 @@ def archive(sessions: Path, tmp_path: Path) -> Path:
     path = tmp_path / "archive.duckdb"
     add_folders(path, [sessions])
     return path
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An archive of the same sessions, in which nobody writes."""
+    folder = tmp_path_factory.mktemp("kept")
+    add_folders(folder / "archive.duckdb", [made_sessions(folder)])
+    return folder / "archive.duckdb"
 
 
 def rows(archive: Path, condition: str = "", columns: str = "*") -> list[dict[str, Any]]:
@@ -74,25 +85,25 @@ def test_what_is_added_is_listed_with_the_values_of_its_results(sessions: Path, 
 
 
 def test_a_narrow_terminal_shows_what_matters_most(
-    archive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    kept: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for width, columns in ((200, "humidity_percent"), (100, "id run sample began_utc b c state")):
         monkeypatch.setattr("rig.archive.listing.screen_width", lambda width=width: width)
-        list_runs(archive, "", "", None)
+        list_runs(kept, "", "", None)
         out = capsys.readouterr().out
         assert set(columns.split()) <= set(out.splitlines()[0].split())
         assert ("a wider window" in out) == (width == 100)
 
 
-def test_runs_are_shown_by_the_first_characters_of_their_hash(archive: Path) -> None:
-    (run,) = rows(archive, "b > 0")
-    shown = rig("archive", "show", run["sha256"][:8], "--archive", archive).stdout
+def test_runs_are_shown_by_the_first_characters_of_their_hash(kept: Path) -> None:
+    (run,) = rows(kept, "b > 0")
+    shown = rig("archive", "show", run["sha256"][:8], "--archive", kept).stdout
     assert "SIMULATED: " in shown
     assert re.search(r"^c +\(\d\.\d+ ± \d\.\d+\) × 10⁻", shown, re.MULTILINE)
-    both = rig("archive", "show", run["session"][:12], "--archive", archive).stdout
+    both = rig("archive", "show", run["session"][:12], "--archive", kept).stdout
     assert len(re.findall(r"^sha256 ", both, re.MULTILINE)) == 2
     for name, why in (("0000", "no run of the archive begins so"), ("run-1", "names no run")):
-        assert why in rig("archive", "show", name, "--archive", archive).stderr
+        assert why in rig("archive", "show", name, "--archive", kept).stderr
 
 
 def test_only_what_has_changed_is_read(sessions: Path, archive: Path) -> None:
@@ -206,9 +217,9 @@ def test_a_check_finds_what_is_not_as_it_was(
         ("sample in (select * from read_csv('/etc/hostname'))", "*", "disabled by configuration"),
     ],
 )
-def test_a_condition_that_is_none_is_said(archive: Path, condition: str, columns: str, why: str) -> None:
+def test_a_condition_that_is_none_is_said(kept: Path, condition: str, columns: str, why: str) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(why)):
-        selected(archive, columns, condition)
+        selected(kept, columns, condition)
 
 
 def test_what_is_no_archive_is_said(sessions: Path, tmp_path: Path) -> None:
@@ -282,14 +293,27 @@ def test_an_update_that_is_killed_costs_an_update(sessions: Path, archive: Path)
     assert "6 unchanged" in update_archive(archive)
 
 
+ADDS = """
+import os, sys
+from pathlib import Path
+from rig.archive import add_folders
+archive, *folders = map(Path, sys.argv[1:])
+adding = []
+for folder in folders:
+    adding.append(os.fork())
+    if not adding[-1]:
+        add_folders(archive, [folder])
+        os._exit(0)
+sys.exit(max(os.waitpid(process, 0)[1] for process in adding))
+"""
+"""Adds each folder to an archive in a process of its own, all at once."""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="forks")
 def test_two_that_add_at_once_lose_nothing(sessions: Path, tmp_path: Path) -> None:
     archive = tmp_path / "archive.duckdb"
-    words = [sys.executable, "-m", "rig", "archive", "add", "--archive", str(archive)]
-    both = [
-        subprocess.Popen([*words, str(sessions / name)], cwd=ROOT, stderr=subprocess.DEVNULL)
-        for name in ("series", "deeper")
-    ]
-    assert [process.wait() for process in both] == [0, 0]
+    words = [sys.executable, "-c", ADDS, str(archive), str(sessions / "series"), str(sessions / "deeper")]
+    subprocess.run(words, cwd=ROOT, check=True)
     assert len(rows(archive)) == 3
     assert update_archive(archive).startswith("0 sessions read (0 runs), 2 unchanged")
 
@@ -313,10 +337,10 @@ def test_every_column_stands_in_the_reference() -> None:
         assert f"`{name}`" in text
 
 
-def test_runs_are_found_by_words(archive: Path) -> None:
-    table = find_runs(archive, "k8 STEEL run-1", 9)
+def test_runs_are_found_by_words(kept: Path) -> None:
+    table = find_runs(kept, "k8 STEEL run-1", 9)
     assert len(table.shown) == 1
     shown = dict(zip(table.head, table.shown[0], strict=True))
     assert shown["sample"].startswith("SIMULATED: ")
     assert "±" in shown["c"]
-    assert [len(find_runs(archive, words, 2).shown) for words in ("it's", "")] == [0, 2]
+    assert [len(find_runs(kept, words, 2).shown) for words in ("it's", "")] == [0, 2]

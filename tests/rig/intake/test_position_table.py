@@ -50,20 +50,6 @@ def test_real_table_compressed_and_with_words_in_it(shared_data: Path) -> None:
     assert len(trajectory.positions) == 2
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "0 rows of numbers"),
-        ("only words\nand more\n", "rows of numbers"),
-        ("0 1\n2 3\n1 5\n", "time does not increase after 2 s"),
-    ],
-)
-def test_a_bad_table_is_said_in_one_line(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(DataError, match=message) as caught:
-        TableColumns(None, (), "").read(write(tmp_path / "bad.csv", text))
-    assert "\n" not in str(caught.value)
-
-
 def test_missing_file_and_missing_column(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no such file"):
         TableColumns(None, (), "").read(tmp_path / "none.csv")

@@ -36,6 +36,7 @@ STATED = {
     "mass_kg": (0.406, 1e-4),
     "ball_radius_m": (6.05e-3, 2e-6),
 }
+FINAL_ARCSEC = 4.0
 MODULI_PA = {"ball": (2.11e11, 2e9), "flat": (0.82e11, 0.8e9)}
 
 
@@ -67,9 +68,7 @@ def calibrate(rig: Drawn, folder: Path) -> dict[Kind, Path]:
     }
 
 
-def measure(
-    seed: int, folder: Path, rate_hz: float = 25.0, final_arcsec: float = 4.0
-) -> dict[str, tuple[float, float, float]]:
+def measure(seed: int, folder: Path, rate_hz: float = 25.0) -> dict[str, tuple[float, float, float]]:
     """(found, standard uncertainty with the calibration's, truth) of every parameter."""
     rig = draw_rig(seed)
     files = calibrate(rig, folder)
@@ -108,7 +107,7 @@ def measure(
     )
     stamps_ns = np.rint(times_s * (1 + 1e-6 * rig.settings.clock.drift_ppm) * 1e9).astype(np.int64)
     swings = swings_of(stamps_ns, y_rad, u_y_rad)
-    swings = [swing for swing in swings if swing.amplitude > final_arcsec * ARCSEC_RAD]
+    swings = [swing for swing in swings if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     pendulum, quantities = pendulum_on_ball(config), rig_quantities(config)
     assert pendulum is not None
     assert quantities is not None

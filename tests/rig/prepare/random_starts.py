@@ -36,13 +36,11 @@ class Start(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """How a start ended: looks and turns made, how many were rejected or made it worse, the truth."""
+    """How a start ended: looks and turns made, and the truth."""
 
     balanced: bool
     looks: int
-    rejected: int
     turns: int
-    worse: int
     off_the_sensor: int
     said_unreachable: bool
     rest_arcsec: tuple[float, float]
@@ -57,12 +55,11 @@ class Ended(NamedTuple):
         return self.balanced and within
 
 
-def random_start(seed: int, *, parallel: bool = False, apart_deg: float = 0.0) -> Start:
+def random_start(seed: int, *, parallel: bool = False) -> Start:
     """Rest position anywhere within 60 arcsec in X and Y, period within 0.5 %, on 640x640 pixels.
 
     Two weights at 0, 45 or 90 degrees to the camera (seed modulo 3), off by up to 7 degrees; strengths of 0.3
-    to 3 times what their drawings say, 0.4 turns of play. `parallel`: x and y work along the same line;
-    `apart_deg`: along lines so far apart, exactly.
+    to 3 times what their drawings say, 0.4 turns of play. `parallel`: x and y work along the same line.
     """
     random = np.random.default_rng((seed, 5))
     rest = random.uniform(-60.0, 60.0, 2)
@@ -82,27 +79,16 @@ def random_start(seed: int, *, parallel: bool = False, apart_deg: float = 0.0) -
     }
     if parallel:
         ways["y"] = ways["x"]
-    elif apart_deg:
-        other = turned + math.radians(apart_deg)
-        ways["y"] = np.array([math.cos(other), math.sin(other), 0.0])
     weights = {}
     for name, way in ways.items():
         nominal = getattr(config.balance, f"weight_{name}")
-        askew = way + random.uniform(-0.12, 0.12, 3) * (not parallel and not apart_deg)
+        askew = way + random.uniform(-0.12, 0.12, 3) * (not parallel)
         gain = math.exp(random.uniform(math.log(0.3), math.log(3.0)))
         direction = askew / np.linalg.norm(askew)
         weights[name] = TrimWeight(
             nominal.mass_kg * gain, nominal.pitch_m, tuple(map(float, direction)), backlash_turns=0.4
         )  # fmt: skip
     return Start(config, weights)
-
-
-def out_of_reach(start: Start) -> bool:
-    """Whether weights that work along one line leave the rest position outside the limits."""
-    way = np.array(start.weights["x"].direction[:2])
-    ways = np.linspace(-300.0, 300.0, 6001)[:, None] * way
-    rest = true_state(start.config.simulation)[:2]
-    return bool(np.abs(rest + ways).max(axis=1).min() > LIMITS.rest_arcsec)
 
 
 def modelled_look(truth: SimulationSettings, seed: int) -> BalanceMeasurement:
@@ -126,11 +112,6 @@ def true_state(truth: SimulationSettings) -> np.ndarray:
     return np.array([truth.axes.rest_fast_arcsec, truth.axes.rest_slow_arcsec, height_m])
 
 
-def distance(state: np.ndarray) -> float:
-    """Of a state from balance, in limits."""
-    return float(np.linalg.norm(state / [LIMITS.rest_arcsec, LIMITS.rest_arcsec, LIMITS.height_m]))
-
-
 def follow(
     start: Start,
     seed: int,
@@ -141,13 +122,12 @@ def follow(
     """Do what is advised until it is to leave it; `hand` says what is done instead of the n-th turn."""
     operator = SimulatedOperator(start.config, seed, start.weights)
     session = LearnedTurns(start.config, history)
-    looks = refused = turns = worse = off = 0
+    looks = turns = off = 0
     unreachable = balanced = False
     while looks < 5 * most_turns:
         look = modelled_look(operator.simulation, 1000 * seed + looks)
         looks += 1
         rejected = session.take(look)
-        refused += bool(rejected)
         advice = session.way_back() if rejected else session.advice()
         if rejected and not session.spot_is_gone and operator.swing_less():
             continue
@@ -155,22 +135,9 @@ def follow(
         unreachable = isinstance(advice, Unreachable)
         if not isinstance(advice, Turn) or turns >= most_turns:
             break
-        before = true_state(operator.simulation)
         operator.follow(hand(turns, advice))
         session.turned(advice.weight, advice.parts)
-        after = true_state(operator.simulation)
         turns += 1
-        worse += distance(after) > distance(before) + 0.1
-        off += bool(np.max(np.abs(after[:2])) > 155.0)
-    state = true_state(operator.simulation)
-    return Ended(
-        balanced,
-        looks,
-        refused,
-        turns,
-        worse,
-        off,
-        unreachable,
-        (float(state[0]), float(state[1])),
-        float(state[2]),
-    )
+        off += bool(np.max(np.abs(true_state(operator.simulation)[:2])) > 155.0)
+    *rest, height_m = map(float, true_state(operator.simulation))
+    return Ended(balanced, looks, turns, off, unreachable, (rest[0], rest[1]), height_m)

@@ -9,6 +9,7 @@ import pytest
 
 from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
+from processing.fit import drag_verdict
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.instrument import complete
 from rig.measure.session import simulate_record
@@ -48,11 +49,11 @@ def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("verdicts")
 def test_the_drag_is_measured_filed_and_used(
     vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    monkeypatch.setattr("rig.analysis.contact_verdicts.drag_verdict", drag_verdict)
     path = calibrate_air(vanes, Filing(tmp_path / "c", 30, "A. Person"))
     found = read_calibration(path, "air")
     drag_s, u_drag_s = found.values["drag_s"], found.values["u_drag_s"]

@@ -1,32 +1,109 @@
-"""A rolling shutter is measured from a run, stated, and leaves nothing in the results."""
+"""A rolling shutter is measured from a run, also of a pulsed laser, and leaves nothing in the results."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from acquisition.camera import CameraInfo, Frame
 from acquisition.record.reader import RecordReader
+from acquisition.record.writer import RecordWriter
+from acquisition.simulation.inputs import FaultSettings
+from acquisition.simulation.scene import Scene, SensorSettings
+from acquisition.simulation.settings import (
+    FastModeTruth,
+    OpticsTruth,
+    ReleaseTruth,
+    SensorTruth,
+    SimulationSettings,
+)
 from calibration import read_calibration
-from calibration.shutter import ShutterFit
-from rig.instrument import recorded_configuration
+from calibration.axes_fit import Axes
+from calibration.light_lever import Lever
+from calibration.shutter import GLOBAL, Shutter, ShutterFit, fit_row_time
+from processing.deflections import Deflections, DeflectionUnit, slow_deflections
+from processing.errors import DataError
+from processing.fit import FitResult, fit_exact, points_in_true_time
+from processing.spot import Spot
+from processing.swing import swings_of_blocks
+from processing.units import ARCSEC_RAD
+from rig.analysis import refined_half_cycles
+from rig.instrument import (
+    Deflector,
+    complete,
+    configuration_attachments,
+    pendulum_on_ball,
+    recorded_configuration,
+    session_metadata,
+)
 from rig.measure.session import simulate_record
-from rig.prepare import Filing, calibrate_shutter
-from rig.settings import load_configuration
+from rig.prepare import Filing, calibrate_shutter, filed
+from rig.settings import Configuration, FitSettings, load_configuration, validate_configuration
 from rig.view.replay import Replay
 from tests.rig.command_line import rig
-from tests.rig.prepare.rolling_measurement import compare
 
 DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
 ROW_TIME_S = 15e-6
 
 
+RATE_HZ, DURATION_S, U_PX, FINAL_ARCSEC = 50.0, 200.0, 0.02, 4.0
+
+
+def settings_of(row_time_s: float) -> SimulationSettings:
+    """The demonstration's rig, with a shutter that opens its rows one after the other."""
+    return SimulationSettings(
+        seed=1,
+        release=ReleaseTruth(amplitude_arcsec=124.0),
+        fast=FastModeTruth(amplitude_arcsec=0.3),
+        optics=OpticsTruth(arm_m=1.0),
+        sensor=SensorTruth(width_px=320, height_px=640, row_time_s=row_time_s),
+    )
+
+
+def spots_of(settings: SimulationSettings) -> tuple[np.ndarray, list[Spot]]:
+    """Times of the frames in ns and the spots in them, with the same noise whatever the shutter."""
+    readings = SensorSettings(0, 0, 320, 640, 8, 100.0, 0.0, RATE_HZ)
+    plan = Scene(settings, FaultSettings(), readings, 0).plan(round(DURATION_S * RATE_HZ))
+    x_px, y_px = [plan.x_px, plan.y_px] + U_PX * np.random.default_rng(1).standard_normal((2, len(plan.x_px)))
+    empty = Spot(*[0.0] * (len(Spot._fields) - 1), 0)  # type: ignore[arg-type]
+    spots = [
+        empty._replace(x_px=x, y_px=y, u_x_px=U_PX, u_y_px=U_PX)
+        for x, y in zip(x_px.tolist(), y_px.tolist(), strict=True)
+    ]
+    return plan.device_time_ns, spots
+
+
+def fitted(
+    settings: SimulationSettings, frame_ns: np.ndarray, spots: list[Spot], shutter: Shutter
+) -> FitResult:
+    """The exact fit of the half-cycles, with this shutter taken for the camera's."""
+    tree = {"camera": {"driver": "simulated"}, "simulation": settings.model_dump()}
+    pendulum = pendulum_on_ball(complete(Configuration.model_validate(tree)))
+    assert pendulum is not None
+    lever = Lever(arm_m=settings.optics.arm_m, pixel_pitch_m=settings.sensor.pixel_pitch_m)
+    at = Deflector(lever, Axes(), (640, 320), shutter)(frame_ns, spots)
+    swings = [one for one in swings_of_blocks([at]) if one.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
+    slow = slow_deflections(at.times_ns, at.y, at.u_y)
+    refined = refined_half_cycles(swings, [slow], slow.unit, pendulum, FitSettings())
+    return fit_exact(points_in_true_time(refined.swings, 1.0), pendulum)
+
+
 @pytest.mark.slow
 def test_corrected_parameters_are_those_of_a_global_shutter() -> None:
-    found = compare(30e-6, along_rows=False, seed=1, duration_s=200.0)
-    assert found.fitted is not None
-    assert abs(found.fitted.row_time_s / 30e-6 - 1.0) < 0.03
-    assert max(abs(shift) for shift in found.corrected.values()) < 0.3
-    assert max(abs(shift) for shift in found.uncorrected.values()) > 10.0
+    plain, rolling = settings_of(0.0), settings_of(30e-6)
+    reference = fitted(plain, *spots_of(plain), GLOBAL)
+    frame_ns, spots = spots_of(rolling)
+    found = fit_row_time(1e-9 * (frame_ns - frame_ns[0]), np.array([spot.y_px for spot in spots]))
+    assert abs(found.row_time_s / 30e-6 - 1.0) < 0.03
+    # another row is the one whose time is the frame's
+    kept = [place for place, name in enumerate(reference.names) if name != "start_time_s"]
+    corrected, uncorrected = (
+        np.abs(fitted(rolling, frame_ns, spots, shutter).values - reference.values)[kept]
+        / reference.standard_uncertainty[kept]
+        for shutter in (Shutter(found.row_time_s), GLOBAL)
+    )
+    assert corrected.max() < 0.3
+    assert uncorrected.max() > 10.0
 
 
 @pytest.mark.slow
@@ -98,3 +175,52 @@ def test_a_global_shutter_is_believed_only_where_the_swing_agrees(
     found = read_calibration(calibrate_shutter(measured_series / "run-1.mcap", Filing(tmp_path)))
     assert found.values["row_time_s"] == filed_s
     assert any(said in note for note in found.notes) == (filed_s == 0.0)
+
+
+ROWS, EXPOSURE_US, ROW_TIME_US = 400, 8000.0, 12.0
+
+
+def pulsed_record(path: Path, exposure: dict[str, str]) -> Path:
+    """A swing over 300 rows; each row misses the light that passes before it opens."""
+    controller = {"kind": "serial", "port": "/dev/ttyACM0"}
+    laser = {"kind": "controller", "power_w": 1e-4, "pulse_us": EXPOSURE_US}
+    config = validate_configuration(
+        {"camera": {"driver": "usb3vision"}, "controller": controller, "laser": laser}, "test"
+    )
+    info = CameraInfo("any", "", "", "", 64, ROWS, 255, has_clock=True, shutter="Rolling")
+    count = 600
+    times_ns = np.arange(count) * 20_000_000
+    y_px = 200.0 + 150.0 * np.cos(np.arange(count) / 15.0)
+    light = (1.0 - ROW_TIME_US * y_px / EXPOSURE_US) * (
+        1.0 + 0.004 * np.random.default_rng(3).normal(size=count)
+    )
+    spots = [
+        Spot(32.0, y, 0.02, 0.02, 5.0, 5.0, 0.0, 150.0 * part, 6.0, 1.0, 0)
+        for y, part in zip(y_px.tolist(), light.tolist(), strict=True)
+    ]
+    zeros = np.zeros(count)
+    deflections = Deflections(times_ns, zeros, zeros, zeros, zeros, DeflectionUnit.PX)
+    first = Frame(np.zeros((ROWS, 64), np.uint8), 0, device_time_ns=0, host_time_ns=0)
+    metadata = session_metadata(config, info, first) | {"camera_settings": exposure}
+    attachments = configuration_attachments(config, path.with_suffix(".toml"))
+    unit = DeflectionUnit.PX
+    with RecordWriter(path, 0, metadata=metadata, attachments=attachments, deflection_unit=unit) as writer:
+        numbers = list(range(count))
+        writer.write_spots(numbers, times_ns.tolist(), times_ns.tolist(), spots, deflections)
+    return path
+
+
+def test_the_brightness_along_the_rows_gives_the_row_time(tmp_path: Path) -> None:
+    record = pulsed_record(tmp_path / "run.mcap", {"exposure_us": str(EXPOSURE_US)})
+    shown = filed(calibrate_shutter(record, Filing(tmp_path / "calibrations")))
+    found = shown.calibration
+    assert found.method == "brightness of a pulsed spot"
+    assert found.values["row_time_s"] == pytest.approx(1e-6 * ROW_TIME_US, rel=0.01)
+    assert found.values["first_row"] == "top"
+    assert found.values["u_row_time_s"] < 0.04e-6 * ROW_TIME_US
+
+
+def test_without_the_exposure_it_is_refused(tmp_path: Path) -> None:
+    record = pulsed_record(tmp_path / "run.mcap", {})
+    with pytest.raises(DataError, match="does not say how long its frames were exposed"):
+        calibrate_shutter(record, Filing(tmp_path / "calibrations"))

@@ -1,7 +1,9 @@
-"""`rig compare --model`: from folders, or an archive, to campaign.json, page, tables and figures."""
+"""`rig compare --model`: from folders, or an archive, to the files of a paper, also as the page shows it."""
 
 import datetime
 import json
+import re
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +12,17 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError
+from processing.fit import AIR, LinearisedFit, drift_effects
+from processing.series import to_coordinates
 from processing.units import ARCSEC_RAD
-from rig.analysis import read_results
+from rig.analysis import analyse_record, read_results
 from rig.archive import ordered_runs
 from rig.archive.listing import write_sessions, writing
 from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
 from rig.report.campaign_input import FoundRun
 from rig.report.campaign_page import effects_table
 from rig.report.likelihoods import compress
-from tests.rig.command_line import rig
+from tests.rig.command_line import SAMPLES, rig
 from tests.rig.report.made_sessions import (
     ENERGY_OVER_C,
     GLASS,
@@ -30,7 +34,6 @@ from tests.rig.report.made_sessions import (
     twice,
 )
 
-SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 STATED = """
 parameters = ["b", "p", "c"]
 change_points = ["b"]
@@ -229,7 +232,7 @@ def test_a_chance_below_that_of_one_draw_is_a_limit(tmp_path: Path) -> None:
     path.write_text(STATED)
     chances = {}
     for slope in (-0.06, 0.0):
-        folders = humid_campaign(tmp_path / str(slope), slope=slope, count=10)
+        folders = humid_campaign(tmp_path / str(slope), slope=slope)
         found = fit_model(runs_of_folders(folders), read_campaign(path)).results
         table = effects_table(found)
         assert table is not None
@@ -344,3 +347,99 @@ def test_names_that_exclude_each_other_are_refused(tmp_path: Path, words: list[s
     done = rig("compare", folder, "--model", "default", *words)
     assert done.returncode == 2
     assert message in done.stderr
+
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = (ROOT / "docs" / "many-runs.md").read_text(encoding="utf-8")
+TEXT = PAGE.partition("\n## One model of many runs\n")[2].partition("\n## ")[0]
+
+
+@pytest.mark.slow
+def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
+    humid_campaign(tmp_path / "runs")
+    ((name, block),) = re.findall(r"^```toml\n# (\S+\.toml)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    (tmp_path / name).write_text(block, encoding="utf-8")
+    folders, of_archive = (shlex.split(line) for line in re.findall(r"^ {4}rig (.*)$", TEXT, re.MULTILINE))
+    done = rig(*folders, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    tree = json.loads((tmp_path / "campaigns" / "glass" / "campaign.json").read_text())
+    assert tree["effects"][0]["margin"] == 0.3
+    assert tree["changes"][0]["parameter"] == "c"
+    # records with humidities and samples take minutes to measure: the words alone are checked here
+    shutil.copytree(SAMPLES / "first", tmp_path / "runs" / "first")
+    assert rig("archive", "add", "runs/first", cwd=tmp_path).returncode == 0
+    none = rig(*of_archive, cwd=tmp_path)
+    assert none.returncode == 2
+    assert "no run with results meets it" in none.stderr
+
+
+def test_forms_and_covariates_that_are_named_exist() -> None:
+    from dataclasses import fields
+
+    from processing.ambient import AmbientConditions
+    from processing.series import Form
+
+    forms = set(re.findall(r"^\| `(\w+)` \|", TEXT, re.MULTILINE))
+    assert forms == set(map(str, Form))
+    named = {field.name for field in fields(AmbientConditions)} - {"temperature_change_k"}
+    assert all(f"`{name}`" in TEXT for name in named)
+
+
+REFERENCE_RAD = 60 * ARCSEC_RAD
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("verdicts")
+def test_it_is_that_of_the_fit(measured_series: Path) -> None:
+    run = analyse_record(measured_series / "run-1.mcap", ["fit.u_ageing=0.01"])
+    fit, pendulum = run.fitted["exact"], run.pendulum
+    assert pendulum is not None
+    found, problem = compress(
+        FoundRun(label="run-1", contact="glass", results_sha256="", run=run), REFERENCE_RAD, {}
+    )
+    assert found is not None, problem
+    names = found.names
+    assert {"b", "p", "gamma_pa"} <= set(names)
+    at = [fit.names.index(name) for name in names]
+    there, to = to_coordinates(names, fit.values[at], REFERENCE_RAD)
+    np.testing.assert_allclose(found.values, there)
+    # ageing: the budget's signed slope is the fit's own
+    drifts = drift_effects(LinearisedFit.of(run.points, pendulum, fit))
+    by = to @ (drifts["ageing"] + drifts["adhesion_ageing"])[at]
+    assert found.by_growth is not None
+    np.testing.assert_allclose(found.by_growth, by, rtol=0.02, atol=1e-6)
+    # the run's own part and what it shares are the fit's covariance again
+    whole = to @ fit.covariance[np.ix_(at, at)] @ to.T
+    again = found.covariance.copy()
+    if AIR in fit.terms:
+        air = to @ fit.terms[AIR][at, 0]
+        if "air" in found.shared:
+            sign = np.sign(air @ found.shared["air"])
+            np.testing.assert_allclose(
+                sign * found.shared["air"], air, rtol=0.1, atol=0.05 * float(np.max(np.abs(air)))
+            )
+    for source, column in found.shared.items():
+        if source == "air" or source.startswith("misfit"):
+            again += np.outer(column, column)
+    u, u_again = np.sqrt(np.diag(whole)), np.sqrt(np.diag(again))
+    assert np.all(u_again > 0.9 * u)
+    assert np.all(u_again < 1.5 * u)
+
+
+def test_a_measured_series_is_a_campaign(measured_series: Path) -> None:
+    found = fit_model(runs_of_folders([measured_series]), StatedCampaign())
+    (values,) = found.results.contacts.values()
+    assert 0.9 < values["p"].value < 1.0
+    assert found.results.simulated
+    assert len(found.results.runs) == 2
+    assert {"mass_kg", "arm_m"} <= set(found.results.shared)
+
+
+def test_what_is_not_determined_is_left_out(measured_series: Path) -> None:
+    (first, _) = runs_of_folders([measured_series])
+    nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
+    found, problem = compress(nothing, REFERENCE_RAD, {})
+    assert found is None
+    assert problem.endswith("left out: too short")
+    with pytest.raises(Exception, match=r"no run can enter the campaign: .*too short"):
+        fit_model([nothing], StatedCampaign())

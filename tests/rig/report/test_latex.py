@@ -1,11 +1,27 @@
-"""Tables for LaTeX: siunitx's numbers and units, the catalogue's symbols."""
+"""Numbers as text (digits by the uncertainty, powers of ten, what is not determined) and tables for LaTeX."""
 
+import math
 import re
+from decimal import Context, Decimal, localcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from processing.number_text import (
+    decimals,
+    judged_number,
+    plain,
+    rounded,
+    signed,
+    signed_percent,
+    with_uncertainty,
+)
 from processing.units import _OTHERS, _PREFIXABLE
+from rig.interruption import spelled
+from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import Table, TableRow, latex_table
 from rig.terminal.latex import _UNITS, _UNNAMED_UNITS
 from tests.rig.command_line import rig
@@ -75,3 +91,152 @@ def test_the_tables_of_a_report_are_exported(measured_series: Path, tmp_path: Pa
     assert r"\unit{\mega\pascal}" in made["run-1-parameters.tex"]
     again = rig("export", measured_series, "--format", "latex", "-o", tmp_path / "tex")
     assert "exists already" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "text"),
+    [
+        (3.73315e-3, 1.0e-7, "(3.73315 ± 0.00010) × 10⁻³"),
+        (4.0710047, 2.5e-6, "4.0710047 ± 0.0000025"),
+        (-1.24e-8, 8.2e-9, "(−1.24 ± 0.82) × 10⁻⁸"),
+        (28.9, 0.0996, "28.90 ± 0.10"),
+        (1.0, math.inf, "1.0000"),
+        (math.nan, 1.0, "not determined"),
+        (1.0, 0.0996, "1.00 ± 0.10"),
+        (1.23456, 0.0123, "1.235 ± 0.012"),
+        (-1234.5, 12.3, "−1234 ± 12"),
+        (12345.0, 120.0, "(1.234 ± 0.012) × 10⁴"),
+        (99.996, 0.010, "99.996 ± 0.010"),
+        (9.99996e-4, 1e-6, "(1.0000 ± 0.0010) × 10⁻³"),
+        (-1e-5, 0.5, "0.00 ± 0.50"),
+        (0.0, 99.6, "(0.0 ± 1.0) × 10²"),
+    ],
+)
+def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> None:
+    assert with_uncertainty(value, u) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.12, "+0.12"), (-0.0052, "−0.0052"), (3e-6, "+3.0 × 10⁻⁶"), (0.0, "0"), (-14.2, "−14")],
+)
+def test_a_difference_has_its_sign(value: float, text: str) -> None:
+    assert signed(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "limit", "shown"),
+    [
+        (-29.93581, 0.00044, 10.0, "−29.9"),
+        (3.21, 0.4, 10.0, "+3.21 ± 0.40"),
+        (0.0004321, 1e-6, 0.002, "+0.00043"),
+        (-0.0004, 1e-6, 10.0, "+0.0"),
+        (120.4, 0.01, 200.0, "+120"),
+        (math.nan, 0.1, 10.0, "not determined"),
+    ],
+)
+def test_digits_beside_a_limit(value: float, u: float, limit: float, shown: str) -> None:
+    assert judged_number(value, u, limit) == shown
+
+
+def test_what_rounds_to_zero_has_no_minus() -> None:
+    assert (decimals(-0.04, 1), decimals(-0.04, 1, sign=True), decimals(0.4, 0, sign=True)) == (
+        "0.0",
+        "+0.0",
+        "+0",
+    )
+    assert (decimals(-12.0, 1), decimals(2.25, 2, sign=True)) == ("−12.0", "+2.25")
+
+
+def test_a_sign_where_the_direction_matters() -> None:
+    assert with_uncertainty(2.0, 0.0123, signed=True) == "+2.000 ± 0.012"
+    assert with_uncertainty(2e-7, 1e-9, signed=True) == "(+2.000 ± 0.010) × 10⁻⁷"
+    assert with_uncertainty(-2.0, 0.0123, signed=True) == "−2.000 ± 0.012"
+    assert with_uncertainty(2.0, math.nan, signed=True) == "+2.0000"
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [
+        (0.0025, "+0.25 %"),
+        (-0.069, "−6.9 %"),
+        (1.04, "+104 %"),
+        (-12.3, "−1230 %"),
+        (4.3e-8, "+4.3 × 10⁻⁶ %"),
+        (-4.3e-8, "−4.3 × 10⁻⁶ %"),
+        (0.0, "+0 %"),
+        (-0.0, "+0 %"),
+    ],
+)
+def test_a_difference_has_its_sign_and_no_exponent_of_programs(fraction: float, text: str) -> None:
+    assert signed_percent(fraction) == text
+
+
+def test_a_terminal_without_the_characters_gets_them_spelled_out() -> None:
+    assert spelled(with_uncertainty(-3.73315e-3, 1e-7)) == "(-3.73315 +- 0.00010) x 10^-3"
+    assert spelled("γ / MPa, b / rad⁻ᵖ, 5°") == "gamma / MPa, b / rad^-p, 5 deg"
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(FINITE, FINITE.filter(lambda u: u > 0))
+def test_value_and_uncertainty_end_at_the_second_digit_of_the_uncertainty(value: float, u: float) -> None:
+    value_text, u_text, exponent = rounded(value, u)
+    shown, u_shown = (
+        Decimal(text.replace("−", "-")).scaleb(exponent, Context(prec=1000)) for text in (value_text, u_text)
+    )
+    assert len(u_shown.as_tuple().digits) == 2
+    # both end at the same place, and are the nearest numbers that do
+    assert shown.as_tuple().exponent == u_shown.as_tuple().exponent
+    step = Decimal((0, (1,), int(u_shown.as_tuple().exponent)))
+    with localcontext(prec=1000):
+        assert abs(shown - Decimal(repr(value))) <= step / 2
+        assert abs(u_shown - Decimal(repr(u))) <= step / 2
+    assert (
+        with_uncertainty(value, u)
+        .translate(str.maketrans("", "", "()"))
+        .startswith(f"{value_text} ± {u_text}")
+    )
+
+
+@given(st.floats(-1e12, 1e12).filter(lambda v: abs(v) > 1e-12), st.integers(2, 8))
+def test_a_plain_number_keeps_its_digits(value: float, digits: int) -> None:
+    text = plain(value, digits).replace("−", "-")
+    if " × 10" in text:
+        mantissa, _, power = text.partition(" × 10")
+        exponent = int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
+        text = f"{mantissa}e{exponent}"
+    assert float(text) == pytest.approx(value, rel=0.5001 * 10.0 ** (1 - digits))
+
+
+def test_an_envelope_holds_every_extreme() -> None:
+    x = np.linspace(0, 100, 5003)
+    y = np.sin(7 * x) * np.exp(-0.02 * x)
+    y[1234] = 5.0
+    y[77] = np.nan
+    at, low, high = envelope(x, y, 60)
+    assert len(at) == 60
+    assert high.max() == 5.0
+    assert low.min() == np.nanmin(y)
+    assert np.all(low <= high)
+
+
+def test_lines_end_at_gaps_and_bands_too() -> None:
+    x = np.delete(np.arange(0, 100, 0.01), np.arange(3000, 5000))
+    at, y = broken(x, np.cos(x))
+    (gap,) = np.flatnonzero(np.isnan(y))
+    assert at[gap] == pytest.approx(40, abs=0.02)
+    assert np.array_equal(np.delete(y, gap), np.cos(x))
+    wide, low, high = broken(*envelope(x, np.cos(x), 300))
+    assert np.isnan(low).sum() == np.isnan(high).sum() == 1
+    assert 30 < wide[np.isnan(low)][0] < 50
+    assert len(broken(x[:3], x[:3])[0]) == 3
+
+
+def test_thinning_keeps_both_ends() -> None:
+    kept = thinned(1001, 100)
+    assert kept[0] == 0
+    assert kept[-1] == 1000
+    assert len(kept) == 100
+    assert thinned(5, 100).tolist() == [0, 1, 2, 3, 4]

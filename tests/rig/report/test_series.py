@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,8 @@ from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import size
-from rig.analysis import InstrumentSeries, Series, read_results, write_results
+from rig.analysis import AnalysedRun, InstrumentSeries, Series, read_results, write_results
 from rig.analysis.decay_values import MeanOverPlaces
-from rig.analysis.record_fit import analyse_record
 from rig.analysis.series import session_results
 from rig.report.export import export_session, latex_tables
 from rig.report.figures_contact import series_figure
@@ -55,10 +55,9 @@ def test_tables_hold_every_number_of_the_series(
         assert run.sha256 in about
 
 
-def test_a_run_without_fit_shifts_no_number(measured_series: Path, tmp_path: Path) -> None:
+def test_a_run_without_fit_shifts_no_number(analysed_series: Sequence[AnalysedRun], tmp_path: Path) -> None:
     """The report blamed run 2 where run 3 stood apart, as runs that could not be fitted were not counted."""
-    first = analyse_record(measured_series / "run-1.mcap")
-    second = analyse_record(measured_series / "run-2.mcap")
+    first, second = analysed_series
     unfitted = replace(first, fitted={}, fits={}, problem="too short")
     exact = second.fitted[FitMethod.EXACT]
     odd = replace(exact, values=exact.values + 50 * exact.standard_uncertainty)

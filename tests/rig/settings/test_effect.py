@@ -1,23 +1,19 @@
 """A changed key has an effect if it is read where the work is done; to copy it reads nothing."""
 
+from functools import cache
+
 import pytest
 
 from processing.errors import ConfigurationError
 from rig.settings import Configuration, KeyUseMonitor, validate_configuration
-from tests.rig.settings.test_every_key import STATED, leaves
+from tests.rig.settings.test_every_key import STATED, leaves, value_of
 
 KEYS = [key for key, _ in leaves() if key.partition(".")[0] in STATED]
 
 
+@cache
 def stated() -> Configuration:
     return validate_configuration({"camera": {"driver": "files"}, **STATED}, "test")
-
-
-def value_at(config: object, key: str) -> object:
-    place = config
-    for part in key.split("."):
-        place = place[part] if isinstance(place, dict) else getattr(place, part)
-    return place
 
 
 @pytest.mark.parametrize("key", KEYS)
@@ -26,7 +22,7 @@ def test_a_key_is_read_when_its_value_is_taken(key: str) -> None:
     watched = KeyUseMonitor(config, [f"{key}=1", "camera.driver=files"], "")
     assert watched.config.model_copy().camera is watched.config.camera
     assert watched.unread == [key, "camera.driver"]
-    assert value_at(watched.config, key) == value_at(config, key)
+    assert value_of(watched.config, key) == value_of(config, key)
     assert watched.unread == ["camera.driver"]
     assert watched.config == config
 

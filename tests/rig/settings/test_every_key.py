@@ -160,6 +160,12 @@ def stated_configuration(tree: dict[str, Any] = STATED) -> Configuration:
     return complete(Configuration.model_validate({"camera": {"driver": "files"}, **tree}))
 
 
+@cache
+def stated_tree() -> dict[str, Any]:
+    """All of its keys, with the values that complete it; nobody changes it."""
+    return stated_configuration().model_dump()
+
+
 def value_of(config: Any, key: str) -> Any:
     for part in key.split("."):
         config = config[part] if isinstance(config, dict) else getattr(config, part)
@@ -179,14 +185,14 @@ def observed_before(observe: Callable[[Configuration], Any]) -> Any:
 def test_a_changed_key_changes_what_is_made_of_it(key: str) -> None:
     observe = observer(key)
     assert observe is not None
-    before = stated_configuration().model_dump()
+    before = stated_tree()
     after = with_value(before, key, changed(key, value_of(before, key)))
     assert observe(stated_configuration(after)) != observed_before(observe)
 
 
 @pytest.mark.parametrize("observe", list(dict.fromkeys(OBSERVED.values())))
 def test_nothing_changes_by_itself(observe: Callable[[Configuration], Any]) -> None:
-    assert observe(stated_configuration(stated_configuration().model_dump())) == observed_before(observe)
+    assert observe(stated_configuration(stated_tree())) == observed_before(observe)
 
 
 @cache

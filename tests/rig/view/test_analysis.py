@@ -16,7 +16,7 @@ from rig.settings import load_configuration
 from rig.view import replay_record
 from rig.view.analysis import analysis_curves, report_text, run_analysis
 from rig.view.show import show_records
-from tests.rig.view.replay_record import CONFIG, make_record
+from tests.rig.view.replay_record import CONFIG, WITHOUT_FIT, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values
 
 PANELS = {"decay", "residuals", "period", "period_residuals"}
@@ -97,7 +97,10 @@ def test_advice_reaches_the_view_of_a_record_and_of_its_replay(tmp_path: Path) -
 
 
 def test_a_record_without_a_calibration_and_its_replay_are_in_px(tmp_path: Path) -> None:
-    path, rrd = make_record(tmp_path / "px.mcap", 22.0, calibrated=False), tmp_path / "px.rrd"
+    path, rrd = (
+        make_record(tmp_path / "px.mcap", 22.0, calibrated=False, overrides=WITHOUT_FIT),
+        tmp_path / "px.rrd",
+    )
     with RecordReader(path) as reader:
         names = reader.table("/balance").dtype.names or ()
         balances = reader.balances()

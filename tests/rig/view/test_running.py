@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,17 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE
 from rig.interruption import LOOPBACK, start_python
 from rig.view import RunningView, replay_record, show_records
-from tests.rig.command_line import CONFIGS, rig, set_words
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.view.replay_record import make_record
 from tests.rig.view.rrd_contents import column, contents, entities, scalars
-from tests.rig.view.test_recorded import make_record
 from tests.waiting import until
 
-SHORT = {"session.max_duration_s": "20", "view.file": "true", "instrument.kind": '"tomlinson"'}
+SHORT = {
+    **SMALL,
+    "session.max_duration_s": "20",
+    "view.file": "true",
+    "instrument.kind": '"tomlinson"',
+}
 """Without a fit of the contact, which takes long for a short run."""
 IN_REAL_TIME = {
     "simulation.real_time": "true",
@@ -115,7 +121,7 @@ def test_a_view_that_is_stopped_costs_no_frame(tmp_path: Path) -> None:
 
 @posix_only
 def test_a_view_that_is_killed_is_said(tmp_path: Path) -> None:
-    record = make_record(tmp_path / "run.mcap")
+    record = make_record(tmp_path / "run.mcap", 20.0)
     view = RunningView(record, "none", tmp_path / "run.rrd", "measuring")
     assert view._file_process is not None
     os.kill(view._file_process.pid, signal.SIGKILL)
@@ -154,20 +160,21 @@ def test_a_view_whose_record_never_comes_ends_with_what_started_it(tmp_path: Pat
 def test_another_record_after_a_rejected_start_is_drawn_too(tmp_path: Path) -> None:
     record, rrd = tmp_path / "run.mcap", tmp_path / "run.rrd"
     view = RunningView(record, "none", rrd, "measuring")
-    make_record(record, ended="rejected")
+    make_record(record, 20.0, end="rejected")
     until(lambda: rrd.with_stem("run-start-1").exists())
     record.rename(tmp_path / "run-start-1.mcap")
-    make_record(tmp_path / "made.mcap", rows=700).rename(record)
+    make_record(tmp_path / "made.mcap", 15.0).rename(record)
     assert view.close() == ""
-    assert len(scalars(rrd, "/deflection/x")[0]) == 700
-    assert len(scalars(rrd.with_stem("run-start-1"), "/deflection/x")[0]) == 1000
+    assert len(scalars(rrd, "/deflection/x")[0]) == 749
+    assert len(scalars(rrd.with_stem("run-start-1"), "/deflection/x")[0]) == 999
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads the sockets from /proc/net/tcp")
-def test_the_page_is_served_to_this_machine_only(tmp_path: Path) -> None:
+def test_the_page_of_a_rerun_file_is_served_to_this_machine_only(live: Path) -> None:
+    """That of a record is looked at in a browser (test_web.py)."""
     shown = subprocess.Popen(
-        [sys.executable, "-m", "rig", "view", make_record(tmp_path / "run.mcap"), "--view", "web"],
+        [sys.executable, "-m", "rig", "view", live / "run-1.rrd", "--view", "web"],
         stdout=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
     try:
@@ -177,6 +184,10 @@ def test_the_page_is_served_to_this_machine_only(tmp_path: Path) -> None:
         until(lambda: len(listening(program)) >= 2)
         assert {place.split(":")[0] for place in listening(program)} == {"0100007F"}
         assert address.startswith(f"http://{LOOPBACK}:")
+        (command,) = [words for pid, _, words in processes() if pid == program]
+        assert str(live / "run-1.rrd") in command
+        with urllib.request.build_opener(urllib.request.ProxyHandler({})).open(address, timeout=30) as page:
+            assert page.status == 200
     finally:
         shown.send_signal(signal.SIGINT)
         shown.communicate(timeout=60.0)
@@ -216,14 +227,17 @@ def listening(pid: int) -> set[str]:
     return found
 
 
-BRIEF = {"session.max_duration_s": "12", "instrument.kind": '"tomlinson"'}
-VAULT = Path(__file__).parents[3] / "configs" / "vault.toml"
+BESIDE_REFERENCE = SHORT | {
+    "session.max_duration_s": "12",
+    "simulation.sensor.height_px": "720",
+    "simulation.reference.x_px": "80",
+}
 
 
 @pytest.fixture(scope="module")
 def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("vault")
-    done = rig("run", VAULT, "-o", "out", *set_words(BRIEF), cwd=folder)
+    done = rig("run", CONFIGS / "vault.toml", "-o", "out", *set_words(BESIDE_REFERENCE), cwd=folder)
     assert (folder / "out" / "run-1.rrd").exists(), done.stderr
     return folder / "out"
 

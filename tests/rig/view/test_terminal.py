@@ -9,7 +9,7 @@ import pytest
 
 from tests.acquisition.cameras.usb3vision.backend import wait_until
 from tests.rig.command_line import rig
-from tests.rig.view.replay_record import make_record
+from tests.rig.view.replay_record import WITHOUT_FIT, make_record
 from tests.rig.view.rrd_contents import measured, scalars
 
 if os.name != "posix":
@@ -24,9 +24,8 @@ SECONDS = 60.0
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Without a fit of the contact, which takes long for a short run."""
     path = tmp_path_factory.mktemp("terminal") / "run-1.mcap"
-    return make_record(path, SECONDS, overrides=["instrument.kind='tomlinson'"])
+    return make_record(path, SECONDS, overrides=WITHOUT_FIT)
 
 
 @pytest.fixture

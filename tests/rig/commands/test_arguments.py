@@ -1,18 +1,23 @@
-"""What `rig fit` and `rig run --record-only` take, by what a file is, and what they refuse."""
+"""What commands take: choices, which are written where help must come at once, and files by what they are."""
 
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pytest
+import typer
 
+from rig.archive.updating import Level
 from rig.cli import GROUPS, app
 from rig.commands.arguments import kind_of
+from rig.report.export import Format as ExportFormat
+from rig.settings.configuration import ViewSettings
+from rig.view import LayoutName, Mode
 from tests.rig.command_line import CONFIGS, rig
+from tests.rig.commands.wrong_inputs import commands
 
 
 def test_every_command_stands_under_one_heading() -> None:
-    import typer
-
     listed = [name for names in GROUPS.values() for name in names]
     assert sorted(listed) == sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 
@@ -43,11 +48,9 @@ def test_a_file_is_fitted_as_what_it_is(tmp_path: Path) -> None:
     ("name", "words", "said"),
     [
         ("run.mcap", ("--pixel", "1 mm"), "--pixel: has no effect on records, only on a table or a film"),
-        ("run.mcap", ("--unit", "mrad"), "--unit: has no effect on records"),
         ("decay.csv", ("--dark",), "--dark: has no effect on a table"),
         ("swing.mp4", ("--time", "t"), "--time: has no effect on a film"),
         ("swing.mp4", ("--force-rate",), "--force-rate: needs --rate"),
-        ("mine.toml", (), "mine.toml: is not a table"),
     ],
 )
 def test_what_has_no_effect_is_refused(name: str, words: tuple[str, ...], said: str, tmp_path: Path) -> None:
@@ -75,3 +78,24 @@ def test_one_record_alone(words: tuple[str, ...], said: str, tmp_path: Path) -> 
     assert done.returncode == 2
     assert said in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "choices"),
+    [
+        (("export",), "--format", get_args(ExportFormat)),
+        (("archive", "refit"), "--level", get_args(Level)),
+        (("view",), "--layout", get_args(LayoutName)),
+    ],
+)
+def test_a_command_offers_what_its_room_takes(
+    command: tuple[str, ...], option: str, choices: tuple[Any, ...]
+) -> None:
+    found = dict(commands(typer.main.get_command(app)))[command]
+    (shown,) = [item for item in found.params if option in item.opts]
+    assert {*get_args(shown.type_descriptor.annotation)} == {*choices}
+
+
+@pytest.mark.parametrize(("key", "choices"), [("mode", get_args(Mode)), ("layout", get_args(LayoutName))])
+def test_a_key_of_the_view_takes_what_the_view_knows(key: str, choices: tuple[str, ...]) -> None:
+    assert get_args(ViewSettings.model_fields[key].annotation) == choices
