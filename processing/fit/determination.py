@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import nan
-from typing import Annotated
 
 import numpy as np
 
@@ -21,8 +20,6 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import impossible_signs
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian, Solution, solve
-from processing.number_text import plain, with_uncertainty
-from processing.quantity import OF, Quantity
 from processing.swing import TurningPoints
 
 _SURELY_PARABOLIC = 0.01
@@ -35,7 +32,6 @@ _MOST_HELD = 20
 """Most values at which a parameter is held on each side."""
 _TOLERANCE = 0.15
 """Largest difference of the two intervals' ends, over the half-width, at which value and uncertainty do."""
-_NAMED_UNIT = Quantity("", "", unit=OF + "name")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,12 +44,9 @@ class Determination:
 
     name: str
     verdict: Determinacy
-    value: Annotated[float, _NAMED_UNIT]
-    standard_uncertainty: Annotated[float, _NAMED_UNIT] = nan
-    lower_95: Annotated[float, _NAMED_UNIT]
-    upper_95: Annotated[float, _NAMED_UNIT]
+    lower_95: float = nan
+    upper_95: float = nan
     profile_likelihood: bool = False
-    text: str = ""
 
 
 class _ConditionalModel:
@@ -290,32 +283,17 @@ def identifiability(
     Others that would move by more than their uncertainty, were it at zero, are not determined.
     """
     correlation = np.abs(result.correlation)
-    withheld: dict[str, str] = {}
+    withheld: set[str] = set()
     for cause, below in impossible_signs(result).items():
         moved = below * correlation[result.names.index(cause)]
         withheld |= {
-            name: cause
-            for name in result.contact_names
-            if name != cause and moved[result.names.index(name)] > 1.0
+            name for name in result.contact_names if name != cause and moved[result.names.index(name)] > 1.0
         }
     return tuple(
-        _withheld(result, name, withheld[name])
+        Determination(name=name, verdict=Determinacy.UNDETERMINED)
         if name in withheld
         else _determination(points, pendulum, result, name)
         for name in result.contact_names
-    )
-
-
-def _withheld(result: FitResult, name: str, cause: str) -> Determination:
-    value, u = result.estimate(name)
-    return Determination(
-        name=name,
-        verdict=Determinacy.UNDETERMINED,
-        value=value,
-        standard_uncertainty=u,
-        lower_95=nan,
-        upper_95=nan,
-        text=f"{name} is withheld: {cause}, with which it goes, is negative, which it cannot be",
     )
 
 
@@ -343,20 +321,6 @@ def _determination(
         elif np.isnan(lower) or (lower <= 0 and not_negative):
             verdict = Determinacy.UPPER_BOUND
             lower = 0.0 if not_negative else lower
-    texts = {
-        Determinacy.DETERMINED: f"{name} = {with_uncertainty(value, u)}",
-        Determinacy.INTERVAL: f"{name} between {plain(lower, 2)} and {plain(upper, 2)} (95 %)",
-        Determinacy.UPPER_BOUND: f"{name} below {plain(upper, 2)} (95 %)",
-        Determinacy.LOWER_BOUND: f"{name} above {plain(lower, 2)} (95 %)",
-        Determinacy.UNDETERMINED: f"{name} is not determined by these data",
-    }
     return Determination(
-        name=name,
-        verdict=verdict,
-        value=value,
-        standard_uncertainty=u,
-        lower_95=lower,
-        upper_95=upper,
-        profile_likelihood=by_profile,
-        text=texts[verdict],
+        name=name, verdict=verdict, lower_95=lower, upper_95=upper, profile_likelihood=by_profile
     )

@@ -96,6 +96,13 @@ def test_compiled_once_and_then_loaded(folder: Path) -> None:
 
 
 @pytest.mark.slow
+def test_what_only_compiles_is_not_imported_to_load(folder: Path) -> None:
+    program = "import sys, outer_kernel as o; print(o.outer(1.0, 1), 'numba.np.arraymath' in sys.modules)"
+    assert printed(folder, program).split() == ["21.0", "True"]
+    assert printed(folder, program).split() == ["21.0", "False"]
+
+
+@pytest.mark.slow
 def test_a_kernel_called_by_another_and_by_python_is_loaded_for_both(folder: Path) -> None:
     program = "import outer_kernel; print(outer_kernel.outer(1.0, 1), outer_kernel.filled(2).tolist())"
     for _ in range(2):  # compiled, then loaded in a process that has compiled nothing

@@ -187,7 +187,6 @@ def test_at_the_rigs_noise_every_parameter_is_determined() -> None:
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2)
     for item in identifiability(points, pendulum, fit_exact(points, pendulum)):
         assert item.verdict == "determined"
-        assert "±" in item.text
 
 
 def test_what_noise_hides_is_an_interval_or_a_bound() -> None:
@@ -198,8 +197,6 @@ def test_what_noise_hides_is_an_interval_or_a_bound() -> None:
     assert c.verdict in ("interval", "upper bound")
     assert c.lower_95 <= parameters.c <= c.upper_95
     assert c.profile_likelihood
-    assert "±" not in c.text
-    assert "95 %" in c.text
 
 
 @pytest.mark.slow
@@ -220,7 +217,7 @@ def test_a_short_run_without_adhesion_gives_bounds_not_numbers() -> None:
         # six 95 % intervals of one seeded run, allowed half their width beyond
         truth = getattr(parameters, item.name)
         margin = 0.5 * (high - low) if np.isfinite(high - low) else 0.0
-        assert low - margin <= truth <= high + margin, item.text
+        assert low - margin <= truth <= high + margin, item
 
 
 def test_a_profile_is_followed_although_the_law_allows_less_than_the_uncertainty_says() -> None:
