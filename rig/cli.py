@@ -10,7 +10,6 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
-from importlib import metadata
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -91,6 +90,9 @@ for _each in (each for commands in _COMMANDS.values() for each in commands):
 
 def _version(asked: bool) -> None:
     if asked:
+        # imported here because it reads e-mail headers, which takes longer than the rest of this module
+        from importlib import metadata
+
         print(f"optical-pendulum-rig {metadata.version('optical-pendulum-rig')}")
         raise typer.Exit
 

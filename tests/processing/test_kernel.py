@@ -96,6 +96,13 @@ def test_compiled_once_and_then_loaded(folder: Path) -> None:
     assert compilations(imported_again()) == (21.0, [])
 
 
+@pytest.mark.slow
+def test_what_only_compiles_is_not_imported_to_load(folder: Path) -> None:
+    program = "import sys, outer_kernel as o; print(o.outer(1.0, 1), 'numba.np.arraymath' in sys.modules)"
+    assert printed(folder, program).split() == ["21.0", "True"]
+    assert printed(folder, program).split() == ["21.0", "False"]
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "result"),
     [

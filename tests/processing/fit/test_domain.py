@@ -49,6 +49,8 @@ def test_a_sign_that_cannot_be_is_named() -> None:
     for name in fit.contact_names:
         if name != "gamma_pa" and abs(correlated[fit.names.index(name)]) > 0.2:
             assert found[name].verdict is Determinacy.UNDETERMINED
+            assert np.isnan(found[name].lower_95)
+            assert np.isnan(found[name].upper_95)
     # within its uncertainty a quantity that is zero may come out below
     values[at] = -2 * fit.standard_uncertainty[at]
     assert not list(domain_warnings(points, PENDULUM, replace(fit, values=values)))
