@@ -60,9 +60,8 @@ _UNSEEN_S = 30.0
 _LEFT = f"nobody has looked at the picture for {_UNSEEN_S:g} s"
 _FOCUS_POINTS = 600
 _LEAST_REGION_PX = 8
-EXPOSE = "expose"
-"""Request for the exposure at which the peak is at its target."""
-Wish = CameraSettings | str | Callable[[CameraSettings], CameraSettings]
+Wish = Callable[[Camera, CameraInfo, CameraSettings], CameraSettings]
+"""Request to a stopped camera, whose settings are given; returns those that it has then."""
 
 
 class Aligner:
@@ -94,13 +93,17 @@ class Aligner:
     def start(self) -> None:
         self._thread.start()
 
-    def wish(self, wish: Wish) -> None:
-        """Ask the camera for settings, or for the right exposure (`EXPOSE`); `note` tells what came of it.
+    def wish(self, wanted: Callable[[CameraSettings], CameraSettings]) -> None:
+        """Ask the camera for settings; `note` tells what came of it.
 
-        A function makes the settings from those that hold when its turn comes: a key may be pressed several
-        times before the camera has followed once.
+        They are made from those that hold when their turn comes: a key may be pressed several times before
+        the camera has followed once.
         """
-        self._wishes.put(wish)
+        self._wishes.put(lambda camera, _, now: camera.configure(wanted(now)))
+
+    def wish_exposure(self) -> None:
+        """Ask for the exposure at which the peak is at its target."""
+        self._wishes.put(lambda camera, info, now: find_exposure(camera, info, now).applied)
 
     def wish_region(self, left_px: int, top_px: int, width_px: int, height_px: int) -> None:
         """Request a region within the present frame, which may be a region of the sensor already."""
@@ -108,14 +111,13 @@ class Aligner:
             return
         rows, columns = look.image.shape
         x0, y0 = self.applied.offset_x_px or 0, self.applied.offset_y_px or 0
-        self.wish(
-            CameraSettings(
-                width_px=max(_LEAST_REGION_PX, min(width_px, columns)),
-                height_px=max(_LEAST_REGION_PX, min(height_px, rows)),
-                offset_x_px=x0 + max(0, left_px),
-                offset_y_px=y0 + max(0, top_px),
-            )
+        region = CameraSettings(
+            width_px=max(_LEAST_REGION_PX, min(width_px, columns)),
+            height_px=max(_LEAST_REGION_PX, min(height_px, rows)),
+            offset_x_px=x0 + max(0, left_px),
+            offset_y_px=y0 + max(0, top_px),
         )
+        self.wish(lambda _: region)
 
     def close(self) -> None:
         """Stop and close the camera; waits until it is free."""
@@ -220,15 +222,9 @@ class Aligner:
                         return
                 # a camera is configured while it is stopped, and goes on with the next look
                 while not self._wishes.empty():
-                    wish = self._wishes.get()
-                    before = self.applied
+                    wish, before = self._wishes.get(), self.applied
                     try:
-                        if callable(wish):
-                            wish = wish(before)
-                        if isinstance(wish, CameraSettings):
-                            self.applied = camera.configure(wish)
-                        else:
-                            self.applied = find_exposure(camera, info, before).applied
+                        self.applied = wish(camera, info, before)
                         same = self.applied == before
                         self.note = "nothing has changed: the camera's limit" if same else ""
                     except (DeviceError, RigError) as error:
