@@ -7,52 +7,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, Frame
-from acquisition.frames.guard import FrameChecks
+from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
 from processing.errors import DeviceError, RigError
-from rig.control import LightPermit, LightRefused, SafetyNow, SafetyState, Stage
+from rig.control import LightRefused, SafetyNow, SafetyState, Stage
 from rig.devices import AlignmentFrame, Devices, LightWatch, find_exposure, take_look, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
-
-
-class LitCamera:
-    """An open camera that tells the laser's permit of each frame; it is opened and closed by who gave it."""
-
-    def __init__(self, camera: Camera, info: CameraInfo, permit: LightPermit) -> None:
-        self._camera, self._info, self._permit = camera, info, permit
-        self._delivered = FrameChecks()
-
-    def open(self) -> CameraInfo:
-        return self._info
-
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        return self._camera.configure(settings)
-
-    def start(self) -> None:
-        # another region has images of another size
-        self._delivered = FrameChecks()
-        self._camera.start()
-
-    def read(self, timeout_s: float) -> Frame | None:
-        frame = self._camera.read(timeout_s)
-        if frame is not None:
-            frame = self._delivered.check(frame)
-            self._permit.frame_read(frame.image)
-        # the reader looks at once
-        self._permit.moved(Stage.PROCESSING)
-        return frame
-
-    def stop(self) -> None:
-        self._camera.stop()
-
-    def close(self) -> None:
-        self._camera.stop()
-
-    @property
-    def status(self) -> CameraStatus:
-        return self._camera.status
-
 
 _LOOK_S = 0.1
 _UNSEEN_S = 30.0
@@ -103,7 +63,9 @@ class Aligner:
 
     def wish_exposure(self) -> None:
         """Ask for the exposure at which the peak is at its target."""
-        self._wishes.put(lambda camera, info, now: find_exposure(camera, info, now).applied)
+        self._wishes.put(
+            lambda camera, info, now: find_exposure(camera, info, now, on_frame=self._frame_read).applied
+        )
 
     def wish_region(self, left_px: int, top_px: int, width_px: int, height_px: int) -> None:
         """Request a region within the present frame, which may be a region of the sensor already."""
@@ -179,6 +141,13 @@ class Aligner:
             devices.darken(_LEFT)
         self.darkness = _LEFT if self._left else devices.darkness()
 
+    def _frame_read(self, frame: Frame) -> None:
+        """Tell the laser's permit of a frame."""
+        if (devices := self._devices) is not None:
+            devices.permit.frame_read(frame.image)
+            # the reader looks at once
+            devices.permit.moved(Stage.PROCESSING)
+
     def _say(self, text: str) -> None:
         self.note = text
 
@@ -196,7 +165,7 @@ class Aligner:
             optics = optics_of(config, info.full_scale_dn)
             # compiled while it is dark: a laser may be lit only while frames are looked at
             prepare_kernels(optics.sensor, self._say)
-            camera = LitCamera(opened.camera, info, devices.permit)
+            camera = opened.camera
             self.note = "; ".join((*opened.notes, _lit(devices)))
             self._seen_s = time.monotonic()
             light = LightWatch(devices)
@@ -204,7 +173,7 @@ class Aligner:
             reference = optics.reference()
             reference_px = config.lever_reference_px
             while not self._ended.is_set():
-                frames = watch_latest(camera, 1, float("inf"), interval_s=_LOOK_S)
+                frames = watch_latest(camera, 1, float("inf"), interval_s=_LOOK_S, on_frame=self._frame_read)
                 with contextlib.closing(frames):
                     for *_, frame in frames:
                         look = take_look(

@@ -96,16 +96,14 @@ class Desk:
 
         Raises ConfigurationError where the camera is in use, or a trip is not acknowledged. May wait.
         """
-        self._needs_leave(name)
-        self.needs_camera(name)
+        self._needs_rig(name)
         self.checked(values)
         return self.jobs.begin(name, str(self.source), *words, *self._sets(values), uses_camera=True)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
         with self._lock:
-            self._needs_leave("run")
-            self.needs_camera("run")
+            self._needs_rig("run")
             config = self.checked(values)
             folder, _ = session_folder(config, self.source, None)
             words = ["run", str(self.source), "-o", str(folder), *self._sets(values)]
@@ -116,8 +114,7 @@ class Desk:
     def resume_session(self, folder: Path) -> None:
         """Start `rig run --resume`; it goes on when the desk ends."""
         with self._lock:
-            self._needs_leave("run")
-            self.needs_camera("run")
+            self._needs_rig("run")
             self.started = start_session(["run", "--resume", str(folder)], folder), folder
         self.following.look_now(folder)
 
@@ -175,10 +172,11 @@ class Desk:
             time.sleep(_LOOK_S)
         return True
 
-    def _needs_leave(self, who: str) -> None:
-        """Refuse, by a ConfigurationError, to start anything that would light while a trip is latched."""
+    def _needs_rig(self, who: str) -> None:
+        """Give the camera free; raises ConfigurationError while a trip is latched. May wait."""
         if (trip := self.safety.trip) is not None:
             raise ConfigurationError(f"rig {who} is not started: {trip.text}; acknowledge it first")
+        self.needs_camera(who)
 
     def begin_aligning(self) -> None:
         """Open the camera for the live picture."""

@@ -32,9 +32,11 @@ AT = "the desk"
 """Place of the press, in the text of a trip."""
 
 
-def _beside(do: Callable[..., T], *given: object) -> Future[T]:
+def beside(do: Callable[..., T], *given: object) -> Future[T]:
     """Call a function in a thread of its own, which may hang at a frozen process or a disk."""
     done: Future[T] = Future()
+    # nobody who waits for it no more can cancel it
+    done.set_running_or_notify_cancel()
 
     def work() -> None:
         try:
@@ -49,7 +51,7 @@ def _beside(do: Callable[..., T], *given: object) -> Future[T]:
 def _takes_orders(folder: Path) -> bool:
     """Whether the session in a folder takes orders; False where its disk hangs."""
     try:
-        return _beside((folder / ORDERS_NAME).exists).result(_KEPT_WITHIN_S)
+        return beside((folder / ORDERS_NAME).exists).result(_KEPT_WITHIN_S)
     except TimeoutError:
         return False
 
@@ -93,7 +95,7 @@ class Lighting:
         dark: Future[None] | None = None
         if (aligner := desk.aligner) is not None:
             # in a thread, because it latches the trip on a disk that may hang
-            dark, heard = _beside(aligner.light_off), aligner.running
+            dark, heard = beside(aligner.light_off), aligner.running
         problems = darken_beside(desk.config.laser, desk.config.controller)
         folders = {folder.absolute() for folder in (desk.following.folder,) if folder is not None}
         if (begun := desk.started) is not None and begun[0].poll() is None:
@@ -102,9 +104,9 @@ class Lighting:
                 # it cannot take an order yet; a session that was followed and is gone is being fitted
                 begun[0].terminate()
                 heard = True
-        orders = [_beside(_order_dark, folder) for folder in folders]
+        orders = [beside(_order_dark, folder) for folder in folders]
         # in a thread, because the disk with the name of the program that has the rig may hang
-        orders.append(_beside(self._holder_dark, folders))
+        orders.append(beside(self._holder_dark, folders))
         for _, job in desk.jobs.running(uses_camera=True):
             job.end()
             heard = True
@@ -135,7 +137,7 @@ class Lighting:
         if presses is None:
             return ""
         try:
-            _beside(presses.press, AT).result(_KEPT_WITHIN_S)
+            beside(presses.press, AT).result(_KEPT_WITHIN_S)
         except TimeoutError:
             return f"{presses.path}: the disk hangs"
         except Exception as error:

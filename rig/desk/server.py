@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import hmac
 import http
+import logging
 import socket
 import threading
 import urllib.parse
@@ -25,6 +26,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
+from rig.desk.lighting import beside
 from rig.desk.page import DARK, build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
@@ -119,6 +121,7 @@ class Guard:
         return passed  # type: ignore[return-value]
 
 
+_log = logging.getLogger(__name__)
 _PORT = 8642
 _MOST_PX = 2000
 _GOODBYE_S = 3
@@ -200,20 +203,14 @@ def _light_off(desk: Desk) -> FastAPI:
 
     @app.post(DARK)
     async def dark(request: Request) -> Response:
-        press = urllib.parse.unquote(request.url.query)
-        loop = asyncio.get_running_loop()
-        reply: asyncio.Future[str] = loop.create_future()
-
-        def off() -> None:
+        try:
+            # a thread of its own: those of a pool may all be waiting
+            off = beside(desk.lighting.off, urllib.parse.unquote(request.url.query))
+            problems = await asyncio.wrap_future(off)
+        except Exception:
+            _log.exception("LIGHT OFF has failed")
             problems = ["the desk has failed: turn the key switch"]
-            try:
-                problems = desk.lighting.off(press)
-            finally:
-                loop.call_soon_threadsafe(reply.set_result, "; ".join(problems))
-
-        # a thread of its own: those of a pool may all be waiting
-        threading.Thread(target=off, name="light off", daemon=True).start()
-        return PlainTextResponse(await reply)
+        return PlainTextResponse("; ".join(problems))
 
     return app
 

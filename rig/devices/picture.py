@@ -1,7 +1,7 @@
 """Brightness, saturation and sharpness of a picture, and the exposure at which its peak is right."""
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,7 +130,13 @@ class Exposure(NamedTuple):
     peak: float
 
 
-def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, target: float = 0.7) -> Exposure:
+def find_exposure(
+    camera: Camera,
+    info: CameraInfo,
+    applied: CameraSettings,
+    target: float = 0.7,
+    on_frame: Callable[[Frame], object] = lambda _: None,
+) -> Exposure:
     """Vary the exposure time until the peak is at `target` of full scale, within 3 % of it.
 
     Parameters
@@ -139,6 +145,8 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
         Open, configured and stopped; it is stopped again afterwards and keeps the exposure time.
     applied
         Settings that the camera has read back.
+    on_frame
+        Is called with every frame.
 
     Raises
     ------
@@ -152,7 +160,7 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
     longest_us = 0.95e6 / applied.frame_rate_hz if applied.frame_rate_hz else 1e6
     seen: PictureFigures | None = None
     for _ in range(_STEPS):
-        seen = _look(camera, info)
+        seen = _look(camera, info, on_frame)
         if not seen.saturated_px and abs(seen.peak - target) <= _TOLERANCE * target:
             return Exposure(applied, exposure_us, seen.peak)
         light = seen.peak - seen.background
@@ -176,7 +184,7 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
     )
 
 
-def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
+def _look(camera: Camera, info: CameraInfo, on_frame: Callable[[Frame], object]) -> PictureFigures:
     camera.start()
     delivered = FrameChecks()
     try:
@@ -185,7 +193,9 @@ def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
             frame = camera.read(_TIMEOUT_S)
             if frame is None:
                 raise DeviceError(f"{info.model}: no more frames; finding an exposure needs a live camera")
-            seen.append(figures(delivered.check(frame).image, info.full_scale_dn))
+            checked = delivered.check(frame)
+            on_frame(checked)
+            seen.append(figures(checked.image, info.full_scale_dn))
     finally:
         camera.stop()
     return PictureFigures(

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 
 from acquisition import atomic_write
@@ -140,12 +140,14 @@ def watch_latest(
     at_least: int,
     end_s: float,
     interval_s: float = _LOOK_S,
+    on_frame: Callable[[Frame], object] = lambda _: None,
 ) -> Generator[list[Frame]]:
     """Yield blocks of `at_least` frames, at most one per `interval_s`; older frames are dropped.
 
     The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one block
     at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
-    camera, and frames that no camera may deliver, are raised here.
+    camera, and frames that no camera may deliver, are raised here. `on_frame` is called with every frame,
+    dropped ones too, in the thread that reads them.
     """
     errors: list[Exception] = []
     delivered, queue = FrameChecks(), BoundedQueue[Frame](at_least, "latest")
@@ -153,7 +155,9 @@ def watch_latest(
     def acquire() -> None:
         try:
             while (frame := camera.read(_TIMEOUT_S)) is not None:
-                queue.put(delivered.check(frame))
+                checked = delivered.check(frame)
+                on_frame(checked)
+                queue.put(checked)
                 if ended.is_set():
                     break
         except Exception as error:

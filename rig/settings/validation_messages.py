@@ -77,8 +77,8 @@ def _without_unit(text: str, key: str) -> str:
 def expected_text(fault: ErrorDetails) -> str:
     """The expected kind of value, in words, for a value of the wrong type or out of range."""
     kind = fault["type"]
-    if kind in _EXPECTED:
-        return _EXPECTED[kind]
+    if expected := _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0]):
+        return expected
     if kind in ("too_short", "too_long"):
         least, most = (fault["ctx"].get(name) for name in ("min_length", "max_length"))
         return f"a list of {f'{least} entries or more' if most is None else f'at most {most} entries'}"
@@ -99,29 +99,19 @@ def _shown(value: Any) -> str:
 
 _MAX_LENGTH = 80
 _EXPECTED = {
-    "bool_parsing": "true or false",
-    "bool_type": "true or false",
-    "dataclass_type": "a table with keys of its own",
-    "dict_type": "a table with keys of its own",
-    "float_parsing": "a number",
-    "float_type": "a number",
-    "finite_number": "a finite number",
-    "list_type": "a list in brackets",
-    "int_from_float": "a whole number",
-    "int_parsing": "a whole number",
-    "int_type": "a whole number",
-    "is_instance_of": "a table with keys of its own",
-    "model_attributes_type": "a table with keys of its own",
-    "model_type": "a table with keys of its own",
-    "path_type": "the name of a file, in quotes",
+    "bool": "true or false",
+    "float": "a number",
+    "int": "a whole number",
+    "path": "the name of a file, in quotes",
+    "string": "text, in quotes",
     "string_pattern_mismatch": "a name of letters, digits, points, hyphens and underlines",
-    "string_type": "text, in quotes",
-    "tuple_type": "a list in brackets",
+    **dict.fromkeys(("dataclass", "dict", "is", "model"), "a table with keys of its own"),
+    **dict.fromkeys(("list", "tuple"), "a list in brackets"),
     **dict.fromkeys(
-        ("datetime_from_date_parsing", "datetime_parsing", "datetime_type", "timezone_aware"),
-        "a time with its offset from UTC, such as 2026-11-22T09:30:00+01:00",
+        ("datetime", "timezone"), "a time with its offset from UTC, such as 2026-11-22T09:30:00+01:00"
     ),
 }
+"""The kind of value by pydantic's type of a fault, or by the first word of it."""
 
 
 class KeyFault(NamedTuple):

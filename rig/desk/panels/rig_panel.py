@@ -20,6 +20,7 @@ from rig.desk.following import doing
 from rig.desk.panels.between_runs import as_typed, setting_field
 from rig.desk.panels.live_picture import LivePicture, has_picture, look_now
 from rig.desk.tab import DELIBERATE, Handler, Tab, apart, box
+from rig.devices import AlignmentFrame
 from rig.terminal import Verdict
 
 KEYS = (("z", "rig: zoom 1, 4, 16"),)
@@ -126,8 +127,14 @@ def _ask_region(desk: Desk, left: float, top: float, width: float, height: float
 def _build_controls(desk: Desk, tab: Tab) -> None:
     """Lamps of the beam, exposure and gain, histogram, focus and figures of the picture."""
 
+    look: AlignmentFrame | None = None
+
+    def take() -> None:
+        nonlocal look
+        look = look_now(desk)
+
     def lamps() -> str:
-        now, look = desk.aligner, look_now(desk)
+        now = desk.aligner
         # of a frame that is dark on purpose there is nothing to be judged: why it is stands below
         if look is None or (now is not None and now.darkness):
             return ""
@@ -142,11 +149,10 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
         return tables.span(wrong or now.note, "caution" if wrong else "dim")
 
     def figures() -> str:
-        look = look_now(desk)
         return "" if look is None else tables.table(look.rows(), "figures of the picture")
 
     def draw() -> None:
-        now, look = desk.aligner, look_now(desk)
+        now = desk.aligner
         sharpness = [] if now is None else list(now.focus)
         focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
         if look is None:
@@ -158,6 +164,7 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
             [[(float(at), round(math.log10(1 + n), 3)) for at, n in zip(middles, counts, strict=True)]]
         )
 
+    tab.keep(take)
     tab.html(lamps, props='role="status" aria-label="lamps"')
     tab.html(note, props='role="status"')
     _build_setting(desk, tab, "exposure_us", "exposure / µs", lambda us, sense: us * _STEP**sense)
