@@ -84,7 +84,7 @@ def chart_options(
             **(to_scale if is_square else {"scale": True}),
         }
         # where rows lie close the ends of one meet those of the next
-        y_axes.append(_axis(row, shown.unit, has_ends=not last and kind != "small") | up)
+        y_axes.append(_axis(row, shown.unit, has_ends=not last, has_top=kind != "small") | up)
     series = [_series(curve, one, unit) for curve, one in zip(curves, points, strict=True)]
     if marks and not is_empty:
         series[0]["markLine"] = {
@@ -119,9 +119,11 @@ def chart_options(
 _INSIDE = {"top": 22, "bottom": 42}
 
 
-def _axis(row: int, unit: str, *, is_labelled: bool = True, has_ends: bool) -> dict[str, Any]:
-    """Options common to both axes of a row; `has_ends` is True for labels at both ends."""
-    ends = {"showMinLabel": has_ends, "showMaxLabel": has_ends}
+def _axis(
+    row: int, unit: str, *, is_labelled: bool = True, has_ends: bool, has_top: bool = True
+) -> dict[str, Any]:
+    """Options common to both axes of a row; labels stand at both ends, at the lower one only, or at none."""
+    ends = {"showMinLabel": has_ends, "showMaxLabel": has_ends and has_top}
     return {
         "type": "value",
         "gridIndex": row,

@@ -75,7 +75,7 @@ def net_of(parts: Sequence[float]) -> str:
 
 def drawing(turn: Mapping[str, Any] | None) -> str:
     """The pendulum from above and from the side, its weights, an arrow round the one to be turned."""
-    drawn = tables.static("pendulum.svg")
+    drawn = tables.static("weights.svg")
     if turn is None:
         return drawn.replace("LABEL", "the pendulum and its weights")
     ways = ["clockwise" if part > 0 else "anticlockwise" for part in turn["parts"]]
