@@ -61,11 +61,11 @@ def configuration(ctx: typer.Context, given: _Given) -> _Given:
     return given
 
 
-def _each(check: Callable[[Path], object]) -> Callable[[_Given], _Given]:
-    """A check of every path of a parameter, after the check that it exists."""
+def _each(check: Callable[[Path], object], *, is_read: bool = True) -> Callable[[_Given], _Given]:
+    """A check of every path of a parameter; of one that is read after the check that it exists."""
 
     def checked(given: _Given) -> _Given:
-        for path in _paths(there(given)):
+        for path in _paths(there(given) if is_read else given):
             check(path)
         return given
 
@@ -177,13 +177,7 @@ Check = Callable[[Path | None], Path | None]
 
 def _output(check: Callable[[Path], object]) -> Check:
     """A check of a path to write, if one is stated."""
-
-    def checked(path: Path | None) -> Path | None:
-        if path is not None:
-            check(path)
-        return path
-
-    return checked
+    return _each(check, is_read=False)
 
 
 def new_file(*suffixes: str, makes_folders: bool = False) -> Check:

@@ -29,9 +29,10 @@ class JobExpired(DeviceError):
 def in_thread(call: Callable[..., T], *given: object) -> "Future[T]":
     """Call a function, which may hang at a disk, a port or another process, in a thread of its own.
 
-    The program does not wait for that thread when it ends.
+    The program does not wait for that thread when it ends, and who stops waiting for it cannot cancel it.
     """
     future: Future[T] = Future()
+    future.set_running_or_notify_cancel()
 
     def work() -> None:
         try:

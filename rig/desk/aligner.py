@@ -7,52 +7,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, Frame
-from acquisition.frames.guard import FrameChecks
+from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
 from processing.errors import DeviceError, RigError
-from rig.control import LightPermit, LightRefused, SafetyNow, SafetyState, Stage
+from rig.control import LightRefused, SafetyNow, SafetyState, Stage
 from rig.devices import AlignmentFrame, Devices, LightWatch, find_exposure, take_look, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
-
-
-class LitCamera:
-    """An open camera that tells the laser's permit of each frame; it is opened and closed by who gave it."""
-
-    def __init__(self, camera: Camera, info: CameraInfo, permit: LightPermit) -> None:
-        self._camera, self._info, self._permit = camera, info, permit
-        self._delivered = FrameChecks()
-
-    def open(self) -> CameraInfo:
-        return self._info
-
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        return self._camera.configure(settings)
-
-    def start(self) -> None:
-        # another region has images of another size
-        self._delivered = FrameChecks()
-        self._camera.start()
-
-    def read(self, timeout_s: float) -> Frame | None:
-        frame = self._camera.read(timeout_s)
-        if frame is not None:
-            frame = self._delivered.check(frame)
-            self._permit.frame_read(frame.image)
-        # the reader looks at once
-        self._permit.moved(Stage.PROCESSING)
-        return frame
-
-    def stop(self) -> None:
-        self._camera.stop()
-
-    def close(self) -> None:
-        self._camera.stop()
-
-    @property
-    def status(self) -> CameraStatus:
-        return self._camera.status
-
 
 _LOOK_S = 0.1
 _UNSEEN_S = 30.0
@@ -60,9 +20,8 @@ _UNSEEN_S = 30.0
 _LEFT = f"nobody has looked at the picture for {_UNSEEN_S:g} s"
 _FOCUS_POINTS = 600
 _LEAST_REGION_PX = 8
-EXPOSE = "expose"
-"""Request for the exposure at which the peak is at its target."""
-Wish = CameraSettings | str | Callable[[CameraSettings], CameraSettings]
+Wish = Callable[[Camera, CameraInfo, CameraSettings], CameraSettings]
+"""Request to a stopped camera, whose settings are given; returns those that it has then."""
 
 
 class Aligner:
@@ -94,13 +53,19 @@ class Aligner:
     def start(self) -> None:
         self._thread.start()
 
-    def wish(self, wish: Wish) -> None:
-        """Ask the camera for settings, or for the right exposure (`EXPOSE`); `note` tells what came of it.
+    def wish(self, wanted: Callable[[CameraSettings], CameraSettings]) -> None:
+        """Ask the camera for settings; `note` tells what came of it.
 
-        A function makes the settings from those that hold when its turn comes: a key may be pressed several
-        times before the camera has followed once.
+        They are made from those that hold when their turn comes: a key may be pressed several times before
+        the camera has followed once.
         """
-        self._wishes.put(wish)
+        self._wishes.put(lambda camera, _, now: camera.configure(wanted(now)))
+
+    def wish_exposure(self) -> None:
+        """Ask for the exposure at which the peak is at its target."""
+        self._wishes.put(
+            lambda camera, info, now: find_exposure(camera, info, now, on_frame=self._frame_read).applied
+        )
 
     def wish_region(self, left_px: int, top_px: int, width_px: int, height_px: int) -> None:
         """Request a region within the present frame, which may be a region of the sensor already."""
@@ -108,14 +73,13 @@ class Aligner:
             return
         rows, columns = look.image.shape
         x0, y0 = self.applied.offset_x_px or 0, self.applied.offset_y_px or 0
-        self.wish(
-            CameraSettings(
-                width_px=max(_LEAST_REGION_PX, min(width_px, columns)),
-                height_px=max(_LEAST_REGION_PX, min(height_px, rows)),
-                offset_x_px=x0 + max(0, left_px),
-                offset_y_px=y0 + max(0, top_px),
-            )
+        region = CameraSettings(
+            width_px=max(_LEAST_REGION_PX, min(width_px, columns)),
+            height_px=max(_LEAST_REGION_PX, min(height_px, rows)),
+            offset_x_px=x0 + max(0, left_px),
+            offset_y_px=y0 + max(0, top_px),
         )
+        self.wish(lambda _: region)
 
     def close(self) -> None:
         """Stop and close the camera; waits until it is free."""
@@ -177,6 +141,13 @@ class Aligner:
             devices.darken(_LEFT)
         self.darkness = _LEFT if self._left else devices.darkness()
 
+    def _frame_read(self, frame: Frame) -> None:
+        """Tell the laser's permit of a frame."""
+        if (devices := self._devices) is not None:
+            devices.permit.frame_read(frame.image)
+            # the reader looks at once
+            devices.permit.moved(Stage.PROCESSING)
+
     def _say(self, text: str) -> None:
         self.note = text
 
@@ -194,7 +165,7 @@ class Aligner:
             optics = optics_of(config, info.full_scale_dn)
             # compiled while it is dark: a laser may be lit only while frames are looked at
             prepare_kernels(optics.sensor, self._say)
-            camera = LitCamera(opened.camera, info, devices.permit)
+            camera = opened.camera
             self.note = "; ".join((*opened.notes, _lit(devices)))
             self._seen_s = time.monotonic()
             light = LightWatch(devices)
@@ -202,7 +173,7 @@ class Aligner:
             reference = optics.reference()
             reference_px = config.lever_reference_px
             while not self._ended.is_set():
-                frames = watch_latest(camera, 1, float("inf"), interval_s=_LOOK_S)
+                frames = watch_latest(camera, 1, float("inf"), interval_s=_LOOK_S, on_frame=self._frame_read)
                 with contextlib.closing(frames):
                     for *_, frame in frames:
                         look = take_look(
@@ -220,15 +191,9 @@ class Aligner:
                         return
                 # a camera is configured while it is stopped, and goes on with the next look
                 while not self._wishes.empty():
-                    wish = self._wishes.get()
-                    before = self.applied
+                    wish, before = self._wishes.get(), self.applied
                     try:
-                        if callable(wish):
-                            wish = wish(before)
-                        if isinstance(wish, CameraSettings):
-                            self.applied = camera.configure(wish)
-                        else:
-                            self.applied = find_exposure(camera, info, before).applied
+                        self.applied = wish(camera, info, before)
                         same = self.applied == before
                         self.note = "nothing has changed: the camera's limit" if same else ""
                     except (DeviceError, RigError) as error:

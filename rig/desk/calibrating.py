@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
 FOLDER = Path("calibrations")
-Stated = Mapping[str, str]
-"""Texts typed into the fields of a kind of calibration, by the names of the fields."""
 _UNKNOWN = "unknown"
 _SIDES = (_UNKNOWN, "+", "-")
 
@@ -34,6 +32,11 @@ class CalibrationKind:
     """The list of measured values (TOML) to begin with; empty where the input is one record."""
     fields: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
     """Further options of the command by name: what is asked for, and the choices, if there are any."""
+
+    @property
+    def recording(self) -> tuple[str, str, str]:
+        """Command after `rig camera`, its option for the amount, and the suffix of what it writes."""
+        return ("frames", "-n", "") if self.seconds is None else ("record", "--seconds", ".mcap")
 
 
 KINDS: Final[Mapping[str, CalibrationKind]] = {
@@ -99,94 +102,87 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
 """All kinds by the word after ``rig calibrate``, in the order in which a rig is calibrated."""
 
 
-class Calibrating:
-    """The calibrations of a desk: one recording at a time, and what was filed.
+class Calibration:
+    """A kind of calibration at a desk: what is recorded for it, and what was filed.
 
-    `made` are the calibrations filed at this desk, `problems` what went wrong last, both by kind; `recorded`
-    is what was recorded last for a kind.
+    `recorded` is what was recorded last, `made` what was filed here last, `problem` what went wrong last.
     """
 
-    def __init__(self, desk: "Desk") -> None:
+    def __init__(self, desk: "Desk", name: str) -> None:
         self._desk = desk
-        self._recording: tuple[str, Path, Job] | None = None
-        self.made: dict[str, CalibrationReport] = {}
-        self.recorded: dict[str, Path] = {}
-        self.problems: dict[str, str] = {}
+        self.name, self.kind = name, KINDS[name]
+        self._recording: tuple[Path, Job] | None = None
+        self.recorded: Path | None = None
+        self.made: CalibrationReport | None = None
+        self.problem = ""
 
-    def record(self, kind: str, amount: str, exposure_us: object = "") -> None:
+    def record(self, amount: str, exposure_us: object = "") -> None:
         """Record by `rig camera record` or `frames`, into a new file; may wait until the camera is free.
 
-        `amount` is the length in s, or the number of frames. Raises ConfigurationError while another one is
-        recorded.
+        `amount` is the length in s, or the number of frames. Raises ConfigurationError while the camera is in
+        use.
         """
-        if self.recording():
-            raise ConfigurationError("a recording is under way; wait, or cancel it")
-        form = KINDS[kind]
-        path = next_free(FOLDER / "records", kind, "" if form.seconds is None else ".mcap")
+        command, option, suffix = self.kind.recording
+        path = next_free(FOLDER / "records", self.name, suffix)
         path.parent.mkdir(parents=True, exist_ok=True)
-        self.problems.pop(kind, None)
-        if form.seconds is None:
-            words = ["camera frames", "-o", str(path), "-n", amount]
-        else:
-            words = ["camera record", "-o", str(path), "--seconds", amount]
         values = {} if exposure_us == "" else {"camera.exposure_us": exposure_us}
-        self._recording = kind, path, self._desk.start(*words, values=values)
+        job = self._desk.start(f"camera {command}", "-o", str(path), option, amount, values=values)
+        self.problem, self._recording = "", (path, job)
 
     def stop(self) -> None:
         """End the recording, and darken; what was not recorded to its end is not offered."""
         if self._recording is not None:
-            self._recording[2].end()
+            self._recording[1].end()
 
-    def recording(self) -> str:
+    @property
+    def progress(self) -> str:
         """Name of the recording and the last line of its command; empty if nothing is recorded."""
         if self._recording is None:
             return ""
-        kind, path, job = self._recording
+        path, job = self._recording
         if job.status is None:
             return f"{path} is recorded{f': {job.output[-1]}' if job.output else ''}"
         self._recording = None
-        if job.ending:
-            self.problems[kind] = "the recording was stopped"
-        elif job.status:
-            self.problems[kind] = job.problem
+        if job.ending or job.status:
+            self.problem = "the recording was stopped" if job.ending else job.problem
         else:
-            self.recorded[kind] = path
+            self.recorded = path
         return ""
 
-    def file(self, kind: str, given: str, stated: Stated) -> None:
-        """Make the calibration by `rig calibrate KIND` and file it; takes seconds.
+    def file(self, given: str, stated: Mapping[str, str]) -> None:
+        """Make the calibration by `rig calibrate` and file it; takes seconds.
 
         `given` is the name of a record, or the text of a list, which is first written to a file. The command
-        judges what was `stated`. Raises RigError where the measurement does not serve.
+        judges what was `stated`, by the names of its options. Raises RigError where the measurement does not
+        serve.
         """
-        self.problems.pop(kind, None)
+        self.problem = ""
         try:
-            path = _written(kind, given) if KINDS[kind].list_text else _record(given)
+            path = _written(self.name, given) if self.kind.list_text else _record(given)
             words = [
                 f"--{name}={text.strip()}"
                 for name, text in {"output": str(FOLDER), **stated}.items()
                 if text.strip() not in ("", _UNKNOWN)
             ]
-            name = f"calibrate {kind}"
-            job = self._desk.jobs.begin(name, str(path), *words, "--json", uses_camera=False)
+            command = f"calibrate {self.name}"
+            job = self._desk.jobs.begin(command, str(path), *words, "--json", uses_camera=False)
             job.wait()
             if job.status:
                 raise RigError(job.problem)
-            self.made[kind] = filed(Path(job.lines[-1]["written"][0]))
+            self.made = filed(Path(job.lines[-1]["written"][0]))
         except RigError as error:
-            self.problems[kind] = str(error)
+            self.problem = str(error)
             raise
 
-    def use(self, kind: str) -> str:
+    def use(self) -> str:
         """The calibration made last holds for all that this desk starts; returns what to state for good."""
-        made = self.made.get(kind)
-        if made is None:
-            raise ConfigurationError(f"no calibration of the {kind} was made here yet")
-        (table, keys), *_ = tomllib.loads(made.configuration).items()
+        if self.made is None:
+            raise ConfigurationError(f"no calibration of the {self.name} was made here yet")
+        (table, keys), *_ = tomllib.loads(self.made.configuration).items()
         own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
         self._desk.checked(own)
         self._desk.kept.update(own)
-        return made.configuration.replace("\n", "  ")
+        return self.made.configuration.replace("\n", "  ")
 
 
 def _written(kind: str, text: str) -> Path:

@@ -1,33 +1,27 @@
 """Charts of the desk: each curve is declared by its quantity of the catalogue, which names axis and unit.
 
-They are drawn by ECharts, which NiceGUI brings along, as SVG whose colours are those of the theme. Zoom is by
-wheel or fingers; what is pointed at is shown with its unit.
+They are drawn by ECharts, which NiceGUI brings along, as SVG; its theme is `static/charts.json`, whose
+colours are those of the page. Zoom is by wheel or fingers; what is pointed at is shown with its unit.
 """
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 from nicegui import ui
 
+from rig.desk.tables import static
 from rig.terminal import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
 Mark = tuple[float, str]
-_TEXT = {"color": "var(--dim)", "fontSize": 12}
 _NAME_PERCENT, _BELOW_PERCENT = 10.0, 18.0
 """Of a chart with several rows: what the name above a row takes, and labels and name below the last one."""
-_EDGE = {"lineStyle": {"color": "var(--edge)"}}
-_LINES = {"lineStyle": {"color": "var(--edge)", "opacity": 0.35}}
-_BOX = {"backgroundColor": "var(--raised)", "color": "var(--ink)"}
-_TYPES: Final[Mapping[str, Mapping[str, Any]]] = {
-    "line": {"type": "line", "symbol": "none"},
-    "points": {"type": "scatter", "symbol": "circle", "symbolSize": 5},
-    "bars": {"type": "bar", "barCategoryGap": "10%"},
-}
+_STEPS = 3
+"""Labels from the middle of an axis that is to scale to its end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +33,7 @@ class ChartCurve:
 
     key: str
     name: str = ""
-    style: Literal["line", "points", "bars"] = "line"
+    style: Literal["line", "scatter", "bar"] = "line"
     colour: str = "line"
     row: int = 0
 
@@ -52,134 +46,102 @@ def chart_options(
     *,
     marks: Sequence[Mark] = (),
     reach: float | None = None,
-    is_square: bool = False,
+    kind: Literal["wide", "square", "small"] = "wide",
     empty: str = "",
 ) -> dict[str, Any]:
-    """Options of a chart over `x` that is `is_square` or not; `Chart.show` says what the rest is."""
+    """Options of a chart over `x`; `Chart` says what the rest is.
+
+    The browser merges them with those before: what is no longer named would stay.
+    """
     last = max(curve.row for curve in curves)
-    nothing = not any(len(one) for one in points)
-    part = (100.0 - _BELOW_PERCENT) / (last + 1)
+    rows = range(last + 1)
+    is_square, is_empty = kind == "square", not any(map(len, points))
+    part = (100.0 - _BELOW_PERCENT) / len(rows)
+    known = [at for curve in points for at, *_ in curve if at is not None]
+    # rows one below the other have the same axis
+    whole = {"min": min(known), "max": max(known)} if known else {}
+    step = None if reach is None else reach / _STEPS
+    to_scale = {"scale": True, "min": None if reach is None else -reach, "max": reach, "interval": step}
     grids, x_axes, y_axes = [], [], []
-    for row in range(last + 1):
+    for row in rows:
         # labels below the last one only; above each row there is room for its name
-        inside = (
-            {"top": f"{_NAME_PERCENT + row * part:.1f}%", "height": f"{part - _NAME_PERCENT:.1f}%"}
-            if last
-            else {"top": 22, "bottom": 42}
-        )
-        grids.append({"left": 58, "right": 18, **inside})
+        top, height = f"{_NAME_PERCENT + row * part:.1f}%", f"{part - _NAME_PERCENT:.1f}%"
+        grids.append({"left": 58, "right": 18} | ({"top": top, "height": height} if last else _INSIDE))
         across = {
-            **_axis(x, row, is_labelled=row == last, has_ends=reach is not None),
-            **({"scale": True, **_from_to(reach)} if is_square else _whole(points)),
             "name": x.label if row == last else "",
             "nameLocation": "middle",
             "nameGap": 24,
-            "axisLine": {**_EDGE, "onZero": False},
+            "axisLine": {"onZero": False},
+            **(to_scale if is_square else whole),
         }
-        x_axes.append(across)
+        x_axes.append(_axis(row, x.unit, is_labelled=row == last, has_ends=reach is not None) | across)
         shown = quantity(next(curve.key for curve in curves if curve.row == row), unit)
         up = {
-            # where rows lie close the ends of one meet those of the next
-            **_axis(shown, row, has_ends=not last),
-            "scale": True,
-            **(_from_to(reach) if is_square else {}),
             "name": shown.label,
-            "nameTextStyle": {**_TEXT, "align": "left", "padding": [0, 0, 0, -50]},
+            "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -50]},
             "nameGap": 8,
-            "splitNumber": 2 if last else 5,
+            "splitNumber": 2 if last or kind == "small" else 5,
+            **(to_scale if is_square else {"scale": True}),
         }
-        y_axes.append(up)
+        # where rows lie close the ends of one meet those of the next
+        y_axes.append(_axis(row, shown.unit, has_ends=not last, has_top=kind != "small") | up)
     series = [_series(curve, one, unit) for curve, one in zip(curves, points, strict=True)]
-    if marks and not nothing:
+    if marks and not is_empty:
         series[0]["markLine"] = {
             "symbol": "none",
-            "silent": False,
             "label": {"show": False},
             "emphasis": {"label": {"show": True, "formatter": "{b}", "color": "var(--ink)"}},
             "lineStyle": {"color": "var(--warn)", "type": "dotted", "width": 1.5},
             "data": [{"xAxis": at, "name": words} for at, words in marks],
         }
-    # a square has no room beside its axis's name
     names = list(dict.fromkeys(curve.name for curve in curves if curve.name))
-    named = not is_square and len(names) > 1 and not nothing
-    every = list(range(last + 1))
+    every = list(rows)
+    # a square has no room beside its axis's name
+    is_named = not is_square and len(names) > 1 and not is_empty
+    words = {"text": empty if is_empty else "", "fill": "var(--dim)", "fontSize": 15}
     return {
         "animation": False,
         "grid": grids,
         "xAxis": x_axes,
         "yAxis": y_axes,
         "series": series,
-        "legend": {"show": named, "data": names, "right": 8, "top": 0, "textStyle": _TEXT, "itemHeight": 8},
+        "legend": {"show": is_named, "data": names, "right": 8, "top": 0},
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
-        "tooltip": {
-            "trigger": "axis",
-            "axisPointer": {"type": "cross", "lineStyle": {"color": "var(--dim)"}},
-            "confine": True,
-            "backgroundColor": "var(--raised)",
-            "borderColor": "var(--edge)",
-            "textStyle": {"color": "var(--ink)"},
-        },
+        "tooltip": {},
         "dataZoom": [
             {"type": "inside", "xAxisIndex": every, "filterMode": "none"},
             {"type": "inside", "yAxisIndex": every, "filterMode": "none", "zoomOnMouseWheel": "shift"},
         ],
-        # a chart in the browser merges what it gets: words go only where others, or none, replace them
-        "graphic": {
-            "type": "text",
-            "left": "center",
-            "top": "middle",
-            "silent": True,
-            "style": {"text": empty if nothing else "", "fill": "var(--dim)", "fontSize": 15},
-        },
+        "graphic": {"type": "text", "left": "center", "top": "middle", "silent": True, "style": words},
     }
+
+
+_INSIDE = {"top": 22, "bottom": 42}
 
 
 def _axis(
-    shown: QuantityDisplay, row: int, *, is_labelled: bool = True, has_ends: bool = True
+    row: int, unit: str, *, is_labelled: bool = True, has_ends: bool, has_top: bool = True
 ) -> dict[str, Any]:
-    """Options common to both axes of a row; `has_ends` is True for labels at both ends."""
+    """Options common to both axes of a row; labels stand at both ends, at the lower one only, or at none."""
+    ends = {"showMinLabel": has_ends, "showMaxLabel": has_ends and has_top}
     return {
         "type": "value",
         "gridIndex": row,
-        "nameTextStyle": _TEXT,
-        "axisLine": _EDGE,
-        "splitLine": _LINES,
-        "axisLabel": {
-            **_TEXT,
-            ":formatter": _number(""),
-            "hideOverlap": True,
-            "show": is_labelled,
-            "showMinLabel": has_ends,
-            "showMaxLabel": has_ends,
-        },
-        "axisPointer": {"label": {":formatter": f"p => ({_number(shown.unit)})(p.value)", **_BOX}},
+        "axisLabel": {":formatter": _number(""), "show": is_labelled, **ends},
+        "axisPointer": {"label": {":formatter": f"p => ({_number(unit)})(p.value)"}},
     }
-
-
-def _whole(points: Sequence[Points]) -> dict[str, float]:
-    """First and last x of all curves, so that rows one below the other have the same axis."""
-    every = [x for curve in points for x, *_ in curve if x is not None]
-    return {"min": min(every), "max": max(every)} if every else {}
-
-
-def _from_to(reach: float | None) -> dict[str, float | None]:
-    """Axis from -reach to reach with labels at both ends; None: ECharts chooses it by the data."""
-    # the browser merges options: ends that are no longer named would stay
-    low, step = (None, None) if reach is None else (-reach, reach / _STEPS)
-    return {"min": low, "max": reach, "interval": step}
 
 
 def _series(curve: ChartCurve, points: Points, unit: str) -> dict[str, Any]:
     """One curve for ECharts."""
-    shown, colour = quantity(curve.key, unit), f"var(--{curve.colour})"
+    shown, colour = quantity(curve.key, unit), {"color": f"var(--{curve.colour})"}
     return {
-        **_TYPES[curve.style],
+        "type": curve.style,
         "name": curve.name or shown.symbol,
         "xAxisIndex": curve.row,
         "yAxisIndex": curve.row,
-        "emphasis": {"disabled": True},
-        "lineStyle": {"color": colour, "width": 1.5},
-        "itemStyle": {"color": colour},
+        "lineStyle": colour,
+        "itemStyle": colour,
         "tooltip": {":valueFormatter": _number(shown.unit)},
         "data": list(points),
     }
@@ -193,8 +155,8 @@ def _number(unit: str) -> str:
 class Chart:
     """A chart on a panel; `show` draws what is given, and leaves a zoom as it is.
 
-    `title` is its name for those who do not see it, too. `square`: both axes are as long, so that curves in
-    one unit are to scale where both reach as far. One with a `height` has no title above it.
+    `title` is its name for those who do not see it. Both axes of a square one are as long, so that curves in
+    one unit are to scale where both reach as far.
     """
 
     def __init__(
@@ -202,25 +164,14 @@ class Chart:
         title: str,
         x: str,
         curves: Sequence[ChartCurve],
-        *,
-        square: bool = False,
-        height: str = "",
+        kind: Literal["wide", "square", "small"] = "wide",
     ) -> None:
-        self._x, self._curves, self._is_square = x, curves, square
+        self._x, self._curves, self._kind = x, curves, kind
         self._shown: object = None
-        self._small = bool(height)
-        with ui.element("div").classes("chart") as self.frame:
-            if not height:
-                with ui.row().classes("items-center") as self.head:
-                    ui.label(title).classes("title")
-            with ui.element("div").classes("whole") if square else nullcontext():
-                self.element = ui.echart({}, renderer="svg")
+        with ui.element("div").classes(f"chart {kind}") as self.frame:
+            with ui.element("div").classes("whole") if kind == "square" else nullcontext():
+                self.element = ui.echart({}, renderer="svg", theme=json.loads(static("charts.json")))
             self.element.props(f'role="img" aria-label="{title}"')
-            if height:
-                self.element.style(f"height: {height}; min-height: 0; flex: 0 0 auto")
-                self.frame.style("flex: 0 0 auto; min-height: 0")
-            if square:
-                self.frame.classes("square")
 
     def show(
         self,
@@ -239,21 +190,10 @@ class Chart:
         if now == self._shown:
             return
         self._shown = now
+        x, kind = quantity(self._x, unit), self._kind
         options = chart_options(
-            quantity(self._x, unit),
-            self._curves,
-            points,
-            unit,
-            marks=marks,
-            reach=reach,
-            is_square=self._is_square,
-            empty=empty,
+            x, self._curves, points, unit, marks=marks, reach=reach, kind=kind, empty=empty
         )
-        if self._small:
-            for axis in options["yAxis"]:
-                axis["splitNumber"] = 2
-                # its name stands there
-                axis["axisLabel"]["showMaxLabel"] = False
         self.element.options.clear()
         self.element.options.update(options)
         self.element.update()
@@ -263,11 +203,12 @@ class TrajectoryChart:
     """Path of the spot in a square chart, with equal scales about zero, or with each axis stretched."""
 
     def __init__(self) -> None:
-        self.chart = Chart("trajectory", "deflection_x", WAY, square=True)
         self._stretched = False
         self._last: tuple[Sequence[float | None], Sequence[float | None], str] = [], [], "arcsec"
-        with self.chart.head:
+        with ui.row().classes("items-center"):
+            ui.label("trajectory").classes("title")
             self._button = ui.button("stretch X", on_click=self._stretch).props("dense outline no-caps")
+        self.chart = Chart("trajectory", "deflection_x", WAY, "square")
 
     def show(self, x: Sequence[float | None], y: Sequence[float | None], unit: str) -> None:
         """Show it; gaps stay open."""
@@ -285,11 +226,9 @@ class TrajectoryChart:
 
 WAY = (
     ChartCurve("deflection_y", "way of the spot"),
-    ChartCurve("deflection_y", "now", style="points", colour="second"),
+    ChartCurve("deflection_y", "now", style="scatter", colour="second"),
 )
 """Curves of a trajectory, over ``deflection_x``."""
-_STEPS = 3
-"""Labels from the middle of an axis that is to scale to its end."""
 
 
 def trajectory_reach(known: Sequence[tuple[float, float]]) -> float:

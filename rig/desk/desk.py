@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from enum import StrEnum
 from pathlib import Path
 
 from acquisition.camera import CameraSettings
@@ -16,7 +15,7 @@ from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
-from rig.desk.calibrating import Calibrating
+from rig.desk.calibrating import KINDS, Calibration
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
 from rig.desk.lighting import Lighting, Safety
@@ -31,14 +30,6 @@ _WAKES_WITHIN_S = 10.0
 """Time within which a process that was stopped (Ctrl-Z) and continued answers again, or has ended."""
 _LOOK_S = 0.1
 _REGION = ("width_px", "height_px", "offset_x_px", "offset_y_px")
-
-
-class StartState(StrEnum):
-    """States of the process of a session that the desk has started."""
-
-    RUNNING = "running"
-    DONE = "done"
-    FAILED = "failed"
 
 
 class Desk:
@@ -56,7 +47,7 @@ class Desk:
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
-        self.calibrating = Calibrating(self)
+        self.calibrations = {name: Calibration(self, name) for name in KINDS}
         self.balancing = Balancing(self)
         self.following = Following(self.config.session.output)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
@@ -105,16 +96,14 @@ class Desk:
 
         Raises ConfigurationError where the camera is in use, or a trip is not acknowledged. May wait.
         """
-        self._needs_leave(name)
-        self.needs_camera(name)
+        self._needs_rig(name)
         self.checked(values)
         return self.jobs.begin(name, str(self.source), *words, *self._sets(values), uses_camera=True)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
         with self._lock:
-            self._needs_leave("run")
-            self.needs_camera("run")
+            self._needs_rig("run")
             config = self.checked(values)
             folder, _ = session_folder(config, self.source, None)
             words = ["run", str(self.source), "-o", str(folder), *self._sets(values)]
@@ -125,8 +114,7 @@ class Desk:
     def resume_session(self, folder: Path) -> None:
         """Start `rig run --resume`; it goes on when the desk ends."""
         with self._lock:
-            self._needs_leave("run")
-            self.needs_camera("run")
+            self._needs_rig("run")
             self.started = start_session(["run", "--resume", str(folder)], folder), folder
         self.following.look_now(folder)
 
@@ -160,7 +148,7 @@ class Desk:
 
     def needs_camera(self, who: str) -> None:
         """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
-        if self.following.running or (self.session_state is StartState.RUNNING and not self._has_ended()):
+        if self.following.running or (self.start_runs and not self._has_ended()):
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
         for name, job in self.jobs.running(uses_camera=True):
             # what has reported its result, or was asked to end, is about to end
@@ -178,16 +166,17 @@ class Desk:
         if self.started is None or self.following.last_folder != self.started[1]:
             return False
         deadline_s = time.monotonic() + _ENDS_WITHIN_S
-        while self.session_state is StartState.RUNNING:
+        while self.start_runs:
             if self.following.running or time.monotonic() > deadline_s:
                 return False
             time.sleep(_LOOK_S)
         return True
 
-    def _needs_leave(self, who: str) -> None:
-        """Refuse, by a ConfigurationError, to start anything that would light while a trip is latched."""
+    def _needs_rig(self, who: str) -> None:
+        """Give the camera free; raises ConfigurationError while a trip is latched. May wait."""
         if (trip := self.safety.trip) is not None:
             raise ConfigurationError(f"rig {who} is not started: {trip.text}; acknowledge it first")
+        self.needs_camera(who)
 
     def begin_aligning(self) -> None:
         """Open the camera for the live picture."""
@@ -219,18 +208,19 @@ class Desk:
     # -- the session ------------------------------------------------------------
 
     @property
-    def session_state(self) -> StartState | None:
-        """State of the process of the last session that this desk started; None if it started none."""
-        if self.started is None:
-            return None
-        status = self.started[0].poll()
-        return StartState.RUNNING if status is None else StartState.DONE if status == 0 else StartState.FAILED
+    def start_runs(self) -> bool:
+        """Whether the process of the session that this desk started last runs."""
+        return self.started is not None and self.started[0].poll() is None
+
+    @property
+    def start_failed(self) -> bool:
+        """Whether that process has ended with an error."""
+        return self.started is not None and self.started[0].poll() not in (None, 0)
 
     @property
     def starting(self) -> bool:
         """Whether the session that this desk started last runs and has not answered yet."""
-        begun = self.started
-        return begun is not None and begun[0].poll() is None and self.following.last_folder != begun[1]
+        return self.started is not None and self.start_runs and self.following.last_folder != self.started[1]
 
     @property
     def session_folder(self) -> Path | None:
@@ -240,7 +230,7 @@ class Desk:
     def resumable(self) -> Path | None:
         """Folder of the last session if it was interrupted and none runs, so that it can be resumed."""
         folder = self.session_folder
-        if folder is None or self.following.running or self.session_state is StartState.RUNNING:
+        if folder is None or self.following.running or self.start_runs:
             return None
         return folder if last_state(folder) == RunState.INTERRUPTED else None
 

@@ -219,8 +219,8 @@ class Following:
             with suppress(NoSession):
                 self._line = OrderConnection(folder)
                 self._stated = _configuration_in(folder)
-                self.events.clear()
                 self._read("")
+                self.events.clear()
                 self.folder = self.last_folder = folder
                 self._ask(self._line)
 
@@ -240,22 +240,23 @@ class Following:
                 self._read("")
             return
         self.silent = False
-        self._read(news["record"])
+        self._read(news["record"], news["run"])
         if (reader := self._reader) is not None and reader.begun:
-            for event in reader.take_events():
-                event["run"] = news["run"]
-                self.events.append(event)
-                self.unheard.append(event)
             news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
 
-    def _read(self, record: str) -> None:
-        """Read this record from now on; none, if it is empty."""
+    def _read(self, record: str, run: str = "") -> None:
+        """Read this record, which is that of a run, from now on; none, if it is empty."""
+
+        def on_event(event: dict[str, Any]) -> None:
+            for events in (self.events, self.unheard):
+                events.append({**event, "run": run})
+
         if self._reader is not None and str(self._reader.record) != record:
             self._reader.close()
             self._reader = None
         if record and self._reader is None:
-            self._reader = RecordFollower(Path(record))
+            self._reader = RecordFollower(Path(record), on_event)
 
 
 def _configuration_in(folder: Path) -> Configuration | None:

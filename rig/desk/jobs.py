@@ -58,7 +58,7 @@ class Job:
 
     @property
     def running(self) -> bool:
-        return self._process.poll() is None
+        return self.status is None
 
     @property
     def status(self) -> int | None:

@@ -3,23 +3,22 @@
 import json
 import time
 from functools import partial
-from pathlib import Path
 
 from nicegui import ui
 from nicegui.events import KeyEventArguments
 
-from rig.control import STALE_S, LatchedTrip, TripCause
-from rig.desk.alarm_bar import AlarmBar, sentence
+from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmRow
-from rig.desk.desk import Desk, StartState
-from rig.desk.dialogs import keys_dialog, trip_dialog
+from rig.desk.desk import Desk
+from rig.desk.dialogs import keys_dialog
 from rig.desk.following import doing
-from rig.desk.lighting import lamps, refusal
+from rig.desk.header import build_header
+from rig.desk.lighting import lamps
 from rig.desk.panels import PANELS
 from rig.desk.sessions import last_state
-from rig.desk.tab import DELIBERATE, Tab, apart, at_once
+from rig.desk.tab import Tab, at_once
+from rig.desk.tables import static
 from rig.instrument import Phase
-from rig.terminal import loud
 
 _LOOK_S = 0.25
 
@@ -31,69 +30,30 @@ def build_page(desk: Desk, off_port: int) -> None:
     with ui.header().classes("items-center no-wrap"):
         ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
         ui.label("SIMULATED").classes("no").set_visibility(desk.config.simulated)
-        state = ui.label().classes("ellipsis state").props('role="status" aria-live="polite"')
+        tab.label(lambda: _state(desk), "ellipsis state", 'role="status" aria-live="polite"')
         ui.space()
         keys = ui.button("Keys", on_click=lambda: tab.press("?")).props('dense flat aria-label="Keys, key ?"')
         keys.classes("spare")
-    over_all = PageHeader(desk, tab)
+    toggle = build_header(desk, tab)
     _build_panels(desk, tab)
-    tab.key("a", over_all.alarms.toggle)
+    tab.key("a", toggle)
     tab.key("?", keys_dialog(_keys()).open)
 
-    def pressed(event: KeyEventArguments) -> None:
+    async def pressed(event: KeyEventArguments) -> None:
         if event.action.keydown and not (event.modifiers.ctrl or event.modifiers.alt or event.modifiers.meta):
-            tab.press(str(event.key))
+            await tab.press(str(event.key))
 
     # of what is typed into a field nothing is a key
     ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
 
     def refresh() -> None:
-        state.set_text(_state(desk))
-        crying = over_all.refresh()
         shown = json.dumps(lamps(desk.safety, _recording(desk)))
-        alarms = json.dumps([_alarm_values(row) for row in crying])
+        alarms = json.dumps([_alarm_values(row) for row in desk.alarming.alarms.rows() if row.cries])
         of_session = json.dumps(_session_age(desk))
         ui.run_javascript(f"window.rigSafety({shown}, {alarms}); window.rigAlarms({alarms}, {of_session});")
 
     refresh()
     ui.timer(_LOOK_S, refresh)
-
-
-class PageHeader:
-    """Head of every panel: alarms, light that waits for a person, a request to the operator, errors."""
-
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk = desk
-        ask = trip_dialog(desk, tab)
-        with ui.element("div").classes("cries"):
-            self.alarms = AlarmBar(desk, tab)
-            with ui.element("div").classes("waits") as self._waits:
-                self._why_dark = ui.label()
-                self._acknowledge = tab.button("Acknowledge …", ask).props('color="negative"')
-                self._again = tab.button("Light again", apart(desk.lighting.again))
-                self._again.props(f'color="positive" {DELIBERATE}')
-            self._instruction = ui.label().classes("instruction").props('role="alert"')
-            tab.errors = ui.element("div").classes("errors full-width")
-
-    def refresh(self) -> list[AlarmRow]:
-        """Show the present state; returns the alarms that sound."""
-        desk, trip = self._desk, self._desk.safety.trip
-        refused, waiting = refusal(desk.safety.now), desk.lighting.waits
-        if trip is not None:
-            self._acknowledge.set_text(f"Acknowledge trip {trip.number}{f': {refused}' if refused else ' …'}")
-        self._acknowledge.set_visibility(trip is not None)
-        self._acknowledge.set_enabled(not refused)
-        cause = "The laser is dark, and waits for a person" if trip is None else _taken(trip)
-        self._why_dark.set_text(f"{cause}. Check that nobody is in the beam path.")
-        self._waits.set_visibility(waiting or trip is not None)
-        # it stands where the remedy names it, also before it may be pressed
-        self._again.set_visibility(waiting or (trip is not None and desk.lighting.may_follow))
-        self._again.set_enabled(waiting)
-        self._again.set_text("Light again" if waiting else "Light again: once the trip is acknowledged")
-        asked_for = str((desk.following.news.get("state") or {}).get("instruction") or "")
-        self._instruction.set_text(loud(asked_for))
-        self._instruction.set_visibility(bool(asked_for))
-        return self.alarms.refresh()
 
 
 def _build_panels(desk: Desk, tab: Tab) -> None:
@@ -123,11 +83,6 @@ def _build_panels(desk: Desk, tab: Tab) -> None:
         tab.key(str(number), partial(show, panel.name))
 
 
-def _taken(trip: LatchedTrip) -> str:
-    """Text of a trip; that of a press of LIGHT OFF without its number."""
-    return sentence(trip.why if trip.cause is TripCause.PERSON else trip.text)
-
-
 def _alarm_values(row: AlarmRow) -> dict[str, str]:
     """Values of an alarm for the browser; an alarm that is raised again has another name."""
     name = f"{row.key}@{row.raised_s:.2f}"
@@ -150,19 +105,17 @@ def _state(desk: Desk) -> str:
     if following.folder is not None:
         phase = doing(following.news.get("state"))
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
-    if desk.session_state is StartState.RUNNING:
-        folder = desk.session_folder
-        how = "" if folder is None else last_state(folder)
-        if folder is not None and how in ("complete", "stopped", "failed"):
-            return f"last session {how}, its report is being made: {folder.name}"
-        return "a session is starting or being fitted"
-    if desk.session_state and desk.session_folder is not None:
-        how = last_state(desk.session_folder) or str(desk.session_state)
+    if (folder := desk.session_folder) is not None:
+        how = last_state(folder)
+        if desk.start_runs:
+            is_over = how in ("complete", "stopped", "failed")
+            report = f"last session {how}, its report is being made: {folder.name}"
+            return report if is_over else "a session is starting or being fitted"
+        if desk.started is None:
+            return f"last session: {folder.name}"
         # complete are its records; what it says of fits and conditions is another matter
-        more = ", with problems: see Measure" if desk.session_state is StartState.FAILED else ""
-        return f"last session {how}{more}: {desk.session_folder.name}"
-    if desk.session_folder is not None:
-        return f"last session: {desk.session_folder.name}"
+        more = ", with problems: see Measure" if desk.start_failed else ""
+        return f"last session {how or ('failed' if desk.start_failed else 'done')}{more}: {folder.name}"
     running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
     return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
 
@@ -185,21 +138,6 @@ DARK = "/dark"
 """Where LIGHT OFF is sent to, at both servers."""
 _DEAD_S = 30.0
 """Time without news after which a page counts as disconnected, and not only as slow."""
-_STATIC = Path(__file__).with_name("static")
-_STYLES = ("theme.css", "desk.css")
-_SCRIPTS = ("page.js", "safety.js", "watchdog.js")
-_BARS = """
-<div id="watchdog" role="alert" aria-live="assertive" hidden></div>
-<div id="safety" role="region" aria-label="safety">
-  <button id="light-off" type="button" aria-label="light off, key F9">LIGHT OFF</button>
-  <span class="lamp" id="lamp-laser" role="status" aria-live="polite"></span>
-  <span class="lamp" id="lamp-interlock" role="status" aria-live="polite"></span>
-  <span class="lamp" id="lamp-recording"></span>
-  <span class="lamp" id="lamp-age"></span>
-  <span id="off-said" role="status" aria-live="assertive"></span>
-  <button id="silence" type="button" hidden>Silence</button>
-</div>
-"""
 
 
 def build_head(off_port: int) -> None:
@@ -211,9 +149,7 @@ def build_head(off_port: int) -> None:
         "deadS": _DEAD_S,
         "lost": {"title": AlarmKey.DESK_LOST, "remedy": AlarmKey.DESK_LOST.remedy},
     }
-    styles, scripts = (
-        "".join((_STATIC / name).read_text("utf-8") for name in names) for names in (_STYLES, _SCRIPTS)
-    )
-    ui.add_css(styles)
+    ui.add_css(static("theme.css", "desk.css"))
+    scripts = static("page.js", "safety.js", "watchdog.js")
     ui.add_head_html(f"<script>window.rigDesk = {json.dumps(script_values)};\n{scripts}</script>")
-    ui.add_body_html(_BARS)
+    ui.add_body_html(static("bars.html"))

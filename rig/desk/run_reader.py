@@ -4,11 +4,10 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from acquisition.frames.queue import taken_from
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import SPOT, RecordedFittedPoint
 from processing.balance import Balance
@@ -20,7 +19,6 @@ from rig.instrument import advice_for, balance_failures, piece_contents, recorde
 from rig.settings import Configuration
 
 _LOOK_S = 0.1
-_EVENTS = 500
 _KEPT, _POINTS = 20_000, 800
 """Points of a curve that are kept, the newest, and those that are drawn."""
 _DIGITS = 5
@@ -31,11 +29,12 @@ class RecordFollower:
     """Follows a record, which need not be there yet, until it is closed; one of the same name is the next.
 
     `balance` is the last one, as news; `config` its configuration, None before it begins and where it has
-    none that can be read.
+    none that can be read. `on_event` is called with each event; its times are in s since the record began,
+    and of the day.
     """
 
-    def __init__(self, record: Path) -> None:
-        self.record = record
+    def __init__(self, record: Path, on_event: Callable[[dict[str, Any]], None]) -> None:
+        self.record, self._on_event = record, on_event
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._begin(None)
@@ -52,7 +51,6 @@ class RecordFollower:
             self._path: deque[Deflections] = deque()
             self._swings = {name: deque[Point](maxlen=_KEPT) for name in ("amplitude", "period")}
             self._fitted: list[RecordedFittedPoint] = []
-            self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
             self.balance: dict[str, Any] | None = None
 
     # -- for who shows it ------------------------------------------------------
@@ -61,11 +59,6 @@ class RecordFollower:
     def begun(self) -> bool:
         """Whether the record has any frame."""
         return self._start_ns is not None
-
-    def take_events(self) -> list[dict[str, Any]]:
-        """Events since the last call; their times are in s since the record began, and of the day."""
-        with self._lock:
-            return taken_from(self._events)
 
     def path(self) -> dict[str, list[float | None]]:
         """The last seconds of the trajectory, in some hundred points, as they are shown."""
@@ -128,15 +121,15 @@ class RecordFollower:
                 # those of an earlier fit are forgotten
                 last_ns = points[-1].time_ns
                 self._fitted = [one for one in (*self._fitted, *points) if one.time_ns == last_ns]
-            for event in new.events:
-                event_values = {
-                    "elapsed_s": seconds(event.time_ns - start_ns),
-                    "kind": event.kind,
-                    "level": event.level,
-                    "text": event.text,
-                    "at": clock(seconds(event.time_ns + reader.epoch_offset_ns)),
-                }
-                self._events.append(event_values)
+        for event in new.events:
+            event_values = {
+                "elapsed_s": seconds(event.time_ns - start_ns),
+                "kind": event.kind,
+                "level": event.level,
+                "text": event.text,
+                "at": clock(seconds(event.time_ns + reader.epoch_offset_ns)),
+            }
+            self._on_event(event_values)
 
 
 def clock(at_s: float) -> str:

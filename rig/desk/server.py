@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import hmac
 import http
+import logging
 import socket
 import threading
 import urllib.parse
@@ -24,10 +25,12 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from processing.errors import ConfigurationError
+from rig.control import in_thread
 from rig.desk.desk import Desk
 from rig.desk.page import DARK, build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
+from rig.desk.tables import static
 from rig.devices import check_wiring
 from rig.interruption import LOOPBACK, call_on_hang_up
 from rig.terminal import say
@@ -38,15 +41,6 @@ _POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' OFF_SWITCH; form-action 'self'; "
     "frame-ancestors 'none'"
 )
-_REFUSED = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>rig desk</title><style>
-:root { color-scheme: light dark; } body { font: 18px sans-serif; margin: 12vh auto; max-width: 26em; }
-</style></head><body><main><h1>rig desk</h1>
-<p>This browser does not have the key of this desk.</p>
-<p>Open the address that <code>rig desk</code> printed in its terminal: it contains the key.
-To darken the laser now, turn the key switch.</p>
-</main></body></html>"""
 
 
 class Guard:
@@ -61,6 +55,7 @@ class Guard:
 
     def __init__(self, app: ASGIApp, key: str, port: int, off_port: int, *, hears_off: bool = False) -> None:
         self._app, self._key = app, key
+        self._refused = static("refused.html")
         hosts, off_hosts = ([f"{name}:{one}" for name in _NAMES] for one in (port, off_port))
         self._hosts = off_hosts if hears_off else hosts
         self.origins = [f"http://{host}" for host in hosts]
@@ -100,7 +95,7 @@ class Guard:
                 return answer
         if self._has_key(headers.get("cookie", "")):
             return None
-        return HTMLResponse(_REFUSED, http.HTTPStatus.FORBIDDEN)
+        return HTMLResponse(self._refused, http.HTTPStatus.FORBIDDEN)
 
     def _has_key(self, cookies: str) -> bool:
         # Python's own parser gives up at the first cookie, of whatever program, that is not well formed
@@ -126,6 +121,7 @@ class Guard:
         return passed  # type: ignore[return-value]
 
 
+_log = logging.getLogger(__name__)
 _PORT = 8642
 _MOST_PX = 2000
 _GOODBYE_S = 3
@@ -207,20 +203,14 @@ def _light_off(desk: Desk) -> FastAPI:
 
     @app.post(DARK)
     async def dark(request: Request) -> Response:
-        press = urllib.parse.unquote(request.url.query)
-        loop = asyncio.get_running_loop()
-        reply: asyncio.Future[str] = loop.create_future()
-
-        def off() -> None:
+        try:
+            # a thread of its own: those of a pool may all be waiting
+            off = in_thread(desk.lighting.off, urllib.parse.unquote(request.url.query))
+            problems = await asyncio.wrap_future(off)
+        except Exception:
+            _log.exception("LIGHT OFF has failed")
             problems = ["the desk has failed: turn the key switch"]
-            try:
-                problems = desk.lighting.off(press)
-            finally:
-                loop.call_soon_threadsafe(reply.set_result, "; ".join(problems))
-
-        # a thread of its own: those of a pool may all be waiting
-        threading.Thread(target=off, name="light off", daemon=True).start()
-        return PlainTextResponse(await reply)
+        return PlainTextResponse("; ".join(problems))
 
     return app
 

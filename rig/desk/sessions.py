@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -162,25 +162,21 @@ def _number(row: Mapping[str, Any] | None) -> str:
 
 
 @lru_cache(maxsize=8)
-def _state_at(folder: Path, _changed_ns: int) -> str:
+def _read(read: Callable[[Path], Any], folder: Path, *_changed_ns: int) -> Any:
+    """What `read` makes of a session's folder; None if it cannot be read."""
     try:
-        state = state_of(read_session(folder))
+        return read(folder)
     except RigError:
-        return ""
-    return "" if state is None else str(state)
+        return None
+
+
+def _ended(folder: Path) -> RunState | None:
+    return state_of(read_session(folder))
 
 
 def last_state(folder: Path) -> str:
     """State of a session that has ended, as in the list; empty if it left no state."""
-    return _state_at(folder, _changed_ns(f"{folder}/{STATE_NAME}"))
-
-
-@lru_cache(maxsize=1)
-def _hand_over_at(folder: Path, *_changed_ns: int) -> HandOver | None:
-    try:
-        return hand_over(folder)
-    except RigError:
-        return None
+    return str(_read(_ended, folder, _changed_ns(f"{folder}/{STATE_NAME}")) or "")
 
 
 def last_hand_over(folder: Path) -> HandOver | None:
@@ -188,8 +184,9 @@ def last_hand_over(folder: Path) -> HandOver | None:
 
     It is read again only when the files of the session have changed.
     """
-    names = (STATE_NAME, RESULTS_NAME, "report.html")
-    return _hand_over_at(folder, *(_changed_ns(f"{folder}/{name}") for name in names))
+    changed_ns = (_changed_ns(f"{folder}/{name}") for name in (STATE_NAME, RESULTS_NAME, "report.html"))
+    found: HandOver | None = _read(hand_over, folder, *changed_ns)
+    return found
 
 
 def served_file(output: Path, name: str) -> Path | None:

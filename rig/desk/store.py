@@ -37,8 +37,7 @@ class DeskStore:
         digest = hashlib.sha256(str(source).encode()).hexdigest()[:12]
         self._folder = state_folder() / "desks" / f"{source.stem}-{digest}"
         self._source = source
-        self._lock: IO[str] | None = None
-        self._sessions_lock: IO[str] | None = None
+        self._locks: list[IO[str]] = []
         self._stored = _DeskFile()
 
     def hold(self, output: Path) -> None:
@@ -48,48 +47,46 @@ class DeskStore:
         """
         where = output.resolve()
         digest = hashlib.sha256(str(where).encode()).hexdigest()[:12]
+        refusals = {
+            self._folder / "lock": f"{self._source}: it already has an open desk: use OTHER, or end it first",
+            self._folder.parent / f"sessions-{digest}.lock": (
+                f"session.output = {where}: the desk of another configuration has its sessions there: use "
+                "OTHER, or end it, or state another folder"
+            ),
+        }
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             # only this user may read the key
             self._folder.chmod(0o700)
-            held = (self._folder / "lock").open("a+", encoding="utf-8")
-            sessions_lock = (self._folder.parent / f"sessions-{digest}.lock").open("a+", encoding="utf-8")
+            for path, refusal in refusals.items():
+                self._locks.append(path.open("a+", encoding="utf-8"))
+                if (other := _holder(self._locks[-1])) is not None:
+                    self._locks.pop().close()
+                    self.close()
+                    raise ConfigurationError(refusal.replace("OTHER", other or "that"))
         except OSError:
+            self.close()
             return
-        if (other := _locked(held)) is not None:
-            sessions_lock.close()
-            raise ConfigurationError(
-                f"{self._source}: it already has an open desk: use {other or 'that'}, or end it first"
-            )
-        if (other := _locked(sessions_lock)) is not None:
-            held.close()
-            raise ConfigurationError(
-                f"session.output = {where}: the desk of another configuration has its sessions there: use "
-                f"{other or 'that'}, or end it, or state another folder"
-            )
-        self._lock, self._sessions_lock = held, sessions_lock
         with contextlib.suppress(OSError, ValidationError):
             self._stored = _DeskFile.model_validate_json((self._folder / _NAME).read_bytes())
 
     def opened_at(self, address: str, port: int) -> None:
         """Write the address into the locks, where a second desk reads it, and store the port."""
         self._stored.port = port
-        if self._lock is not None:
+        if self._locks:
             with contextlib.suppress(OSError):
                 atomic_write.replace(self._folder / _NAME, self._stored.model_dump_json(indent=1).encode())
-        for held in (self._lock, self._sessions_lock):
-            if held is not None:
-                held.truncate(0)
-                held.write(address)
-                held.flush()
+        for held in self._locks:
+            held.truncate(0)
+            held.write(address)
+            held.flush()
 
     def close(self) -> None:
         """Release the locks, so that another desk can start."""
-        for held in (self._lock, self._sessions_lock):
-            if held is not None:
-                held.truncate(0)
-                held.close()
-        self._lock = self._sessions_lock = None
+        for held in self._locks:
+            held.truncate(0)
+            held.close()
+        self._locks.clear()
 
     @property
     def key(self) -> str:
@@ -102,11 +99,10 @@ class DeskStore:
         return self._stored.port
 
 
-def _locked(held: IO[str]) -> str | None:
-    """Lock a file.
+def _holder(held: IO[str]) -> str | None:
+    """Lock a file; if another program holds the lock, its content, the other desk's address.
 
-    Returns None if that succeeds, or if the disk knows no locks. If another program holds the lock, the file
-    is closed and its content returned.
+    None if the lock is ours, or if the disk knows no locks.
     """
     if fcntl is None:
         return None
@@ -114,9 +110,7 @@ def _locked(held: IO[str]) -> str | None:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         held.seek(0)
-        address = held.read().strip()
-        held.close()
-        return address
+        return held.read().strip()
     except OSError:
         return None
     return None

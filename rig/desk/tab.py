@@ -1,6 +1,5 @@
 """One tab of the browser: which panel it shows, what its buttons and keys do, where errors stand."""
 
-import asyncio
 import html
 import inspect
 import json
@@ -15,6 +14,7 @@ from nicegui.elements.mixins.value_element import ValueElement
 from processing.errors import RigError
 
 E = TypeVar("E", bound=ValueElement[Any])
+T = TypeVar("T")
 
 
 def at_once(element: E) -> E:
@@ -46,7 +46,12 @@ PRESSES = "rigPresses"
 """Of the page's `window`: when such a button was pressed last, by its id, in ms of the page's own clock."""
 _FRESH_S = 5.0
 """A press that was made longer ago than this is nobody's leave any more: who made it has gone to look."""
-Handler = Callable[[], None] | Callable[[], Awaitable[None]]
+_KEEP_S = 0.25
+"""Interval at which what a panel shows is brought up to date."""
+Handler = Callable[[], object]
+"""What a key, a button or a timer does; if it returns an awaitable, that is awaited."""
+Text = Callable[[], str]
+Condition = Callable[[], bool]
 _log = logging.getLogger(__name__)
 
 
@@ -59,29 +64,68 @@ class Tab:
         self.building = ""
         self.keys: dict[str, dict[str, Handler]] = {}
         self.errors: ui.element | None = None
+        self._kept: dict[str, list[Callable[[], Awaitable[None]]]] = {}
 
     def every(self, seconds: float, refresh: Handler) -> None:
-        """Call it again and again while the panel that is being built is seen, once at a time.
+        """Call it again and again while the panel that is being built is seen, once at a time."""
+        ui.timer(seconds, self._guarded(refresh))
+
+    def keep(self, update: Callable[[], object]) -> None:
+        """Call it now, and some times a second while the panel that is being built is seen."""
+        update()
+        updates = self._kept.setdefault(self.building, [])
+        updates.append(self._guarded(update))
+        if len(updates) > 1:
+            return
+
+        async def due() -> None:
+            for one in updates:
+                await one()
+
+        ui.timer(_KEEP_S, due)
+
+    def _guarded(self, refresh: Handler) -> Callable[[], Awaitable[None]]:
+        """Does it if the panel that is being built is seen, and shows its error.
 
         An error is reported once: a log that is filled, and that nobody reads, would hold the desk up.
         """
         panel, reported = self.building, ""
 
-        async def due() -> None:
+        async def guarded() -> None:
             nonlocal reported
             if panel and self.shown != panel:
                 return
             try:
-                done = refresh()
-                if inspect.isawaitable(done):
-                    await done
+                await _done(refresh)
             except Exception as error:
                 if repr(error) != reported:
                     reported = repr(error)
                     _log.exception("%s is not brought up to date", panel or "the page")
                     self.tell(f"{panel or 'the page'} is not brought up to date: {reported}")
 
-        ui.timer(seconds, due)
+        return guarded
+
+    def label(self, text: Text, classes: str = "", props: str = "") -> ui.label:
+        """A label whose text is kept; it is seen while it has one."""
+        label = ui.label().classes(classes).props(props)
+
+        def update() -> None:
+            label.set_text(text())
+            label.set_visibility(bool(label.text))
+
+        self.keep(update)
+        return label
+
+    def html(self, content: Text, classes: str = "full-width", props: str = "") -> ui.html:
+        """An element whose HTML is kept; it is seen while it has any."""
+        element = ui.html(sanitize=False).classes(classes).props(props)
+
+        def update() -> None:
+            element.set_content(content())
+            element.set_visibility(bool(element.content))
+
+        self.keep(update)
+        return element
 
     def act(self, do: Handler) -> Callable[[], Awaitable[None]]:
         """A handler whose RigError is shown in one line."""
@@ -91,24 +135,56 @@ class Tab:
                 # the operator who does the next thing has read what was wrong with the last one
                 self.errors.clear()
             try:
-                done = do()
-                if inspect.isawaitable(done):
-                    await done
+                await _done(do)
             except RigError as error:
                 self.tell(str(error))
 
         return acted
 
-    def button(self, text: str, do: Handler) -> ui.button:
-        """A button for `act`."""
-        button = ui.button(text)
+    def drawn(
+        self, value: Callable[[], T], draw: Callable[[T], None], classes: str = "full-width"
+    ) -> ui.column:
+        """A column that `draw` fills anew with each new value."""
+        column = ui.column().classes(classes)
+        before: list[T] = []
+
+        def update() -> None:
+            now = [value()]
+            if now != before:
+                before[:] = now
+                column.clear()
+                with column:
+                    draw(*now)
+
+        self.keep(update)
+        return column
+
+    def button(
+        self,
+        text: str | Text,
+        do: Handler,
+        props: str = "",
+        *,
+        seen: Condition | None = None,
+        enabled: Condition | None = None,
+    ) -> ui.button:
+        """A button for `act`; its text, whether it is seen and whether it can be pressed are kept."""
+        button = ui.button(text if isinstance(text, str) else "").props(props)
+
+        def update() -> None:
+            if not isinstance(text, str):
+                button.set_text(text())
+            button.set_visibility(seen is None or seen())
+            button.set_enabled(enabled is None or enabled())
+
+        if seen or enabled or not isinstance(text, str):
+            self.keep(update)
         acted = self.act(do)
 
         async def pressed() -> None:
             if DELIBERATE.partition("=")[0] in button.props and not await self._is_fresh(button.html_id):
-                self.tell(
-                    f"{text} was pressed more than {_FRESH_S:g} s before the desk heard of it: press it again"
-                )
+                late = f"was pressed more than {_FRESH_S:g} s before the desk heard of it: press it again"
+                self.tell(f"{button.text} {late}")
                 return
             await acted()
 
@@ -144,22 +220,15 @@ class Tab:
         """A key of the panel that is being built; it works while the panel is seen."""
         self.keys.setdefault(self.building, {})[key] = do
 
-    def press(self, key: str) -> bool:
-        """A key was pressed; whether it means something here."""
-        do = self.keys.get(self.shown, {}).get(key) or self.keys.get("", {}).get(key)
-        if do is None:
-            return False
-        done = do()
-        if inspect.isawaitable(done):
-            task = asyncio.ensure_future(self._within(done))
-            _running.add(task)
-            task.add_done_callback(_running.discard)
-        return True
+    async def press(self, key: str) -> None:
+        """Do what a key means here, if it means anything."""
+        if (do := self.keys.get(self.shown, {}).get(key) or self.keys.get("", {}).get(key)) is not None:
+            await _done(do)
 
-    async def _within(self, done: Awaitable[None]) -> None:
-        """Await it as a part of this tab: a task of its own does not know where its messages belong."""
-        with self._client:
-            await done
+
+async def _done(do: Handler) -> None:
+    if inspect.isawaitable(done := do()):
+        await done
 
 
 def apart(do: Callable[..., object], *given: object) -> Handler:
@@ -170,7 +239,3 @@ def apart(do: Callable[..., object], *given: object) -> Handler:
             ui.notify(reply)
 
     return done
-
-
-_running: set["asyncio.Future[None]"] = set()
-"""The event loop itself keeps only weak references to tasks."""

@@ -1,9 +1,24 @@
-"""Tables of the desk, and bars against limits, as HTML text."""
+"""Tables of the desk, lists, and bars against limits, as HTML text; files of the page that are not Python."""
 
 import html
 import math
 from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
+
+_STATIC = Path(__file__).with_name("static")
+
+
+@cache
+def static(*names: str) -> str:
+    """The text of some files of `static`, one after the other; read once, because a disk may hang later."""
+    return "".join((_STATIC / name).read_text("utf-8") for name in names)
+
+
+def span(text: str, kind: str = "", tag: str = "span") -> str:
+    """A text in an element of a class, which may be a kind of verdict: go, no, caution or dim."""
+    return f"<{tag} class='{kind}'>{html.escape(text)}</{tag}>" if text else ""
 
 
 def table(rows: Sequence[Sequence[str]], label: str) -> str:

@@ -3,7 +3,7 @@
 import statistics
 import threading
 import time
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -104,16 +104,19 @@ def png_of(image: NDArray[Any], path: Path) -> bytes:
     return png.tobytes()
 
 
-def read_frames(camera: Camera, count: int, patience_s: float) -> list[Frame]:
+def read_frames(
+    camera: Camera, count: int, patience_s: float, on_frame: Callable[[Frame], object] = lambda _: None
+) -> list[Frame]:
     """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer.
 
-    Frames that no camera may deliver raise DeviceError.
+    Frames that no camera may deliver raise DeviceError. `on_frame` is called with every frame as it comes.
     """
     frames, delivered = list[Frame](), FrameChecks()
     camera.start()
     try:
         while len(frames) < count and (frame := camera.read(patience_s)) is not None:
             frames.append(delivered.check(frame))
+            on_frame(frames[-1])
     finally:
         camera.stop()
     if len(frames) < count:
@@ -138,7 +141,13 @@ class Exposure(NamedTuple):
     peak: float
 
 
-def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, target: float = 0.7) -> Exposure:
+def find_exposure(
+    camera: Camera,
+    info: CameraInfo,
+    applied: CameraSettings,
+    target: float = 0.7,
+    on_frame: Callable[[Frame], object] = lambda _: None,
+) -> Exposure:
     """Vary the exposure time until the peak is at `target` of full scale, within 3 % of it.
 
     Parameters
@@ -147,6 +156,8 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
         Open, configured and stopped; it is stopped again afterwards and keeps the exposure time.
     applied
         Settings that the camera has read back.
+    on_frame
+        Is called with every frame.
 
     Raises
     ------
@@ -160,7 +171,7 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
     longest_us = 0.95e6 / applied.frame_rate_hz if applied.frame_rate_hz else 1e6
     seen: PictureFigures | None = None
     for _ in range(_STEPS):
-        seen = _look(camera, info)
+        seen = _look(camera, info, on_frame)
         if not seen.saturated_px and abs(seen.peak - target) <= _TOLERANCE * target:
             return Exposure(applied, exposure_us, seen.peak)
         light = seen.peak - seen.background
@@ -184,8 +195,8 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
     )
 
 
-def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
-    frames = read_frames(camera, _FRAMES, _TIMEOUT_S)
+def _look(camera: Camera, info: CameraInfo, on_frame: Callable[[Frame], object]) -> PictureFigures:
+    frames = read_frames(camera, _FRAMES, _TIMEOUT_S, on_frame)
     seen = [figures(frame.image, info.full_scale_dn) for frame in frames]
     return PictureFigures(
         statistics.median(one.peak for one in seen),
@@ -245,12 +256,14 @@ def watch_latest(
     at_least: int,
     end_s: float,
     interval_s: float = _LOOK_S,
+    on_frame: Callable[[Frame], object] = lambda _: None,
 ) -> Generator[list[Frame]]:
     """Yield blocks of `at_least` frames, at most one per `interval_s`; older frames are dropped.
 
     The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one block
     at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
-    camera, and frames that no camera may deliver, are raised here.
+    camera, and frames that no camera may deliver, are raised here. `on_frame` is called with every frame,
+    dropped ones too, in the thread that reads them.
     """
     errors: list[Exception] = []
     delivered, queue = FrameChecks(), BoundedQueue[Frame](at_least, "latest")
@@ -258,7 +271,9 @@ def watch_latest(
     def acquire() -> None:
         try:
             while (frame := camera.read(_TIMEOUT_S)) is not None:
-                queue.put(delivered.check(frame))
+                checked = delivered.check(frame)
+                on_frame(checked)
+                queue.put(checked)
                 if ended.is_set():
                     break
         except Exception as error:

@@ -151,22 +151,19 @@ def validate_configuration(
     raise FaultyConfiguration(lines, override_faults)
 
 
-def keys_with_faults(
-    keys: Mapping[str, Any], whole: str = "", root: type[BaseModel] | None = None
-) -> list[str]:
+def keys_with_faults(keys: Mapping[str, Any], whole: str = "") -> list[str]:
     """A line for each fault of values by dotted key; other keys may be missing.
 
-    Relations between the keys of a section are checked only for the section `whole`. `root` is the model of
-    the file; None: the configuration.
+    Relations between the keys of a section are checked only for the section `whole`.
     """
-    tree: dict[str, Any] = {} if root else {"camera": {"driver": "files"}}
+    tree: dict[str, Any] = {"camera": {"driver": "files"}}
     for key, value in keys.items():
         *sections, name = key.split(".")
         place = tree
         for section in sections:
             place = place.setdefault(section, {})
         place[name] = value
-    _, found_faults = validated(root or Configuration, tree)
+    _, found_faults = validated(Configuration, tree)
     asked = {*keys, whole} - {""}
     return [fault.line for fault in found_faults if dotted(fault.place) in asked]
 

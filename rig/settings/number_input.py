@@ -1,7 +1,7 @@
 """Reading of typed input: numbers with unit and standard uncertainty, and stop conditions."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from math import isfinite
@@ -62,25 +62,6 @@ def states_unit(text: str) -> bool:
     """Whether text is a number with any unit."""
     found = _QUANTITY.fullmatch(_plain(text))
     return found is not None and bool(found[2] or found[4])
-
-
-def number(unit: str = "", *, least: float | None = None) -> Callable[[str], float]:
-    """A reader of a number without uncertainty, in `unit`; `least` is the smallest accepted one."""
-
-    def read(text: str) -> float:
-        value, u = quantity(text, unit)
-        if u is not None:
-            raise ConfigurationError(f"{text!r}: state the number alone")
-        if least is not None and value < least:
-            raise ConfigurationError(f"{text!r}: should be {least:g} {unit}".rstrip() + " or more")
-        return value
-
-    return read
-
-
-def optional(read: Callable[[str], float]) -> Callable[[str], float | None]:
-    """A reader like `read` that returns None for empty text."""
-    return lambda text: read(text) if text else None
 
 
 _STOP_CONDITION = re.compile(r"\s*u\(\s*([^()\s]+)\s*\)\s*/\s*([^()\s<]+)\s*<\s*([0-9][0-9.eE+-]*)\s*")

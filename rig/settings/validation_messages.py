@@ -32,18 +32,19 @@ def in_words(root: type, fault: ErrorDetails) -> str:
             # the user wrote a dotted key, as for --set, below the head of its section
             key = next(iter(fault["input"]), "")
             return f"{path}.{key}: unknown key; below [{section}] it is {key}, without '{section}.'"
-        owners = _sections_with(root, section) if len(fault["loc"]) == 1 else []
-        if owners:
-            return f"{path}: unknown key; did you mean {' or '.join(f'{name}.{section}' for name in owners)}?"
-        known = _known_keys(root, fault["loc"][:-1])
+        in_sections = _keys_in_sections(root) if len(fault["loc"]) == 1 else {}
+        if section in in_sections:
+            return f"{path}: unknown key; did you mean {' or '.join(in_sections[section])}?"
+        known = list(section_fields(_section_at(root, fault["loc"][:-1])))
         meant = _FIELDS_WORDS.get(section)
         near = [meant] if meant in known else difflib.get_close_matches(section, known, n=1, cutoff=0.51)
-        if not near and len(fault["loc"]) == 1:
-            near = _near_in_sections(root, section)
+        if not near:
+            nearest = difflib.get_close_matches(section, in_sections, n=1, cutoff=0.7)
+            near = [in_sections[name][-1] for name in nearest]
         hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
         return f"{path}: unknown key; {hint}"
     if fault["type"] == "missing":
-        field = _field(root, fault["loc"])
+        field = section_fields(_section_at(root, fault["loc"][:-1])).get(str(fault["loc"][-1]))
         what = f": {field.description}" if field is not None and field.description else ""
         return f"{path}: is missing; state a value{what}"
     if not path:
@@ -76,8 +77,8 @@ def _without_unit(text: str, key: str) -> str:
 def expected_text(fault: ErrorDetails) -> str:
     """The expected kind of value, in words, for a value of the wrong type or out of range."""
     kind = fault["type"]
-    if kind in _EXPECTED:
-        return _EXPECTED[kind]
+    if expected := _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0]):
+        return expected
     if kind in ("too_short", "too_long"):
         least, most = (fault["ctx"].get(name) for name in ("min_length", "max_length"))
         return f"a list of {f'{least} entries or more' if most is None else f'at most {most} entries'}"
@@ -98,29 +99,19 @@ def _shown(value: Any) -> str:
 
 _MAX_LENGTH = 80
 _EXPECTED = {
-    "bool_parsing": "true or false",
-    "bool_type": "true or false",
-    "dataclass_type": "a table with keys of its own",
-    "dict_type": "a table with keys of its own",
-    "float_parsing": "a number",
-    "float_type": "a number",
-    "finite_number": "a finite number",
-    "list_type": "a list in brackets",
-    "int_from_float": "a whole number",
-    "int_parsing": "a whole number",
-    "int_type": "a whole number",
-    "is_instance_of": "a table with keys of its own",
-    "model_attributes_type": "a table with keys of its own",
-    "model_type": "a table with keys of its own",
-    "path_type": "the name of a file, in quotes",
+    "bool": "true or false",
+    "float": "a number",
+    "int": "a whole number",
+    "path": "the name of a file, in quotes",
+    "string": "text, in quotes",
     "string_pattern_mismatch": "a name of letters, digits, points, hyphens and underlines",
-    "string_type": "text, in quotes",
-    "tuple_type": "a list in brackets",
+    **dict.fromkeys(("dataclass", "dict", "is", "model"), "a table with keys of its own"),
+    **dict.fromkeys(("list", "tuple"), "a list in brackets"),
     **dict.fromkeys(
-        ("datetime_from_date_parsing", "datetime_parsing", "datetime_type", "timezone_aware"),
-        "a time with its offset from UTC, such as 2026-11-22T09:30:00+01:00",
+        ("datetime", "timezone"), "a time with its offset from UTC, such as 2026-11-22T09:30:00+01:00"
     ),
 }
+"""The kind of value by pydantic's type of a fault, or by the first word of it."""
 
 
 class KeyFault(NamedTuple):
@@ -214,36 +205,22 @@ def _parts(annotation: Any) -> Iterator[Any]:
         yield from _parts(inner)
 
 
-def _field(root: type, place: KeyPlace) -> FieldInfo | None:
-    """The field of a key; None inside a table with names of the user's own."""
-    section: type | None = root
-    field = None
+def _section_at(root: type, place: KeyPlace) -> type:
+    """The section at a place; a name of the user's own stands for the section that it names."""
     for part in place:
-        field = None if section is None else section_fields(section).get(str(part))
-        section = None if field is None else section_of(field)
-    return field
-
-
-def _sections_with(root: type, key: str) -> list[str]:
-    """Names of the sections that have a key."""
-    inner = {name: section_of(field) for name, field in section_fields(root).items()}
-    return [name for name, section in inner.items() if section and key in section_fields(section)]
-
-
-def _near_in_sections(root: type, key: str) -> list[str]:
-    """The dotted key in any section whose name is nearest to `key`; empty if none is near."""
-    inner = {name: section_of(field) for name, field in section_fields(root).items()}
-    keys = {each: name for name, section in inner.items() if section for each in section_fields(section)}
-    near = difflib.get_close_matches(key, keys, n=1, cutoff=0.7)
-    return [f"{keys[each]}.{each}" for each in near]
-
-
-def _known_keys(root: type, place: KeyPlace) -> list[str]:
-    section = root
-    for part in place:
-        field = section_fields(section).get(str(part))
+        field = section_fields(root).get(str(part))
         inner = None if field is None else section_of(field)
         if inner is None:
             break
-        section = inner
-    return list(section_fields(section))
+        root = inner
+    return root
+
+
+def _keys_in_sections(root: type) -> dict[str, list[str]]:
+    """The dotted keys of all sections by their last name."""
+    found: dict[str, list[str]] = {}
+    for name, field in section_fields(root).items():
+        section = section_of(field)
+        for key in () if section is None else section_fields(section):
+            found.setdefault(key, []).append(f"{name}.{key}")
+    return found

@@ -2,6 +2,7 @@
 
 import html
 from contextlib import suppress
+from functools import partial
 
 from nicegui import run, ui
 
@@ -12,7 +13,6 @@ from rig.desk.dialogs import Question
 from rig.desk.panels.runs import fit_again, open_in_browser_tab
 from rig.desk.tab import Tab, at_once, box
 from rig.measure import HandOver, RunState
-from rig.settings import SessionSettings
 
 
 def setting_field(desk: Desk, key: str, label: str, value: object, *, is_number: bool = False) -> ui.input:
@@ -75,19 +75,16 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
         # an empty number is not stated
         return {key: value for key, value in typed.items() if value != "" or not fields[key][1]}
 
-    def ask() -> None:
+    async def start() -> None:
         found = desk.checked(judged()).session
         # what was allowed for one session holds for that one
         force.set_value(False)
-        question.ask(True, _asked(found))
+        runs = "one run" if found.runs == 1 else f"{found.runs} runs"
+        if await question.ask(f"Start {runs} of {found.sample or 'an unnamed sample'}?"):
+            folder = await run.io_bound(desk.start_session, judged(), force=bool(force.value))
+            ui.notify(f"the session is starting in {folder}")
 
-    async def start(_: bool) -> None:
-        values = judged()
-        folder = await run.io_bound(desk.start_session, values, force=bool(force.value))
-        ui.notify(f"the session is starting in {folder}")
-
-    warning = "The laser will be lit. Check that nobody is in the beam path."
-    question = Question(tab, "start the session", warning, "Start the session", start)
+    question = Question(tab, "start the session", "Start the session")
     with question.options:
         force = at_once(ui.checkbox("measure even if preflight says no-go (this session only)"))
     with ui.element("div").classes("grid thirds") as form:
@@ -100,15 +97,10 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
         with box("3 · Start", head="middle"):
             ui.label(f"Release {desk.config.start.way}: {_RELEASE[desk.config.start.way]}.")
             ui.label("A dialog asks once more before the laser is lit.").classes("dim")
-            tab.button("Start …", ask).props(
+            tab.button("Start …", start).props(
                 'color="positive" size="xl" aria-label="Start … a session"'
             ).classes("full-width")
     return form
-
-
-def _asked(session: SessionSettings) -> str:
-    runs = "one run" if session.runs == 1 else f"{session.runs} runs"
-    return f"Start {runs} of {session.sample or 'an unnamed sample'}?"
 
 
 _KINDS = {RunState.COMPLETE: "go", RunState.STOPPED: "caution"}
@@ -116,73 +108,61 @@ NEXT_RUN = "next-run"
 """Name of the element on the page that begins the next one."""
 
 
-def _to_next() -> None:
-    ui.run_javascript(f"document.getElementById('{NEXT_RUN}').scrollIntoView({{block: 'start'}})")
+def build_result(desk: Desk, tab: Tab) -> None:
+    """Add what the last session hands over; nothing without one."""
+    over: HandOver | None = None
+
+    async def look() -> None:
+        nonlocal over
+        if not desk.following.running:
+            over = await run.io_bound(desk.hand_over)
+
+    def draw(drawn: HandOver | None) -> None:
+        if drawn is not None:
+            _result(desk, tab, drawn)
+
+    tab.every(1.0, look)
+    tab.drawn(lambda: over, draw)
 
 
-class RunResult:
-    """Shows what the last session hands over; built where it is made, hidden without one."""
+def _result(desk: Desk, tab: Tab, over: HandOver) -> None:
+    def fit() -> None:
+        fit_again(desk, over.folder)
+        ui.notify(f"rig fit {over.folder.name} runs; what it says is below the list of sessions")
 
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk = desk
-        self._drawn: HandOver | None = None
-        with ui.element("div").classes("grid wide-left") as self.frame:
-            with box("the last session"):
-                with ui.row().classes("items-baseline"):
-                    self._verdict = ui.label().classes("advice").props('role="status"')
-                    self._went = ui.label().classes("dim")
-                self._headline = ui.label().classes("advice")
-                self._of = ui.label().classes("dim")
-                self._next = ui.html(sanitize=False).classes("full-width")
-                with ui.row():
-                    self._report = ui.button("Report", on_click=self._open).props('outline size="lg"')
-                    self._fits = tab.button("Fit", self._fit).props('outline size="lg"')
-                    ui.button("Next run", on_click=_to_next).props('outline size="lg"')
-                self._others = ui.html(sanitize=False).classes("full-width")
-                with at_once(ui.expansion("its last words")).classes("full-width"):
-                    self._words = ui.html(sanitize=False).classes("dim")
-            with box("what limits it") as self._found:
-                self._limits = ui.html(sanitize=False).classes("full-width")
-        self.frame.set_visibility(False)
-        tab.every(1.0, self._refresh)
+    ended, kind = ("no run made", "no") if over.ended is None else (over.ended, _KINDS.get(over.ended, "no"))
+    steps = [f"<li><b>{html.escape(step)}</b></li>" for step in over.next_steps]
+    steps += [f"<li>{html.escape(remark)}</li>" for remark in over.remarks]
+    last_words = "<br>".join(map(html.escape, desk.last_words()))
+    bars = [
+        tables.LimitBar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim") for one in over.limits
+    ]
+    with ui.element("div").classes("grid wide-left"):
+        with box("the last session"):
+            _html(
+                f"<span role='status'>{tables.span(ended, f'advice {kind}')}</span> "
+                + tables.span(f"{over.folder.name}: {over.went}", "dim")
+                + tables.span(over.headline or "no result", "advice", "div")
+                + tables.span(over.of and f"the uncertainty is of {over.of}", "dim", "div")
+                + (f"<ul>{''.join(steps)}</ul>" if steps else "<div>nothing can be done about it</div>")
+            )
+            with ui.row():
+                if over.report is not None:
+                    show = partial(open_in_browser_tab, desk, over.report)
+                    ui.button("Report", on_click=show).props('outline size="lg"')
+                if not over.headline:
+                    # a run that has failed has a record, too
+                    tab.button("Fit", fit, 'outline size="lg"')
+                to_next = f"document.getElementById('{NEXT_RUN}').scrollIntoView({{block: 'start'}})"
+                ui.button("Next run").props('outline size="lg"').on("click", js_handler=f"() => {to_next}")
+            _html(
+                (tables.table(over.others, "all parameters") if over.others else "")
+                + f"<details><summary>its last words</summary><div class='dim'>{last_words}</div></details>"
+            )
+        if over.limits:
+            with box("what limits it"):
+                _html(tables.bars(bars, "sources of the uncertainty, by their share"))
 
-    async def _refresh(self) -> None:
-        desk = self._desk
-        if desk.following.running:
-            return
-        over = await run.io_bound(desk.hand_over)
-        self.frame.set_visibility(over is not None)
-        if over is None or over is self._drawn:
-            return
-        self._drawn = over
-        self._verdict.set_text("no run made" if over.ended is None else over.ended.value)
-        kind = "no" if over.ended is None else _KINDS.get(over.ended, "no")
-        self._verdict.classes(remove="go caution no", add=kind)
-        self._went.set_text(f"{over.folder.name}: {over.went}")
-        self._headline.set_text(over.headline or "no result")
-        self._of.set_text(f"the uncertainty is of {over.of}" if over.of else "")
-        lines = [f"<li><b>{html.escape(step)}</b></li>" for step in over.next_steps]
-        lines += [f"<li>{html.escape(remark)}</li>" for remark in over.remarks]
-        self._next.set_content(f"<ul>{''.join(lines)}</ul>" if lines else "nothing can be done about it")
-        self._others.set_content(tables.table(over.others, "all parameters") if over.others else "")
-        self._words.set_content("<br>".join(map(html.escape, desk.last_words())))
-        bars = [
-            tables.LimitBar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim")
-            for one in over.limits
-        ]
-        self._limits.set_content(tables.bars(bars, "sources of the uncertainty, by their share"))
-        self._report.set_visibility(over.report is not None)
-        # a run that has failed has a record, too
-        self._fits.set_visibility(not over.headline)
-        self._found.set_visibility(bool(over.limits))
 
-    def _fit(self) -> None:
-        if self._drawn is not None:
-            fit_again(self._desk, self._drawn.folder)
-            ui.notify(f"rig fit {self._drawn.folder.name} runs; what it says is below the list of sessions")
-
-    def _open(self) -> None:
-        over = self._drawn
-        if over is None or over.report is None:
-            return
-        open_in_browser_tab(self._desk, over.report)
+def _html(content: str) -> None:
+    ui.html(content, sanitize=False).classes("full-width")

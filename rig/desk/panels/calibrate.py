@@ -2,11 +2,12 @@
 
 import html
 from functools import partial
+from pathlib import Path
 
 from nicegui import run, ui
 
 from rig.desk import tables
-from rig.desk.calibrating import FOLDER, KINDS, Calibrating
+from rig.desk.calibrating import FOLDER, Calibration
 from rig.desk.desk import Desk
 from rig.desk.panels.between_runs import as_typed
 from rig.desk.tab import DELIBERATE, Tab, at_once, box
@@ -17,116 +18,100 @@ _DAYS, _DARK_FRAMES = "90", "16"
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    forms: dict[str, CalibrationForm] = {}
 
     def choose(chosen: str) -> None:
         for name, form in forms.items():
-            form.box.set_visibility(name == chosen)
+            form.set_visibility(name == chosen)
             buttons[name].props(remove="outline") if name == chosen else buttons[name].props("outline")
 
-    def refresh() -> None:
-        busy = desk.calibrating.recording()
-        for form in forms.values():
-            form.refresh(busy)
-
     with ui.row().classes("items-center"):
-        buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in KINDS}
-    for name, button in buttons.items():
-        button.props(f'dense aria-label="{name}, calibrate it"')
-    for name in KINDS:
-        forms[name] = CalibrationForm(desk, tab, name)
-    choose(next(iter(KINDS)))
-    tab.every(0.5, refresh)
-    refresh()
-
-
-class CalibrationForm:
-    """The form of one kind, and the calibration that was filed with it."""
-
-    def __init__(self, desk: Desk, tab: Tab, name: str) -> None:
-        self._calibrating: Calibrating = desk.calibrating
-        self._name, self._kind = name, KINDS[name]
-        self._offered: object = None
-        self._drawn: CalibrationReport | None = None
-        kind = self._kind
-        with box(kind.title, "full-width", head="middle") as self.box:
-            ui.label(kind.do)
-            with ui.row().classes("items-center"):
-                amount = _DARK_FRAMES if kind.seconds is None else f"{kind.seconds:g}"
-                what = "frames" if kind.seconds is None else "length / s"
-                self._amount = _field(what, amount, f"{name} amount")
-                if kind.seconds is None:
-                    self._exposure = _field("exposure / us", "", f"{name} exposure")
-                tab.button("Record now", self._record).props(
-                    f'color="positive" aria-label="record for {name}" {DELIBERATE}'
-                )
-                self._stopping = tab.button("Cancel the recording", self._calibrating.stop).props(
-                    'color="negative"'
-                )
-            self._going = ui.label().classes("dim").props('role="status" aria-live="polite"')
-            if kind.list_text:
-                given: ui.input | ui.textarea = ui.textarea(
-                    "list of measured values (TOML)", value=kind.list_text
-                )
-                given.props(f'outlined autogrow data-key="{name} list" input-class="number"')
-            else:
-                given = ui.input("record").props(f'outlined dense data-key="{name} record"')
-            self._given = given.classes("full-width")
-            self._fields = {key: _choice(name, key, *asked) for key, asked in kind.fields.items()}
-            if name == "check" and desk.config.calibration.lever is not None:
-                self._fields["lever"].set_value(str(desk.config.calibration.lever))
-            with ui.row().classes("full-width items-center"):
-                self._fields["by"] = _field("made by", desk.config.session.operator, f"{name} by")
-                self._fields["valid-days"] = _field("valid for / days", _DAYS, f"{name} days")
-                tab.button("File it", self._file).props(
-                    f'color="positive" size="lg" aria-label="file {name}"'
-                )
-                self._working = ui.spinner().props('aria-label="the calibration is made"')
-                self._working.set_visibility(False)
-            self._wrong = ui.label().classes("no").props('role="alert"')
-            self._using = tab.button("Use it", self._use).props(
-                f'color="positive" size="lg" aria-label="use {name}"'
+        buttons = {
+            name: ui.button(name, on_click=partial(choose, name)).props(
+                f'dense aria-label="{name}, calibrate it"'
             )
-            self._result = ui.html(sanitize=False).classes("full-width")
+            for name in desk.calibrations
+        }
+    forms = {name: _form(desk, tab, one) for name, one in desk.calibrations.items()}
+    choose(next(iter(forms)))
 
-    def refresh(self, busy: str) -> None:
-        """Show what is recorded, what went wrong and what was filed."""
-        self._going.set_text(busy)
-        self._stopping.set_visibility(bool(busy))
-        self._wrong.set_text(self._calibrating.problems.get(self._name, ""))
-        recorded = self._calibrating.recorded.get(self._name)
-        if recorded is not None and not busy:
-            if self._kind.list_text:
-                self._going.set_text(
-                    f'recorded: name it in the list as "{recorded.relative_to(FOLDER).as_posix()}"'
-                )
-            elif recorded != self._offered:
-                self._given.set_value(str(recorded))
-            self._offered = recorded
-        made = self._calibrating.made.get(self._name)
-        self._using.set_visibility(made is not None)
-        if made is not None and made != self._drawn:
-            self._drawn = made
-            self._result.set_content(_result(made))
 
-    async def _record(self) -> None:
-        exposure = as_typed(self._exposure.value, True) if self._kind.seconds is None else ""
-        await run.io_bound(self._calibrating.record, self._name, str(self._amount.value or ""), exposure)
+def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
+    """Add the form of one kind, and the calibration that was filed with it."""
+    name, kind = calibration.name, calibration.kind
+    is_working = False
 
-    async def _file(self) -> None:
-        stated = {key: str(field.value or "") for key, field in self._fields.items()}
-        self._working.set_visibility(True)
+    async def record() -> None:
+        exposure_us = as_typed(exposure.value, True)
+        await run.io_bound(calibration.record, str(amount.value or ""), exposure_us)
+
+    async def file() -> None:
+        nonlocal is_working
+        stated = {key: str(field.value or "") for key, field in fields.items()}
+        is_working = True
         try:
-            await run.io_bound(self._calibrating.file, self._name, str(self._given.value or ""), stated)
+            await run.io_bound(calibration.file, str(given.value or ""), stated)
         finally:
-            self._working.set_visibility(False)
-            self.refresh(self._calibrating.recording())
+            is_working = False
 
-    def _use(self) -> None:
-        stated = self._calibrating.use(self._name)
+    def use() -> None:
+        stated = calibration.use()
         ui.notify(
             f"used by everything this desk starts; to keep it permanently, state: {stated}", multi_line=True
         )
+
+    def progress() -> str:
+        recorded = calibration.recorded
+        if (busy := calibration.progress) or recorded is None or not kind.list_text:
+            return busy
+        return f'recorded: name it in the list as "{recorded.relative_to(FOLDER).as_posix()}"'
+
+    def offer(recorded: Path | None) -> None:
+        if recorded is not None and not kind.list_text:
+            given.set_value(str(recorded))
+
+    def draw(made: CalibrationReport | None) -> None:
+        if made is not None:
+            ui.html(_result(made), sanitize=False).classes("full-width")
+
+    with box(kind.title, "full-width", head="middle") as form:
+        ui.label(kind.do)
+        with ui.row().classes("items-center"):
+            of_frames = kind.seconds is None
+            what, first = ("frames", _DARK_FRAMES) if of_frames else ("length / s", f"{kind.seconds:g}")
+            amount = _field(what, first, f"{name} amount")
+            exposure = _field("exposure / us", "", f"{name} exposure")
+            exposure.set_visibility(of_frames)
+            props = f'color="positive" aria-label="record for {name}" {DELIBERATE}'
+            tab.button("Record now", record, props)
+            tab.button(
+                "Cancel the recording",
+                calibration.stop,
+                'color="negative"',
+                seen=lambda: bool(calibration.progress),
+            )
+        tab.label(progress, "dim", 'role="status" aria-live="polite"')
+        if kind.list_text:
+            given: ui.input | ui.textarea = ui.textarea(
+                "list of measured values (TOML)", value=kind.list_text
+            )
+            given.props(f'outlined autogrow data-key="{name} list" input-class="number"')
+        else:
+            given = ui.input("record").props(f'outlined dense data-key="{name} record"')
+        given.classes("full-width")
+        tab.drawn(lambda: calibration.recorded, offer)
+        fields = {key: _choice(name, key, *asked) for key, asked in kind.fields.items()}
+        if name == "check" and desk.config.calibration.lever is not None:
+            fields["lever"].set_value(str(desk.config.calibration.lever))
+        with ui.row().classes("full-width items-center"):
+            fields["by"] = _field("made by", desk.config.session.operator, f"{name} by")
+            fields["valid-days"] = _field("valid for / days", _DAYS, f"{name} days")
+            tab.button("File it", file, f'color="positive" size="lg" aria-label="file {name}"')
+            tab.label(lambda: "the calibration is made …" if is_working else "", "dim", 'role="status"')
+        tab.label(lambda: calibration.problem, "no", 'role="alert"')
+        props = f'color="positive" size="lg" aria-label="use {name}"'
+        tab.button("Use it", use, props, seen=lambda: calibration.made is not None)
+        tab.drawn(lambda: calibration.made, draw)
+    return form
 
 
 def _field(label: str, value: str, key: str) -> ui.input:

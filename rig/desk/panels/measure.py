@@ -10,8 +10,9 @@ from rig.control import STALE_S
 from rig.desk import charts, tables
 from rig.desk.charts import Chart, ChartCurve, Mark
 from rig.desk.desk import Desk
+from rig.desk.dialogs import Question
 from rig.desk.panels import run_words as words
-from rig.desk.panels.between_runs import NEXT_RUN, RunResult, build_form
+from rig.desk.panels.between_runs import NEXT_RUN, build_form, build_result
 from rig.desk.panels.live_picture import LivePicture
 from rig.desk.tab import Tab, at_once, box
 from rig.instrument import Phase
@@ -26,14 +27,15 @@ _ASK_KILL = (
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel: the last result and the form of the next session, or the state of the running one."""
+    following = desk.following
     with ui.column().classes("full-width") as before:
-        RunResult(desk, tab)
+        build_result(desk, tab)
         build_form(desk, tab).props(f'id="{NEXT_RUN}"').style("scroll-margin-top: 120px")
-    with ui.column().classes("full-width") as steps_box:
-        steps = ui.html(sanitize=False).props('role="status" aria-live="polite"')
+    tab.html(lambda: _steps(desk), props='role="status" aria-live="polite"')
     with ui.element("div").classes("grid measure fills live") as during:
         with ui.column().classes("stack"):
-            numbers = RunNumbers(desk, tab)
+            with ui.column().classes("box"):
+                _build_numbers(desk, tab)
             with ui.column().classes("box"):
                 LivePicture(desk, tab, _SIZE)
         with ui.column().classes("box"):
@@ -41,129 +43,114 @@ def build(desk: Desk, tab: Tab) -> None:
             way.chart.element.style("width: min(100%, max(240px, 32vh))")
             RunCharts(desk, tab)
         with ui.column().classes("stack"):
-            facts = RunFacts(desk, tab)
+            _build_facts(desk, tab)
 
     def refresh() -> None:
-        news, running = desk.following.news, desk.following.running
-        before.set_visibility(not running and not desk.starting)
-        during.set_visibility(running)
-        steps_box.set_visibility(running or desk.starting)
-        config = desk.following.config or desk.config
-        steps.set_content(words.strip(news.get("state") or {}, config.start.way))
-        if running:
-            is_blind = numbers.refresh(news)
-            during.classes(add="blind") if is_blind else during.classes(remove="blind")
-            facts.refresh(news)
+        before.set_visibility(not following.running and not desk.starting)
+        during.set_visibility(following.running)
+        during.classes(add="blind") if _why_blind(desk) else during.classes(remove="blind")
+        if following.running:
+            path = following.news.get("path") or {"x": [], "y": []}
+            way.show(path["x"], path["y"], following.unit)
 
-    def draw() -> None:
-        if desk.following.running:
-            path = desk.following.news.get("path") or {"x": [], "y": []}
-            way.show(path["x"], path["y"], desk.following.unit)
-
-    tab.every(0.25, refresh)
-    tab.every(0.5, draw)
-    refresh()
+    tab.keep(refresh)
 
 
-class RunNumbers:
+def _run_state(desk: Desk) -> Mapping[str, Any]:
+    """State of the run that goes on, as its session tells it; empty without one."""
+    found: Mapping[str, Any] = desk.following.news.get("state") or {}
+    return found
+
+
+def _why_blind(desk: Desk) -> str:
+    """Why the values of a run are old; empty while they are not."""
+    no_frame_s = desk.following.frames_age_s
+    if desk.following.news.get("darkness"):
+        return "it is dark"
+    return f"no frame for {no_frame_s:.0f} s" if no_frame_s > STALE_S else ""
+
+
+def _build_numbers(desk: Desk, tab: Tab) -> None:
     """Large display of amplitude and time left, with Stop and Brake."""
+    following = desk.following
+    properties = 'color="negative"'
+    question = Question(tab, "stop the session", "Stop it", "", no="Go on", properties=properties)
 
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk = desk
-        with ui.dialog().props('aria-label="stop the session"') as self._sure, ui.card():
-            self._asked = ui.label(_ASK_STOP)
-            with ui.row():
-                ui.button("Stop it", on_click=lambda: self._sure.submit(True)).props('color="negative"')
-                ui.button("Go on", on_click=lambda: self._sure.submit(False)).props("outline")
-        with ui.column().classes("box"):
-            with ui.row().classes("items-baseline"):
-                ui.html("amplitude", tag="h3", sanitize=False).classes("title")
-                self._before = ui.label().classes("caution").props('role="status" aria-live="polite"')
-            with ui.element("div").classes("huge"):
-                self._amplitude = ui.label().props('role="status" aria-live="off" id="amplitude"')
-                self._amplitude.style("display: inline")
-                self._unit = ui.label().classes("unit").style("display: inline; margin-left: .3em")
-            with ui.row().classes("items-baseline"):
-                ui.label("time left").classes("title")
-                self._left = ui.label().classes("middle")
-            self._done = ui.linear_progress(value=0.0, show_value=False)
-            self._done.props('aria-label="part of the run done"')
-            with ui.row():
-                stop = tab.button("Stop", self._stop)
-                stop.props('color="negative" size="lg" aria-label="Stop the session"')
-                self._brakes = tab.button("Brake", self._brake)
-                self._brakes.props('outline size="lg"')
+    def amplitude() -> str:
+        value = _run_state(desk).get("amplitude")
+        if value is None:
+            return tables.span("–", "dim")
+        return f"{float(value):.2f}{tables.span(f' {following.unit}', 'unit')}"
 
-    def refresh(self, news: Mapping[str, Any]) -> bool:
-        """Show the state of a session; returns whether its values are old."""
-        following, state = self._desk.following, news.get("state") or {}
-        value = state.get("amplitude")
-        no_frame_s, is_dark = following.frames_age_s, bool(news.get("darkness"))
-        is_blind = no_frame_s > STALE_S or is_dark
-        from_before = ": values are old" if value is not None else ""
-        self._before.set_text(
-            f"it is dark{from_before}" if is_dark
-            else f"no frame for {no_frame_s:.0f} s{from_before}" if is_blind
-            else "" if state.get("phase") == Phase.MEASURING
-            else "nothing recorded yet"
-        )  # fmt: skip
-        self._amplitude.set_text("–" if value is None else f"{float(value):.2f}")
-        self._amplitude.classes(remove="dim", add="dim" if value is None else "")
-        self._unit.set_text("" if value is None else following.unit)
-        self._left.set_text(words.time_left(state))
-        self._done.set_value(round(float(state.get("done") or 0.0), 3))
-        self._brakes.set_visibility(following.safety.controller is not None)
-        self._brakes.set_text("Brake off" if self._brake_is_on else "Brake")
-        return is_blind
+    def remark() -> str:
+        if why := _why_blind(desk):
+            return f"{why}: values are old" if _run_state(desk).get("amplitude") is not None else why
+        return "" if _run_state(desk).get("phase") == Phase.MEASURING else "nothing recorded yet"
 
-    @property
-    def _brake_is_on(self) -> bool:
-        status = self._desk.following.safety.status
+    def brake_is_on() -> bool:
+        status = following.safety.status
         return status is not None and status.brake_on
 
-    async def _stop(self) -> None:
-        following = self._desk.following
-        self._asked.set_text(_ASK_KILL if following.frozen else _ASK_STOP)
-        if following.running and await self._sure:
-            ui.notify(await run.io_bound(self._desk.stop_session))
+    async def stop() -> None:
+        if following.running and await question.ask(_ASK_KILL if following.frozen else _ASK_STOP):
+            ui.notify(await run.io_bound(desk.stop_session))
 
-    async def _brake(self) -> None:
-        order = "brake off" if self._brake_is_on else "brake on"
-        ui.notify(await run.io_bound(self._desk.following.order, order))
+    async def brake() -> None:
+        ui.notify(await run.io_bound(following.order, "brake off" if brake_is_on() else "brake on"))
+
+    with ui.row().classes("items-baseline"):
+        ui.html("amplitude", tag="h3", sanitize=False).classes("title")
+        tab.label(remark, "caution", 'role="status" aria-live="polite"')
+    tab.html(amplitude, "huge", 'role="status" aria-live="off" id="amplitude"')
+    with ui.row().classes("items-baseline"):
+        ui.label("time left").classes("title")
+        tab.label(lambda: words.time_left(_run_state(desk)), "middle")
+    done = ui.linear_progress(value=0.0, show_value=False).props('aria-label="part of the run done"')
+    tab.keep(lambda: done.set_value(round(float(_run_state(desk).get("done") or 0.0), 3)))
+    with ui.row():
+        tab.button("Stop", stop, 'color="negative" size="lg" aria-label="Stop the session"')
+        tab.button(
+            lambda: "Brake off" if brake_is_on() else "Brake",
+            brake,
+            'outline size="lg"',
+            seen=lambda: following.safety.controller is not None,
+        )
 
 
-class RunFacts:
+def _build_facts(desk: Desk, tab: Tab) -> None:
     """The state of a run in rows, its parameters so far, its events, and the field for a note."""
 
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk = desk
-        with box("state of the run", "shrinks old-with-session", region="state of the run"):
-            self._learned = ui.html(sanitize=False).classes("full-width")
-            self._state = ui.html(sanitize=False).classes("full-width")
-        with box("events", "grows"):
-            with ui.row().classes("full-width no-wrap items-center"):
-                self._noting = ui.input("note").props('dense outlined data-key="note" maxlength=2000')
-                self._noting.classes("full-width").on("keydown.enter", tab.act(self._note))
-                tab.button("Note", self._note).props('outline aria-label="note it in the record"')
-            self._events = ui.html(sanitize=False).classes("events")
-            self._events.props('role="log" aria-label="events" tabindex="0"')
-
-    def refresh(self, news: Mapping[str, Any]) -> None:
-        """Show the session's state."""
-        learned = words.estimate_rows(news.get("state") or {})
-        self._learned.set_content(tables.table(learned, "parameters so far"))
-        self._state.set_content(tables.table(news.get("rows") or [], "state of the run"))
-        newest_first = reversed(tuple(self._desk.following.events))
-        self._events.set_content("".join(map(words.event_line, newest_first)))
-
-    async def _note(self) -> None:
-        text = str(self._noting.value or "").strip()
+    async def note() -> None:
+        text = str(noting.value or "").strip()
         if not text:
             raise RigError("an empty note: type some text")
-        reply = await run.io_bound(self._desk.following.order, f"note {text}")
+        reply = await run.io_bound(desk.following.order, f"note {text}")
         # only what is on the session's disk leaves the field
-        self._noting.set_value("")
+        noting.set_value("")
         ui.notify(reply)
+
+    def facts() -> str:
+        rows = desk.following.news.get("rows") or []
+        learned = tables.table(words.estimate_rows(_run_state(desk)), "parameters so far")
+        return f"{learned}{tables.table(rows, 'state of the run')}"
+
+    def events() -> str:
+        return "".join(map(words.event_line, reversed(tuple(desk.following.events))))
+
+    with box("state of the run", "shrinks old-with-session", region="state of the run"):
+        tab.html(facts)
+    with box("events", "grows"):
+        with ui.row().classes("full-width no-wrap items-center"):
+            noting = ui.input("note").props('dense outlined data-key="note" maxlength=2000')
+            noting.classes("full-width").on("keydown.enter", tab.act(note))
+            tab.button("Note", note, 'outline aria-label="note it in the record"')
+        tab.html(events, "events", 'role="log" aria-label="events" tabindex="0"')
+
+
+def _steps(desk: Desk) -> str:
+    if not desk.following.running and not desk.starting:
+        return ""
+    return words.strip(_run_state(desk), (desk.following.config or desk.config).start.way)
 
 
 _REDRAW_S = 1.0
@@ -174,9 +161,9 @@ def _with_fit(key: str) -> tuple[ChartCurve, ...]:
     """Curves of a quantity, of its fit, and of its residuals."""
     left = f"{key.removesuffix('_s')}_residual_in_u"
     return (
-        ChartCurve(key, name="measured", style="points"),
+        ChartCurve(key, name="measured", style="scatter"),
         ChartCurve(key, name="fit", colour="second"),
-        ChartCurve(left, style="points", row=1),
+        ChartCurve(left, style="scatter", row=1),
     )
 
 

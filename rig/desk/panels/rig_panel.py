@@ -13,13 +13,14 @@ from nicegui.events import MouseEventArguments
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
 from rig.desk import tables
-from rig.desk.aligner import EXPOSE, Aligner
+from rig.desk.aligner import Aligner
 from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.panels.between_runs import as_typed, setting_field
 from rig.desk.panels.live_picture import LivePicture, has_picture, look_now
-from rig.desk.tab import DELIBERATE, Handler, Tab, apart, at_once, box
+from rig.desk.tab import DELIBERATE, Handler, Tab, apart, box
+from rig.devices import AlignmentFrame
 from rig.terminal import Verdict
 
 KEYS = (("z", "rig: zoom 1, 4, 16"),)
@@ -27,7 +28,6 @@ _SIZE = (800, 540)
 _STEP, _STEP_DB = 1.25, 1.0
 _BARS = 64
 _LEAST_REGION_PX = 8
-_NEEDS = "settings need a live picture"
 _SHORT = 24
 """Letters of a number that stands in a lamp."""
 
@@ -35,170 +35,13 @@ _SHORT = 24
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
     with ui.element("div").classes("grid align"):
-        picture = AlignPicture(desk, tab)
-        controls = CameraControls(desk, tab)
-    checks = PreflightChecks(desk, tab)
-
-    def refresh() -> None:
-        picture.refresh()
-        controls.refresh()
-        checks.refresh()
-
-    tab.key("z", picture.zoom)
-    tab.every(0.3, refresh)
-    refresh()
-
-
-class AlignPicture:
-    """The live picture with its buttons; a rectangle drawn over the whole frame is the camera's region."""
-
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk = desk
-        self._corner: tuple[float, float] | None = None
         with ui.column().classes("box"):
-            self._picture = LivePicture(desk, tab, _SIZE, self._mouse)
-            with ui.row():
-                self._begin = tab.button("Live picture", apart(desk.begin_aligning))
-                self._begin.props(f'color="positive" {DELIBERATE}')
-                self._end = tab.button("Stop", apart(desk.end_aligning)).props("outline")
-                self._zooming = ui.button("Zoom 1", on_click=self.zoom)
-                self._zooming.props('outline aria-label="Zoom to the spot, key z"')
-                # it begins the picture anew, and with it the light
-                tab.button("Whole sensor", self._whole).props(f"outline {DELIBERATE}")
-                self._keep = tab.button("Keep for runs", lambda: desk.keep_camera(aligner_of(desk).applied))
-                self._keep.props("outline")
-            self._kept = ui.label().classes("dim")
-
-    def refresh(self) -> None:
-        """Show which buttons can do something, and what is kept."""
-        now = self._desk.aligner
-        self._begin.set_visibility(now is None)
-        self._end.set_visibility(now is not None)
-        self._keep.set_enabled(now is not None and now.running)
-        self._zooming.set_enabled(has_picture(self._desk))
-        self._kept.set_text(_kept(self._desk))
-
-    def zoom(self) -> None:
-        """The next zoom."""
-        self._picture.zoom_on()
-        self._zooming.set_text(f"Zoom {self._picture.zoom}")
-
-    def _mouse(self, event: MouseEventArguments) -> None:
-        if self._desk.aligner is None or self._picture.zoom != 1:
-            return
-        if event.type == "pointerdown":
-            self._corner = event.image_x, event.image_y
-        elif self._corner is not None:
-            x, y = self._corner
-            left, top = min(x, event.image_x), min(y, event.image_y)
-            width, height = abs(event.image_x - x), abs(event.image_y - y)
-            drawn = (
-                f"<rect x='{left}' y='{top}' width='{width}' height='{height}' fill='none' "
-                "stroke='white' stroke-width='2'/>"
-            )
-            if event.type == "pointerup":
-                self._corner = None
-                if min(width, height) > _LEAST_REGION_PX:
-                    _ask_region(self._desk, left, top, width, height)
-                else:
-                    drawn = ""
-            self._picture.element.content = drawn
-
-    async def _whole(self) -> None:
-        self._picture.element.content = ""
-        await run.io_bound(self._desk.align_whole_sensor)
-
-
-class CameraControls:
-    """Lamps of the beam, exposure and gain, histogram, focus and figures of the picture."""
-
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk, self._tab = desk, tab
-        self._fields: dict[str, ui.input] = {}
-        self._needing: list[ui.button] = []
+            _build_picture(desk, tab)
         # on a low screen it scrolls by itself: picture and buttons stay
         with box("", "scrolls", region="lamps and settings"):
-            self._lamps = ui.html(sanitize=False).classes("full-width")
-            self._lamps.props('role="status" aria-label="lamps"')
-            self._note = ui.label().props('role="status"')
-            self._setting("exposure_us", "exposure / µs", lambda us, sense: us * _STEP**sense)
-            self._setting("gain_db", "gain / dB", lambda db, sense: db + sense * _STEP_DB)
-            bars, line = (ChartCurve("pixels", style="bars"),), (ChartCurve("sharpness_per_px"),)
-            self._histogram = Chart("histogram", "level_dn", bars, height="100px")
-            self._focus = Chart("focus", "elapsed_s", line, height="110px")
-            with at_once(ui.expansion("figures", value=True)).classes("full-width"):
-                self._figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
-
-    def refresh(self) -> None:
-        """Show the newest look, and what is set at the camera."""
-        now = self._desk.aligner
-        for button in self._needing:
-            button.set_enabled(now is not None and now.running)
-        wrong = "" if now is None else now.problem or now.darkness
-        self._note.set_text(wrong or (_NEEDS if now is None else now.note))
-        self._note.classes(remove="caution dim", add="caution" if wrong else "dim")
-        self._show_applied(CameraSettings() if now is None else now.applied)
-        sharpness = [] if now is None else list(now.focus)
-        self._focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
-        look = look_now(self._desk)
-        if look is None:
-            self._figures.set_content("")
-            self._lamps.set_content("")
-            self._histogram.show([[]], empty="no picture yet")
-            return
-        best = max((one for _, one in sharpness), default=0.0)
-        # of a frame that is dark on purpose there is nothing to be judged: why it is stands below
-        dark = now is not None and bool(now.darkness)
-        self._lamps.set_content("" if dark else _lamps(look.lamps(best)))
-        self._figures.set_content(tables.table(look.rows(), "figures of the picture"))
-        counts, edges = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))
-        middles = 0.5 * (edges[1:] + edges[:-1])
-        self._histogram.show(
-            [[(float(at), round(math.log10(1 + n), 3)) for at, n in zip(middles, counts, strict=True)]]
-        )
-
-    def _setting(self, name: str, label: str, step: Callable[[float, int], float]) -> None:
-        """A row for one setting: field, Set, for the exposure Auto, and a step down (-1) and up (1)."""
-        what = label.partition(" ")[0]
-        with ui.row().classes("items-center no-wrap full-width"):
-            field = setting_field(self._desk, f"camera.{name}", label, None, is_number=True)
-            field.props("hide-bottom-space stack-label").classes("col")
-            self._fields[name] = field
-            self._small("Set", partial(self._typed, name, field), f"Set {label}")
-            if name == "exposure_us":
-                self._small("Auto", lambda: aligner_of(self._desk).wish(EXPOSE), "Auto exposure")
-            for sign, words, sense in (("-", "smaller", -1), ("+", "larger", 1)):
-                self._small(sign, partial(self._turned, name, step, sense), f"{words} {what}")
-
-    def _small(self, text: str, do: Handler, words: str) -> None:
-        button = self._tab.button(text, do).props(f'outline dense aria-label="{words}"').classes("step")
-        self._needing.append(button)
-
-    def _typed(self, name: str, field: ui.input) -> None:
-        key, value = f"camera.{name}", as_typed(field.value, True)
-        if value == "":
-            raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
-        if fault := self._desk.fault(key, value):
-            raise ConfigurationError(fault)
-        aligner_of(self._desk).wish(CameraSettings.model_validate({name: value}))
-
-    def _turned(self, name: str, step: Callable[[float, int], float], sense: int) -> None:
-        def wanted(applied: CameraSettings) -> CameraSettings:
-            stated = getattr(applied, name)
-            if stated is None:
-                raise ConfigurationError(
-                    "this camera does not report its setting; type a value, then press Set"
-                )
-            return CameraSettings.model_validate({name: step(stated, sense)})
-
-        aligner_of(self._desk).wish(wanted)
-
-    def _show_applied(self, applied: CameraSettings) -> None:
-        for name, field in self._fields.items():
-            value = getattr(applied, name)
-            hint = "" if value is None else f"now {value:.6g}"
-            if field.props.get("placeholder") != hint:
-                field.props(f'placeholder="{hint}"')
+            _build_controls(desk, tab)
+    with ui.column().classes("box"):
+        _build_checks(desk, tab)
 
 
 def aligner_of(desk: Desk) -> Aligner:
@@ -208,25 +51,70 @@ def aligner_of(desk: Desk) -> Aligner:
     return desk.aligner
 
 
-def _lamps(verdicts: Sequence[Verdict]) -> str:
-    """A lamp for each verdict, with the remedies below."""
-    shown, remedies = [], []
-    for one in verdicts:
-        kind = "no" if not one.ok else "caution" if one.remedy else "go"
-        # a beam's verdict is a sentence; it is among the figures
-        words = one.measured if len(one.measured) < _SHORT else kind
-        shown.append(f"<span class='{kind}'>{html.escape(f'{one.name} {words}')}</span>")
-        if one.remedy:
-            why = "; ".join(filter(None, (one.reason, one.remedy)))
-            remedies.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
-    return f"<div class='lamps'>{''.join(shown)}</div>{''.join(remedies)}"
+def _build_picture(desk: Desk, tab: Tab) -> None:
+    """The live picture with its buttons; a rectangle drawn over the whole frame is the camera's region."""
+    corner: tuple[float, float] | None = None
+
+    def mouse(event: MouseEventArguments) -> None:
+        nonlocal corner
+        if desk.aligner is None or picture.zoom != 1:
+            return
+        if event.type == "pointerdown":
+            corner = event.image_x, event.image_y
+        elif corner is not None:
+            pointed = event.image_x, event.image_y
+            (left, right), (top, bottom) = (sorted(ends) for ends in zip(corner, pointed, strict=True))
+            width, height = right - left, bottom - top
+            is_region = event.type != "pointerup" or min(width, height) > _LEAST_REGION_PX
+            if event.type == "pointerup":
+                corner = None
+                if is_region:
+                    _ask_region(desk, left, top, width, height)
+            drawn = (
+                f"<rect x='{left}' y='{top}' width='{width}' height='{height}' fill='none' "
+                "stroke='white' stroke-width='2'/>"
+            )
+            picture.element.content = drawn if is_region else ""
+
+    async def whole() -> None:
+        picture.element.content = ""
+        await run.io_bound(desk.align_whole_sensor)
+
+    def kept() -> str:
+        numbers = ((key, value) for key, value in desk.kept.items() if isinstance(value, int | float))
+        lines = ", ".join(f"{key} = {value:g}" for key, value in numbers)
+        return f"used for everything this desk starts: {lines}" if lines else ""
+
+    def is_on() -> bool:
+        return desk.aligner is not None
+
+    picture = LivePicture(desk, tab, _SIZE, mouse)
+    tab.key("z", picture.zoom_on)
+    with ui.row():
+        begin = apart(desk.begin_aligning)
+        tab.button("Live picture", begin, f'color="positive" {DELIBERATE}', seen=lambda: not is_on())
+        tab.button("Stop", apart(desk.end_aligning), "outline", seen=is_on)
+        tab.button(
+            lambda: f"Zoom {picture.zoom}",
+            picture.zoom_on,
+            'outline aria-label="Zoom to the spot, key z"',
+            enabled=lambda: has_picture(desk),
+        )
+        # it begins the picture anew, and with it the light
+        tab.button("Whole sensor", whole, f"outline {DELIBERATE}")
+        tab.button(
+            "Keep for runs",
+            lambda: desk.keep_camera(aligner_of(desk).applied),
+            "outline",
+            enabled=lambda: is_on() and aligner_of(desk).running,
+        )
+    tab.label(kept, "dim")
 
 
 def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:
     """Ask the camera for the rectangle, which is in px of the picture."""
-    aligner = desk.aligner
-    look = None if aligner is None else aligner.look
-    if aligner is None or look is None:
+    aligner = aligner_of(desk)
+    if (look := aligner.look) is None:
         return
     rows, columns = look.image.shape
     scale = min(_SIZE[0] / columns, _SIZE[1] / rows)
@@ -236,86 +124,185 @@ def _ask_region(desk: Desk, left: float, top: float, width: float, height: float
     aligner.wish_region(*(round(one / scale) for one in (left, top, width, height)))
 
 
-def _kept(desk: Desk) -> str:
-    lines = ", ".join(
-        f"{key} = {value:g}" for key, value in desk.kept.items() if isinstance(value, int | float)
+def _build_controls(desk: Desk, tab: Tab) -> None:
+    """Lamps of the beam, exposure and gain, histogram, focus and figures of the picture."""
+
+    look: AlignmentFrame | None = None
+
+    def take() -> None:
+        nonlocal look
+        look = look_now(desk)
+
+    def lamps() -> str:
+        now = desk.aligner
+        # of a frame that is dark on purpose there is nothing to be judged: why it is stands below
+        if look is None or (now is not None and now.darkness):
+            return ""
+        best = max((one for _, one in (tuple(now.focus) if now else ())), default=0.0)
+        return _lamps(look.lamps(best))
+
+    def note() -> str:
+        now = desk.aligner
+        if now is None:
+            return tables.span("settings need a live picture", "dim")
+        wrong = now.problem or now.darkness
+        return tables.span(wrong or now.note, "caution" if wrong else "dim")
+
+    def figures() -> str:
+        return "" if look is None else tables.table(look.rows(), "figures of the picture")
+
+    def draw() -> None:
+        now = desk.aligner
+        sharpness = [] if now is None else list(now.focus)
+        focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
+        if look is None:
+            histogram.show([[]], empty="no picture yet")
+            return
+        counts, edges = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        histogram.show(
+            [[(float(at), round(math.log10(1 + n), 3)) for at, n in zip(middles, counts, strict=True)]]
+        )
+
+    tab.keep(take)
+    tab.html(lamps, props='role="status" aria-label="lamps"')
+    tab.html(note, props='role="status"')
+    _build_setting(desk, tab, "exposure_us", "exposure / µs", lambda us, sense: us * _STEP**sense)
+    _build_setting(desk, tab, "gain_db", "gain / dB", lambda db, sense: db + sense * _STEP_DB)
+    histogram = Chart("histogram", "level_dn", (ChartCurve("pixels", style="bar"),), "small")
+    focus = Chart("focus", "elapsed_s", (ChartCurve("sharpness_per_px"),), "small")
+    tab.html(figures, props='aria-live="off"')
+    tab.keep(draw)
+
+
+def _build_setting(desk: Desk, tab: Tab, name: str, label: str, step: Callable[[float, int], float]) -> None:
+    """A row for one setting: field, Set, for the exposure Auto, and a step down (-1) and up (1)."""
+    what, key = label.partition(" ")[0], f"camera.{name}"
+
+    def small(text: str, do: Handler, words: str) -> None:
+        tab.button(
+            text,
+            do,
+            f'outline dense aria-label="{words}"',
+            enabled=lambda: desk.aligner is not None and desk.aligner.running,
+        ).classes("step")
+
+    def typed() -> None:
+        value = as_typed(field.value, True)
+        if value == "":
+            raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
+        if fault := desk.fault(key, value):
+            raise ConfigurationError(fault)
+        wanted = CameraSettings.model_validate({name: value})
+        aligner_of(desk).wish(lambda _: wanted)
+
+    def turned(sense: int) -> None:
+        def wanted(applied: CameraSettings) -> CameraSettings:
+            stated = getattr(applied, name)
+            if stated is None:
+                raise ConfigurationError(
+                    "this camera does not report its setting; type a value, then press Set"
+                )
+            return CameraSettings.model_validate({name: step(stated, sense)})
+
+        aligner_of(desk).wish(wanted)
+
+    def hint() -> None:
+        value = None if desk.aligner is None else getattr(desk.aligner.applied, name)
+        placeholder = "" if value is None else f"now {value:.6g}"
+        if field.props.get("placeholder") != placeholder:
+            field.props(f'placeholder="{placeholder}"')
+
+    with ui.row().classes("items-center no-wrap full-width"):
+        field = setting_field(desk, key, label, None, is_number=True)
+        field.props("hide-bottom-space stack-label").classes("col")
+        tab.keep(hint)
+        small("Set", typed, f"Set {label}")
+        if name == "exposure_us":
+            small("Auto", lambda: aligner_of(desk).wish_exposure(), "Auto exposure")
+        small("-", partial(turned, -1), f"smaller {what}")
+        small("+", partial(turned, 1), f"larger {what}")
+
+
+def _lamps(verdicts: Sequence[Verdict]) -> str:
+    """A lamp for each verdict, with the remedies below."""
+    shown, remedies = [], []
+    for one in verdicts:
+        kind = "no" if not one.ok else "caution" if one.remedy else "go"
+        # a beam's verdict is a sentence; it is among the figures
+        shown.append(tables.span(f"{one.name} {one.measured if len(one.measured) < _SHORT else kind}", kind))
+        if one.remedy:
+            why = "; ".join(filter(None, (one.reason, one.remedy)))
+            remedies.append(tables.span(f"{one.name}: {why}", kind, "div"))
+    return f"<div class='lamps'>{''.join(shown)}</div>{''.join(remedies)}"
+
+
+def _build_checks(desk: Desk, tab: Tab) -> None:
+    """The button that runs the checks, and what they have found."""
+
+    def runs() -> bool:
+        return "doctor" in desk.jobs and desk.jobs["doctor"].running
+
+    def end() -> None:
+        desk.jobs["doctor"].end()
+
+    with ui.row().classes("items-center"):
+        check = apart(desk.start, "doctor", "--preflight", "--json")
+        props = f'color="positive" size="lg" {DELIBERATE}'
+        tab.button("Run preflight", check, props, enabled=lambda: not runs())
+        tab.button("End", end, "outline", seen=lambda: runs() and not _verdicts(desk))
+    tab.html(lambda: _checks(desk))
+
+
+def _verdicts(desk: Desk) -> Sequence[Mapping[str, Any]]:
+    """What the running session, or the last command, has found; empty before."""
+    job = desk.jobs.get("doctor")
+    of_command = {} if job is None else job.newest.get("preflight", {})
+    found: Sequence[Mapping[str, Any]] = desk.following.news.get("preflight") or of_command.get("table", ())
+    return found
+
+
+def _checks(desk: Desk) -> str:
+    """The verdict, the next step, and a light for each check, failed ones first; before: its progress."""
+    found, job = _verdicts(desk), desk.jobs.get("doctor")
+    if not found:
+        if job is None:
+            return tables.span("it checks whether a run can be made")
+        if job.running:
+            return tables.span(doing(job.newest.get("state")) or "the camera is opened")
+        return "<br>".join(map(html.escape, list(job.output)[-3:]))
+    failed = [one for one in found if not one["ok"]]
+    shown_first = failed + [one for one in found if one["ok"] and (one["remedy"] or not one["made"])]
+    passed = [one for one in found if one not in shown_first]
+    what = "This stands" if len(failed) == 1 else f"These {len(failed)} stand"
+    then = f"{what} against a run: follow the remedies below, then run preflight again."
+    then = then if failed else "Nothing prevents a run: start it in Measure."
+    verdict = tables.span("NO-GO" if failed else "GO", "advice no" if failed else "advice go")
+    counted = f"{len(passed)} of {len(found)} checks passed"
+    return (
+        f"<div role='status'>{verdict} {'' if desk.following.running else then}</div>{lights(shown_first)}"
+        + (f"<details><summary>{counted}</summary>{lights(passed)}</details>" if passed else "")
     )
-    return f"used for everything this desk starts: {lines}" if lines else ""
-
-
-class PreflightChecks:
-    """The button that runs the checks, their verdict, and a light for each."""
-
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk = desk
-        with ui.column().classes("box"):
-            with ui.row().classes("items-center"):
-                check = apart(desk.start, "doctor", "--preflight", "--json")
-                self._button = tab.button("Run preflight", check)
-                self._button.props(f'color="positive" size="lg" {DELIBERATE}')
-                self._ending = tab.button("End", self._end).props("outline")
-                self._verdict = ui.label().classes("advice").props('role="status" aria-live="polite"')
-                self._words = ui.label().style("white-space: pre-line")
-            self._failing = ui.html(sanitize=False).classes("full-width")
-            with at_once(ui.expansion("passed")).classes("full-width") as self._folded:
-                self._passing = ui.html(sanitize=False).classes("full-width")
-
-    def refresh(self) -> None:
-        """Show what the running session, or the last command, has found."""
-        job, news = self._desk.jobs.get("doctor"), self._desk.following.news
-        found: Sequence[Mapping[str, Any]] = ()
-        progress = "it checks whether a run can be made"
-        if news.get("preflight"):
-            found = news["preflight"]
-        elif job is not None:
-            found = job.newest.get("preflight", {}).get("table", ())
-            progress = "\n".join(list(job.output)[-3:])
-            if job.running:
-                progress = doing(job.newest.get("state")) or "the camera is opened"
-        self._button.set_enabled(job is None or not job.running)
-        self._ending.set_visibility(job is not None and job.running and not found)
-        against = [one for one in found if not one["ok"]]
-        shown_first = against + [one for one in found if one["ok"] and (one["remedy"] or not one["made"])]
-        passed = [one for one in found if one not in shown_first]
-        self._verdict.set_text("" if not found else "NO-GO" if against else "GO")
-        self._verdict.set_visibility(bool(found))
-        self._verdict.classes(remove="go no", add="no" if against else "go")
-        done = "" if self._desk.following.running else _next(len(against))
-        self._words.set_text(done if found else progress)
-        self._failing.set_content(lights(shown_first))
-        self._passing.set_content(lights(passed))
-        self._folded.set_text(f"{len(passed)} of {len(found)} checks passed")
-        self._folded.set_visibility(bool(passed))
-
-    def _end(self) -> None:
-        if "doctor" in self._desk.jobs:
-            self._desk.jobs["doctor"].end()
-
-
-def _next(against: int) -> str:
-    """Text on the next step after the checks."""
-    if not against:
-        return "Nothing prevents a run: start it in Measure."
-    what = "This stands" if against == 1 else f"These {against} stand"
-    return f"{what} against a run: follow the remedies below, then run preflight again."
 
 
 def lights(verdicts: Sequence[Mapping[str, Any]]) -> str:
     """A row for each verdict: its light, its number against the limit, reason and remedy."""
     rows = []
     for one in verdicts:
-        judged = (
+        kind, judged = (
             ("no", "NO-GO") if not one["ok"]
             else ("caution", "caution") if one["remedy"]
             else ("go", "go") if one["made"]
             else ("dim", "not checked")
         )  # fmt: skip
-        why = "; ".join(html.escape(str(one[key])) for key in ("reason", "remedy") if one[key])
-        rows.append(
-            f"<tr><td class='{judged[0]} judged'><span class='light' style='background: currentcolor'></span>"
-            f"{judged[1]}</td><th scope='row'>{html.escape(str(one['name']))}</th>"
-            f"<td>{html.escape(str(one['measured']))}</td>"
-            f"<td class='dim'>{html.escape(str(one['limit']))}</td></tr>"
-            + (f"<tr><td></td><td></td><td colspan='2' class='{judged[0]}'>{why}</td></tr>" if why else "")
+        name, measured, limit, *why = (
+            html.escape(str(one[key])) for key in ("name", "measured", "limit", "reason", "remedy")
         )
-    return f"<table class='rows' aria-label='preflight'>{''.join(rows)}</table>"
+        rows.append(
+            f"<tr><td class='{kind} judged'><span class='light' style='background: currentcolor'></span>"
+            f"{judged}</td><th scope='row'>{name}</th><td>{measured}</td><td class='dim'>{limit}</td></tr>"
+        )
+        if any(why):
+            reasons = "; ".join(filter(None, why))
+            rows.append(f"<tr><td></td><td></td><td colspan='2' class='{kind}'>{reasons}</td></tr>")
+    return f"<table class='rows' aria-label='preflight'>{''.join(rows)}</table>" if rows else ""

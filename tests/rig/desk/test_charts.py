@@ -26,7 +26,7 @@ def test_ends_of_a_trajectory_that_is_to_scale_are_labels(high: float) -> None:
     reach = trajectory_reach(known)
     assert high <= reach <= 2.1 * high
     found = chart_options(
-        quantity("deflection_x"), WAY, [known, known[-1:]], "px", reach=reach, is_square=True
+        quantity("deflection_x"), WAY, [known, known[-1:]], "px", reach=reach, kind="square"
     )
     for axis in (*found["xAxis"], *found["yAxis"]):
         assert (axis["min"], axis["max"], axis["axisLabel"]["showMaxLabel"]) == (-reach, reach, True)
@@ -35,7 +35,7 @@ def test_ends_of_a_trajectory_that_is_to_scale_are_labels(high: float) -> None:
 
 
 def test_a_trajectory_that_is_stretched_gives_the_ends_back() -> None:
-    found = chart_options(quantity("deflection_x"), WAY, [[(1.0, 2.0)], []], "px", is_square=True)
+    found = chart_options(quantity("deflection_x"), WAY, [[(1.0, 2.0)], []], "px", kind="square")
     # the browser merges options: ends that are no longer named would stay
     for axis in (*found["xAxis"], *found["yAxis"]):
         assert (axis["min"], axis["max"], axis["interval"]) == (None, None, None)

@@ -19,8 +19,8 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
 from processing.spot import Spot
 from rig.control import ControlState, LaserReport, Light, SafetyNow
-from rig.desk.alarm_bar import sentence
 from rig.desk.alarm_list import AlarmKey
+from rig.desk.header import sentence
 from rig.devices import OrderSocket, SessionNews
 from rig.instrument import Block
 from rig.terminal import Verdict

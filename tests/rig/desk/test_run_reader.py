@@ -21,8 +21,14 @@ SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
 
 @pytest.fixture
-def reader(tmp_path: Path) -> Iterator[RecordFollower]:
-    found = RecordFollower(tmp_path / "run-1.mcap")
+def events() -> list[dict[str, Any]]:
+    return []
+
+
+@pytest.fixture
+def reader(tmp_path: Path, events: list[dict[str, Any]]) -> Iterator[RecordFollower]:
+    """A reader that puts its events into the list `events`."""
+    found = RecordFollower(tmp_path / "run-1.mcap", events.append)
     yield found
     found.close()
 
@@ -41,7 +47,7 @@ def spots(record: RecordWriter, at_s: float, count: int = 16) -> None:
 
 
 def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name(
-    reader: RecordFollower,
+    reader: RecordFollower, events: list[dict[str, Any]]
 ) -> None:
     assert not reader.begun
     with writer(reader.record) as record:
@@ -50,11 +56,10 @@ def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name
         record.flush()
         until(lambda: reader.begun and bool(reader.path()["y"]))
         assert reader.path()["y"] == [0.0] * 16
-        found: list[dict[str, Any]] = []
-        until(lambda: bool(found.extend(reader.take_events()) or found))
+        until(lambda: bool(events))
         began_s = time.time() - 3.0
         of_day = [clock(began_s - ago_s) for ago_s in range(60)]
-        assert [(one["kind"], one["elapsed_s"], one["at"] in of_day) for one in found] == [
+        assert [(one["kind"], one["elapsed_s"], one["at"] in of_day) for one in events] == [
             ("start", 0.0, True)
         ]
         spots(record, 1.0)

@@ -85,7 +85,7 @@ def test_every_colour_that_is_used_has_a_name() -> None:
 
 def test_panels_and_bars_have_no_colours_of_their_own() -> None:
     of_themes = DESK / "static" / "theme.css"
-    for path in {*(DESK / "panels").glob("*.py"), DESK / "alarm_bar.py", *(DESK / "static").iterdir()} - {
+    for path in {*(DESK / "panels").glob("*.py"), DESK / "header.py", *(DESK / "static").iterdir()} - {
         of_themes
     }:
         found = re.findall(r"(?:: |solid )(#[0-9a-fA-F]{3,6})\b", path.read_text("utf-8"))

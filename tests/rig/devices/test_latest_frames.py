@@ -10,8 +10,6 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame
 from processing.errors import DeviceError
-from rig.control import LightPermit
-from rig.desk.aligner import LitCamera
 from rig.devices import find_exposure, watch_latest
 
 INFO = CameraInfo("own", "Somebody", "Their own", "1", 10, 12, 255, has_clock=False)
@@ -82,17 +80,7 @@ def exposed(camera: Strange) -> None:
     find_exposure(camera, INFO, EXPOSED)
 
 
-def lit(camera: Strange) -> None:
-    """The desk's picture, whose frames allow light."""
-    picture = LitCamera(camera, INFO, LightPermit())
-    for _ in range(2):
-        # numbers begin anew
-        picture.start()
-    for _ in range(2):
-        picture.read(1.0)
-
-
-@pytest.mark.parametrize("take", [watched, exposed, lit])
+@pytest.mark.parametrize("take", [watched, exposed])
 @pytest.mark.parametrize(("made", "said"), STRANGE)
 def test_no_frame_is_taken_that_no_camera_may_deliver(
     take: Callable[[Strange], None], made: Callable[[int], Any], said: str

@@ -1,0 +1,145 @@
+"""Head of every panel: alarms and their list, light that waits for a person, a request, errors."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from nicegui import ui
+
+from rig.control import TripCause
+from rig.desk.alarm_list import AlarmKey, AlarmRow, AlarmState
+from rig.desk.desk import Desk
+from rig.desk.dialogs import resume_dialog, trip_dialog
+from rig.desk.lighting import refusal
+from rig.desk.run_reader import clock
+from rig.desk.tab import DELIBERATE, Tab, apart, at_once
+from rig.terminal import loud
+
+
+def build_header(desk: Desk, tab: Tab) -> Callable[[], None]:
+    """Build it; returns what unfolds the list of alarms, or folds it."""
+
+    def instruction() -> str:
+        return loud(str((desk.following.news.get("state") or {}).get("instruction") or ""))
+
+    with ui.element("div").classes("cries"):
+        toggle = _build_alarms(desk, tab)
+        _build_waits(desk, tab)
+        tab.label(instruction, "instruction", 'role="alert"')
+        tab.errors = ui.element("div").classes("errors full-width")
+    return toggle
+
+
+def _build_waits(desk: Desk, tab: Tab) -> None:
+    """Why it is dark, and the buttons for the acknowledgement and for light."""
+    lighting = desk.lighting
+
+    def why_dark() -> str:
+        trip, cause = desk.safety.trip, "The laser is dark, and waits for a person"
+        if trip is not None:
+            # that of a press of LIGHT OFF needs no number
+            cause = sentence(trip.why if trip.cause is TripCause.PERSON else trip.text)
+        return f"{cause}. Check that nobody is in the beam path."
+
+    def acknowledge() -> str:
+        trip, refused = desk.safety.trip, refusal(desk.safety.now)
+        return "" if trip is None else f"Acknowledge trip {trip.number}{f': {refused}' if refused else ' …'}"
+
+    with ui.element("div").classes("waits") as waits:
+        tab.label(why_dark)
+        tab.button(
+            acknowledge,
+            trip_dialog(desk, tab),
+            'color="negative"',
+            seen=lambda: desk.safety.trip is not None,
+            enabled=lambda: not refusal(desk.safety.now),
+        )
+        # it stands where the remedy names it, also before it may be pressed
+        tab.button(
+            lambda: "Light again" if lighting.waits else "Light again: once the trip is acknowledged",
+            apart(lighting.again),
+            f'color="positive" {DELIBERATE}',
+            seen=lambda: lighting.waits or (desk.safety.trip is not None and lighting.may_follow),
+            enabled=lambda: lighting.waits,
+        )
+    tab.keep(lambda: waits.set_visibility(lighting.waits or desk.safety.trip is not None))
+
+
+def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
+    """The gravest alarm in a line, the button that resumes a session that died, and the list."""
+    alarms, resume = desk.alarming.alarms, resume_dialog(desk, tab)
+
+    def toggle() -> None:
+        fold.set_value(not fold.value)
+
+    def gravest(words: Callable[[AlarmRow], str]) -> str:
+        return next((sentence(words(row)) for row in alarms.rows() if row.cries), "")
+
+    def died() -> bool:
+        is_listed = any(row.key is AlarmKey.SESSION_DIED for row in alarms.rows())
+        return is_listed and desk.resumable() is not None
+
+    async def ask_resume() -> None:
+        if (folder := desk.resumable()) is not None:
+            await resume(folder)
+
+    with ui.element("div").classes("alarm").props('role="alert" aria-live="assertive"') as banner:
+        title = tab.label(lambda: gravest(lambda row: f"{row.key}: {row.cause}"), "text-weight-bold")
+        tab.label(lambda: gravest(lambda row: row.key.remedy), "alarm-remedy")
+        ui.button("All", on_click=toggle).props('dense flat aria-label="All alarms, key a"')
+    tab.keep(lambda: banner.set_visibility(bool(title.text)))
+    props = 'color="positive" size="lg" aria-label="Resume … the session that died"'
+    tab.button("Resume …", ask_resume, props, seen=died).classes("full-width")
+    with at_once(ui.expansion()).classes("full-width alarms").props("dense") as fold:
+        with fold.add_slot("header"):
+            tab.label(lambda: _counts(alarms.rows()), props='role="status" aria-live="polite"')
+        tab.drawn(alarms.rows, partial(_list, desk, tab))
+    return toggle
+
+
+def _counts(rows: Sequence[AlarmRow]) -> str:
+    counted = [
+        (str(state), sum(row.state is state and not row.earlier for row in rows)) for state in AlarmState
+    ]
+    counted.append(("from before", sum(row.earlier for row in rows)))
+    return f"Alarms: {', '.join(f'{count} {words}' for words, count in counted if count) or 'none'}"
+
+
+def _list(desk: Desk, tab: Tab, rows: Sequence[AlarmRow]) -> None:
+    """Add a row for each alarm; those from before stand folded below them."""
+
+    def seen(*keys: AlarmKey) -> None:
+        for key in keys:
+            desk.alarming.alarms.acknowledge(key)
+
+    earlier = [row for row in rows if row.earlier]
+    for row in rows[: len(rows) - len(earlier)]:
+        _row(tab, row, seen)
+    if earlier:
+        with at_once(ui.expansion(f"{len(earlier)} from before")):
+            tab.button("All of them seen", partial(seen, *(row.key for row in earlier)))
+            for row in earlier:
+                _row(tab, row, seen)
+    if not rows:
+        ui.label("nothing is wrong").classes("dim")
+
+
+def _row(tab: Tab, row: AlarmRow, seen: Callable[[AlarmKey], None]) -> None:
+    cleared_s = row.cleared_s if row.state is AlarmState.CLEARED else None
+    times = (("since", row.raised_s), ("cleared", cleared_s), ("seen", row.acknowledged_s))
+    with ui.element("div").classes(f"alarm-row {row.state}").props(f'data-alarm="{row.key}"'):
+        with ui.element("div"):
+            again = f" ({row.times} times)" if row.times > 1 else ""
+            ui.label(f"{row.key}{again}").classes("text-weight-bold")
+            of_day = ", ".join(f"{word} {clock(at_s)}" for word, at_s in times if at_s is not None)
+            ui.label(f"{row.state}; {of_day}").classes("dim")
+        ui.label(row.cause).props('aria-label="cause"')
+        ui.label(row.key.remedy).props('aria-label="remedy"')
+        # a trip is acknowledged beside the state of the light
+        if row.key is not AlarmKey.TRIP and row.state is not AlarmState.ACKNOWLEDGED:
+            props = f'dense outline aria-label="acknowledge {row.key}" {DELIBERATE}'
+            tab.button("Seen", partial(seen, row.key), props)
+
+
+def sentence(text: str) -> str:
+    """The text with a capital first letter."""
+    return text[:1].upper() + text[1:]
