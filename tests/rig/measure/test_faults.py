@@ -50,7 +50,8 @@ def test_a_camera_that_comes_back_and_a_laser_that_fades_cost_the_frames_between
 def test_a_spot_that_stays_away_is_asked_for(tmp_path: Path, from_s: str, lasts_s: str, said: str) -> None:
     fades = {"faults__laser_fades_at_s": from_s, "faults__laser_fade_duration_s": lasts_s}
     # long enough for the display, which looks ten times a second, to see it
-    done = run_with(tmp_path / "out", session__max_duration_s="100", **fades)
+    slow = {"camera__frame_rate_hz": "20", "session__max_duration_s": "100"}
+    done = run_with(tmp_path / "out", **slow, **fades)
     lines = [line for line in done.stderr.splitlines() if "SPOT LOST" in line]
     assert len(lines) == bool(said)
     if said:
@@ -59,16 +60,19 @@ def test_a_spot_that_stays_away_is_asked_for(tmp_path: Path, from_s: str, lasts_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["vibration_burst_at_s", "draught_at_s"])
-def test_a_disturbance_flags_half_cycles_and_goes_on(fault: str, tmp_path: Path) -> None:
-    done = run_with(tmp_path / "out", **{f"faults__{fault}": "18"})
+def test_disturbances_flag_half_cycles_and_the_run_goes_on(tmp_path: Path) -> None:
+    disturbed_s = {"vibration_burst_at_s": 18, "draught_at_s": 48}
+    faults = {f"faults__{name}": str(at_s) for name, at_s in disturbed_s.items()}
+    done = run_with(tmp_path / "out", session__max_duration_s="66", **faults)
     assert "Traceback" not in done.stderr
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         swings = reader.swings()
     disturbed = HalfCycleFlag.VIBRATION | HalfCycleFlag.START
     flagged = [swing for swing in swings if swing.flags & disturbed and swing.index > 2]
-    assert flagged
-    assert all(12 < swing.turn_time_ns * 1e-9 - 1.0 < 30 for swing in flagged)
+    after_s = [[swing.turn_time_ns * 1e-9 - 1.0 - at_s for swing in flagged] for at_s in disturbed_s.values()]
+    near = [[-6 < one < 12 for one in of_one] for of_one in after_s]
+    assert all(map(any, near))
+    assert all(map(any, zip(*near, strict=True)))
 
 
 def test_a_stalled_camera_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_path: Path) -> None:
