@@ -31,6 +31,9 @@ frame_rate_hz = 25
 exposure_us = 100.0
 [view]
 file = false
+[instrument]
+# no fit of a contact, and none of its figures
+kind = "tomlinson"
 [simulation]
 max_duration_s = 4
 [simulation.sensor]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from acquisition.frames.losses import FrameLosses
 from acquisition.record.reader import RecordReader
 from processing.swing import HalfCycleFlag
 from tests.rig.command_line import CONFIGS, QUICK, WITHOUT_FIGURES, Done, events_of, rig, set_words
@@ -28,12 +29,15 @@ def test_a_camera_that_comes_back_and_a_laser_that_fades_cost_the_frames_between
     assert "DROPPED FRAMES: 150 of" in done.stdout
     assert "LOST SPOTS: " in done.stdout
     kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
-    assert kinds.index("camera lost") < kinds.index("camera back")
-    assert "stop" in kinds
+    assert kinds.index("camera lost") < kinds.index("camera back") < kinds.index("stop")
+    assert "gap" in kinds
     assert kinds.index("spot lost") < len(kinds) - 1 - kinds[::-1].index("spot found")
     run = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
     assert run["half_cycles"] >= 11
-    assert run["losses"]["while_unplugged"] == run["dropped_frames"] > 0
+    assert run["losses"]["while_unplugged"] == run["dropped_frames"] == 150
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        losses, sequences = reader.losses(), reader.spots()["sequence"]
+    assert losses == FrameLosses(while_unplugged=int(sequences[-1]) + 1 - len(sequences))
     info = rig("record", "info", tmp_path / "out" / "run-1.mcap").stdout
     assert f"{run['dropped_frames']} while unplugged" in info
 

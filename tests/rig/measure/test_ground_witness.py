@@ -39,7 +39,8 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of one run on ground that shakes, with a seismometer beside it."""
     folder = tmp_path_factory.mktemp("vault") / "run"
     source = CONFIGS / "demo.toml"
-    wanted = (*(f"{key}={value}" for key, value in SMALL.items()), *APPARATUS, *GROUND)
+    small = SMALL | {"simulation.sensor.width_px": "96"}
+    wanted = (*(f"{key}={value}" for key, value in small.items()), *APPARATUS, *GROUND)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rig.measure.run.live_posterior", lambda _: None)
         assert measure_session(load_configuration(source, wanted), source, folder) == 0

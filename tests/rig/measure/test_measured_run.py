@@ -1,5 +1,6 @@
 """Half-cycles of a run that goes on: measured again as its final analysis does, in bounded memory."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -38,13 +39,11 @@ def measured() -> tuple[list[HalfCycle], Deflections]:
 
 
 def fed(
-    run: MeasuredRun, swings: list[HalfCycle] | None = None, samples: Deflections | None = None
+    run: MeasuredRun, swings: list[HalfCycle], samples: Deflections, steps: Sequence[int] = STEPS
 ) -> FitResult:
     """What is known in the end, fitted in between, too, as the half-cycles come."""
-    if swings is None or samples is None:
-        swings, samples = measured()
     before, since = 0, int(samples.times_ns[0])
-    for count in STEPS:
+    for count in steps:
         end_ns = swings[count].turn_time_ns
         new = samples.since(since)
         run.take(swings[before:count], new[: int(np.searchsorted(new.times_ns, end_ns))])
@@ -57,7 +56,7 @@ def fed(
 def whole() -> tuple[int, FitResult]:
     """How many deflections are kept where all are, and the fit."""
     run = MeasuredRun()
-    fit = fed(run)
+    fit = fed(run, *measured())
     return run.samples, fit
 
 
@@ -105,7 +104,7 @@ def turned() -> tuple[list[HalfCycle], Deflections]:
 
 def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> None:
     swings, samples = turned()
-    live = fed(MeasuredRun(most=4000), swings, samples)
+    live = fed(MeasuredRun(most=4000), swings, samples, STEPS[1:])
     upto = samples[: int(np.searchsorted(samples.times_ns, swings[STEPS[-1]].turn_time_ns))]
     followed = follow_plane(swings[: STEPS[-1]], PassingDeflections([upto], DeflectionUnit.RAD), Axes())
     assert followed.is_turned
@@ -113,17 +112,17 @@ def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> N
         followed.swings, followed.deflections, DeflectionUnit.RAD, PENDULUM, FitSettings()
     )
     assert refined.exact is not None
-    unfollowed = 0.0
+    detected, unfollowed = how(swings, samples).of(swings), 0.0
     for name in PAPER.names(drag=True):
         value, u = refined.exact.estimate(name)
         assert live.estimate(name).value == pytest.approx(value, abs=0.3 * u), name
-        unfollowed = max(unfollowed, abs(how(swings, samples).of(swings).estimate(name).value - value) / u)
+        unfollowed = max(unfollowed, abs(detected.estimate(name).value - value) / u)
     assert unfollowed > 3.0
 
 
 def test_deflections_are_let_go_where_there_are_many_and_the_fit_stays() -> None:
     few = MeasuredRun(most=4000)
-    bounded = fed(few)
+    bounded = fed(few, *measured())
     every_samples, every = whole()
     assert every_samples > 7000
     assert few.samples < 4500
