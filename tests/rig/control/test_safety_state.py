@@ -204,6 +204,8 @@ def test_on_a_full_disk_nothing_is_lit_and_no_trip_is_forgotten(full: Path, by: 
 
 def test_what_cannot_be_written_holds_and_is_written_later(path: Path) -> None:
     with SafetyState(path) as state:
+        # noted already, and to be noted again all the same
+        state.lit(True)
         path.unlink()
         path.mkdir()
         with pytest.raises(DeviceError, match="the rig's state cannot be written"):
