@@ -424,6 +424,13 @@ def test_no_power_above_the_stored_limit_whatever_is_sent(board: Board) -> None:
                 assert reply, f"no answer to {command}"
             return reply
 
+        # a limit that is lowered lowers the light that is on
+        for command in ("SYST:SESS A,5000", "LAS:POW 1e-3", "LAS:STAT ON", "LAS:POW:LIM 5e-4"):
+            ask(command)
+        assert board.outputs()["laser"] == [1, 0.0005]
+        ask("LAS:POW:LIM 1e-3")
+        ask("SYST:SESS:END")
+
         # what depends on the interpreter shows in fewer
         @settings(
             max_examples=150 if isinstance(board, SteppedBoard) else 60,
