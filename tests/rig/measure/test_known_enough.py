@@ -114,10 +114,9 @@ def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
     assert shown == read
     with RecordReader(record) as reader:
         assert reader.events()[-1].text == run["ended"]
-        phases, lights, healths, estimates, points = (
-            reader.values(kind)
-            for kind in (RecordedPhase, RecordedLight, RecordedHealth, RecordedEstimate, RecordedFittedPoint)
-        )
+        phases, lights = reader.values(RecordedPhase), reader.values(RecordedLight)
+        healths, estimates = reader.values(RecordedHealth), reader.values(RecordedEstimate)
+        points = reader.values(RecordedFittedPoint)
         levels = {
             EVENT.decode(one.data)[1]: EVENT.decode(one.data)[3] for one in reader.messages(EVENT.topic)
         }
