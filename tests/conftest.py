@@ -39,7 +39,7 @@ COMPUTING_BETWEEN = 4
 """Files that compute, those with most slow tests first, between two that wait for long."""
 LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 """Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""
-WHOLE_SESSIONS = {"measured_series", "short_session"}
+WHOLE_SESSIONS = {"measured_series"}
 """Fixtures for which the first test that wants them may wait as long as a slow one."""
 
 

@@ -240,7 +240,6 @@ def _measured(trial: Trial, process: "subprocess.Popen[bytes]") -> Row:
 
 def _begin(trial: Trial, process: "subprocess.Popen[bytes]") -> None:
     board, fault = trial.board, trial.fault
-    assert board.wire is not None
     if "TRIP line lost" in fault:
         board.wire.to_host = lambda data: re.sub(rb"![^\n]*TRIP[^\n]*\n", b"", data)
     if fault in KEYS:
@@ -260,7 +259,6 @@ def _begin(trial: Trial, process: "subprocess.Popen[bytes]") -> None:
 def _end(trial: Trial, process: "subprocess.Popen[bytes]") -> None:
     """The fault goes, as far as it can."""
     board, fault = trial.board, trial.fault
-    assert board.wire is not None
     if fault == "interlock opened for 1.5 s":
         board.press(b"c")
     if "interlock opened meanwhile" in fault:
@@ -276,7 +274,6 @@ def _end(trial: Trial, process: "subprocess.Popen[bytes]") -> None:
 
 def _asked(trial: Trial) -> tuple[str, str]:
     """What another program needs to light afterwards; a fault that is still there is taken away first."""
-    assert trial.board.wire is not None
     trial.board.wire.connected = True
     if trial.fault == "interlock opened and left open":
         trial.board.press(b"c")

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from rig.control.settings import ControllerSettings
+from tests.rig.control.stepped import Clock, stepped_clock
 from tests.rig.control.wires import FirmwareBoard
 
 PACKAGE = "@micropython/micropython-webassembly-pyscript"
@@ -57,6 +58,12 @@ def make_board(micropython: Path, tmp_path: Path) -> Iterator[Callable[..., Firm
     """Starts boards and ends them with the test."""
     with micropython_boards(micropython, tmp_path) as make:
         yield make
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The clock of all that the host does with lines, which goes on only while somebody waits."""
+    return stepped_clock(monkeypatch)
 
 
 @pytest.fixture

@@ -73,11 +73,6 @@ def lit(board: FirmwareBoard) -> bool:
     return board.outputs().get("laser") == [1, POWER_W]
 
 
-def is_safe(board: FirmwareBoard) -> bool:
-    outputs = board.outputs()
-    return outputs["laser"][0] == 0 and outputs["magnet"] == [0] and outputs["starter"] == [0]
-
-
 def being_recorded(board: FirmwareBoard, record: Path) -> bool:
     return lit(board) and record.exists() and spots_in(record) > 20
 
@@ -100,7 +95,7 @@ def wait_for(board: FirmwareBoard, condition: Callable[[], bool], log: Path) -> 
 
 def assert_closed_and_dark(board: FirmwareBoard, folder: Path, reason: str) -> None:
     # at once, not when the watchdog of 5 s would have done it
-    assert is_safe(board)
+    assert board.is_safe
     with RecordReader(folder / "run-1.mcap") as reader:
         assert not reader.truncated
         assert len(reader.spots()) > 20
@@ -129,7 +124,7 @@ def test_killed_while_the_magnet_holds(board: FirmwareBoard, tmp_path: Path) -> 
         process.send_signal(signal.SIGKILL)
         process.wait()
         killed_s = time.monotonic()
-        board.wait_for(lambda: is_safe(board), ENDED_WITHIN_S)
+        board.wait_for(lambda: board.is_safe, ENDED_WITHIN_S)
         safe_s = time.monotonic()
     after = board.events()[before:]
     # by the firmware alone, and for good

@@ -18,7 +18,7 @@ from rig.control.sensors import EnvironmentService, parse_environment
 from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import EnvironmentSettings
 from tests.rig.control.instruments import Instrument
-from tests.rig.control.stepped import Clock, InstrumentLine, stepped_clock, turn
+from tests.rig.control.stepped import Clock, InstrumentLine, turn
 
 THREE = r"T=(?P<temperature_c>[-\d.]+) (?:H=(?P<humidity_percent>[\d.]+) )?P=(?P<pressure_hpa>[\d.]+)"
 
@@ -45,11 +45,6 @@ class SensorLine(InstrumentLine):
         if not self._instrument.plugged_in:
             raise PortLost("sensor: unplugged")
         return super().read(timeout_s)
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    return stepped_clock(monkeypatch)
 
 
 @pytest.fixture

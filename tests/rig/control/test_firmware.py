@@ -40,6 +40,12 @@ def make_board(
         yield lambda through_wire=False: board
 
 
+@pytest.fixture
+def wired(make_board: Callable[..., Board]) -> Board:
+    """A board on a wire that can spoil and lose."""
+    return make_board(through_wire=True)
+
+
 def opened(board: Board, **changes: object) -> Controller:
     controller = Controller(settings_for(board.port, **changes), MAX_W)
     controller.open()
@@ -215,11 +221,9 @@ def test_lines_without_a_session_may_ask_but_not_act_and_every_one_is_answered(b
 
 
 def test_reset_in_mid_command_is_noticed_and_nothing_is_done_twice(
-    make_board: Callable[..., Board],
+    wired: Board,
 ) -> None:
-    board = make_board(through_wire=True)
-    assert board.wire is not None
-    controller = opened(board, watchdog_s=5.0)
+    controller = opened(wired, watchdog_s=5.0)
     controller.hold()
     seen: list[bytes] = []
 
@@ -227,29 +231,27 @@ def test_reset_in_mid_command_is_noticed_and_nothing_is_done_twice(
         seen.append(data)
         if len(seen) == 1:
             # The board does it, its reply is lost and it is reset before the host asks again.
-            board.press(b"r")
+            wired.press(b"r")
         return data
 
-    board.wire.to_board = reset_when_it_comes
-    board.wire.to_host = lambda data: data if b"!BOOT" in data else b""
+    wired.wire.to_board = reset_when_it_comes
+    wired.wire.to_host = lambda data: data if b"!BOOT" in data else b""
     with pytest.raises((ControllerReset, ReplyTimeout)):
         controller.starter_pulse(0.02)
-    board.wire.to_host = lambda data: data
-    board.wait_for(lambda: board.count("boot", 1) == 2, 20.0)
+    wired.wire.to_host = lambda data: data
+    wired.wait_for(lambda: wired.count("boot", 1) == 2, 20.0)
     with pytest.raises(ControllerReset):
         controller.heartbeat()
-    assert board.count("starter", 1) <= 1
+    assert wired.count("starter", 1) <= 1
     controller.open()
     assert controller.heartbeat().trip == "NONE"
-    assert board.outputs()["magnet"] == [0]
+    assert wired.outputs()["magnet"] == [0]
     controller.close()
 
 
 @pytest.mark.parametrize("direction", ["to_board", "to_host"])
-def test_junk_half_lines_and_losses_are_survived(make_board: Callable[..., Board], direction: str) -> None:
-    board = make_board(through_wire=True)
-    assert board.wire is not None
-    controller = opened(board, watchdog_s=5.0, timeout_s=0.15, retries=10)
+def test_junk_half_lines_and_losses_are_survived(wired: Board, direction: str) -> None:
+    controller = opened(wired, watchdog_s=5.0, timeout_s=0.15, retries=10)
     turn = 0
 
     def spoil(data: bytes) -> bytes:
@@ -267,26 +269,24 @@ def test_junk_half_lines_and_losses_are_survived(make_board: Callable[..., Board
             case _:
                 return data
 
-    setattr(board.wire, direction, spoil)
+    setattr(wired.wire, direction, spoil)
     powers = [1e-6 * (1 + i) for i in range(40)]
     controller.laser_on()
     for power_w in powers:
         controller.set_laser_power_w(power_w)
     assert controller.line_counts()[2] > 5
-    lit = [row[2][1] for row in board.events() if row[1] == "laser" and row[2][0] == 1][1:]
+    lit = [row[2][1] for row in wired.events() if row[1] == "laser" and row[2][0] == 1][1:]
     # Each one arrived, once, unspoilt and in order, whatever the line did.
     assert lit == pytest.approx(powers, rel=2e-6)
-    setattr(board.wire, direction, lambda data: data)
+    setattr(wired.wire, direction, lambda data: data)
     controller.close()
 
 
 @OF_THE_HOST
-def test_a_late_reply_is_not_taken_for_a_fresh_one(make_board: Callable[..., Board]) -> None:
-    board = make_board(through_wire=True)
-    assert board.wire is not None
-    controller = opened(board, watchdog_s=5.0, timeout_s=2.0, retries=0)
+def test_a_late_reply_is_not_taken_for_a_fresh_one(wired: Board) -> None:
+    controller = opened(wired, watchdog_s=5.0, timeout_s=2.0, retries=0)
     held: list[bytes] = []
-    wire = board.wire
+    wire = wired.wire
     wire.to_host = lambda data: held.append(data) or b""  # type: ignore[func-returns-value]
     with pytest.raises(ReplyTimeout, match="no reply to LAS:POW"):
         controller.set_laser_power_w(0.0007)
@@ -298,26 +298,22 @@ def test_a_late_reply_is_not_taken_for_a_fresh_one(make_board: Callable[..., Boa
 
 
 @OF_THE_HOST
-def test_slow_replies_are_waited_for(make_board: Callable[..., Board]) -> None:
-    board = make_board(through_wire=True)
-    assert board.wire is not None
-    controller = opened(board, watchdog_s=5.0, timeout_s=4.0)
+def test_slow_replies_are_waited_for(wired: Board) -> None:
+    controller = opened(wired, watchdog_s=5.0, timeout_s=4.0)
 
     def slowly(data: bytes) -> bytes:
-        board.sleep(0.1)
+        wired.sleep(0.1)
         return data
 
-    board.wire.to_host = slowly
+    wired.wire.to_host = slowly
     assert controller.heartbeat().interlock_closed
     assert controller.line_counts() == (0, 0, 0)
     controller.close()
 
 
-def test_unplugged_is_a_lost_port_on_read_and_on_write(make_board: Callable[..., Board]) -> None:
-    board = make_board(through_wire=True)
-    assert board.wire is not None
-    controller = opened(board)
-    board.wire.unplug()
+def test_unplugged_is_a_lost_port_on_read_and_on_write(wired: Board) -> None:
+    controller = opened(wired)
+    wired.wire.unplug()
     with pytest.raises(PortLost, match="check the cable"):
         controller.heartbeat()
     controller.close()
@@ -334,21 +330,17 @@ def test_missing_port_is_named() -> None:
     "answer",
     [b"THORLABS,ITC4001,M00123,1.8\r\n", b"Syntax error: illegal command\r", b"$GPGGA,123519,4807\r\n", b""],
 )
-def test_wrong_device_is_not_taken_for_the_controller(
-    make_board: Callable[..., Board], answer: bytes
-) -> None:
-    board = make_board(through_wire=True)
-    assert board.wire is not None
-    board.wire.to_board = lambda data: b""
-    wire = board.wire
-    controller = Controller(settings_for(board.port, timeout_s=0.1, retries=1), MAX_W)
+def test_wrong_device_is_not_taken_for_the_controller(wired: Board, answer: bytes) -> None:
+    wired.wire.to_board = lambda data: b""
+    wire = wired.wire
+    controller = Controller(settings_for(wired.port, timeout_s=0.1, retries=1), MAX_W)
 
     def other_device(data: bytes) -> bytes:
         if data.strip():
             wire.inject(answer)
         return b""
 
-    board.wire.to_board = other_device
+    wired.wire.to_board = other_device
     with pytest.raises(ReplyTimeout, match="check port") as raised:
         controller.open()
     if answer.endswith(b"\n"):
@@ -356,10 +348,8 @@ def test_wrong_device_is_not_taken_for_the_controller(
 
 
 @OF_THE_HOST
-def test_another_instrument_with_our_framing_is_named(make_board: Callable[..., Board]) -> None:
-    board = make_board(through_wire=True)
-    assert board.wire is not None
-    wire = board.wire
+def test_another_instrument_with_our_framing_is_named(wired: Board) -> None:
+    wire = wired.wire
 
     def other(data: bytes) -> bytes:
         if b"*IDN?" in data:
@@ -368,7 +358,7 @@ def test_another_instrument_with_our_framing_is_named(make_board: Callable[..., 
         return b""
 
     wire.to_board = other
-    controller = Controller(settings_for(board.port), MAX_W)
+    controller = Controller(settings_for(wired.port), MAX_W)
     with pytest.raises(DeviceError, match="'somebody,else,1,1\\.0' answers there"):
         controller.open()
 
@@ -433,6 +423,13 @@ def test_no_power_above_the_stored_limit_whatever_is_sent(board: Board) -> None:
             while not (reply := line.readline()).startswith(b"#%d " % tag):
                 assert reply, f"no answer to {command}"
             return reply
+
+        # a limit that is lowered lowers the light that is on
+        for command in ("SYST:SESS A,5000", "LAS:POW 1e-3", "LAS:STAT ON", "LAS:POW:LIM 5e-4"):
+            ask(command)
+        assert board.outputs()["laser"] == [1, 0.0005]
+        ask("LAS:POW:LIM 1e-3")
+        ask("SYST:SESS:END")
 
         @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), database=None)
         @given(st.lists(SENDINGS, min_size=1, max_size=12))

@@ -13,12 +13,7 @@ from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.terminal import Verdict
 from tests.rig.control.instruments import FakeCobolt, Instrument
-from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard, stepped_clock
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    return stepped_clock(monkeypatch)
+from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard
 
 
 def by_name(checks: tuple[Verdict, ...]) -> dict[str, Verdict]:

@@ -37,51 +37,38 @@ def lit_by_another_program(board: FirmwareBoard, ending: str) -> Iterator["subpr
         program.kill()
 
 
-def dark(board: FirmwareBoard) -> bool:
-    outputs = board.outputs()
-    return outputs["laser"][0] == 0 and outputs["magnet"] == [0] and outputs["starter"] == [0]
-
-
 @pytest.mark.slow
-def test_killed_with_signal_9(board: FirmwareBoard) -> None:
-    with lit_by_another_program(board, "waits") as program:
-        # Alive, it stays lit for longer than the watchdog waits: the heartbeat does its work.
-        time.sleep(2 * WATCHDOG_S)
-        assert board.outputs()["laser"] == [1, 0.0005]
-        program.send_signal(signal.SIGKILL)
-        program.wait()
-        board.wait_for(lambda: dark(board), DARK_WITHIN_S)
-
-
-def test_stopped_but_not_ended(board: FirmwareBoard) -> None:
-    with lit_by_another_program(board, "waits") as program:
-        program.send_signal(signal.SIGSTOP)
-        board.wait_for(lambda: dark(board), DARK_WITHIN_S)
-        program.send_signal(signal.SIGCONT)
-        # It wakes up and finds its session gone; nothing lights by itself.
-        time.sleep(0.5)
-        assert dark(board)
-
-
-@pytest.mark.slow
-def test_every_other_way_to_end(make_board: Callable[..., FirmwareBoard]) -> None:
+def test_however_a_program_ends_the_board_goes_dark(
+    make_board: Callable[..., FirmwareBoard],
+) -> None:
     """At the same time, each with a board of its own."""
     with ExitStack() as programs:
-        begun = []
-        for ending in ("returns", "raises", "exits", "closes"):
-            board = make_board()
-            begun.append((board, programs.enter_context(lit_by_another_program(board, ending))))
-        for _, program in begun:
-            assert program.stdin is not None
-            program.stdin.write("\n")
-            program.stdin.flush()
-        for board, _ in begun:
-            board.wait_for(lambda board=board: dark(board), DARK_WITHIN_S)  # type: ignore[misc]
+        boards, begun = {}, {}
+        for ending in ("returns", "raises", "exits", "closes", "is killed", "is stopped"):
+            boards[ending] = make_board()
+            begun[ending] = programs.enter_context(lit_by_another_program(boards[ending], ending))
+        # Alive, they stay lit for longer than the watchdog waits: the heartbeat does its work.
+        time.sleep(2 * WATCHDOG_S)
+        for ending, program in begun.items():
+            assert boards[ending].outputs()["laser"] == [1, 0.0005]
+            if ending == "is killed":
+                program.send_signal(signal.SIGKILL)
+            elif ending == "is stopped":
+                program.send_signal(signal.SIGSTOP)
+            else:
+                assert program.stdin is not None
+                program.stdin.write("\n")
+                program.stdin.flush()
+        for board in boards.values():
+            board.wait_for(lambda board=board: board.is_safe, DARK_WITHIN_S)  # type: ignore[misc]
+        begun["is stopped"].send_signal(signal.SIGCONT)
+        # It wakes up and finds its session gone; nothing lights by itself.
+        time.sleep(0.5)
+        assert all(board.is_safe for board in boards.values())
 
 
 def test_cable_pulled_while_the_program_lives(make_board: Callable[..., FirmwareBoard]) -> None:
     board = make_board(through_wire=True)
-    assert board.wire is not None
     control = settings_for(board.port, timeout_s=0.2, heartbeat_s=0.1, watchdog_s=1.5)
     with ControlService(Controller(control, 0.001), control) as service:
         service.wait_open(10.0)
@@ -89,11 +76,11 @@ def test_cable_pulled_while_the_program_lives(make_board: Callable[..., Firmware
         service.submit(lambda c: c.hold()).result(5.0)
         assert board.outputs()["laser"][0] == 1
         board.wire.connected = False
-        board.wait_for(lambda: dark(board), DARK_WITHIN_S)
+        board.wait_for(lambda: board.is_safe, DARK_WITHIN_S)
         board.wire.connected = True
         # Plugged in again: the service finds the controller, reports it, and lights nothing.
         board.wait_for(lambda: service.snapshot.reconnects >= 1, 30.0)
-        assert dark(board)
+        assert board.is_safe
         said = " / ".join(service.take_events())
         assert "no reply" in said or "no session" in said
         assert said.count("TEST0001 is connected") == 2

@@ -14,14 +14,9 @@ from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
 from rig.control.worker import DeviceThread, JobExpired
-from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, stepped_clock, turn
+from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, turn
 
 HEARTBEAT_S, WATCHDOG_S = 0.5, 2.0
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    return stepped_clock(monkeypatch)
 
 
 @pytest.fixture
@@ -39,13 +34,18 @@ def permit(clock: Clock, state: SafetyState) -> LightPermit:
     return LightPermit(clock.monotonic, state)
 
 
+def service_of(
+    board: SteppedBoard, permit: LightPermit | None, period_s: float | None = 3.0, **stated: float
+) -> ControlService:
+    """A service of the board, whose air is read once a period, with these settings."""
+    settings = ControllerSettings.model_validate({"kind": "serial", "port": "stepped", **stated})
+    controller = Controller(settings, 0.001, board.open_line)
+    return ControlService(controller, settings, environment_period_s=period_s, permit=permit)
+
+
 @pytest.fixture
 def service(board: SteppedBoard, permit: LightPermit) -> ControlService:
-    settings = ControllerSettings(
-        kind="serial", port="stepped", heartbeat_s=HEARTBEAT_S, watchdog_s=WATCHDOG_S, timeout_s=0.1
-    )
-    controller = Controller(settings, 0.001, board.open_line)
-    return ControlService(controller, settings, environment_period_s=3.0, permit=permit)
+    return service_of(board, permit, heartbeat_s=HEARTBEAT_S, watchdog_s=WATCHDOG_S, timeout_s=0.1)
 
 
 def lit(service: ControlService, board: SteppedBoard) -> None:
@@ -82,9 +82,7 @@ def test_what_a_program_that_was_killed_left_tripped_the_next_one_finds(
     board.turn(WATCHDOG_S + 0.1)
     assert board.outputs()["laser"][0] == 0
     state = SafetyState()
-    settings = ControllerSettings(kind="serial", port="stepped", timeout_s=0.1)
-    permit = LightPermit(clock.monotonic, state)
-    turn(ControlService(Controller(settings, 0.001, board.open_line), settings, permit=permit))
+    turn(service_of(board, LightPermit(clock.monotonic, state), timeout_s=0.1))
     assert state.trip is not None
     assert state.trip.cause is TripCause.WATCHDOG
 
@@ -138,8 +136,7 @@ def test_an_off_is_never_too_late(
     board: SteppedBoard, permit: LightPermit, darken: Callable[[ControlService], object]
 ) -> None:
     """A computer that stood still for less than the board's watchdog time must not forget it."""
-    settings = ControllerSettings(kind="serial", port="stepped", watchdog_s=5.0, timeout_s=0.1)
-    service = ControlService(Controller(settings, 0.001, board.open_line), settings, permit=permit)
+    service = service_of(board, permit, watchdog_s=5.0, timeout_s=0.1)
     lit(service, board)
     darken(service)
     board.turn(4.0)
@@ -197,9 +194,7 @@ def test_a_board_without_a_sensor_says_so_once(service: ControlService, board: S
 
 def test_a_board_whose_sensor_is_not_wanted_is_not_asked(board: SteppedBoard) -> None:
     board.sensor_works = False
-    settings = ControllerSettings(kind="serial", port="stepped")
-    controller = Controller(settings, 0.001, board.open_line)
-    service = ControlService(controller, settings, environment_period_s=None)
+    service = service_of(board, None, None)
     live(service, board, 10.0)
     assert [text for text in service.take_events() if "error" in text] == []
 
@@ -530,9 +525,7 @@ def test_a_board_that_says_nothing_of_use_is_dark_within_the_watchdogs_time(
     environment_period_s: float | None,
 ) -> None:
     """Its own watchdog hears the heartbeats: the program must give it up, and say so."""
-    settings = ControllerSettings(kind="serial", port="stepped")
-    controller = Controller(settings, 0.001, board.open_line)
-    service = ControlService(controller, settings, environment_period_s, permit)
+    service = service_of(board, permit, environment_period_s)
     lit(service, board)
     line = SpoiledLine(board)
     for moment in range(4):
@@ -550,8 +543,7 @@ def test_a_board_that_says_nothing_of_use_is_dark_within_the_watchdogs_time(
 def test_answers_that_come_a_little_late_are_answers(
     board: SteppedBoard, permit: LightPermit, delay_s: float
 ) -> None:
-    settings = ControllerSettings(kind="serial", port="stepped")
-    service = ControlService(Controller(settings, 0.001, board.open_line), settings, 1.0, permit)
+    service = service_of(board, permit, 1.0)
     lit(service, board)
     SpoiledLine(board).late(delay_s)
     live(service, board, 20.0)

@@ -35,11 +35,11 @@ class FirmwareBoard:
         known(self.port)
         # Held open, so that the terminal survives a host that opens and closes it.
         self._slave = slave
-        self.wire: Wire | None = None
+        self._wire: Wire | None = None
         if through_wire:
             ours, theirs = socket.socketpair()
             serial_fd = theirs.detach()
-            self.wire = Wire(master, ours)
+            self._wire = Wire(master, ours)
         else:
             serial_fd = master
         os.set_blocking(serial_fd, False)
@@ -70,6 +70,12 @@ class FirmwareBoard:
         while not greeting.endswith(b"\n"):
             greeting += os.read(slave, 64)
 
+    @property
+    def wire(self) -> "Wire":
+        """The wire of a board that was made with one."""
+        assert self._wire is not None
+        return self._wire
+
     def sleep(self, duration_s: float) -> None:
         time.sleep(duration_s)
 
@@ -93,6 +99,11 @@ class FirmwareBoard:
         """Latest state of each output."""
         return {name: values for _, name, values in self.events()}
 
+    @property
+    def is_safe(self) -> bool:
+        """Whether laser, magnet and starter are off."""
+        return not any(self.outputs()[name][0] for name in ("laser", "magnet", "starter"))
+
     def count(self, name: str, first_value: float) -> int:
         """How often an output went to this value."""
         return sum(row[1] == name and row[2][0] == first_value for row in self.events())
@@ -114,8 +125,8 @@ class FirmwareBoard:
         self._process.wait()
         self._errors.close()
         os.close(self._control)
-        if self.wire is not None:
-            self.wire.close()
+        if self._wire is not None:
+            self._wire.close()
         if self._slave >= 0:
             os.close(self._slave)
 

@@ -29,6 +29,15 @@ way = "let go"
 """
 
 
+def simulated_rig(folder: Path, more: str = "") -> Path:
+    """The configuration of a simulated rig with more tables, whose sessions go into `runs` beside it."""
+    path, output = folder / "rig.toml", (folder / "runs").as_posix()
+    path.write_text(
+        f'[camera]\ndriver = "simulated"\n[session]\noutput = "{output}"\n{more}', encoding="utf-8"
+    )
+    return path
+
+
 @pytest.fixture(scope="session")
 def desk_configuration(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Writes a configuration with more tables, in a folder of its own, where its sessions go, too."""

@@ -20,6 +20,7 @@ from rig.desk.desk import Desk
 from rig.devices import OrderSocket, SessionNews
 from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration, stored_configuration
+from tests.rig.desk.conftest import simulated_rig
 from tests.waiting import until
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -29,11 +30,8 @@ IGNORES = ("sh", "-c", "trap '' TERM; exec \"$@\"", "-")
 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
-    path = tmp_path / "rig.toml"
-    output = (tmp_path / "runs").as_posix()
-    path.write_text(f'[camera]\ndriver = "simulated"\n[session]\noutput = "{output}"\n', encoding="utf-8")
     (tmp_path / "runs" / "session").mkdir(parents=True)
-    return path
+    return simulated_rig(tmp_path)
 
 
 @pytest.fixture

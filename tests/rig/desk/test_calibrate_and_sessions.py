@@ -31,6 +31,9 @@ frame_rate_hz = 25
 exposure_us = 100.0
 [view]
 file = false
+[instrument]
+# no fit of a contact, and none of its figures
+kind = "tomlinson"
 [simulation]
 max_duration_s = 4
 [simulation.sensor]
@@ -48,7 +51,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a rig at rest, a session that was made, and one that was interrupted."""
     place = tmp_path_factory.mktemp("desk")
     (place / "rig.toml").write_text(RIG, encoding="utf-8")
-    shutil.copytree(SAMPLES / "first", place / "runs" / "older")
+    # without a lever: of a fit of a contact there would be figures, which nobody looks at
+    shutil.copytree(SAMPLES / "uncalibrated", place / "runs" / "older")
+    shutil.copy(SAMPLES / "first" / "session.json", place / "runs" / "older")
     config = load_configuration(place / "rig.toml").model_dump(mode="json")
     broken = place / "runs" / "broken"
     broken.mkdir()

@@ -22,6 +22,7 @@ from rig.devices import ORDERS_NAME, OrderSocket, SessionNews, order_line
 from rig.instrument import Block, configuration_attachments
 from rig.measure.session_file import SessionFile
 from rig.settings import Configuration, stored_configuration
+from tests.rig.desk.conftest import simulated_rig
 from tests.waiting import until
 
 
@@ -111,15 +112,11 @@ def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
 
 def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path) -> None:
     """The later one may come when somebody has acknowledged already."""
-    config = tmp_path / "rig.toml"
-    config.write_text(
-        f'[camera]\ndriver = "simulated"\n[session]\noutput = "{(tmp_path / "runs").as_posix()}"\n'
-    )
     folder = tmp_path / "runs" / "session"
     folder.mkdir(parents=True)
     told = SessionNews()
     dark: list[str] = []
-    desk = Desk(config)
+    desk = Desk(simulated_rig(tmp_path))
     with OrderSocket(folder, told, {"dark": lambda by: dark.append(by) or "dark"}):  # type: ignore[func-returns-value]
         desk.following.start()
         for press in ("one", "one", "two"):
@@ -133,10 +130,7 @@ def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path
 
 
 def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: Path) -> None:
-    source = tmp_path / "rig.toml"
-    source.write_text(
-        f'[camera]\ndriver = "simulated"\n[session]\noutput = "{(tmp_path / "runs").as_posix()}"\n'
-    )
+    source = simulated_rig(tmp_path)
     folder = tmp_path / "runs" / "session"
     folder.mkdir(parents=True)
     config = Configuration(camera={"driver": "simulated"}, reference={"from_row_px": 40})  # type: ignore[arg-type]

@@ -12,6 +12,7 @@ from processing.errors import ConfigurationError
 from rig.control import SafetyState, in_thread
 from rig.desk.desk import Desk
 from rig.desk.lighting import Lighting
+from tests.rig.desk.conftest import simulated_rig
 from tests.rig.known_rig import known
 from tests.waiting import until
 
@@ -27,10 +28,7 @@ def desk_of(tmp_path: Path) -> Iterator[Callable[[str], Desk]]:
     desks: list[Desk] = []
 
     def make(more: str) -> Desk:
-        config = tmp_path / "rig.toml"
-        output = (tmp_path / "runs").as_posix()
-        config.write_text(f'[camera]\ndriver = "simulated"\n[session]\noutput = "{output}"\n{more}')
-        desks.append(Desk(config))
+        desks.append(Desk(simulated_rig(tmp_path, more)))
         desks[-1].safety.start()
         return desks[-1]
 

@@ -43,7 +43,7 @@ def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...]
 def test_the_rate_is_known_within_its_uncertainty_ever_more_closely(drift_ppm: float) -> None:
     off, wide = [], []
     for seed in range(6):
-        found = read(frames(120.0, drift_ppm, seed=seed))
+        found = read(frames(120.0, drift_ppm, seed=seed), size=25)
         last = found[-1]
         assert last.known
         off.append((last.drift_ppm - drift_ppm) / last.u_drift_ppm)

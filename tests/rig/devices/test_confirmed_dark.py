@@ -21,7 +21,6 @@ def of_board(board: FirmwareBoard) -> Configuration:
 
 def late(board: FirmwareBoard) -> Callable[[], None]:
     """Answers take 0.9 s, more than all repetitions of a command."""
-    assert board.wire is not None
     wire = board.wire
 
     def hold_back(data: bytes) -> bytes:
@@ -47,7 +46,6 @@ def without_session(board: FirmwareBoard) -> Callable[[], None]:
 
 def reopened(board: FirmwareBoard) -> Callable[[], None]:
     """Nothing goes over the cable for a while."""
-    assert board.wire is not None
     wire = board.wire
 
     def begin() -> None:
@@ -82,7 +80,6 @@ def test_what_never_answers_is_not_confirmed(
     board = make_board(through_wire=True)
     with Devices(of_board(board)) as devices:
         devices.light()
-        assert board.wire is not None
         board.wire.to_host = lambda _: b""
         begun_s = time.monotonic()
     assert "THE LASER MAY BE LIT: the controller does not confirm" in capsys.readouterr().err
@@ -109,7 +106,6 @@ def test_ctrl_c_in_the_wait_is_heard_after_one_of_the_two_lines(
     def session() -> None:
         with Devices(of_board(board)) as devices:
             devices.light()
-            assert board.wire is not None
             if not answers:
                 board.wire.to_host = lambda _: b""
             monkeypatch.setattr(laser, "wait_for_command", interrupted)

@@ -5,8 +5,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from tests.benchmarks.safety_lasers import TRIALS, measured
 from tests.benchmarks.safety_sequences import run_sequences
 from tests.rig.control.instruments import FakeObis, Instrument
 from tests.rig.control.lasers.pairs import FAMILIES
-from tests.rig.control.test_ending import ENDED_WITHIN_S, command
+from tests.rig.control.test_ending import ENDED_WITHIN_S, command, running
 from tests.rig.control.wires import FirmwareBoard
 from tests.rig.known_rig import known
 from tests.waiting import until
@@ -193,61 +193,95 @@ def test_an_interlock_that_is_not_wired_as_stated_is_found_before_it_is_lit(
         instrument.close()
 
 
+LIGHTS = """
+import sys, time
+from pathlib import Path
+from rig.control import Stage
+from rig.devices import Devices
+from rig.settings import load_configuration
+with Devices(load_configuration(Path(sys.argv[1]))) as devices:
+    print(devices.light(), flush=True)
+    while True:
+        for stage in (Stage.CAMERA, Stage.PROCESSING):
+            devices.permit.moved(stage)
+        time.sleep(0.1)
+"""
+"""A program that lights the laser of a configuration, as a run with frames does."""
+CONFIG = """
+[camera]
+driver = "simulated"
+[laser]
+kind = "obis"
+port = "{}"
+power_w = 0.02
+max_power_w = 0.03
+timeout_s = 2.0
+interlock = "{}"
+[controller]
+kind = "serial"
+port = "{}"
+timeout_s = 0.3
+watchdog_s = 5.0
+"""
+
+
 @contextmanager
-def measuring_with(
-    instrument: FakeObis, board: FirmwareBoard, folder: Path, interlock: str, lit: Callable[[], bool]
-) -> Iterator["subprocess.Popen[bytes]"]:
-    words = command(
-        folder / "out",
-        board,
-        laser__kind='"obis"',
-        laser__port=json.dumps(instrument.port),
-        laser__timeout_s="2.0",
-        laser__interlock=f'"{interlock}"',
-        controller__watchdog_s="5.0",
-    )
-    record = folder / "out" / "run-1.mcap"
-    with (folder / "said").open("wb") as said:
-        process = subprocess.Popen(
-            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=said, stderr=said
-        )
-        try:
-            until(
-                lambda: (
-                    process.poll() is not None
-                    or (lit() and record.exists() and record.stat().st_size > 30_000)
-                )
-            )
-            assert process.poll() is None, (folder / "said").read_text()
-            yield process
-        finally:
-            process.kill()
-            process.wait()
+def lit_by_a_program(
+    instrument: FakeObis, board: FirmwareBoard, folder: Path, interlock: str
+) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """The program, and what it was told when it lit the laser."""
+    config = folder / "rig.toml"
+    config.write_text(CONFIG.format(instrument.port, interlock, board.port))
+    with subprocess.Popen(
+        [sys.executable, "-c", LIGHTS, config], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
+    ) as program:
+        assert program.stdout is not None
+        yield program, program.stdout.readline()
+        program.kill()
 
 
 @pytest.mark.slow
 def test_killed_the_relay_darkens_it(board: FirmwareBoard, wired: BehindTheRelay, tmp_path: Path) -> None:
-    with measuring_with(wired, board, tmp_path, "controller", lambda: wired.emits) as process:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+    with lit_by_a_program(wired, board, tmp_path, "controller") as (program, _):
+        assert wired.emits
+        program.send_signal(signal.SIGKILL)
+        program.wait()
         board.wait_for(lambda: not wired.emits, ENDED_WITHIN_S)
 
 
-# lit after a kill: that is what documentation and preflight warn of
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "lit_after"), [(signal.SIGTERM, False), (signal.SIGKILL, True)])
-def test_without_the_relay_sigterm_darkens_it_and_sigkill_does_not(
-    board: FirmwareBoard, tmp_path: Path, number: signal.Signals, lit_after: bool
-) -> None:
-    instrument = FakeObis()
-    try:
-        with measuring_with(instrument, board, tmp_path, "own", lambda: instrument.on) as process:
-            process.send_signal(number)
+def test_killed_without_the_relay_it_stays_lit_as_is_said(board: FirmwareBoard, tmp_path: Path) -> None:
+    """Documentation and preflight warn of that."""
+    with closing(FakeObis()) as instrument:
+        with lit_by_a_program(instrument, board, tmp_path, "own") as (program, said):
+            assert instrument.on
+            program.send_signal(signal.SIGKILL)
+            program.wait()
+        assert instrument.on
+    assert "stays lit when this program is killed" in said
+
+
+@pytest.mark.slow
+def test_without_the_relay_sigterm_darkens_it(board: FirmwareBoard, tmp_path: Path) -> None:
+    record, said = tmp_path / "out" / "run-1.mcap", tmp_path / "said"
+    with closing(FakeObis()) as instrument:
+        laser = {
+            "laser__kind": '"obis"',
+            "laser__port": json.dumps(instrument.port),
+            "laser__timeout_s": "2.0",
+        }
+        words = command(tmp_path / "out", board, **laser, controller__watchdog_s="5.0")
+        with running(words, said) as process:
+            until(
+                lambda: (
+                    process.poll() is not None
+                    or (instrument.on and record.exists() and record.stat().st_size > 30_000)
+                )
+            )
+            assert process.poll() is None, said.read_text()
+            process.send_signal(signal.SIGTERM)
             process.wait(ENDED_WITHIN_S)
-        assert instrument.on is lit_after
-        assert "stays lit when this program is killed" in (tmp_path / "said").read_text()
-    finally:
-        instrument.close()
+        assert not instrument.on
 
 
 def test_preflight_says_how_the_laser_stands() -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import rig
 from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
-from processing.errors import DeviceError, RigError
+from processing.errors import DeviceError
 from rig.control import ControlService, LightRefused, Stage, TripCause
 from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
@@ -23,7 +23,8 @@ from rig.desk.aligner import Aligner
 from rig.devices import Devices, LightWatch
 from rig.devices.acknowledgement import TypedAcknowledgement
 from rig.instrument import complete
-from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
+from rig.measure import measure_session, preflight_rig, record_plainly
+from rig.measure.notices import PreflightWait
 from rig.measure.session_orders import Notes, orders
 from rig.prepare.balancing import BalanceView, measure
 from rig.settings import Configuration
@@ -141,17 +142,6 @@ def tripped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run(config: Configuration, folder: Path) -> None:
     measure_session(config, LIVE, folder / "session")
-
-
-def resume(config: Configuration, folder: Path) -> None:
-    usual = Devices._open
-    with pytest.MonkeyPatch.context() as patch:
-        # begun, and killed before it made a run
-        patch.setattr(Devices, "light", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
-        with pytest.raises((KeyboardInterrupt, RigError)):
-            run(config, folder)
-    assert Devices._open is usual
-    resume_session(folder / "session")
 
 
 def calibrate(config: Configuration, folder: Path) -> None:
@@ -415,9 +405,6 @@ def test_a_session_that_waits_in_the_dark_does_not_light_after_a_trip(
     config: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lit: Lit
 ) -> None:
     """Between two tries of a run whose preflight said no-go the door is opened for a moment."""
-    from rig.measure.notices import PreflightWait
-    from rig.measure.session import measure_session
-
     loop = Loop(monkeypatch)
     opened: list[Devices] = []
     usual = Devices._open

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from acquisition.frames.losses import FrameLosses
 from acquisition.record.reader import RecordReader
+from acquisition.record.topics import RecordedPhase
 from processing.swing import HalfCycleFlag
 from tests.rig.command_line import CONFIGS, QUICK, WITHOUT_FIGURES, Done, events_of, rig, set_words
 
@@ -28,12 +30,15 @@ def test_a_camera_that_comes_back_and_a_laser_that_fades_cost_the_frames_between
     assert "DROPPED FRAMES: 150 of" in done.stdout
     assert "LOST SPOTS: " in done.stdout
     kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
-    assert kinds.index("camera lost") < kinds.index("camera back")
-    assert "stop" in kinds
+    assert kinds.index("camera lost") < kinds.index("camera back") < kinds.index("stop")
+    assert "gap" in kinds
     assert kinds.index("spot lost") < len(kinds) - 1 - kinds[::-1].index("spot found")
     run = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
     assert run["half_cycles"] >= 11
-    assert run["losses"]["while_unplugged"] == run["dropped_frames"] > 0
+    assert run["losses"]["while_unplugged"] == run["dropped_frames"] == 150
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        losses, sequences = reader.losses(), reader.spots()["sequence"]
+    assert losses == FrameLosses(while_unplugged=int(sequences[-1]) + 1 - len(sequences))
     info = rig("record", "info", tmp_path / "out" / "run-1.mcap").stdout
     assert f"{run['dropped_frames']} while unplugged" in info
 
@@ -43,32 +48,40 @@ def test_a_camera_that_comes_back_and_a_laser_that_fades_cost_the_frames_between
     [
         ("0", "90", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align "),
         ("4", "90", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align "),
-        ("4", "4", ""),
+        # too dim to be found for half of that time, less than the 5 s after which it is said
+        ("4", "9", ""),
     ],
     ids=["never seen", "lost", "back soon"],
 )
 def test_a_spot_that_stays_away_is_asked_for(tmp_path: Path, from_s: str, lasts_s: str, said: str) -> None:
     fades = {"faults__laser_fades_at_s": from_s, "faults__laser_fade_duration_s": lasts_s}
     # long enough for the display, which looks ten times a second, to see it
-    done = run_with(tmp_path / "out", session__max_duration_s="100", **fades)
+    slow = {"camera__frame_rate_hz": "20", "session__max_duration_s": "100"}
+    done = run_with(tmp_path / "out", **slow, **fades)
     lines = [line for line in done.stderr.splitlines() if "SPOT LOST" in line]
     assert len(lines) == bool(said)
+    # the display may miss a moment, the record does not
+    with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
+        assert any("spot lost" in one.instruction for one in reader.values(RecordedPhase)) == bool(said)
     if said:
         since = re.escape(said).replace(r"\{\}", r"\d\d\.\d")
         assert re.fullmatch(f"{since}{re.escape(str(CONFIGS / 'demo.toml'))}", lines[0])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["vibration_burst_at_s", "draught_at_s"])
-def test_a_disturbance_flags_half_cycles_and_goes_on(fault: str, tmp_path: Path) -> None:
-    done = run_with(tmp_path / "out", **{f"faults__{fault}": "18"})
+def test_disturbances_flag_half_cycles_and_the_run_goes_on(tmp_path: Path) -> None:
+    disturbed_s = {"vibration_burst_at_s": 18, "draught_at_s": 48}
+    faults = {f"faults__{name}": str(at_s) for name, at_s in disturbed_s.items()}
+    done = run_with(tmp_path / "out", session__max_duration_s="66", **faults)
     assert "Traceback" not in done.stderr
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         swings = reader.swings()
     disturbed = HalfCycleFlag.VIBRATION | HalfCycleFlag.START
     flagged = [swing for swing in swings if swing.flags & disturbed and swing.index > 2]
-    assert flagged
-    assert all(12 < swing.turn_time_ns * 1e-9 - 1.0 < 30 for swing in flagged)
+    after_s = [[swing.turn_time_ns * 1e-9 - 1.0 - at_s for swing in flagged] for at_s in disturbed_s.values()]
+    near = [[-6 < one < 12 for one in of_one] for of_one in after_s]
+    assert all(map(any, near))
+    assert all(map(any, zip(*near, strict=True)))
 
 
 def test_a_stalled_camera_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_path: Path) -> None:

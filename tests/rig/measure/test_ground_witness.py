@@ -7,7 +7,6 @@ import threading
 import time
 import tty
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +32,6 @@ GROUND = (
     "simulation.witness.delay_s=0.05",
     "fit.drag='vacuum'",
 )
-fitted_once = cache(analyse_record)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +39,8 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of one run on ground that shakes, with a seismometer beside it."""
     folder = tmp_path_factory.mktemp("vault") / "run"
     source = CONFIGS / "demo.toml"
-    wanted = (*(f"{key}={value}" for key, value in SMALL.items()), *APPARATUS, *GROUND)
+    small = SMALL | {"simulation.sensor.width_px": "96"}
+    wanted = (*(f"{key}={value}" for key, value in small.items()), *APPARATUS, *GROUND)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rig.measure.run.live_posterior", lambda _: None)
         assert measure_session(load_configuration(source, wanted), source, folder) == 0
@@ -74,9 +73,6 @@ def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> N
     # it is late by 0.05 s, which is in the response's phase; so short a run bounds it
     delay_s, u_s = run.witness.delay_s
     assert abs(delay_s + 0.05) < 3 * u_s < 0.5
-    again = fitted_once(vault / "run-1.mcap")
-    assert again.witness == run.witness
-    assert again.fits["exact"].estimate("b") == run.fits["exact"].estimate("b")
     alone = analyse_record(vault / "run-1.mcap", ["witness.kind='none'"])
     assert alone.witness is None
     exact = alone.fits["exact"]
@@ -99,7 +95,7 @@ def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: 
         rows = zip((table["time_ns"] - zero_ns).tolist(), table["first"].tolist(), strict=True)
         lines = [f"{time_ns // 10**9}.{time_ns % 10**9:09d},{value:.9g}" for time_ns, value in rows]
         (tmp_path / name).write_text("\n".join(["time_s,counts", *lines]))
-    own = fitted_once(record)
+    (own,) = read_results(vault).runs
     assert own.witness is not None
     for name in ("utc.csv", "relative.csv"):
         found = analyse_record(record, witness=SeismometerSource(tmp_path / name).read())

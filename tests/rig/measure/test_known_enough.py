@@ -1,21 +1,36 @@
 """Runs that end by what they know, what the screen says of it, and who ended a run."""
 
 import json
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
+from acquisition.record.events import Severity
 from acquisition.record.reader import RecordReader
+from acquisition.record.topics import (
+    EVENT,
+    RecordedEstimate,
+    RecordedFittedPoint,
+    RecordedHealth,
+    RecordedLight,
+    RecordedPhase,
+)
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
+from rig.control import Light
 from rig.devices import FrameStream
-from rig.instrument import RunNow
+from rig.instrument import Phase, RunNow, piece_contents
 from rig.interruption import BY_USER
 from rig.measure.end_of_run import CONSECUTIVE_FITS, EndOfRun, StopRequest
+from rig.measure.run import MeasurementRun
+from rig.measure.run_parts import RunOutcome
 from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
+from rig.terminal import plain_values
 from rig.view.show import show_records
 from tests.rig.command_line import CONFIGS, SMALL, configured
 from tests.rig.view.rrd_contents import column
@@ -57,26 +72,71 @@ def test_the_screen_says_what_is_known_and_what_the_end_waits_for() -> None:
     assert estimate_rows(RunNow(), ()) == []
 
 
+def read_again(record: Path) -> RunNow:
+    """The state of a run as a reader of its whole record adds it up."""
+    now = RunNow()
+    with RecordReader(record) as reader:
+        times_ns = reader.spots()["time_ns"]
+        for piece in reader.unread():
+            now = now.after(
+                piece_contents(reader, piece, int(times_ns[0]), int(times_ns[-1])), reader.deflection_unit
+            )
+    return now
+
+
 @pytest.mark.slow
-def test_a_session_ends_by_what_it_knows_and_says_so(tmp_path: Path) -> None:
-    wanted = {
-        **SMALL,
-        "camera.frame_rate_hz": "25",
-        "session.stop_when": '["u(p)/p < 0.9"]',
-    }
+def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Phase, light, how it kept up, the live fit, the level of events."""
+    usual, outcomes = MeasurementRun.execute, []
+
+    def kept(run: MeasurementRun, *words: Any) -> RunOutcome:
+        outcomes.append(usual(run, *words))
+        return outcomes[-1]
+
+    monkeypatch.setattr(MeasurementRun, "execute", kept)
+    wanted = {**SMALL, "camera.frame_rate_hz": "25", "session.stop_when": '["u(p)/p < 0.9"]'}
     source, folder = CONFIGS / "demo.toml", tmp_path / "out"
-    config = configured(wanted, source)
-    assert measure_session(config, source, folder) == 0
+    record = folder / "run-1.mcap"
+    assert measure_session(configured(wanted, source), source, folder) == 0
     (run,) = json.loads((folder / "results.json").read_text())["runs"]
     assert run["ended"].startswith("known well enough: u(p)/p = 0.")
     assert run["ended"].endswith(" < 0.9")
     # fits of 40, 42, 44 and 46 half-cycles; the turning point of one is known some frames after it
     assert 46 <= run["half_cycles"] <= 48
-    with RecordReader(folder / "run-1.mcap") as reader:
+    show_records([record], rrd=folder / "run-1.rrd")
+    _, drawn = column(folder / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
+    assert drawn[0][0] == pytest.approx(4.071, rel=0.02)
+    # who reads the record sees what the screen has shown; that it is closed it cannot say
+    last = replace(outcomes[0].last, phase=Phase.CLOSING)
+    shown, read = (plain_values(asdict(one)) for one in (last, read_again(record)))
+    assert shown == read
+    with RecordReader(record) as reader:
         assert reader.events()[-1].text == run["ended"]
-    show_records([folder / "run-1.mcap"], rrd=folder / "run-1.rrd")
-    _, shown = column(folder / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
-    assert shown[0][0] == pytest.approx(4.071, rel=0.02)
+        phases, lights = reader.values(RecordedPhase), reader.values(RecordedLight)
+        healths, estimates = reader.values(RecordedHealth), reader.values(RecordedEstimate)
+        points = reader.values(RecordedFittedPoint)
+        levels = {
+            EVENT.decode(one.data)[1]: EVENT.decode(one.data)[3] for one in reader.messages(EVENT.topic)
+        }
+        frames, swings = len(reader.spots()), reader.swings()
+    assert [one.phase for one in phases] == [Phase.MEASURING, Phase.CLOSING]
+    assert phases[-1].reason == run["ended"]
+    # this rig controls no laser
+    assert (lights[-1].light, lights[-1].trip) == (Light.UNKNOWN, 0)
+    # with the first block of at most 64 frames after each second, and at the end
+    apart_s = np.diff([one.time_ns for one in healths][:-1]) * 1e-9
+    assert min(apart_s) >= 1.0
+    assert max(apart_s) <= 1.0 + 64 / 25
+    assert np.isnan(healths[-1].frame_age_s)
+    assert healths[-1].frames == pytest.approx(frames, abs=200)
+    assert levels["start"] == levels["stop"] == Severity.INFORMATION
+    fitted = [one for one in estimates if one.time_ns == estimates[-1].time_ns]
+    assert {"b", "c"} <= {one.quantity for one in fitted}
+    assert 46 <= fitted[0].half_cycles <= len(swings)
+    beside = [one for one in points if one.time_ns == points[-1].time_ns]
+    assert len(beside) == fitted[0].half_cycles
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Half-cycles of a run that goes on: measured again as its final analysis does, in bounded memory."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -23,7 +24,7 @@ from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8", 1.7e-3)
-STEPS = (60, 90, 120, 150)
+STEPS = (60, 105, 150)
 
 
 @cache
@@ -38,19 +39,25 @@ def measured() -> tuple[list[HalfCycle], Deflections]:
 
 
 def fed(
-    run: MeasuredRun, swings: list[HalfCycle] | None = None, samples: Deflections | None = None
+    run: MeasuredRun, swings: list[HalfCycle], samples: Deflections, steps: Sequence[int] = STEPS
 ) -> FitResult:
     """What is known in the end, fitted in between, too, as the half-cycles come."""
-    if swings is None or samples is None:
-        swings, samples = measured()
     before, since = 0, int(samples.times_ns[0])
-    for count in STEPS:
+    for count in steps:
         end_ns = swings[count].turn_time_ns
         new = samples.since(since)
         run.take(swings[before:count], new[: int(np.searchsorted(new.times_ns, end_ns))])
         before, since = count, end_ns
         _, fit = run.fitted(how(swings[:count], samples))
     return fit
+
+
+@cache
+def whole() -> tuple[int, FitResult]:
+    """How many deflections are kept where all are, and the fit."""
+    run = MeasuredRun()
+    fit = fed(run, *measured())
+    return run.samples, fit
 
 
 def how(swings: list[HalfCycle], samples: Deflections) -> DecayFit:
@@ -63,7 +70,7 @@ def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> N
     swings, samples = measured()
     swings = swings[: STEPS[-1]]
     upto = samples[: int(np.searchsorted(samples.times_ns, measured()[0][STEPS[-1]].turn_time_ns))]
-    live = fed(MeasuredRun())
+    _, live = whole()
     refined = refined_half_cycles(swings, [upto], DeflectionUnit.RAD, PENDULUM, FitSettings())
     assert refined.exact is not None
     assert refined.motion is not None
@@ -97,7 +104,7 @@ def turned() -> tuple[list[HalfCycle], Deflections]:
 
 def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> None:
     swings, samples = turned()
-    live = fed(MeasuredRun(most=4000), swings, samples)
+    live = fed(MeasuredRun(most=4000), swings, samples, STEPS[1:])
     upto = samples[: int(np.searchsorted(samples.times_ns, swings[STEPS[-1]].turn_time_ns))]
     followed = follow_plane(swings[: STEPS[-1]], PassingDeflections([upto], DeflectionUnit.RAD), Axes())
     assert followed.is_turned
@@ -105,21 +112,22 @@ def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> N
         followed.swings, followed.deflections, DeflectionUnit.RAD, PENDULUM, FitSettings()
     )
     assert refined.exact is not None
-    unfollowed = 0.0
+    detected, unfollowed = how(swings, samples).of(swings), 0.0
     for name in PAPER.names(drag=True):
         value, u = refined.exact.estimate(name)
         assert live.estimate(name).value == pytest.approx(value, abs=0.3 * u), name
-        unfollowed = max(unfollowed, abs(how(swings, samples).of(swings).estimate(name).value - value) / u)
+        unfollowed = max(unfollowed, abs(detected.estimate(name).value - value) / u)
     assert unfollowed > 3.0
 
 
 def test_deflections_are_let_go_where_there_are_many_and_the_fit_stays() -> None:
-    every, few = MeasuredRun(), MeasuredRun(most=4000)
-    whole, bounded = fed(every), fed(few)
-    assert every.samples > 7000
+    few = MeasuredRun(most=4000)
+    bounded = fed(few, *measured())
+    every_samples, every = whole()
+    assert every_samples > 7000
     assert few.samples < 4500
     for name in PAPER.names(drag=True):
-        value, u = whole.estimate(name)
+        value, u = every.estimate(name)
         assert bounded.estimate(name).standard_uncertainty == pytest.approx(u, rel=0.1), name
         assert bounded.estimate(name).value == pytest.approx(value, abs=0.25 * u), name
 

@@ -20,7 +20,7 @@ from acquisition.record.reader import RecordReader
 from rig.devices import FrameStream, SessionNews
 from rig.interruption import _may_block
 from rig.measure import measure_session, screen
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, configured, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, WITHOUT_FIGURES, configured, rig, set_words
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")
 WITHIN_S = 120.0
@@ -114,7 +114,7 @@ NOHUP = (
 @pytest.mark.slow
 def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path) -> None:
     out, into = os.pipe()
-    words = ["-m", "rig", "run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(QUICK)]
+    words = ["-c", WITHOUT_FIGURES, "run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(QUICK)]
     process = subprocess.Popen(
         [sys.executable, "-c", NOHUP, *words],
         stdin=subprocess.DEVNULL,

@@ -96,11 +96,10 @@ def growing(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Growing]
     found.close()
 
 
-beside_a_measurement = pytest.mark.parametrize("growing", [False], indirect=True)
-
-
-def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(growing: Growing) -> None:
-    measured = swings(POINTS)[: FIRST_HALF_CYCLES + 12]
+def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(
+    growing: Growing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = swings(POINTS)[: FIRST_HALF_CYCLES + 6]
     known = list(growing.by(measured))
     counts = [FIRST_HALF_CYCLES]
     while next_fit_half_cycles(counts[-1]) <= len(measured):
@@ -113,9 +112,16 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(growing: Growing) ->
     for name, (value, u) in last.estimates.items():
         assert u == pytest.approx(cut.estimate(name).standard_uncertainty, rel=0.02)
         assert value == pytest.approx(cut.estimate(name).value, abs=0.02 * u)
-    # a rejected start: what it told is forgotten
-    growing.begin()
+    # a rejected start: what it told is forgotten, and the process waited for however long it takes to die:
+    # else it stays as a zombie
+    pid = growing.posterior.worker_pid
+    assert pid is not None
+    with monkeypatch.context() as hurried:
+        hurried.setattr("rig.measure.posterior._CALL_INTERVAL_S", 0.0)
+        growing.begin()
     assert growing.posterior.latest == Posterior()
+    assert growing.posterior.worker_pid is None
+    until(lambda: not alive(pid))
     # half-cycles that are no decay change nothing, and flagged ones are not fitted
     rising = swings(POINTS)[:FIRST_HALF_CYCLES][::-1]
     assert growing.grow(rising) == Posterior()
@@ -127,50 +133,31 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(growing: Growing) ->
     assert growing.posterior.worker_pid is None
 
 
-def test_frames_that_wait_for_a_fit_on_purpose_say_so(
+def test_frames_that_wait_for_a_fit_on_purpose_say_so_and_go_on_without_the_process(
     growing: Growing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A run that `stop_when` may end said that its camera had stalled while the first fit compiled."""
     # no process starts within that
     monkeypatch.setattr("rig.measure.posterior._CALL_INTERVAL_S", 0.02)
-    measured = swings(POINTS)[:FIRST_HALF_CYCLES]
-    growing.grow(measured[:-1])
+    measured, posterior = swings(POINTS), growing.posterior
+    growing.grow(measured[: FIRST_HALF_CYCLES - 1])
     said: list[str] = []
-    posterior = growing.posterior
 
     def flush() -> None:
         said.append("flush")
-        growing.write(measured[-1])
+        growing.write(measured[FIRST_HALF_CYCLES - 1])
 
-    posterior.take(measured[-1:], flush, lambda: said.append("waiting"))
+    posterior.take(measured[FIRST_HALF_CYCLES - 1 : FIRST_HALF_CYCLES], flush, lambda: said.append("waiting"))
     assert said[:2] == ["waiting", "flush"]
     assert "waiting" in said[2:]
-    assert posterior.latest.half_cycles == FIRST_HALF_CYCLES
-
-
-def test_without_the_process_that_fits_the_half_cycles_go_on_and_it_is_said_once(growing: Growing) -> None:
-    measured, posterior = swings(POINTS), growing.posterior
-    before = growing.grow(measured[:FIRST_HALF_CYCLES])
+    before = posterior.latest
     assert before.half_cycles == FIRST_HALF_CYCLES
+    # nothing waits for a process that is gone, and that is said once
     assert posterior.worker_pid is not None
     os.kill(posterior.worker_pid, signal.SIGTERM)
-    # nothing waits for one that is gone
     assert growing.grow(measured[FIRST_HALF_CYCLES:]) == before
     assert "has died" in posterior.take_remark()
     assert posterior.take_remark() == ""
-
-
-def test_a_process_that_takes_its_time_to_die_is_waited_for_all_the_same(
-    growing: Growing, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What nobody waits for stays as a zombie, and warns when it is forgotten."""
-    monkeypatch.setattr("rig.measure.posterior._CALL_INTERVAL_S", 0.0)
-    growing.grow(swings(POINTS)[:FIRST_HALF_CYCLES])
-    pid = growing.posterior.worker_pid
-    assert pid is not None
-    growing.begin()
-    assert growing.posterior.worker_pid is None
-    until(lambda: not alive(pid))
 
 
 def alive(pid: int) -> bool:
@@ -183,34 +170,28 @@ def alive(pid: int) -> bool:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes are stopped by signals")
-@beside_a_measurement
-def test_beside_a_measurement_nothing_waits_for_a_process_that_is_stopped(growing: Growing) -> None:
-    measured, posterior = swings(POINTS), growing.posterior
-    growing.grow(measured[:FIRST_HALF_CYCLES])
-    growing.go_on()
-    until(lambda: posterior.latest.half_cycles == FIRST_HALF_CYCLES)
-    before, pid = posterior.latest, posterior.worker_pid
-    assert pid is not None
-    os.kill(pid, signal.SIGSTOP)
-    # would wait for ever
-    assert growing.grow(measured[FIRST_HALF_CYCLES:]) == before
-    posterior.close()
-    until(lambda: not alive(pid))
-
-
-@beside_a_measurement
-def test_beside_a_measurement_a_fit_waits_for_its_share_of_a_core(growing: Growing) -> None:
+@pytest.mark.parametrize("growing", [False], indirect=True)
+def test_beside_a_measurement_a_fit_waits_for_its_share_of_a_core_and_nothing_for_a_fit(
+    growing: Growing,
+) -> None:
     """At least 50 times the processor time of the one before; that of 40 half-cycles is above 20 ms."""
-    fitted_s, measured, sent = [], swings(POINTS), 0
+    fitted_s, measured, sent, posterior = [], swings(POINTS), 0, growing.posterior
     for count in (FIRST_HALF_CYCLES, FIRST_HALF_CYCLES + 2, FIRST_HALF_CYCLES + 4):
         growing.grow(measured[sent:count])
         sent = count
-        while growing.posterior.latest.half_cycles < count:
+        while posterior.latest.half_cycles < count:
             # as a record with frames does
             growing.go_on()
             time.sleep(0.05)
         fitted_s.append(time.monotonic())
     assert fitted_s[2] - fitted_s[1] > 1.0
+    before, pid = posterior.latest, posterior.worker_pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    # would wait for ever
+    assert growing.grow(measured[sent:]) == before
+    posterior.close()
+    until(lambda: not alive(pid))
 
 
 @pytest.mark.parametrize("in_step", [False, True])

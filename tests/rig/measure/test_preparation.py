@@ -13,7 +13,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
-from tests.rig.command_line import CONFIGS, QUICK, events_of, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, WITHOUT_FIGURES, events_of, rig, set_words
 
 BY_HAND = {
     **QUICK,
@@ -119,7 +119,7 @@ def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder)]
     process = subprocess.Popen(
-        [*command, "--runs", "3", *set_words(QUICK)],
+        [*command, "--runs", "2", *set_words(QUICK)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -135,7 +135,7 @@ def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
             break
         assert time.monotonic() < deadline
         os.killpg(process.pid, signal.SIGCONT)
-        time.sleep(0.02)
+        time.sleep(0.05)
     running = rig("run", "--resume", folder)
     assert running.returncode == 2
     assert "still running" in running.stderr
@@ -152,13 +152,12 @@ def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
         "run-1.mcap": "complete",
         "run-2.mcap": "interrupted",
         "run-3.mcap": "complete",
-        "run-4.mcap": "complete",
     }
     with RecordReader(folder / "run-2-recovered.mcap") as reader:
         assert not reader.truncated
         assert len(reader.spots()) > 500
     results = json.loads((folder / "results.json").read_text())
-    assert [run["record"] for run in results["runs"]] == ["run-1.mcap", "run-3.mcap", "run-4.mcap"]
+    assert [run["record"] for run in results["runs"]] == ["run-1.mcap", "run-3.mcap"]
     again = rig("run", "--resume", folder)
     assert again.returncode == 0
     assert "no run is missing" in again.stderr
@@ -173,7 +172,7 @@ def test_resume_wants_a_session(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_reader_of_json_lines_that_goes_away_ends_no_measurement(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder), "--json"]
+    command = [sys.executable, "-c", WITHOUT_FIGURES, "run", CONFIGS / "demo.toml", "-o", folder, "--json"]
     with (tmp_path / "errors").open("wb") as errors:
         process = subprocess.Popen([*command, *words()], stdout=subprocess.PIPE, stderr=errors)
     assert process.stdout is not None

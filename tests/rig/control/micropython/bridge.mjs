@@ -99,9 +99,10 @@ const wires = {
       }
     }
     quietTurns += 1;
-    // Stay awake while the line is busy; an idle board must not keep a core of the test machine busy.
-    if (quietTurns > 400) sleep(2);
-    else if (quietTurns > 20) sleep(0.1);
+    // Stay awake while the line is busy; an idle board, also between two heartbeats, must not keep a core of the
+    // test machine busy.
+    if (quietTurns > 100) sleep(5);
+    else if (quietTurns > 20) sleep(0.2);
   },
 };
 
