@@ -225,7 +225,8 @@ def fit_decay(
     def with_findings(fit: FitResult) -> FitResult:
         # each is estimated about the fit as it ended, so that their order does not matter
         at = LinearisedFit.of(points, pendulum, fit)
-        fit = with_discrepancy(at, at.with_terms(*([] if drifts is None else [drift_term(at, drifts)])))
+        terms = [] if drifts is None else [drift_term(at, drifts)]
+        fit = with_discrepancy(at, at.with_terms(*terms))
         # a deviation that smooth errors of the law explain is no change
         explained = 0.0 if fit.misfit is None else fit.misfit.against_law
         fit = with_changes(at, settings.u_ageing, explained, fit)
