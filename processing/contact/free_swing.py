@@ -59,8 +59,10 @@ def free_swing(
     Raises
     ------
     DataError
-        The pendulum does not reach the last turning point.
+        The pendulum does not reach the last turning point, or its period is not positive.
     """
+    if not values["period0_s"] > 0.0:
+        raise DataError(f"a period of {values['period0_s']:g} s is none")
     edge = np.linspace(0.0, np.pi, _NODES + 1)
     middle = 0.5 * (edge[:-1] + edge[1:])
     before, behind = -np.diff(np.cos(edge)), np.cos(edge[:-1]) - np.cos(middle)

@@ -38,7 +38,12 @@ _MOST_LINEARISED = 24
 _CONVERGED_U = 0.02
 """Change of the parameters, in standard uncertainties, below which the alternation ends."""
 _LINEAR_U = 0.5
-"""Change of the parameters, in standard uncertainties, over which the evidence is taken as linear."""
+"""Change of the parameters, and error of the evidence, in standard uncertainties, up to which the evidence is
+taken as linear."""
+_LINEAR_SHARE = 0.01
+"""The same error as a share of the evidence, where that contradicts the law."""
+_HALVINGS = 8
+"""Most times that a step is halved until the evidence itself agrees that it descends."""
 _WEAKEST = 10.0
 """Smallest amplitude fitted, in steps of the drive: amplitude and phase do not describe a smaller motion."""
 
@@ -56,10 +61,10 @@ def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> 
     columns = start
     noise: Noise | None = None
     near: ExactModel | None = None
-    moved = np.inf
+    near_enough = False
     for _ in range(_ROUNDS):
         try:
-            if near is None or not moved < _LINEAR_U:
+            if near is None or not near_enough:
                 near = model.linearised_at(columns)
             likeliest = NoiseSearch(near, columns, loss, kind).likeliest()
             if not np.isfinite(likeliest.deviance):
@@ -78,16 +83,59 @@ def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> 
             return None
         stays = np.array_equal(solution.values, columns)
         moved = _largest_move(columns, solution)
-        columns = solution.values
+        near_enough = moved < _LINEAR_U and _evidence_is_linear(here, solution.values)
+        columns = solution.values if near_enough else _part_that_descends(here, columns, solution.values)
         same = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
-        if same and moved < _CONVERGED_U:
+        if same and near_enough and moved < _CONVERGED_U:
             break
         noise = likeliest.noise
+    if not _evidence_is_linear(here, columns):
+        # what was minimised is not this law's evidence
+        return None
     # where the last search found no step, a finer tolerance would find none either
     final = solution
     if not stays:
         final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
     return _Minimum(here, final, likeliest) if final.converged else None
+
+
+def _evidence_is_linear(model: ExactModel, columns: Floats) -> bool:
+    """Whether the evidence here is what it is by its linearisation, but for a part of its uncertainty."""
+    linear = model.evidence_rows(columns)[0]
+    try:
+        itself = model.evidence_residuals(columns)
+    except DataError:
+        return False
+    off, whole = float(np.linalg.norm(itself - linear)), float(np.linalg.norm(itself))
+    return off <= max(_LINEAR_U, _LINEAR_SHARE * whole)
+
+
+def _part_that_descends(model: ExactModel, before: Floats, after: Floats) -> Floats:
+    """The end of a step, or of its largest part that lowers the sum of squares with the evidence itself.
+
+    The step was found with linear evidence, which far from `before` may be wrong by any factor. It is taken
+    whole where no part of it descends, as in a bent valley out of which every straight way leads.
+    """
+    lowest = _sum_of_squares(model, before)
+    for part in 0.5 ** np.arange(_HALVINGS):
+        # between two points inside the limits rounding may leave them
+        reached = np.clip(float(part) * after + (1.0 - float(part)) * before, model.lower, model.upper)
+        if _sum_of_squares(model, reached) <= lowest:
+            return reached
+    return after
+
+
+def _sum_of_squares(model: ExactModel, columns: Floats) -> float:
+    """Of all residuals, those of the evidence not linearised; infinite where the pendulum would not swing."""
+    try:
+        beside = model.scale * model.evidence_residuals(columns)
+    except DataError:
+        return np.inf
+    linear = len(model.evidence_rows(columns)[0])
+    points = model(columns)[0]
+    points = points[: len(points) - linear]
+    found = float(points @ points + beside @ beside)
+    return found if np.isfinite(found) else np.inf
 
 
 def _largest_move(before: Floats, solution: Solution) -> float:

@@ -15,6 +15,7 @@ Where no law is to be assumed, splines describe the contact's moments.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from math import inf, isfinite, log, log1p, pi, sqrt
@@ -198,7 +199,7 @@ def compare_laws(
     trials = []
     for law in laws:
         try:
-            fit = fitted.get(law.name) or fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
+            fit = fitted.get(law.name) or _fit(points, pendulum, law, drag, evidence)
         except DataError as error:
             trials.append(LawTrial(law, None, problem=str(error)))
             continue
@@ -216,6 +217,28 @@ def compare_laws(
         misfit = with_discrepancy(LinearisedFit.of(points, pendulum, first.fit)).misfit
         first = replace(first, fit=replace(first.fit, misfit=misfit))
     return LawComparison((first, *others))
+
+
+def _fit(
+    points: TurningPoints, pendulum: PendulumOnBall, law: Law, drag: bool, evidence: Evidence
+) -> FitResult:
+    """The exact fit of a law, searched from its fit to the turning points alone, too.
+
+    Where the waveform contradicts a law, its own start values may lie in the valley of another minimum, by
+    which the law would seem much worse than it is.
+    """
+    near: FitResult | None = None
+    if evidence.waveform is not None:
+        with suppress(DataError):
+            near = fit_exact(points, pendulum, law=law, drag=drag, evidence=replace(evidence, waveform=None))
+    try:
+        return fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence, near=near)
+    except DataError:
+        if near is None:
+            raise
+        raise DataError(
+            "it describes the turning points; with the waveform as well the fit did not converge"
+        ) from None
 
 
 def predicted_harmonics(

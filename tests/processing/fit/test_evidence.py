@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from processing.contact import law_harmonics
+from processing.contact.laws import LAWS
 from processing.estimate import Estimate
-from processing.fit import Evidence, LinearisedFit, drift_term, fit_exact, waveform_of
+from processing.fit import Evidence, LinearisedFit, compare_laws, drift_term, fit_exact, waveform_of
 from processing.fit.evidence import Waveform
-from processing.swing import SwingHarmonics, TurningPoints
-from tests.processing.fit.decays import ARCSEC, paper_pair
+from processing.swing import ORDERS, SwingHarmonics, TurningPoints
+from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.driven import World, changing_path, driven_path
 from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
 
@@ -155,6 +157,32 @@ def test_a_law_that_is_wrong_is_fitted_where_the_waveform_says() -> None:
     values = dict(zip(fit.names, fit.values.tolist(), strict=True))
     distance = evidence.residuals(fit.law, values, PENDULUM)
     assert np.sum(distance**2) < 8 * len(distance)
+
+
+@pytest.mark.slow
+def test_no_fit_of_another_law_ends_by_another_waveform_than_its_own() -> None:
+    """The likelihood of Maxwell's slip was that of a waveform far away: 1.6e5 where its own makes 2.8e7."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.0005, seed=1, last_arcsec=60)
+    alone = fit_exact(points, pendulum)
+    amplitude = np.linspace(points.amplitude[0], points.amplitude[-1], 12)
+    orders = [ORDERS.index(order) for order in (3, 5, 7, 9)]
+    sine = -law_harmonics(alone.law, alone.named_values, pendulum, amplitude).imag[:, orders]
+    covariance = np.broadcast_to(np.diag(np.full(4, 2e-10) ** 2), (12, 4, 4)).copy()
+    evidence = Evidence(Waveform(amplitude, sine, covariance, 1.0))
+    fit = fit_exact(points, pendulum, evidence=evidence)
+    laws = [LAWS[name] for name in ("paper", "constant", "maxwell-slip")]
+    compared = compare_laws(points, pendulum, laws, like=fit)
+    assert [trial.law.name for trial in compared.remaining] == ["paper"]
+    for trial in compared.trials:
+        if trial.fit is None:
+            assert trial.problem.startswith("it describes the turning points; with the waveform")
+            continue
+        assert trial.fit.ground is not None
+        left = evidence.residuals(trial.law, trial.fit.named_values, pendulum)
+        # ln of the determinants of the noise is that of the same points
+        of_points = trial.fit.ground.unrestricted - float(left @ left)
+        assert abs(of_points) < 10_000
 
 
 @pytest.mark.parametrize("louder", [1.0, 8.0])
