@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from math import nan
 from typing import Final
@@ -80,11 +81,12 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
     if not classes:
         return replace(run, laws=ComparedLaws(_law_fits(compared, {}), verdict, free))
-    predicted = {
-        trial.law.name: predicted_harmonics(classes, trial.fit, pendulum)
-        for trial in compared.trials
-        if trial.fit is not None
-    }
+    predicted = dict[str, Sequence[NDArray[np.complex128]]]()
+    for trial in compared.trials:
+        if trial.fit is not None:
+            # with the values of a law that does not fit, friction may hold the pendulum in a class
+            with suppress(DataError):
+                predicted[trial.law.name] = predicted_harmonics(classes, trial.fit, pendulum)
     chances = waveform_chances(classes, predicted)
     verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
     waveform = tuple(
