@@ -325,7 +325,9 @@ class ModelFreeFit:
 
         The uncertainties are 0.
         """
-        law, columns = ExactModel.of(self.points, self.pendulum, fit)
+        # at the values of a law that does not fit, its waveform may have no derivatives
+        of_points = replace(fit, evidence=replace(fit.evidence, waveform=None))
+        law, columns = ExactModel.of(self.points, self.pendulum, of_points)
         amplitude, time_s, _, _ = law.curve(columns)
         swung = replace(law.points, amplitude=amplitude * law.reference, time_s=time_s)
         reached = int(np.count_nonzero(np.isfinite(time_s)))

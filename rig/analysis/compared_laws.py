@@ -76,7 +76,7 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     free = _model_free_moments(run.points, pendulum, compared, exact)
     remaining = [trial.law.name for trial in compared.remaining]
     verdict = compared.text()
-    if free is not None and len(remaining) > 1:
+    if free is not None and len(remaining) > 1 and set(remaining[:2]) <= set(free.laws):
         verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
     classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
     if not classes:
@@ -132,8 +132,10 @@ def _model_free_moments(
     same = {}
     for trial in compared.trials:
         if trial.fit is not None:
-            moments = free.moments_of_law(trial.fit, found.phi_rad)
-            same[trial.law.name] = LawMoments(moments.friction_n_m, moments.elastic_n_m)
+            # none where splines cannot follow a law that does not fit
+            with suppress(DataError):
+                moments = free.moments_of_law(trial.fit, found.phi_rad)
+                same[trial.law.name] = LawMoments(moments.friction_n_m, moments.elastic_n_m)
     return ModelFreeMoments(
         **{column.name: getattr(found, column.name) for column in fields(found)},
         ground_rad_per_s2_rthz=free.fit.ground.density_rad_per_s2_rthz.value,
