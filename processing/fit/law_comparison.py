@@ -237,7 +237,7 @@ def _fit(
         if near is None:
             raise
         raise DataError(
-            "it describes the turning points; with the waveform as well the fit did not converge"
+            "the fit to turning points and waveform together did not converge; to turning points alone it did"
         ) from None
 
 

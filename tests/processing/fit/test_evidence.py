@@ -176,7 +176,7 @@ def test_no_fit_of_another_law_ends_by_another_waveform_than_its_own() -> None:
     assert [trial.law.name for trial in compared.remaining] == ["paper"]
     for trial in compared.trials:
         if trial.fit is None:
-            assert trial.problem.startswith("it describes the turning points; with the waveform")
+            assert trial.problem.startswith("the fit to turning points and waveform together did not")
             continue
         assert trial.fit.ground is not None
         left = evidence.residuals(trial.law, trial.fit.named_values, pendulum)
