@@ -161,8 +161,10 @@ def test_of_pixels_that_are_not_square_x_is_as_a_viewer_shows_it(
     plain = film_trajectory(
         write_film(tmp_path / f"plain.{ending}", swing(count=40), square), FilmOptions(size="2 mm")
     )
-    assert np.ptp(wide.positions[0]) == pytest.approx(4 / 3 * np.ptp(plain.positions[0]))
-    assert wide.positions[1] == pytest.approx(plain.positions[1])
+    # x264 encodes the same pictures into files that differ by chance, a few hundredths of a pixel at most
+    rounding_mm = 2 * 0.1 if codec == "libx264" else 1e-9
+    assert np.ptp(wide.positions[0]) == pytest.approx(4 / 3 * np.ptp(plain.positions[0]), abs=rounding_mm)
+    assert wide.positions[1] == pytest.approx(plain.positions[1], abs=rounding_mm)
     said = "pixels are not square, 4:3 wide to high: a viewer shows 213x96 px instead of 160x96"
     assert (said in wide.understood, said in plain.understood) == (True, False)
     assert "a pixel is 2 mm, x counted in pixels as a viewer shows them" in " ".join(wide.understood)
