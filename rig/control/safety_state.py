@@ -257,13 +257,27 @@ class SafetyState:
         return LatchedTrip(number, cause, why, lit)
 
     def acknowledge(self, number: int) -> None:
-        """Clear the trip of this number; DeviceError for another number, or if that cannot be written."""
-        trip = self.trip
-        if trip is None or trip.number != number:
-            latched = "nothing is latched" if trip is None else f"latched is {trip.text}"
-            raise DeviceError(f"trip {number} cannot be acknowledged: {latched}")
-        self._prove(number=number, latched=None, press=self._mark)
-        self._new_press = ""
+        """Clear the trip of this number; DeviceError for another number, or if that cannot be written.
+
+        A trip that comes while this waits for the disk stays latched, which raises DeviceError, too.
+        """
+        with self._file_lock:
+            with self._state_lock:
+                trip, mark, stored = self.trip, self._mark, self._stored
+            if trip is None or trip.number != number:
+                latched = "nothing is latched" if trip is None else f"latched is {trip.text}"
+                raise DeviceError(f"trip {number} cannot be acknowledged: {latched}")
+            cleared = {"number": number, "latched": None, "press": mark}
+            self._write(stored.model_copy(update=cleared))
+            with self._state_lock:
+                newest = self.trip
+                if newest == trip:
+                    self._stored = self._stored.model_copy(update=cleared)
+                    if self._mark == mark:
+                        self._new_press = ""
+                    return
+        came = "it was acknowledged" if newest is None else f"a trip came: {newest.text}"
+        raise DeviceError(f"trip {number} cannot be acknowledged: meanwhile {came}")
 
     @property
     def left_lit(self) -> bool:
@@ -277,7 +291,9 @@ class SafetyState:
         noted after a program that was killed, or whose last trip could not be written.
         """
         if lit or lit != self._stored.lit:
-            self._prove(lit=lit)
+            with self._file_lock:
+                self._write(self._stored.model_copy(update={"lit": lit}))
+                self._note(lit=lit)
 
     def keep(self) -> None:
         """Write the state again if that failed before, or if the file was deleted. Raises nothing."""
@@ -301,22 +317,6 @@ class SafetyState:
         """Change the state in memory, where it holds from now on."""
         with self._state_lock:
             self._stored = self._stored.model_copy(update=changed)
-
-    def _prove(self, **changed: object) -> None:
-        """Write the state with a change, and only then note it; DeviceError where that fails.
-
-        A trip that is latched while the disk writes is not undone by an acknowledgement of the one before.
-        """
-        with self._file_lock:
-            number = self._stored.number
-            self._write(self._stored.model_copy(update=changed))
-            with self._state_lock:
-                trip = self.trip
-                if self._stored.number == number or "latched" not in changed:
-                    self._stored = self._stored.model_copy(update=changed)
-                    return
-        assert trip is not None
-        raise DeviceError(f"a trip came meanwhile: {trip.text}")
 
     def _write_noted(self) -> None:
         """Write the state as it is in memory; DeviceError where that fails."""

@@ -333,18 +333,22 @@ def test_a_trip_holds_at_once_while_the_disk_hangs_and_is_written_when_it_answer
         assert state.left_lit
 
 
+@pytest.mark.parametrize("waits", [False, True], ids=["while it is written", "while it waits for the disk"])
 def test_an_acknowledgement_during_which_another_trip_comes_is_none(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, monkeypatch: pytest.MonkeyPatch, waits: bool
 ) -> None:
     with SafetyState(path) as state:
         state.latch(TripCause.INTERLOCK, "it opened", lit=True)
         disk = HangingDisk(monkeypatch)
+        if waits:
+            in_thread(state.lit, True)
+            assert disk.asked.wait(10.0)
         acknowledged = in_thread(state.acknowledge, 1)
         assert disk.asked.wait(10.0)
         with pytest.raises(DeviceError, match="the disk hangs"):
             state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
         disk.answers.set()
-        with pytest.raises(DeviceError, match=r"a trip came meanwhile: trip 2 \(OUTPUT\)"):
+        with pytest.raises(DeviceError, match=r"(a trip came:|latched is) trip 2 \(OUTPUT\)"):
             acknowledged.result(10.0)
     with SafetyState(path) as state:
         assert state.trip is not None
