@@ -202,6 +202,19 @@ def show(config: Config, set_: Set = None) -> None:
     raise typer.Exit(show_light(loaded(config, set_)))
 
 
+@in_json
+def off(config: Config, set_: Set = None) -> None:
+    """LIGHT OFF, whichever program has lit the laser; dark until a person acknowledges it.
+
+    \b
+    Example:
+      rig light off mine.toml
+    """
+    from rig.measure import light_off
+
+    raise typer.Exit(light_off(loaded(config, set_)))
+
+
 def _trip_number(text: str) -> int:
     """The number of a trip as it was typed."""
     if not (text.isascii() and text.isdecimal()):
@@ -246,4 +259,6 @@ def audit(
     raise typer.Exit(check_audit(folder, None if config is None else loaded(config, None)))
 
 
-light = group("light", "Show and acknowledge why the laser went dark.", show, acknowledge, audit)
+light = group(
+    "light", "Switch the laser off; show and acknowledge why it is dark.", off, show, acknowledge, audit
+)

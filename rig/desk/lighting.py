@@ -3,8 +3,8 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping
-from concurrent.futures import Future, as_completed
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,23 +19,29 @@ from rig.control import (
     SafetyNow,
     SafetyState,
     TripCause,
-    darken_beside,
     in_thread,
 )
 from rig.desk.aligner import Aligner
 from rig.desk.following import Following
 from rig.desk.run_reader import clock
-from rig.devices import NOT_OURS, ORDERS_NAME, Devices, NoSession, OrderConnection, SessionBusy
+from rig.devices import (
+    HEARD_WITHIN_S,
+    NOT_OURS,
+    ORDERS_NAME,
+    Devices,
+    LightOff,
+    NoSession,
+    OrderConnection,
+    SessionBusy,
+)
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
 
 _PRESSES_KEPT = 64
-_KEPT_WITHIN_S = 0.5
-"""Longest wait until the press is stored; everything is commanded off before that."""
-_HEARD_WITHIN_S = 1.5
-"""Longest wait for the answers to orders; devices are commanded off before that."""
+_FOUND_WITHIN_S = 0.5
+"""Longest look for the order socket of a session on a disk that may hang."""
 AT = "the desk"
 """Place of the press, in the text of a trip."""
 
@@ -43,7 +49,7 @@ AT = "the desk"
 def _takes_orders(folder: Path) -> bool:
     """Whether the session in a folder takes orders; False where its disk hangs."""
     try:
-        return in_thread((folder / ORDERS_NAME).exists).result(_KEPT_WITHIN_S)
+        return in_thread((folder / ORDERS_NAME).exists).result(_FOUND_WITHIN_S)
     except TimeoutError:
         return False
 
@@ -59,12 +65,7 @@ class Lighting:
     def off(self, press: str = "") -> list[str]:
         """Switch everything off, whichever program has lit it; returns what failed.
 
-        All get the order before any device, session or command is waited for.
-
-        "Off" is written to the ports directly, because a frozen session takes its order only when it goes on.
-        Meanwhile the press is stored beside the rig's state, where every program reads it before it lights: a
-        program that is only starting cannot take an order. "Off" is then written once more, for what began to
-        light before the press was stored. The same `press` arrives in two ways:
+        The orders of `LightOff`, and those to what this desk runs. The same `press` arrives in two ways:
         the later one must not darken a laser that a person has acknowledged and lit again meanwhile, and
         returns the result of the first one.
         """
@@ -79,14 +80,17 @@ class Lighting:
                 reply.set_result(self._off())
             except Exception as error:
                 reply.set_exception(error)
-        return reply.result(2.0 * _HEARD_WITHIN_S)
+        return reply.result(2.0 * HEARD_WITHIN_S)
 
     def _off(self) -> list[str]:
         desk = self._desk
-        lamps = desk.config.laser, desk.config.controller
-        # in threads, because a port, and the disk of the rig's state, of a trip or of a folder, may hang
-        ports = in_thread(darken_beside, *lamps)
-        press = None if desk.rig.presses is None else in_thread(desk.rig.presses.press, AT)
+        folders = {folder for folder in (desk.following.folder,) if folder is not None}
+        begun = desk.started
+        if begun is not None and begun[0].poll() is not None:
+            begun = None
+        if begun is not None:
+            folders.add(begun[1])
+        pressed = LightOff(desk.config, desk.rig, AT, folders)
         heard = False
         dark: Future[None] | None = None
         if (aligner := desk.aligner) is not None:
@@ -94,32 +98,15 @@ class Lighting:
         for _, job in desk.jobs.running(uses_camera=True):
             job.end()
             heard = True
-        folders = {folder.absolute() for folder in (desk.following.folder,) if folder is not None}
-        begun = desk.started
-        if begun is not None and begun[0].poll() is not None:
-            begun = None
-        if begun is not None:
-            folders.add(begun[1].absolute())
-        orders = [in_thread(_order_dark, folder) for folder in folders]
-        orders.append(in_thread(self._holder_dark, folders))
         if begun is not None and desk.following.last_folder != begun[1] and not _takes_orders(begun[1]):
             # it cannot take an order yet; a session that was followed and is gone is being fitted
             begun[0].terminate()
             heard = True
-        problems = ports.result()
-        if unkept := self._not_kept(press):
-            problems.append(
-                f"it is not kept ({unkept}): a program that starts may light; turn the key switch"
-            )
-        elif press is not None:
-            # what began to light before the press was stored
-            darken_beside(*lamps)
-        with suppress(TimeoutError):
-            answers = as_completed(orders, _HEARD_WITHIN_S)
-            heard = any(one.exception() is None and one.result() for one in answers) or heard
+        problems, answered, kept = pressed.result()
+        heard = heard or answered
         if dark is not None:
             with suppress(TimeoutError):
-                dark.result(_HEARD_WITHIN_S)
+                dark.result(HEARD_WITHIN_S)
         unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
         if not heard and unfiled is not None and unfiled.trip is None:
             # a rig without a file is remembered as long as the desk lives
@@ -127,26 +114,9 @@ class Lighting:
         if desk.config.laser.kind == "none":
             problems.append(NOT_OURS)
         elif not heard:
-            kept = "" if unkept else ": it is kept, and nothing is lit until it is acknowledged"
-            problems.append(f"no program that could light has answered{kept}")
+            stored = ": it is kept, and nothing is lit until it is acknowledged" if kept else ""
+            problems.append(f"no program that could light has answered{stored}")
         return problems
-
-    def _not_kept(self, press: Future[None] | None) -> str:
-        """Why the press is not stored beside the rig's state; empty if it is, or without such a place."""
-        try:
-            if press is not None:
-                press.result(_KEPT_WITHIN_S)
-        except TimeoutError:
-            return f"{self._desk.rig.path}: the disk hangs"
-        except Exception as error:
-            # after any error the laser must still be switched off
-            return str(error)
-        return ""
-
-    def _holder_dark(self, ordered: Collection[Path]) -> bool:
-        """Order a program that has the rig and works in another folder to darken; True if it answered."""
-        folder = self._desk.rig.folder_of_holder
-        return folder is not None and folder not in ordered and _order_dark(folder)
 
     def acknowledge(self, number: int) -> str:
         """Acknowledge a trip for a person who has checked that the beam path is free; lights nothing.
@@ -193,13 +163,6 @@ class Lighting:
             # between two runs, too
             return True
         return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
-
-
-def _order_dark(folder: Path) -> bool:
-    with suppress(RigError), OrderConnection(folder) as line:
-        line.order("dark")
-        return True
-    return False
 
 
 _READ_S = 0.25

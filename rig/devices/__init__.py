@@ -20,6 +20,7 @@ from rig.devices.clocks import (
 from rig.devices.doctor import RULES_FOLDER, examine, install_rules, udev_rules
 from rig.devices.frame_stream import FrameStream
 from rig.devices.laser import STAYS_LIT, WIRE_IT, check_wiring, through_controller, wait_for_command
+from rig.devices.light_off import HEARD_WITHIN_S, LightOff
 from rig.devices.lit_devices import NOT_OURS
 from rig.devices.order_line import NoSession, OrderConnection, SessionBusy, running_sessions
 from rig.devices.order_socket import (

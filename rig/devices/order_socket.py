@@ -283,7 +283,7 @@ def light_told(devices: Devices, folder: Path, session_news: SessionNews | None 
     with suppress(OSError):
         # without the folder the command runs unwatched
         folder.mkdir(parents=True, exist_ok=True)
-    orders = {"dark": lambda _: devices.light_off("the desk")}
+    orders = {"dark": lambda by: devices.light_off(by or "the desk")}
     with OrderSocket(folder, session_news or SessionNews(), orders, lambda: safety_values(devices)):
         yield
 

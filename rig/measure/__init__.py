@@ -4,6 +4,7 @@ from rig.measure.end_of_run import HandOver, hand_over, state_of
 from rig.measure.plain_record import (
     acknowledge_trip,
     check_audit,
+    light_off,
     preflight_rig,
     record_plainly,
     show_light,

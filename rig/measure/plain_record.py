@@ -9,10 +9,13 @@ from rich.console import Console
 
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
-from rig.control import SafetyNow, SafetyState, rig_state_path
+from rig.control import Light, SafetyNow, SafetyState, rig_state_path
 from rig.devices import (
     AUDIT_NAME,
+    NOT_OURS,
+    ORDERS_NAME,
     Devices,
+    LightOff,
     NoSession,
     OrderConnection,
     SessionNews,
@@ -37,6 +40,8 @@ from rig.terminal import (
     say,
 )
 
+_TERMINAL = "a terminal"
+"""Place of the press, in the text of a trip."""
 _NEVER_ARCSEC = 1e-9
 """Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""
 
@@ -136,6 +141,11 @@ def _existing_output_folder(config: Configuration) -> Path:
 
 def show_light(config: Configuration) -> int:
     """Print the safety state; returns 1 where light is refused, else 0."""
+    now = _printed_state(config)
+    return 1 if now.refusal or now.trip is not None else 0
+
+
+def _printed_state(config: Configuration) -> SafetyNow:
     now = _session_state(config) or _device_state(config)
     answer(laser=str(now.light), interlock=str(now.interlock), trip=now.trip, refusal=now.refusal)
     answer(laser_age_s=now.light_age_s, interlock_age_s=now.interlock_age_s)
@@ -154,7 +164,25 @@ def show_light(config: Configuration) -> int:
         print_line(f"{'':<10} rig light acknowledge {config.command_words} {trip.number}")
     elif now.refusal:
         print_line(f"{'refused':<10} {now.refusal}")
-    return 1 if now.refusal or trip is not None else 0
+    return now
+
+
+def light_off(config: Configuration) -> int:
+    """LIGHT OFF from a terminal: everything dark, until a person acknowledges it; prints the state then.
+
+    Returns 1 where something failed, or where no device has confirmed that the light is off.
+    """
+    rig = SafetyState(rig_state_path(config.laser, config.controller))
+    sessions = [path.parent for path in config.session.output.glob(f"*/{ORDERS_NAME}")]
+    problems, heard, _ = LightOff(config, rig, _TERMINAL, sessions).result()
+    if config.laser.kind == "none":
+        problems.append(NOT_OURS)
+    elif rig.presses is None and not heard:
+        problems.append(f"no session of this simulated rig runs in {config.session.output}")
+    for problem in problems:
+        say(problem, error=True)
+    now = _printed_state(config)
+    return 1 if problems or now.light not in (Light.OFF, Light.INTERLOCK_OPEN) else 0
 
 
 def acknowledge_trip(config: Configuration, number: int) -> int:

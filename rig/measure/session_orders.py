@@ -100,7 +100,7 @@ def orders(devices: Devices, notes: Notes) -> Orders:
         "note": notes.write,
         "acknowledge": acknowledge,
         "light": lambda _: relight(devices),
-        "dark": lambda _: devices.light_off("the desk"),
+        "dark": lambda by: devices.light_off(by or "the desk"),
         "brake": brake,
     }
 

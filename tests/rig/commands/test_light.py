@@ -2,19 +2,28 @@
 
 import shlex
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, rig_state_path
+from rig.devices import Devices, light_told
+from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, rig, set_words
 from tests.rig.control.instruments import FakeCobolt
 
 
 @pytest.fixture
-def words(tmp_path: Path) -> Iterator[list[str]]:
-    """Settings of a laser without a controller."""
+def instrument() -> Iterator[FakeCobolt]:
     instrument = FakeCobolt()
+    yield instrument
+    instrument.close()
+
+
+@pytest.fixture
+def words(tmp_path: Path, instrument: FakeCobolt) -> list[str]:
+    """Settings of a laser without a controller."""
     stated = {
         "laser.kind": '"cobolt"',
         "laser.port": f'"{instrument.port}"',
@@ -24,8 +33,7 @@ def words(tmp_path: Path) -> Iterator[list[str]]:
         "start.way": '"at once"',
         "session.output": f'"{tmp_path / "runs"}"',
     }
-    yield set_words(stated)
-    instrument.close()
+    return set_words(stated)
 
 
 def state_of(words: list[str]) -> SafetyState:
@@ -92,6 +100,42 @@ def test_a_rig_that_another_program_holds_is_shown_from_its_file(words: list[str
         refused = rig("light", "acknowledge", CONFIGS / "live.toml", "1", *words)
         assert refused.returncode == 1
         assert "in use by process" in refused.stderr
+
+
+@pytest.mark.parametrize("lit_by", ["a program that has the rig", "its panel"])
+def test_light_off_darkens_whoever_has_lit_it_until_it_is_acknowledged(
+    instrument: FakeCobolt, words: list[str], tmp_path: Path, lit_by: str
+) -> None:
+    live = CONFIGS / "live.toml"
+    with ExitStack() as stack:
+        if lit_by == "its panel":
+            instrument.light(True)
+        else:
+            config = load_configuration(live, words[1::2])
+            devices = stack.enter_context(Devices(config, tmp_path / "elsewhere", "a test"))
+            stack.enter_context(light_told(devices, tmp_path / "elsewhere"))
+            devices.light()
+        assert instrument.on
+        off = rig("light", "off", live, *words)
+        assert not instrument.on
+    assert (off.returncode, off.stderr) == (0, "")
+    assert "laser      off, 0." in off.stdout
+    assert "trip       trip 1 (PERSON): LIGHT OFF was pressed at a terminal" in off.stdout
+    refused = rig("light", "show", live, *words)
+    assert refused.returncode == 1
+    assert "trip 1 (PERSON): LIGHT OFF was pressed at a terminal" in refused.stdout
+
+
+def test_light_off_of_what_it_cannot_darken_says_so(tmp_path: Path) -> None:
+    output = set_words({"session.output": f'"{tmp_path}"'})
+    by_hand = rig("light", "off", CONFIGS / "demo.toml", *output)
+    assert (by_hand.returncode, by_hand.stderr) == (
+        1,
+        "rig: no laser is switched by this program: turn its key\n",
+    )
+    none_runs = rig("light", "off", CONFIGS / "live.toml", *output)
+    assert none_runs.returncode == 1
+    assert none_runs.stderr == f"rig: no session of this simulated rig runs in {tmp_path}\n"
 
 
 def test_a_trip_that_is_no_number_is_named_with_the_remedy() -> None:
