@@ -1,6 +1,7 @@
 """Work on the rig without a session: a plain record, a preflight, frames, light, trips, the audit log."""
 
 import math
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -42,6 +43,9 @@ from rig.terminal import (
 
 _TERMINAL = "a terminal"
 """Place of the press, in the text of a trip."""
+_CONFIRMED_WITHIN_S, _LOOK_S = 3.0, 0.05
+"""Longest wait until a session has heard from its devices that they are dark, and between two looks at it."""
+_DARK = (Light.OFF, Light.INTERLOCK_OPEN)
 _NEVER_ARCSEC = 1e-9
 """Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""
 
@@ -141,12 +145,12 @@ def _existing_output_folder(config: Configuration) -> Path:
 
 def show_light(config: Configuration) -> int:
     """Print the safety state; returns 1 where light is refused, else 0."""
-    now = _printed_state(config)
+    now = _session_state(config) or _device_state(config)
+    _print_state(config, now)
     return 1 if now.refusal or now.trip is not None else 0
 
 
-def _printed_state(config: Configuration) -> SafetyNow:
-    now = _session_state(config) or _device_state(config)
+def _print_state(config: Configuration, now: SafetyNow) -> None:
     answer(laser=str(now.light), interlock=str(now.interlock), trip=now.trip, refusal=now.refusal)
     answer(laser_age_s=now.light_age_s, interlock_age_s=now.interlock_age_s)
     dark = config.laser.kind == "none"
@@ -164,7 +168,6 @@ def _printed_state(config: Configuration) -> SafetyNow:
         print_line(f"{'':<10} rig light acknowledge {config.command_words} {trip.number}")
     elif now.refusal:
         print_line(f"{'refused':<10} {now.refusal}")
-    return now
 
 
 def light_off(config: Configuration) -> int:
@@ -181,8 +184,13 @@ def light_off(config: Configuration) -> int:
         problems.append(f"no session of this simulated rig runs in {config.session.output}")
     for problem in problems:
         say(problem, error=True)
-    now = _printed_state(config)
-    return 1 if problems or now.light not in (Light.OFF, Light.INTERLOCK_OPEN) else 0
+    now, end_s = _session_state(config), time.monotonic() + _CONFIRMED_WITHIN_S
+    while now is not None and now.light not in _DARK and time.monotonic() < end_s:
+        time.sleep(_LOOK_S)
+        now = _session_state(config)
+    now = now or _device_state(config)
+    _print_state(config, now)
+    return 0 if now.light in _DARK and not problems else 1
 
 
 def acknowledge_trip(config: Configuration, number: int) -> int:

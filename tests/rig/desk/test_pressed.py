@@ -11,7 +11,7 @@ import pytest
 from processing.errors import ConfigurationError
 from rig.control import SafetyState, in_thread
 from rig.desk.desk import Desk
-from rig.desk.lighting import Lighting
+from rig.devices.light_off import LightOff
 from tests.rig.desk.conftest import simulated_rig
 from tests.rig.known_rig import known
 from tests.waiting import until
@@ -68,7 +68,7 @@ def test_a_press_that_cannot_be_kept_is_said_and_all_else_is_done(
 ) -> None:
     (rig_states / "optical-pendulum-rig").write_text("a file in its place")
     ordered: list[object] = []
-    monkeypatch.setattr(Lighting, "_holder_dark", lambda _, told: bool(ordered.append(told)))
+    monkeypatch.setattr(LightOff, "_holder_dark", lambda _, told: bool(ordered.append(told)))
     desk = desk_of(REAL + LASER)
     off, unkept, nobody = desk.lighting.off("one")
     assert off.startswith("/dev/ttyNobodyHasIt: cannot be switched off")
@@ -107,8 +107,8 @@ def test_a_disk_that_hangs_holds_nothing_up(
         return []
 
     monkeypatch.setattr(type(desk.rig.presses), "press", lambda *_: goes_on.wait(60.0))
-    monkeypatch.setattr("rig.desk.lighting.darken_beside", darkened)
-    monkeypatch.setattr("rig.desk.lighting._KEPT_WITHIN_S", 60.0)
+    monkeypatch.setattr("rig.devices.light_off.darken_beside", darkened)
+    monkeypatch.setattr("rig.devices.light_off._STORED_WITHIN_S", 60.0)
     said = in_thread(desk.lighting.off, "one")
     assert dark.wait(10.0)
     dark.clear()
