@@ -209,7 +209,9 @@ def _usage_message(text: str, words: list[str]) -> str:
     )
     text = re.sub(r", unable to parse string as an? \w+", "", text)
     if text.startswith("Missing argument"):
-        text = re.sub(r"'.*'", lambda name: name[0].upper(), text.rstrip("."))
+        text = re.sub(r"'.*'", lambda name: name[0].upper(), text)
+    if text.startswith("Missing "):
+        text = text.rstrip(".")
         return f"{text}; --help shows what is needed{_example(words)}"
     if re.fullmatch(r"No such (option|command)[^(]*", text):
         return f"{text.rstrip('.')}; --help lists the choices"

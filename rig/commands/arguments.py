@@ -217,6 +217,12 @@ def page_or_campaign(path: Path) -> None:
     (new_page if is_page else folder_without("campaign.json", "campaign.html"))(path)
 
 
+_ENDINGS_OF_FILES = {
+    ".csv", ".h5", ".hdf5", ".html", ".json", ".mcap", ".nxs", ".parquet", ".pdf", ".png", ".rrd", ".tex",
+    ".toml", ".tsv", ".txt", ".xlsx", ".zip",
+}  # fmt: skip
+
+
 def folder_without(*patterns: str) -> Check:
     """A check for a folder without files of these names; a missing folder will be made."""
 
@@ -224,6 +230,10 @@ def folder_without(*patterns: str) -> Check:
     def check(path: Path) -> None:
         if path.exists() and not path.is_dir():
             raise ConfigurationError(f"{path}: is a file; name a folder")
+        if not path.exists() and path.suffix.lower() in _ENDINGS_OF_FILES:
+            raise ConfigurationError(
+                f"{path}: is the name of a file, and a folder is written; name it without {path.suffix}"
+            )
         for pattern in patterns:
             for taken in sorted(path.glob(pattern)):
                 _refuse_existing(taken, "folder")

@@ -163,8 +163,8 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     names an ambient condition against which the parameters of all runs are tabulated and plotted, too; one
     session is then enough.
 
-    Raises RecordError for a folder without fits, ConfigurationError for a folder named twice or unknown
-    `against`.
+    Raises RecordError for a folder without fits, ConfigurationError for a folder named twice, a run that two
+    folders hold, or unknown `against`.
     """
     over = ambient_condition_name(against) if against else ""
     sessions = {}
@@ -172,6 +172,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         found = read_results(folder)
         origin = " (SIMULATED)" if any(run.simulated for run in found.runs) else ""
         sessions[_label(folder, folders) + origin] = found
+    _refuse_shared_runs(sessions)
     fitted = any(_combined_of(found) or any(run.fits for run in found.runs) for found in sessions.values())
     series = {
         label: (series_of if fitted else decays_of)(found, folder)
@@ -204,6 +205,18 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
         raise ConfigurationError(f"{folder}: named twice; a comparison needs different sessions")
     name = folder.resolve().name
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
+
+
+def _refuse_shared_runs(sessions: Mapping[str, SessionResults]) -> None:
+    """Raise ConfigurationError for a run of two sessions, whose difference is no difference of contacts."""
+    first: dict[str, str] = {}
+    for label, session in sessions.items():
+        for run in session.runs:
+            if run.sha256 and (other := first.setdefault(run.sha256, label)) != label:
+                raise ConfigurationError(
+                    f"{label}: its {run.record} is a run of {other} (same hash); a comparison needs "
+                    "different runs"
+                )
 
 
 def series_of(session: SessionResults, folder: Path) -> Mapping[str, CombinedValue]:
@@ -339,10 +352,12 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
             "level being shared by all rows."
         )
     if untested:
+        far_apart = sum(line.cells[-1] == "not tested" for line in lines) or "none"
         notes.append(
-            f"{untested} comparisons are of two single runs: their u is of half-cycles only, and how runs of "
-            "one contact scatter, which may be many times more, is not known; measure series (rig fit A1 A2 "
-            "A3 combines runs, rig compare --model default --by-sample takes their scatter)."
+            f"{untested} comparisons are of two single runs, {far_apart} of which differ by more than "
+            f"{_MIN_SHOWN_U:g} u: their u is of half-cycles only, and how runs of one contact scatter, which "
+            "may be many times more, is not known; measure series (rig fit A1 A2 A3 combines runs, rig "
+            "compare --model default --by-sample takes their scatter)."
         )
     notes.append("Errors common to all series (mass, radius, scale) are left out.")
     return Table(

@@ -44,6 +44,8 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         (("export", ".", "-o", "x", "--format", "xml"), "--format xml: 'xml' is not one of 'csv', 'parquet'"),
         (("run",), "--help shows what is needed, for example rig run configs/demo.toml -o runs/first"),
         (("camera", "show"), "for example rig camera show mine.toml"),
+        (("export", "."), "for example rig export runs/first --format csv -o runs/csv"),
+        (("export", ".", "-o", "a.xlsx"), "a.xlsx: is the name of a file, and a folder is written"),
         (("view", "run-1.mcap", "--layout", "balance"), "'analysing'; did you mean balancing?\n"),
         (("view", "run-1.mcap", "--layout=measure"), "'analysing'; did you mean measuring?\n"),
         (("view", "run-1.mcap", "--layout=x"), "'measuring', 'analysing'\n"),

@@ -80,7 +80,7 @@ def test_two_single_runs_are_not_tested(tmp_path: Path) -> None:
     assert all(math.isnan(float(row[5])) for row in differences.rows)
     assert [row[0] for row in differences.shown] == ["a − b", "b − c"]
     assert all(row[3:] == ["–", "not tested"] for row in differences.shown)
-    assert "18 comparisons are of two single runs" in differences.note
+    assert "18 comparisons are of two single runs, 2 of which differ by more than 3 u" in differences.note
     assert "Welch" not in differences.note
 
 
@@ -168,6 +168,17 @@ def test_a_session_is_not_compared_with_itself(tmp_path: Path) -> None:
     folder = session(tmp_path / "dry")
     with pytest.raises(ConfigurationError, match="named twice"):
         compare([folder, folder / ".." / "dry"], None)
+
+
+def test_a_run_is_not_compared_with_itself(tmp_path: Path) -> None:
+    """Two fits of one record are no two contacts, and their difference has no chance."""
+    folders = [single(tmp_path / name, c) for name, c in (("a", 1.9e-7), ("b", 2.1e-7))]
+    for folder in folders:
+        tree = json.loads((folder / "results.json").read_text())
+        tree["runs"][0]["sha256"] = "ab" * 32
+        (folder / "results.json").write_text(json.dumps(tree))
+    with pytest.raises(ConfigurationError, match=r"b: its run-1\.mcap is a run of a \(same hash\)"):
+        compare(folders, None)
 
 
 def at_humidities(folder: Path, percent: list[float | None]) -> Path:
