@@ -160,7 +160,10 @@ def _serve(desk: Desk, port: int, *, browser: bool) -> int:
     of_off = CORSMiddleware(_light_off(desk), guard.origins, allow_credentials=True)
     off_guard = Guard(of_off, desk.place.key, number, off_port, hears_off=True)
     # it logs as the page's server does
-    switch = uvicorn.Server(uvicorn.Config(off_guard, log_config=None, access_log=False, lifespan="off"))
+    off_settings = uvicorn.Config(off_guard, log_config=None, access_log=False, lifespan="off")
+    # when the page's server starts, NiceGUI looks through all servers there are, and fails at one not loaded
+    off_settings.load()
+    switch = uvicorn.Server(off_settings)
     threading.Thread(
         target=switch.run, kwargs={"sockets": [hearing_off]}, name="off switch", daemon=True
     ).start()

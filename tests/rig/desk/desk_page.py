@@ -195,11 +195,11 @@ class Page:
 
 
 class DeskProcess:
-    """`rig desk` of a configuration."""
+    """`rig desk` of a configuration, by a `program` that takes the command line."""
 
-    def __init__(self, config: Path, *words: str) -> None:
+    def __init__(self, config: Path, *words: str, program: tuple[str, str] = ("-m", "rig")) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "rig", "desk", str(config.absolute()), "--no-browser", *words],
+            [sys.executable, *program, "desk", str(config.absolute()), "--no-browser", *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -257,6 +257,10 @@ def desk_page(browser: HeadlessBrowser, config: Path, *words: str) -> Iterator[t
             page = Page(tab)
             page.open(desk.address)
             yield desk, page
+    except Exception as error:
+        if not desk.runs:
+            error.add_note("\n".join(["the desk has ended:", *desk.said()]))
+        raise
     finally:
         with contextlib.suppress(subprocess.TimeoutExpired):
             desk.end()
