@@ -27,7 +27,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from processing.errors import ConfigurationError
 from rig.control import in_thread
 from rig.desk.desk import Desk
-from rig.desk.page import DARK, build_page
+from rig.desk.page import DARK, DEAD_S, build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
 from rig.desk.tables import static
@@ -155,7 +155,16 @@ def _serve(desk: Desk, port: int, *, browser: bool) -> int:
     number, off_port = (int(one.getsockname()[1]) for one in (listening, hearing_off))
     app = _application(desk, off_port)
     title = f"rig desk {desk.source.name}"
-    ui.run_with(app, title=title, dark=None, language="en-US", show_welcome_message=False, tailwind=False)
+    ui.run_with(
+        app,
+        title=title,
+        dark=None,
+        language="en-US",
+        show_welcome_message=False,
+        tailwind=False,
+        # on a loaded machine a browser answers late: what is pressed on a page given up by then is lost
+        reconnect_timeout=DEAD_S,
+    )
     guard = Guard(app, desk.place.key, number, off_port)
     of_off = CORSMiddleware(_light_off(desk), guard.origins, allow_credentials=True)
     off_guard = Guard(of_off, desk.place.key, number, off_port, hears_off=True)

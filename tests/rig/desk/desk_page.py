@@ -67,12 +67,10 @@ class Page:
             "[...document.querySelectorAll('button, .q-tab, .q-checkbox, a')]"
             f".find(b => b.offsetParent && b.innerText.trim().toLowerCase().startsWith({words.lower()!r}))"
         )
-        # one that is grey does nothing
-        self.wait(f"{found} != null && !{found}.disabled")
-        if self.ask(f"{found}.dataset.deliberate"):
+        # one that is grey does nothing, and one that is not there any more must not be taken for pressed
+        press = "b.dataset.deliberate ? 'aim' : (b.click(), 'pressed')"
+        if self.wait(f"(b => b && !b.disabled && ({press}))({found})") == "aim":
             self.point_at(found)
-        else:
-            self.ask(f"{found}.click()")
 
     def point_at(self, element: str) -> None:
         """Click an element (an expression) with the mouse, as a person does, until it has been hit.

@@ -392,3 +392,22 @@ def test_everything_one_chooses_is_shown_at_once(shown: Shown) -> None:
         ".map(e => e.component?.name ?? e.tag))].sort()"
     )
     assert page.ask(waits) == ["nicegui-dialog", "nicegui-header", "q-linear-progress", "q-tab-panels"]
+
+
+AWAY = """
+window.socket.io.reconnectionDelay(6000);
+window.socket.io.reconnectionDelayMax(6000);
+window.socket.io.engine.close();
+{};
+"""
+STARVED = "(end => {{ while (performance.now() < end); }})(performance.now() + 8000); {};"
+
+
+@pytest.mark.parametrize("late", [AWAY, STARVED], ids=["connection away", "browser without a processor"])
+def test_a_press_that_is_sent_late_is_heard(shown: Shown, late: str) -> None:
+    """On a loaded machine the browser answers no sign of life for seconds, or finds its connection closed."""
+    _, page = shown
+    page.ask(late.format("document.querySelector('[aria-label^=Keys]').click()"))
+    page.wait("document.querySelector('[aria-label=\"keys\"] table') !== null", 20.0)
+    page.ask("document.querySelector('.q-dialog__backdrop').click()")
+    page.wait("document.querySelector('.q-dialog') === null")
