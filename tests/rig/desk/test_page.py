@@ -283,6 +283,14 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy(shown: Shown, desk
         page.wait_text(sentence(AlarmKey.PREFLIGHT.remedy))
         page.wait("(window.looks = (window.looks || 0) + 1) > 15")
         assert page.ask(f"{of_preflight}.length") == 1
+        # what is being pressed stays while its alarm goes on
+        row = f"document.querySelector('[data-alarm=\"{AlarmKey.STALLED}\"]')"
+        session_news.state({"phase": "preflight", "alarm": "nothing processed for 5 s"}, [])
+        page.wait(f"{row}?.textContent.includes('for 5 s')")
+        page.ask(f"{row}.querySelector('button').held = true")
+        session_news.state({"phase": "preflight", "alarm": "nothing processed for 6 s"}, [])
+        page.wait(f"{row}.textContent.includes('for 6 s')")
+        assert page.ask(f"{row}.querySelector('button').held") is True
     page.wait_text(f"last session: {folder.name}")
 
 
