@@ -137,7 +137,7 @@ def _keys() -> list[tuple[str, str]]:
 DARK = "/dark"
 """Where LIGHT OFF is sent to, at both servers."""
 DEAD_S = 30.0
-"""Time without news after which a page counts as disconnected, and not only as slow; so long it is kept."""
+"""Time without news after which a page is disconnected, not only slow; the desk keeps it as long."""
 
 
 def build_head(off_port: int) -> None:
