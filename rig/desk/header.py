@@ -1,6 +1,7 @@
 """Head of every panel: alarms and their list, light that waits for a person, a request, errors."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 from nicegui import ui
@@ -92,7 +93,7 @@ def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
     with at_once(ui.expansion()).classes("full-width alarms").props("dense") as fold:
         with fold.add_slot("header"):
             tab.label(lambda: _counts(alarms.rows()), props='role="status" aria-live="polite"')
-        tab.drawn(alarms.rows, partial(_list, desk, tab))
+        _build_list(desk, tab)
     return toggle
 
 
@@ -104,26 +105,40 @@ def _counts(rows: Sequence[AlarmRow]) -> str:
     return f"Alarms: {', '.join(f'{count} {words}' for words, count in counted if count) or 'none'}"
 
 
-def _list(desk: Desk, tab: Tab, rows: Sequence[AlarmRow]) -> None:
-    """Add a row for each alarm; those from before stand folded below them."""
+def _build_list(desk: Desk, tab: Tab) -> None:
+    """A row for each alarm; those from before stand folded below them."""
+    alarms = desk.alarming.alarms
+    causes: dict[AlarmKey, ui.label] = {}
 
     def seen(*keys: AlarmKey) -> None:
         for key in keys:
-            desk.alarming.alarms.acknowledge(key)
+            alarms.acknowledge(key)
 
-    earlier = [row for row in rows if row.earlier]
-    for row in rows[: len(rows) - len(earlier)]:
-        _row(tab, row, seen)
-    if earlier:
-        with at_once(ui.expansion(f"{len(earlier)} from before")):
-            tab.button("All of them seen", partial(seen, *(row.key for row in earlier)))
-            for row in earlier:
-                _row(tab, row, seen)
-    if not rows:
-        ui.label("nothing is wrong").classes("dim")
+    def draw(rows: Sequence[AlarmRow]) -> None:
+        causes.clear()
+        earlier = [row for row in rows if row.earlier]
+        for row in rows[: len(rows) - len(earlier)]:
+            causes[row.key] = _row(tab, row, seen)
+        if earlier:
+            with at_once(ui.expansion(f"{len(earlier)} from before")):
+                tab.button("All of them seen", partial(seen, *(row.key for row in earlier)))
+                for row in earlier:
+                    causes[row.key] = _row(tab, row, seen)
+        if not rows:
+            ui.label("nothing is wrong").classes("dim")
+
+    def state_causes() -> None:
+        for row in alarms.rows():
+            if row.key in causes:
+                causes[row.key].set_text(row.cause)
+
+    # a cause may change every second: a button that is drawn anew while it is pressed would not be heard
+    tab.drawn(lambda: [replace(row, cause="") for row in alarms.rows()], draw)
+    tab.keep(state_causes)
 
 
-def _row(tab: Tab, row: AlarmRow, seen: Callable[[AlarmKey], None]) -> None:
+def _row(tab: Tab, row: AlarmRow, seen: Callable[[AlarmKey], None]) -> ui.label:
+    """A row without its cause, whose label is returned."""
     cleared_s = row.cleared_s if row.state is AlarmState.CLEARED else None
     times = (("since", row.raised_s), ("cleared", cleared_s), ("seen", row.acknowledged_s))
     with ui.element("div").classes(f"alarm-row {row.state}").props(f'data-alarm="{row.key}"'):
@@ -132,12 +147,13 @@ def _row(tab: Tab, row: AlarmRow, seen: Callable[[AlarmKey], None]) -> None:
             ui.label(f"{row.key}{again}").classes("text-weight-bold")
             of_day = ", ".join(f"{word} {clock(at_s)}" for word, at_s in times if at_s is not None)
             ui.label(f"{row.state}; {of_day}").classes("dim")
-        ui.label(row.cause).props('aria-label="cause"')
+        cause = ui.label().props('aria-label="cause"')
         ui.label(row.key.remedy).props('aria-label="remedy"')
         # a trip is acknowledged beside the state of the light
         if row.key is not AlarmKey.TRIP and row.state is not AlarmState.ACKNOWLEDGED:
             props = f'dense outline aria-label="acknowledge {row.key}" {DELIBERATE}'
             tab.button("Seen", partial(seen, row.key), props)
+    return cause
 
 
 def sentence(text: str) -> str:

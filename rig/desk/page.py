@@ -136,8 +136,8 @@ def _keys() -> list[tuple[str, str]]:
 
 DARK = "/dark"
 """Where LIGHT OFF is sent to, at both servers."""
-_DEAD_S = 30.0
-"""Time without news after which a page counts as disconnected, and not only as slow."""
+DEAD_S = 30.0
+"""Time without news after which a page is disconnected, not only slow; the desk keeps it as long."""
 
 
 def build_head(off_port: int) -> None:
@@ -146,7 +146,7 @@ def build_head(off_port: int) -> None:
         "offPort": off_port,
         "dark": DARK,
         "staleS": STALE_S,
-        "deadS": _DEAD_S,
+        "deadS": DEAD_S,
         "lost": {"title": AlarmKey.DESK_LOST, "remedy": AlarmKey.DESK_LOST.remedy},
     }
     ui.add_css(static("theme.css", "desk.css"))

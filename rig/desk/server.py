@@ -27,7 +27,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from processing.errors import ConfigurationError
 from rig.control import in_thread
 from rig.desk.desk import Desk
-from rig.desk.page import DARK, build_page
+from rig.desk.page import DARK, DEAD_S, build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
 from rig.desk.tables import static
@@ -155,12 +155,24 @@ def _serve(desk: Desk, port: int, *, browser: bool) -> int:
     number, off_port = (int(one.getsockname()[1]) for one in (listening, hearing_off))
     app = _application(desk, off_port)
     title = f"rig desk {desk.source.name}"
-    ui.run_with(app, title=title, dark=None, language="en-US", show_welcome_message=False, tailwind=False)
+    ui.run_with(
+        app,
+        title=title,
+        dark=None,
+        language="en-US",
+        show_welcome_message=False,
+        tailwind=False,
+        # on a loaded machine a browser answers late: what is pressed on a page given up by then is lost
+        reconnect_timeout=DEAD_S,
+    )
     guard = Guard(app, desk.place.key, number, off_port)
     of_off = CORSMiddleware(_light_off(desk), guard.origins, allow_credentials=True)
     off_guard = Guard(of_off, desk.place.key, number, off_port, hears_off=True)
     # it logs as the page's server does
-    switch = uvicorn.Server(uvicorn.Config(off_guard, log_config=None, access_log=False, lifespan="off"))
+    off_settings = uvicorn.Config(off_guard, log_config=None, access_log=False, lifespan="off")
+    # when the page's server starts, NiceGUI looks through all servers there are, and fails at one not loaded
+    off_settings.load()
+    switch = uvicorn.Server(off_settings)
     threading.Thread(
         target=switch.run, kwargs={"sockets": [hearing_off]}, name="off switch", daemon=True
     ).start()

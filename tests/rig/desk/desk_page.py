@@ -67,12 +67,10 @@ class Page:
             "[...document.querySelectorAll('button, .q-tab, .q-checkbox, a')]"
             f".find(b => b.offsetParent && b.innerText.trim().toLowerCase().startsWith({words.lower()!r}))"
         )
-        # one that is grey does nothing
-        self.wait(f"{found} != null && !{found}.disabled")
-        if self.ask(f"{found}.dataset.deliberate"):
+        # one that is grey does nothing, and one that is not there any more must not be taken for pressed
+        press = "b.dataset.deliberate ? 'aim' : (b.click(), 'pressed')"
+        if self.wait(f"(b => b && !b.disabled && ({press}))({found})") == "aim":
             self.point_at(found)
-        else:
-            self.ask(f"{found}.click()")
 
     def point_at(self, element: str) -> None:
         """Click an element (an expression) with the mouse, as a person does, until it has been hit.
@@ -195,11 +193,11 @@ class Page:
 
 
 class DeskProcess:
-    """`rig desk` of a configuration."""
+    """`rig desk` of a configuration, by a `program` that takes the command line."""
 
-    def __init__(self, config: Path, *words: str) -> None:
+    def __init__(self, config: Path, *words: str, program: tuple[str, str] = ("-m", "rig")) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "rig", "desk", str(config.absolute()), "--no-browser", *words],
+            [sys.executable, *program, "desk", str(config.absolute()), "--no-browser", *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -257,6 +255,10 @@ def desk_page(browser: HeadlessBrowser, config: Path, *words: str) -> Iterator[t
             page = Page(tab)
             page.open(desk.address)
             yield desk, page
+    except Exception as error:
+        if not desk.runs:
+            error.add_note("\n".join(["the desk has ended:", *desk.said()]))
+        raise
     finally:
         with contextlib.suppress(subprocess.TimeoutExpired):
             desk.end()

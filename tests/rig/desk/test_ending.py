@@ -1,4 +1,4 @@
-"""A desk whose terminal is closed ends."""
+"""A desk serves whichever of its two servers is up first, and ends with its terminal."""
 
 import contextlib
 import http.client
@@ -12,6 +12,21 @@ import pytest
 from tests.rig.desk.desk_page import DeskProcess
 
 ENDED_WITHIN_S = 40.0
+OFF_IS_LATE = """
+import threading, time, uvicorn
+from rig.cli import main
+
+run = uvicorn.Server.run
+
+def late(server, sockets):
+    if threading.current_thread() is not threading.main_thread():
+        time.sleep(3.0)
+    run(server, sockets)
+
+uvicorn.Server.run = late
+main()
+"""
+"""A desk whose thread of LIGHT OFF gets no processor before the page is served."""
 
 
 def fetch(address: str, path: str, cookie: str = "") -> http.client.HTTPResponse:
@@ -38,5 +53,17 @@ def test_a_desk_that_has_served_ends_with_its_terminal(desk_configuration: Calla
         status, said = desk.ended(ENDED_WITHIN_S)
         assert status == 0
         assert "Traceback" not in said
+    finally:
+        desk.kill()
+
+
+@pytest.mark.slow
+def test_a_desk_serves_the_page_before_light_off_is_heard_at_the_other_port(
+    desk_configuration: Callable[[str], Path],
+) -> None:
+    desk = DeskProcess(desk_configuration(""), program=("-c", OFF_IS_LATE))
+    try:
+        assert fetch(desk.address, f"/?{urllib.parse.urlsplit(desk.address).query}").status == 303
+        assert desk.said()[1:] == []
     finally:
         desk.kill()

@@ -283,6 +283,14 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy(shown: Shown, desk
         page.wait_text(sentence(AlarmKey.PREFLIGHT.remedy))
         page.wait("(window.looks = (window.looks || 0) + 1) > 15")
         assert page.ask(f"{of_preflight}.length") == 1
+        # what is being pressed stays while its alarm goes on
+        row = f"document.querySelector('[data-alarm=\"{AlarmKey.STALLED}\"]')"
+        session_news.state({"phase": "preflight", "alarm": "nothing processed for 5 s"}, [])
+        page.wait(f"{row}?.textContent.includes('for 5 s')")
+        page.ask(f"{row}.querySelector('button').held = true")
+        session_news.state({"phase": "preflight", "alarm": "nothing processed for 6 s"}, [])
+        page.wait(f"{row}.textContent.includes('for 6 s')")
+        assert page.ask(f"{row}.querySelector('button').held") is True
     page.wait_text(f"last session: {folder.name}")
 
 
@@ -392,3 +400,22 @@ def test_everything_one_chooses_is_shown_at_once(shown: Shown) -> None:
         ".map(e => e.component?.name ?? e.tag))].sort()"
     )
     assert page.ask(waits) == ["nicegui-dialog", "nicegui-header", "q-linear-progress", "q-tab-panels"]
+
+
+AWAY = """
+window.socket.io.reconnectionDelay(6000);
+window.socket.io.reconnectionDelayMax(6000);
+window.socket.io.engine.close();
+{};
+"""
+STARVED = "(end => {{ while (performance.now() < end); }})(performance.now() + 8000); {};"
+
+
+@pytest.mark.parametrize("late", [AWAY, STARVED], ids=["connection away", "browser without a processor"])
+def test_a_press_that_is_sent_late_is_heard(shown: Shown, late: str) -> None:
+    """On a loaded machine the browser answers no sign of life for seconds, or finds its connection closed."""
+    _, page = shown
+    page.ask(late.format("document.querySelector('[aria-label^=Keys]').click()"))
+    page.wait("document.querySelector('[aria-label=\"keys\"] table') !== null", 20.0)
+    page.ask("document.querySelector('.q-dialog__backdrop').click()")
+    page.wait("document.querySelector('.q-dialog') === null")
