@@ -210,9 +210,14 @@ def off(config: Config, set_: Set = None) -> None:
     Example:
       rig light off mine.toml
     """
+    from rig.control import darken_beside
+
+    stated = loaded(config, set_)
+    # before the imports that follow, which take longer than all that was done so far
+    darken_beside(stated.laser, stated.controller)
     from rig.measure import light_off
 
-    raise typer.Exit(light_off(loaded(config, set_)))
+    raise typer.Exit(light_off(stated))
 
 
 def _trip_number(text: str) -> int:
