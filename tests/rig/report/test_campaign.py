@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError
+from processing.estimate import Estimate
 from processing.fit import AIR, LinearisedFit, drift_effects
-from processing.series import to_coordinates
+from processing.series import EndSide, to_coordinates
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record, read_results
 from rig.archive import ordered_runs
@@ -141,6 +142,33 @@ def test_a_likelihood_is_that_of_its_results() -> None:
     # a longer arm than was thought makes the values as they are seen too large
     assert likelihood.shared["arm_m"][2] == pytest.approx(U_ARM_M, rel=1e-6)
     assert likelihood.covariates["humidity_percent"].value == 45.0
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "is_bounded"), [(1e-8, 6e-9, True), (-2e-9, 6e-9, True), (1e-8, 4e-9, False)]
+)
+def test_what_a_run_hardly_determines_is_a_bound(value: float, u: float, is_bounded: bool) -> None:
+    """Results without a row of c: the bound is its value plus two u."""
+    one = run(1, GLASS, np.random.default_rng(3))
+    fit = one.fits["exact"]
+    parameters = {**fit.parameters, "c": Estimate(value, u)}
+    found, _ = compress(
+        FoundRun(
+            label="run-1",
+            contact="glass",
+            results_sha256="",
+            run=replace(one, table=(), fits={"exact": replace(fit, parameters=parameters)}),
+        ),
+        60 * ARCSEC_RAD,
+        {},
+    )
+    assert found is not None
+    assert ("c" in found.names) is not is_bounded
+    if is_bounded:
+        bound = found.bounds["c"]
+        assert bound.side is EndSide.UPPER
+        # its likelihood is one at the limit less its softness, and falls over as much
+        assert bound.limit + bound.softness == pytest.approx(np.log(value + 2 * u))
 
 
 def test_short_sessions_can_enter() -> None:
