@@ -12,6 +12,7 @@ from acquisition.record.reader import RecordReader
 from processing.deflections import DeflectionUnit
 from processing.spot import SpotFlag
 from processing.swing import HalfCycle
+from processing.units import ARCSEC_RAD
 from rig.view import ScratchView, layout
 from rig.view.drawing import RunLanes
 from rig.view.graticule import PLANE_REACH
@@ -33,6 +34,21 @@ def test_a_curve_does_not_cross_what_was_not_measured(tmp_path: Path) -> None:
     assert np.isfinite(x).sum() == len(time_s)
     at, ratio, _ = measured(path, "/balance/period_ratio")
     assert at[np.isnan(ratio)] == pytest.approx([487.0])
+
+
+@pytest.mark.parametrize(("unit", "size"), [("arcsec", ARCSEC_RAD), ("px", 1.0)])
+def test_the_fast_mode_is_drawn_about_the_rest_position(tmp_path: Path, unit: str, size: float) -> None:
+    """A balance states the rest position in rad or px, a sample is in arcsec or px."""
+    path, time_s = tmp_path / "rest.rrd", np.arange(0, 8, 0.05)
+    fast = 0.5 * np.cos(9 * time_s)
+    at_rest = {"line_angle_rad": (0.0, 1e-4), "rest_x": (30 * size, size), "rest_y": (-7 * size, size)}
+    with drawing_into(path, unit=unit) as drawing:
+        y = 20 * np.cos(1.5 * time_s) - 7
+        drawing.samples("", time_s, 30 + fast, y, np.zeros(len(time_s), dtype=np.int64))
+        drawing.balance("", 4.0, at_rest)
+    at, drawn = scalars(path, f"/{layout.FAST}")
+    assert at == pytest.approx(time_s)
+    assert drawn == pytest.approx(fast, abs=1e-6)
 
 
 def test_samples_are_thinned_whatever_the_model_of_the_beam(tmp_path: Path) -> None:
