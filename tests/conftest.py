@@ -41,6 +41,8 @@ LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 """Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""
 WHOLE_SESSIONS = {"measured_series"}
 """Fixtures for which the first test that wants them may wait as long as a slow one."""
+MEANWHILE = 8
+"""Files that compute while the first that wants a whole session makes it: the others would wait for it."""
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
@@ -79,8 +81,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if limit_s and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(limit_s))
     files = dict.fromkeys(item.path for item in items)
+    whole = {item.path for item in items if WHOLE_SESSIONS & set(getattr(item, "fixturenames", ()))}
     waiting = iter([*real, *(path for path in files if path in long - real)])
     computing = sorted((path for path in files if path not in real | long), key=lambda path: -slow[path])
+    first = [path for path in computing if path in whole][:1]
+    first += [path for path in computing if path not in whole][:MEANWHILE]
+    computing = [*first, *(path for path in computing if path not in first)]
     # were all that wait for long begun first, the processors would wait with them
     order: list[Path] = []
     for place, path in enumerate(computing):

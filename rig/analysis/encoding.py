@@ -81,7 +81,10 @@ class _Array:
 
 
 def _listed(values: NDArray[Any]) -> list[Any]:
-    return [item if isinstance(item, int) else _nan_to_null(item) for item in values.tolist()]
+    listed: list[Any] = values.tolist()
+    for undetermined in np.flatnonzero(~(np.abs(values) <= LARGEST_NUMBER)).tolist():
+        listed[undetermined] = None
+    return listed
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import functools
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +40,10 @@ def write_results(path: str | Path, results: SessionResults | EnvelopeResults) -
 def _text(value: object, indent: str = "") -> str:
     """JSON, one line a key; a list of plain values stands on one line."""
     inner = indent + "  "
-    if isinstance(value, Mapping) and value:
+    if isinstance(value, dict) and value:
         rows = [f"{inner}{json.dumps(key)}: {_text(item, inner)}" for key, item in value.items()]
         return "{\n" + ",\n".join(rows) + f"\n{indent}}}"
-    if isinstance(value, list) and any(isinstance(item, Mapping | list) for item in value):
+    if isinstance(value, list) and not {dict, list}.isdisjoint(map(type, value)):
         return "[\n" + ",\n".join(inner + _text(item, inner) for item in value) + f"\n{indent}]"
     return json.dumps(value, allow_nan=False)
 

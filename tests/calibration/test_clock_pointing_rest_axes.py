@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+import scipy
 
 from calibration.axes_fit import AxesFit, fit_axes
 from calibration.axes_window import require_rest
@@ -60,7 +60,7 @@ def test_the_rate_s_uncertainty_is_its_scatter_also_where_many_frames_in_a_row_a
         late = 2e-5 * np.random.default_rng([seed, 1]).standard_normal(N)
         if memory_s:
             kept = np.exp(-0.01 / memory_s)
-            late = lfilter([np.sqrt(1 - kept**2)], [1, -kept], late)
+            late = scipy.signal.lfilter([np.sqrt(1 - kept**2)], [1, -kept], late)
         found = relate_clocks(device, host + np.rint(1e9 * late).astype(np.int64), np.arange(N))
         z.append((found.drift_ppm - 40) / found.u_drift_ppm)
     # an rms of 20 deviations lies within 3/sqrt(40) of 1; what is sure is claimed somewhat too uncertain

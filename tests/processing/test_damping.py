@@ -5,8 +5,8 @@ Hundreds of decays: ``python -m tests.benchmarks damping``.
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from processing.damping import amplitude_at, fit_damping
 from processing.envelope import fit_envelope
@@ -27,7 +27,7 @@ KINDS = {
 def true_amplitude(parts: tuple[float, float, float]) -> NDArray[np.float64]:
     """The amplitude, integrated step by step."""
     c, g, q = parts
-    found = solve_ivp(
+    found = scipy.integrate.solve_ivp(
         lambda _, a: -(c + g * a + q * a**2), (0.0, T[-1]), [1.0], t_eval=T, rtol=1e-10, atol=1e-12
     )
     return np.asarray(found.y[0])

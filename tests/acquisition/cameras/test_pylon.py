@@ -16,14 +16,13 @@ from processing.errors import DeviceError
 from rig.instrument import setting_differences
 from tests.acquisition.cameras.conformance import CameraConformance
 
-with warnings.catch_warnings():
-    # its binary part is made by SWIG, whose types warn as they are made
-    warnings.simplefilter("ignore")
-    pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (optional extra 'pylon')")
-
 
 @pytest.fixture(autouse=True)
 def _emulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    with warnings.catch_warnings():
+        # its binary part is made by SWIG, whose types warn as they are made
+        warnings.simplefilter("ignore")
+        pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (optional extra 'pylon')")
     monkeypatch.setenv("PYLON_CAMEMU", "1")
 
 

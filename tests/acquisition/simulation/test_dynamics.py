@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from acquisition.simulation.equation_of_motion import ModeConstants
 from acquisition.simulation.motion import (
@@ -72,7 +72,7 @@ def reference_turns(mode: ModeConstants, angle_rad: float, count: int) -> NDArra
 
             event.terminal = True  # type: ignore[attr-defined]
             event.direction = direction if entry == 0 else -direction  # type: ignore[attr-defined]
-            answer = solve_ivp(
+            answer = scipy.integrate.solve_ivp(
                 motion(direction),
                 (time_s, time_s + half_s),
                 state,
@@ -130,7 +130,7 @@ def test_dense_output_agrees_with_an_independent_integrator() -> None:
         elastic = mode.kappa * phi ** (mode.n + 1) * (math.pi / 2 - mode.ball_over_contact_radius * phi)
         return [rate, mode.w0_rad_per_s**2 * (-phi + elastic + mode.c + mode.b * phi**mode.p)]
 
-    wanted = solve_ivp(
+    wanted = scipy.integrate.solve_ivp(
         derivative, (0, 1), [start, 0.0], method="DOP853", rtol=1e-13, atol=1e-18, t_eval=times_s
     ).y
     assert np.abs(angles - wanted[0]).max() < 1e-9 * start

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import welch
-from scipy.stats import chi2
 
 from acquisition.simulation.ground import FAST, SLOW, GroundMotion, acceleration_density, ground_of
 from acquisition.simulation.motion import motions
@@ -45,12 +44,12 @@ def agree(
     Half-overlapping Hann windows are worth 9/11 independent ones in the mean over segments; a
     periodogram's bin has two degrees of freedom, and a Hann window makes two of three neighbours one.
     """
-    frequencies_hz, found = welch(values, rate_hz, nperseg=length)
+    frequencies_hz, found = scipy.signal.welch(values, rate_hz, nperseg=length)
     band = (frequencies_hz >= low_hz) & (frequencies_hz <= high_hz)
     ratio = float(np.mean(found[band] / wanted(frequencies_hz[band])))
     segments = 9 / 11 * (2 * len(values) / length - 1)
     freedom = 2 * segments * max(np.count_nonzero(band) / 1.5, 1)
-    low, high = chi2.ppf([5e-5, 1 - 5e-5], freedom) / freedom
+    low, high = scipy.stats.chi2.ppf([5e-5, 1 - 5e-5], freedom) / freedom
     # what leaks from the neighbouring bins where a spectrum is steep
     assert low - 0.02 <= ratio <= high + 0.02, (low_hz, high_hz, ratio, low, high)
 
@@ -72,7 +71,7 @@ def test_spectrum_of_the_acceleration_is_that_of_the_model(ground: dict[str, Any
         for length, low_hz, high_hz in ((2**14, 0.01, 0.05), (2**12, 0.05, 0.5), (2**12, 0.5, 4.95)):
             agree(values, 25.0, length, low_hz, high_hz, lambda f: acceleration_density(truth, f) ** 2)
         # nothing beyond the band: a part of 1e-5 of what stands in it
-        frequencies_hz, power = welch(values, 25.0, nperseg=2**12)
+        frequencies_hz, power = scipy.signal.welch(values, 25.0, nperseg=2**12)
         outside = power[frequencies_hz > 1.26 * truth.bandwidth_hz].sum()
         assert outside < 1e-4 * power[frequencies_hz < truth.bandwidth_hz].sum()
     # four standard deviations of a correlation coefficient; the peaks of a spectrum leave fewer numbers

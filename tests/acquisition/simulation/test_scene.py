@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
-from scipy.signal import welch
 
 from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.scene import PlannedFrames, Scene, SensorSettings
@@ -148,7 +148,7 @@ def test_air_has_its_level_and_a_spectrum_of_one_over_f() -> None:
     plain, blown = plan(count, clock=SIXTY), plan(count, clock=SIXTY, disturbances=air)
     for noise in (blown.x_px - plain.x_px, blown.y_px - plain.y_px):
         noise_arcsec = noise / ONE_ARCSEC_PX
-        frequencies_hz, density = welch(noise_arcsec, 60.0, nperseg=2**15)
+        frequencies_hz, density = scipy.signal.welch(noise_arcsec, 60.0, nperseg=2**15)
         step_hz = frequencies_hz[1]
         # 12, 120 and 1200 s^-1 hold as many independent numbers per two of a bin's segments
         for low_hz, high_hz, bound in ((0.01, 0.1, 0.25), (0.1, 1.0, 0.1), (1.0, 10.0, 0.05)):

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from numba import njit
 from numpy.typing import NDArray
-from scipy import stats
 
 from acquisition.simulation import sensor
 from acquisition.simulation.optics import GaussianBeam, add_beam, beam_box
@@ -22,7 +22,7 @@ def exact_probabilities(mean_e: float, state: SensorState, full_well_e: float) -
     """Probability of each DN for a pixel of this mean: Poisson, full well, normal read noise, rounding."""
     spread = 12 * math.sqrt(mean_e) + 30
     electrons = np.arange(max(0, math.floor(mean_e - spread)), math.ceil(mean_e + spread))
-    weights = stats.poisson.pmf(electrons, mean_e) if mean_e > 0 else (electrons == 0).astype(float)
+    weights = scipy.stats.poisson.pmf(electrons, mean_e) if mean_e > 0 else (electrons == 0).astype(float)
     held = np.minimum(electrons, full_well_e)
     edges = (np.arange(state.full_scale_dn) + 0.5 - state.black_level_dn) * state.gain_e_per_dn
     near = slice(
@@ -30,7 +30,7 @@ def exact_probabilities(mean_e: float, state: SensorState, full_well_e: float) -
         np.searchsorted(edges, held.max() + 40 * state.read_noise_e) + 1,
     )
     p = np.zeros(state.full_scale_dn + 1)
-    below = stats.norm.cdf((edges[near, None] - held) / state.read_noise_e) @ weights
+    below = scipy.stats.norm.cdf((edges[near, None] - held) / state.read_noise_e) @ weights
     p[near.start : near.start + len(below) + 1] = np.diff(np.concatenate(([0.0], below, [1.0])))
     return p
 
@@ -49,7 +49,7 @@ def chi2_p_value(values: NDArray[Any], p: NDArray[np.float64]) -> float:
     if len(counts) < 2:
         return 1.0 if counts[0] == values.size else 0.0
     statistic = float(((counts - expected) ** 2 / expected).sum())
-    return float(stats.chi2.sf(statistic, len(counts) - 1))
+    return float(scipy.stats.chi2.sf(statistic, len(counts) - 1))
 
 
 def frames(
@@ -143,7 +143,7 @@ def test_every_pixel_of_the_spot_has_its_own_mean_and_variance() -> None:
     mean_dn = light_e / state.gain_e_per_dn + state.black_level_dn
     variance_dn = (light_e + state.read_noise_e**2) / state.gain_e_per_dn**2 + 1 / 12
     z = (images.mean(axis=0) - mean_dn) / np.sqrt(variance_dn / count)
-    assert stats.kstest(z.ravel(), "norm").pvalue > 1e-3
+    assert scipy.stats.kstest(z.ravel(), "norm").pvalue > 1e-3
     ratio = images.var(axis=0, ddof=1) / variance_dn
     assert ratio.mean() == pytest.approx(1.0, abs=4 * math.sqrt(2 / count / ratio.size))
     assert ratio.std() == pytest.approx(math.sqrt(2 / count), rel=0.1)
@@ -175,7 +175,7 @@ def test_hot_pixels_stay_in_place_and_have_shot_noise() -> None:
     cut = whole.hot_e < 9_000
     u_e = np.sqrt((whole.hot_e + 50) / 300)
     z = (mean_e - whole.hot_e)[cut] / u_e[cut]
-    assert stats.kstest(z, "norm").pvalue > 1e-3
+    assert scipy.stats.kstest(z, "norm").pvalue > 1e-3
     part = sensor.pixels(truth, 1, 30, 20, 50, 40)
     inside = (whole.hot_column >= 30) & (whole.hot_column < 80) & (whole.hot_row >= 20) & (whole.hot_row < 60)
     assert np.array_equal(part.hot_e, whole.hot_e[inside])
@@ -244,7 +244,7 @@ def test_poisson_numbers(mean: float) -> None:
     values = np.empty(100_000, dtype=np.int64)
     fill_poisson(values, mean)
     top = int(mean + 12 * math.sqrt(mean) + 10)
-    p = stats.poisson.pmf(np.arange(top + 1), mean)
+    p = scipy.stats.poisson.pmf(np.arange(top + 1), mean)
     assert values.max() <= top
     assert chi2_p_value(values, p) > 1e-3
 
@@ -253,10 +253,10 @@ def test_normal_numbers() -> None:
     values = np.empty((500_000, 2))
     frame_normals(9, 0, 1, 0, ziggurat(), values)
     flat = values.ravel()
-    assert stats.kstest(flat, "norm").pvalue > 1e-3
+    assert scipy.stats.kstest(flat, "norm").pvalue > 1e-3
     # the tail beyond the ziggurat's last layer, 3.654: 258 of a million
     beyond = int((np.abs(flat) > 3.6541528853610088).sum())
-    expected = 2 * stats.norm.sf(3.6541528853610088) * flat.size
+    expected = 2 * scipy.stats.norm.sf(3.6541528853610088) * flat.size
     assert abs(beyond - expected) < 4 * math.sqrt(expected)
     assert abs(np.corrcoef(values[:, 0], values[:, 1])[0, 1]) < 4 / math.sqrt(len(values))
     assert abs(np.corrcoef(values[1:, 0], values[:-1, 0])[0, 1]) < 4 / math.sqrt(len(values))

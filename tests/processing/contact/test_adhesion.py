@@ -4,7 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+import scipy
 
 from processing.contact.moments import adhesive_contacts, maugis_radius, surface_energy, tabor_parameter
 from processing.errors import DataError
@@ -54,7 +54,7 @@ def test_the_gap_at_the_edge_of_attraction_is_where_the_work_is_done() -> None:
         of_hertz = radius**2 / (pi * RADIUS_M) * (root + (m * m - 2) * arc)
         return float(of_hertz + 4 * stress / (pi * 0.75 * STIFFNESS_PA) * radius * (root * arc - m + 1))
 
-    m = brentq(lambda m: stress * gap(m) - work, 1 + 1e-9, 50)
+    m = scipy.optimize.brentq(lambda m: stress * gap(m) - work, 1 + 1e-9, 50)
     pulled = 2 * stress * radius**2 * (np.sqrt(m * m - 1) + m * m * np.arccos(1 / m))
     assert radius**3 * STIFFNESS_PA / RADIUS_M - pulled == pytest.approx(LOAD_N, rel=1e-9)
 

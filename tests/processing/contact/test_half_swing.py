@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from processing.contact import scaled_contact, turning_points_of
 from processing.contact.half_swing import SwingTable, walk
@@ -50,9 +50,9 @@ def integrated(
     # left to itself the integrator takes steps over which its interpolation finds events to 1e-10
     options = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-16, "max_step": 0.05}
     for _ in range(half_cycles):
-        first = solve_ivp(motion, (0, 10), [x, -0.0], events=crossing, **options)
+        first = scipy.integrate.solve_ivp(motion, (0, 10), [x, -0.0], events=crossing, **options)
         speed = first.y_events[0][0][1]
-        second = solve_ivp(motion, (0, 10), [-0.0, speed], events=turning, **options)
+        second = scipy.integrate.solve_ivp(motion, (0, 10), [-0.0, speed], events=turning, **options)
         time += first.t_events[0][0] + second.t_events[0][0]
         x = -second.y_events[0][0][0]
         out.append((x * amplitude_rad, time))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
+import scipy
 
 from processing.contact.laws import PAPER
 from processing.deflections import slow_deflections
@@ -45,7 +45,7 @@ def test_the_second_harmonic_is_that_of_rows(delay_s_per_rad: float) -> None:
     """Frames whose spot was exposed by its place later, through detector and harmonics."""
     rate = 25.0
     dense = driven_path(PARAMETERS, PENDULUM, q=8e-9, seed=1, frames_per_s=10 * rate)[2]
-    path = CubicSpline(np.arange(len(dense)) / (10 * rate), dense)
+    path = scipy.interpolate.CubicSpline(np.arange(len(dense)) / (10 * rate), dense)
     frame_s = np.arange(0.0, len(dense) / (10 * rate) - 1.0, 1 / rate)
     at_s = frame_s.copy()
     for _ in range(4):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+import scipy
 
 from processing.fit.exact_result import correlated_covariance, neighbours_covariance, whiteness
 
@@ -21,7 +21,7 @@ def test_the_chances_are_uniform_for_noise() -> None:
 
 def test_only_the_series_that_is_correlated_is_called_so() -> None:
     rng = np.random.default_rng(4)
-    noise, slow = rng.standard_normal(300), lfilter([0.8], [1, -0.6], rng.standard_normal(300))
+    noise, slow = rng.standard_normal(300), scipy.signal.lfilter([0.8], [1, -0.6], rng.standard_normal(300))
     found = whiteness(np.concatenate([noise, slow]))
     assert found.p_amplitude > 0.01
     assert found.p_time < 1e-10
@@ -33,7 +33,7 @@ def test_only_the_series_that_is_correlated_is_called_so() -> None:
 
 def test_one_wild_value_neither_hides_nor_feigns_a_correlation() -> None:
     rng = np.random.default_rng(5)
-    slow = lfilter([0.8], [1, -0.6], rng.standard_normal(200))
+    slow = scipy.signal.lfilter([0.8], [1, -0.6], rng.standard_normal(200))
     for position in (50, 51):
         slow[position] = 1e4 * (-1) ** position
     assert whiteness(np.tile(slow, 2)).p_amplitude < 1e-6
@@ -58,7 +58,7 @@ def test_the_widened_covariance_is_the_actual_scatter(neighbour: float, ratio: f
     for _ in range(60):
         white = rng.standard_normal((2, count + 100))
         # amplitudes and times alike, as when one cause moves both
-        noise = lfilter([np.sqrt(1 - neighbour**2)], [1, -neighbour], white)[:, 100:]
+        noise = scipy.signal.lfilter([np.sqrt(1 - neighbour**2)], [1, -neighbour], white)[:, 100:]
         claimed.append(correlated_covariance(noise.ravel(), jacobian, covariance, 20)[0, 0])
         means.append(noise.mean())
     assert np.mean(claimed) == pytest.approx(ratio * covariance[0, 0], rel=0.1)

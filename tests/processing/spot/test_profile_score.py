@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from processing.spot import SensorModel
 from processing.spot.profile_fit import (
@@ -34,7 +34,7 @@ def expected(p: Floats) -> Floats:
     """A T + plane; the centre's place is counted from that of `P`."""
     y, x = np.indices((NY, NX)).astype(np.float64)
     at = [y + BASE_Y + 1 + PHASE_Y - p[CENTRE_Y], x + BASE_X + 1 + PHASE_X - p[CENTRE_X]]
-    light = map_coordinates(coefficients().astype(np.float64), at, order=3, prefilter=False)
+    light = scipy.ndimage.map_coordinates(coefficients().astype(np.float64), at, order=3, prefilter=False)
     return p[0] * light + p[3] + p[4] * (x - 0.5 * (NX - 1)) + p[5] * (y - 0.5 * (NY - 1))
 
 

@@ -1,6 +1,7 @@
 """Swings do not depend on the division into blocks, come in time, and memory does not grow."""
 
 import tracemalloc
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +17,7 @@ from processing.swing.prediction import predict
 from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect
 
 
+@cache
 def troubled_record() -> Record:
     """A release, friction, a gap, a burst, lost spots, a kick: every path of the detector."""
     rng = np.random.default_rng(21)
@@ -29,8 +31,10 @@ def troubled_record() -> Record:
     return record.plus(burst + lost + kick)
 
 
-RECORD = troubled_record()
-WHOLE = detect(RECORD, block=len(RECORD.times_ns))
+@cache
+def whole() -> list[HalfCycle]:
+    """Its half-cycles, of one block."""
+    return detect(troubled_record(), block=len(troubled_record().times_ns))
 
 
 def same(a: list[HalfCycle], b: list[HalfCycle]) -> bool:
@@ -39,24 +43,25 @@ def same(a: list[HalfCycle], b: list[HalfCycle]) -> bool:
 
 
 def test_the_record_is_troublesome() -> None:
-    assert len(WHOLE) > 25
-    assert len({s.flags for s in WHOLE}) >= 3
+    assert len(whole()) > 25
+    assert len({s.flags for s in whole()}) >= 3
 
 
 @pytest.mark.parametrize("block", [1, 7, 100, 1000])
 def test_blocks_of_one_size(block: int) -> None:
-    assert same(detect(RECORD, block), WHOLE)
+    assert same(detect(troubled_record(), block), whole())
 
 
 @settings(max_examples=8, deadline=None)
-@given(st.lists(st.integers(0, len(RECORD.times_ns)), max_size=30))
+@given(st.deferred(lambda: st.lists(st.integers(0, len(troubled_record().times_ns)), max_size=30)))
 def test_any_blocks(cuts: list[int]) -> None:
-    edges = [0, *sorted(cuts), len(RECORD.times_ns)]
+    record = troubled_record()
+    edges = [0, *sorted(cuts), len(record.times_ns)]
     detector = TurningPointDetector()
     swings: list[HalfCycle] = []
     for i, j in pairwise(edges):
-        swings += detector.update(RECORD.times_ns[i:j], RECORD.deflection[i:j], RECORD.u_deflection[i:j])
-    assert same(swings + detector.finish(), WHOLE)
+        swings += detector.update(record.times_ns[i:j], record.deflection[i:j], record.u_deflection[i:j])
+    assert same(swings + detector.finish(), whole())
 
 
 def test_a_swing_is_out_within_a_quarter_period_of_its_end() -> None:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+import scipy
 
 from processing.balance.estimate import _without_harmonic
 from processing.errors import DataError
@@ -153,7 +153,7 @@ def test_bad_input() -> None:
 @pytest.mark.parametrize("frequencies", [1, 300])
 def test_noise_is_taken_for_a_fast_mode_once_in_ten_million_looks(frequencies: int) -> None:
     """Four amplitudes of noise of unit variance: the sum of their squares has a known distribution."""
-    limit = chi2.isf(1e-7 / frequencies, 4)
+    limit = scipy.stats.chi2.isf(1e-7 / frequencies, 4)
     for factor, seen in ((0.999, False), (1.001, True)):
         p = np.zeros(TERMS)
         p[[X + FAST_COSINE, Y + FAST_SINE]] = np.sqrt(0.5 * factor * limit)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import welch
+import scipy
 
 from processing.errors import DataError
 from processing.swing import residual_spectrum
@@ -26,7 +26,7 @@ def test_white_noise_has_its_level_with_gaps_too() -> None:
 @pytest.mark.parametrize("length", [64, 75])
 def test_powers_of_segments_are_those_of_welch(length: int) -> None:
     samples = 3.0 + np.random.default_rng(9).normal(size=500).cumsum()
-    expected = welch(samples, 1.0, nperseg=length)[1]
+    expected = scipy.signal.welch(samples, 1.0, nperseg=length)[1]
     assert segment_powers(samples, length).mean(axis=0) == pytest.approx(expected, rel=1e-9)
 
 

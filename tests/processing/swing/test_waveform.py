@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+import scipy
 
 from processing.swing.waveform import (
     BEND,
@@ -63,7 +63,7 @@ def acceleration(y: float, v: float, shape: np.ndarray) -> float:
 @pytest.mark.slow
 def test_table_solves_the_equation_of_motion() -> None:
     table, turn = table_of(SHAPE)
-    solution = solve_ivp(
+    solution = scipy.integrate.solve_ivp(
         lambda _, state: [state[1], acceleration(state[0], state[1], SHAPE)],
         (0.0, (NODES_AFTER - 1) * STEP), [1.0, 0.0], dense_output=True, rtol=1e-11, atol=1e-13, max_step=0.05,
     )  # fmt: skip

@@ -15,6 +15,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.fit import Change, ChangeKind, DiscrepancySize
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import decoded, encoded, read_results, results_schema, write_results
+from rig.analysis.run_values import StoredTurningPoints
 
 SCHEMA_FILE = Path(__file__).resolve().parents[3] / "docs" / "results.schema.json"
 
@@ -37,6 +38,7 @@ def test_what_is_read_is_written_the_same(measured_series: Path, tmp_path: Path)
     assert (tmp_path / "results.json").read_text() == text
     arrays = [line for line in text.splitlines() if line.strip().startswith('"time_s": [')]
     assert [line.rstrip(",")[-1] for line in arrays] == ["]", "]"], "each stands on one line"
+    assert '"matrix": [\n' in text, "each row of a matrix stands on a line"
     run = found.runs[0]
     assert len(run.points) == run.half_cycles
     assert run.points.time_s[0] == 0.0
@@ -44,6 +46,21 @@ def test_what_is_read_is_written_the_same(measured_series: Path, tmp_path: Path)
     stored = run.stored
     assert len(stored.left_out_time_s) == len(stored.left_out_amplitude) == len(stored.left_out_flags)
     assert np.all(stored.left_out_flags != 0)
+
+
+def test_what_is_not_determined_is_null_in_arrays_too(tmp_path: Path) -> None:
+    index, numbers = np.arange(5), np.array([0.0, math.nan, math.inf, -1e101, 1e99])
+    stored = StoredTurningPoints(
+        index=index, time_s=numbers, u_time_s=numbers, amplitude=numbers, u_amplitude=numbers
+    )
+    write_results(
+        tmp_path / "results.json", SessionResults(runs=(RunResults(record="run", turning_points=stored),))
+    )
+    tree = results_of(tmp_path)["runs"][0]["turning_points"]
+    assert tree["index"] == [0, 1, 2, 3, 4]
+    assert tree["time_s"] == [0.0, None, None, None, 1e99]
+    again = read_results(tmp_path).runs[0].stored
+    assert np.isnan(again.u_amplitude).tolist() == [False, True, True, True, False]
 
 
 def test_reading_results_loads_nothing_that_analyses(measured_series: Path) -> None:

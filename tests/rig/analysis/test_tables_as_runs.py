@@ -26,7 +26,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, starts_s, decrement in (("brass", [1.0, 41.0], 0.2), ("steel", [1.0], 0.3)):
         columns = ring_downs(starts_s, [10.0, 8.0][: len(starts_s)], decrement)
         table = write(folder / f"{name}.txt", *columns)
-        done = rig("fit", table, "--unit", "mm", "-o", folder / name, figures=True)
+        done = rig("fit", table, "--unit", "mm", "-o", folder / name, figures=name == "brass")
         assert done.returncode == 0, done.stderr
     return folder
 

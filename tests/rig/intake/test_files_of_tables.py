@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+import scipy
 from pyarrow import feather, parquet
-from scipy.io import savemat
 
 from processing.errors import DataError
 from rig.intake.table import TableColumns
@@ -63,9 +63,9 @@ def test_nothing_pickled_is_unpacked(tmp_path: Path) -> None:
 
 
 def test_structs_and_complex_variables_of_matlab_are_named(tmp_path: Path) -> None:
-    savemat(tmp_path / "struct.mat", {"run": {"t": TIME_S, "x": X}})
+    scipy.io.savemat(tmp_path / "struct.mat", {"run": {"t": TIME_S, "x": X}})
     _refused(tmp_path / "struct.mat", "no arrays of numbers: run; save the fields of a struct as variables")
-    savemat(tmp_path / "complex.mat", {"t": TIME_S, "x": X * (1.0 + 1.0j)})
+    scipy.io.savemat(tmp_path / "complex.mat", {"t": TIME_S, "x": X * (1.0 + 1.0j)})
     _refused(tmp_path / "complex.mat", "x is complex; save its real part")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+import scipy
 
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import read_results
@@ -184,7 +184,7 @@ def test_a_spot_smaller_than_a_pixel_is_named(tmp_path: Path, sigma_px: float) -
     pictures = []
     for k in range(30):
         edges_x, edges_y = np.arange(NX + 1) - 80.0 - 40.0 * np.sin(0.2 * k), np.arange(NY + 1) - 48.3
-        share = [np.diff(norm.cdf(edges, scale=sigma_px)) for edges in (edges_y, edges_x)]
+        share = [np.diff(scipy.stats.norm.cdf(edges, scale=sigma_px)) for edges in (edges_y, edges_x)]
         light = 20.0 + 200.0 * np.outer(*share) + 1.5 * rng.standard_normal((NY, NX))
         pictures.append(np.clip(np.rint(light), 0, 255).astype(np.uint8))
     film = write_film(tmp_path / "small.mkv", pictures, Film())

@@ -154,7 +154,12 @@ def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> None:
-    words = set_words({**SMALL, "simulation.sensor.height_px": "440", "session.max_duration_s": "40"})
+    words = set_words({
+        **SMALL,
+        "camera.frame_rate_hz": "25",
+        "simulation.sensor.height_px": "440",
+        "session.max_duration_s": "40",
+    })  # fmt: skip
     record = tmp_path / "run.mcap"
     done = rig("run", CONFIGS / "demo.toml", "--record-only", "-o", record, *words)
     assert "Traceback" not in done.stderr
@@ -163,7 +168,7 @@ def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> N
         swings = reader.swings()
     assert "spot lost" in kinds
     # 124 arcsec are 250 px, the sensor ends at 220 px: what is reported must be right all the same
-    truth = true_turning_points(load_configuration(CONFIGS / "demo.toml").simulation, max_duration_s=70)
+    truth = true_turning_points(load_configuration(CONFIGS / "demo.toml").simulation, max_duration_s=45)
     first_ns = round(1e9 * load_configuration(CONFIGS / "demo.toml").simulation.clock.start_s)
     trusted = [swing for swing in swings if swing.flags == 0]
     assert trusted

@@ -162,7 +162,8 @@ def test_a_record_carries_its_calibration_and_says_whether_it_held(tmp_path: Pat
         write_new,
     )
     for path, validity in ((good, "valid"), (expired, "expired")):
-        camera, simulation = {"driver": "simulated"}, {"max_duration_s": 20.0}
+        camera = {"driver": "simulated"}
+        simulation = {"max_duration_s": 20.0, "clock": {"frame_rate_hz": 25.0}, "sensor": {"width_px": 96}}
         tree = {"camera": camera, "simulation": simulation, "calibration": {"lever": str(path)}}
         record = tmp_path / f"{validity}.mcap"
         assert simulate_record(validate_configuration(tree, "test"), tmp_path / "none.toml", record) == 0

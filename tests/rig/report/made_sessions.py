@@ -52,7 +52,7 @@ def run(
     energy = float(ENERGY_OVER_C * seen[2])
     key = "surface_energy_table2_j_per_m2"
     budget[key] = _budget(key, energy, float(RELATIVE_U[2] * energy), arm=-1.0, mass=0.33)
-    time_s = np.arange(0, 1200, 2.0)
+    time_s = np.arange(0, 1200, 20.0)
     return RunResults(
         record=f"run-{number}.mcap",
         sha256=sha256 or f"{rng.integers(2**62):064x}",

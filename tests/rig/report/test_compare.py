@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scipy import stats
+import scipy
 
 from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError, RecordError
@@ -95,7 +95,7 @@ def test_a_single_run_scatters_as_those_of_the_series_it_is_compared_with(tmp_pa
     )
     u = math.hypot(0.03, 0.018) * 1.05e-8
     assert float(row[4]) == pytest.approx(math.hypot(u, 0.01 * 1.1e-8), rel=1e-6)
-    assert float(row[5]) == pytest.approx(2 * stats.t.sf(0.05e-8 / float(row[4]), 2), rel=1e-6)
+    assert float(row[5]) == pytest.approx(2 * scipy.stats.t.sf(0.05e-8 / float(row[4]), 2), rel=1e-6)
 
 
 @pytest.mark.usefixtures("figures")

@@ -2,7 +2,7 @@
 both."""
 
 import numpy as np
-from scipy.signal import welch
+import scipy
 
 from acquisition.simulation.ground import FAST, SLOW, ground_of
 from acquisition.simulation.settings import SimulationSettings
@@ -46,7 +46,9 @@ def simulated_ground() -> dict[str, Found]:
     times_s = np.arange(_HOURS * 3600 * RATE_HZ) / RATE_HZ
     off = []
     for mode in (SLOW, FAST):
-        frequency_hz, power = welch(ground.acceleration_m_per_s2[mode].at(times_s), RATE_HZ, nperseg=2**13)
+        frequency_hz, power = scipy.signal.welch(
+            ground.acceleration_m_per_s2[mode].at(times_s), RATE_HZ, nperseg=2**13
+        )
         for low_hz, high_hz in _BANDS_HZ:
             band = (frequency_hz >= low_hz) & (frequency_hz < high_hz)
             level_db = np.interp(-np.log(frequency_hz[band]), np.log(table["period_s"]), middle_db)

@@ -5,8 +5,8 @@ Angles in units of the swing, times in units of 1/w0.
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,9 @@ def dahl_decay(c: float, sigma: float, first: float, count: int) -> tuple[Array,
         early, (x, _, moment) = 1e-7, state
         force = -x - moment
         begun = [x + 0.5 * force * early**2, force * early, moment]
-        found = solve_ivp(motion, [0, 20], begun, events=_at_rest, rtol=1e-11, atol=1e-14, max_step=0.05)
+        found = scipy.integrate.solve_ivp(
+            motion, [0, 20], begun, events=_at_rest, rtol=1e-11, atol=1e-14, max_step=0.05
+        )
         state, side = found.y_events[0][0].tolist(), -side
         now += early + float(found.t_events[0][0])
         amplitudes.append(abs(state[0]))
@@ -55,7 +57,7 @@ def slider_decay(
 
         early = 1e-7
         push = start + float(loaded.sum()) - constant
-        found = solve_ivp(
+        found = scipy.integrate.solve_ivp(
             motion, [0, 20], [0.5 * push * early**2, push * early], events=_at_rest, rtol=1e-10, atol=1e-13,
             max_step=0.05,
         )  # fmt: skip
