@@ -87,7 +87,7 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
         return self.model_copy(update={"skew": 0.0}) if self.skew else self
 
     def _tangent(self, displacement_px: ArrayLike) -> tuple[Floats, Floats]:
-        """t = tan(2 phi), and the derivative of the displacement by t over its value at the reference."""
+        """t = tan(2 phi), and the displacement's derivative with respect to t over that at the reference."""
         part = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)
         root = np.sqrt(1.0 + 4.0 * self.skew * part)
         # this form of the root of the quadratic loses no digits, and is exactly `part` without skew

@@ -42,7 +42,7 @@ from processing.units import ARCSEC_RAD
 
 _ZSTD_LEVEL = 1
 _LARGE_BYTES = 64 * 1024
-"""Size from which on an image is compressed by itself, which is faster than in a chunk of small messages."""
+"""Minimum size of an image compressed by itself, which is faster than in a chunk of small messages."""
 _NO_MODEL = IntegerGaussian(0, 0, 0, 0, 0, 0)
 
 _LAST = 9216

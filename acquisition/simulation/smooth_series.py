@@ -105,7 +105,7 @@ class SmoothSeries:
     terms
         Pairs of a factor and the term that it multiplies.
     end_s
-        Time from which on the series is not known; a reader stops there.
+        End of the time in which the series is known; a reader stops there.
     """
 
     def __init__(self, rate_hz: float, terms: Sequence[tuple[float, Term]], end_s: float = math.inf) -> None:

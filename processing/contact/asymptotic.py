@@ -37,8 +37,8 @@ def decay_path(
     """Solve ``dx/ds = -(c + b x^p + d x)`` at rising s >= s_0, with derivatives.
 
     The variables are separated, s = integral dx/(c + b x^p + d x), and the integral is taken over pieces of
-    ln x. `b` stands for b/(p+1). Returns x and its derivatives by (start, b, p, c, d, s), shape (len, 6);
-    NaN after x has reached zero.
+    ln x. `b` stands for b/(p+1). Returns x and its derivatives with respect to (start, b, p, c, d, s), shape
+    (len, 6); NaN after x has reached zero.
     """
     path, gradient = np.full(len(rate_time), np.nan), np.full((len(rate_time), 6), np.nan)
     if not start > 0:
@@ -59,7 +59,7 @@ def decay_path(
         return y, x, power, np.where(np.all(r > 0, axis=1, keepdims=True), weights * half * x / r, np.nan), r
 
     def integrals(low: Floats, high: Floats) -> Floats:
-        """Integrals over x of 1/r, r the rate, and of its derivatives by b, p, c and d; one row a piece."""
+        """Integrals over x of 1/rate and its derivatives with respect to b, p, c and d; one row a piece."""
         y, x, power, over, r = nodes_of(low, high)
         by = -over / r
         return np.array([part.sum(axis=1) for part in (over, by * power, b * by * power * y, by, by * x)]).T
@@ -264,7 +264,7 @@ def fit_decay(
     first = decay_start(s, x, u, drag=drag)
 
     def natural(values: Floats) -> tuple[Floats, Floats]:
-        """b, p, c, (d,) start, and their derivatives by the solver's columns."""
+        """b, p, c, (d,) start, and their derivatives with respect to the solver's columns."""
         out, matrix = values.copy(), np.eye(len(values))
         if drag:
             moved = np.column_stack([values, values[:, None] + 1e-30j * matrix])
@@ -301,7 +301,7 @@ def fit_decay(
         )
 
     rate = (x[0] - x[-1]) / (s[-1] - s[0])
-    # with a rate of exactly zero the derivative by its exponent would vanish
+    # with a rate of exactly zero the derivative with respect to its exponent would vanish
     b0 = max(first.b * (first.p + 1), 1e-3 * rate)
     lower = np.full(5 if drag else 4, -np.inf)
     upper = np.full(5 if drag else 4, np.inf)

@@ -38,7 +38,8 @@ _SAMPLES = 256
 
 
 class FreeSwing(NamedTuple):
-    """Deflection (rad), its derivative by the phase ``w0 t``, and that phase, shape (amplitudes, nodes).
+    """Deflection (rad), its derivative with respect to the phase ``w0 t``, and that phase, shape (amplitudes,
+    nodes).
 
     `end` (amplitudes,) is the phase at the last turning point.
     """

@@ -40,7 +40,7 @@ _NODES = 24
 _PER_OCTAVE, _BEYOND, _FEWEST = 12, 1, 4
 """Numbers of amplitudes of a table: in each factor of two, beyond either end of the range, and at least."""
 _STEP = 1e-5
-"""Relative step of the numerical derivatives by the parameters."""
+"""Relative step of the numerical derivatives with respect to the parameters."""
 _ROUNDS, _NEWTON_ROUNDS, _DRAG_ROUNDS = 12, 20, 20
 """Most iterations of a drag's work, of the next reversal, of the speed with a drag. Swings take 5, 5 and 6.
 A search also tries values for which one amplitude of many never converges: all would wait for it."""

@@ -13,8 +13,8 @@ and either quarter lasts ``integral dtheta / (2 pi sqrt(G))`` in units of T0, wi
 (+ after the turning point, - before it). The drag takes ``drag A^2`` times the integral of ``sin^2 sqrt(G)``
 in each quarter, and changes G by twice that over ``sin^2 theta``, with the integral up to theta.
 
-A law states f, e, D and V, and the derivatives of D and V by its parameters; those of a half-swing follow.
-Angles and the moments over m g R are in units of a reference.
+A law states f, e, D and V, and the derivatives of D and V with respect to its parameters; those of a
+half-swing follow. Angles and the moments over m g R are in units of a reference.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,7 +46,7 @@ _ROUNDS, _DRAG_TOLERANCE, _NEWTON_TOLERANCE = 60, 1e-12, 1e-9
 """Most iterations, and the relative change at which they end: of those for a drag, each of which reduces the
 change by its moment over the weight's, and of Newton's, which square it."""
 _DERIVATIVE_TOLERANCE = 1e-9
-"""Relative change at which the iteration of derivatives by a drag ends."""
+"""Relative change at which the iteration of derivatives with respect to a drag ends."""
 _AMPLITUDE_ROUNDS, _AMPLITUDE_TOLERANCE = 5, 1e-9
 """Most iterations of the next amplitude with the drag's work before it, and the relative change at which they
 end: each reduces the change by a hundredth of the drag's moment."""
@@ -55,7 +55,8 @@ end: each reduces the change by a hundredth of the drag's moment."""
 class Moment(NamedTuple):
     """A moment over m g R and its work from 0, as functions of angles x > 0 of any shape.
 
-    `work` returns a first axis of the value and its derivatives by the parameters of the map at `places`.
+    `work` returns a first axis of the value and its derivatives with respect to the parameters of the map at
+    `places`.
     """
 
     places: tuple[int, ...]

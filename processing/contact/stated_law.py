@@ -2,7 +2,8 @@
 
     M = -m g R f(|phi|) sign(phi') + m g R e(|phi|) sign(phi)
 
-The works of f and e are computed by quadrature, their derivatives by the parameters by differences.
+The works of f and e are computed by quadrature, their derivatives with respect to the parameters by
+differences.
 """
 
 import inspect

@@ -62,7 +62,7 @@ class _ConditionalModel:
         self._guess = float(best[self.column])
 
     def full(self, held: float, free: Floats) -> tuple[Floats, Floats]:
-        """All columns, with the missing one found by Newton's method, and its derivatives by the others."""
+        """All columns, the missing one by Newton's method, and its derivatives with respect to the others."""
         values = np.empty(len(free) + 1)
         values[self.free] = free
         values[self.column] = self._guess

@@ -144,7 +144,7 @@ def _with_drives(at: LinearisedFit, factors: Iterable[float]) -> list[Noise]:
 
 
 def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
-    """Derivatives of the evidence's residuals by relative errors of losses, durations (0) and harmonics."""
+    """The evidence's derivatives with respect to relative errors of losses, durations (0) and harmonics."""
     model, waveform = at.model, at.model.evidence.waveform
     out = np.zeros((len(model.evidence_residuals(at.coordinates)), 3 * nodes.count))
     if waveform is None or model.pendulum is None:
@@ -292,7 +292,7 @@ class _ClearestChange(NamedTuple):
 
 
 class _ChangeScan:
-    """Whitened residuals for one drive, and their derivatives by a change at each place.
+    """Whitened residuals for one drive, and their derivatives with respect to a change at each place.
 
     The derivatives are computed anew for each search, some places at a time: all of a long decay's would fill
     the memory.

@@ -77,7 +77,7 @@ def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -
 
 
 def rows_with_drifts(model: ExactModel, columns: Floats, noise: Noise) -> DrivenRows:
-    """The rows of a model for a drive, with their derivatives by `DRIFTS`."""
+    """The rows of a model for a drive, with their derivatives with respect to `DRIFTS`."""
     shares = loss_shares(model, columns)
     lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
 

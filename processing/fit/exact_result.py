@@ -34,7 +34,7 @@ OUTLIER = 5.0
 _SMALL_RAD = 0.03
 """Amplitude up to which gravity's moment is taken as proportional: A^2/16 of the period is 6e-5 there."""
 _SIGNIFICANT = 3.0
-"""Standard uncertainties below zero from which on a negative value is no chance."""
+"""Standard uncertainties below zero at and above which a negative value is no chance."""
 _AT_LIMIT = "{} is at the limit of its range: the data do not determine it"
 _LAGS = 20
 """Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""
@@ -217,7 +217,7 @@ def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: W
         yield (
             f"the residuals of neighbouring half-cycles are correlated (chance {chance}): "
             "the model does not describe all of the motion, or the "
-            f"point of rest wanders (pointing of the beam, air); uncertainties are {wider} for it"
+            f"equilibrium position wanders (pointing of the beam, air); uncertainties are {wider} for it"
         )
 
 
@@ -277,7 +277,7 @@ def _mean_of_finite(values: Floats) -> float:
 
 
 def _by_correlation(to_physical: Floats, solution: Solution, white: Whiteness, count: int) -> Floats:
-    """By how many times correlated residuals enlarge every standard uncertainty."""
+    """The factor by which correlated residuals enlarge every standard uncertainty."""
     of_points = slice(2 * count)
     jacobian, covariance = solution.jacobian[of_points], solution.covariance
     factor = _factor(to_physical, neighbours_covariance(white, jacobian, covariance), covariance)

@@ -11,14 +11,14 @@ A turning point that is measured on the samples of its half-cycle, between its z
 oscillation that fits them best. Relative to the motion through the true turning point, f adds to the samples
 the response that begins there, forwards and backwards. Its least-squares fit has, with u = pi/2 - |theta|:
 
-    amplitude, point of rest known     (s/w) int f p dt / pi,      p = cos(theta) - u sin|theta|
-    amplitude, point of rest free      (s/w) int f (pi p/2 - 2 r) dt / (pi^2/2 - 4),  r = 1 - sin|theta|
+    amplitude, equilibrium known  (s/w) int f p dt / pi,      p = cos(theta) - u sin|theta|
+    amplitude, equilibrium free   (s/w) int f (pi p/2 - 2 r) dt / (pi^2/2 - 4),  r = 1 - sin|theta|
     time, times the amplitude          (s/w^2) int f u cos(theta) sign(theta) dt / pi
-    point of rest                      (1/w) int f (pi r/2 - p) dt / (pi^2/2 - 4)
+    equilibrium position          (1/w) int f (pi r/2 - p) dt / (pi^2/2 - 4)
 
-The point of rest is known from earlier half-cycles, which f has moved too: its error moves the amplitude by
--(4/pi) s of it. This term alone looks back and not ahead; without it the fitted delay of a seismometer would
-be 0.1 s too long at a period of 4 s.
+The equilibrium position is known from earlier half-cycles, which f has moved too: its error moves the
+amplitude by -(4/pi) s of it. This term alone looks back and not ahead; without it the fitted delay of a
+seismometer would be 0.1 s too long at a period of 4 s.
 
 f is linear between its samples, and all integrals have closed forms.
 
@@ -46,11 +46,11 @@ _LOSS_NEIGHBOURS = 15
 _PARTS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
 FREE_REST_WEIGHT, U_FREE_REST_WEIGHT = 1 / 3, 0.3
-"""Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's point of rest, and
-its standard uncertainty.
+"""Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's equilibrium
+position, and its standard uncertainty.
 
-The detector adapts it to how much the point of rest wanders. It does not follow from the turning points:
-their uncertainties imply 0.12, too small because they hold the drive's part, too. On a white drive of
+The detector adapts it to how much the equilibrium position wanders. It does not follow from the turning
+points: their uncertainties imply 0.12, too small because they hold the drive's part, too. On a white drive of
 1e-7 rad/s^2/sqrt(Hz) it was 0.35 in long runs and 0.7 in runs of 100 half-cycles. An error of it moves the
 fitted delay, at a period of 4 s by -0.026 s for each 0.1: with 0.2, 1/3 and 0.5 a seismometer without delay
 got 0.067, 0.024 and -0.012 s (each 0.016, of four long runs). At one frequency a delay is a phase, which the
@@ -246,7 +246,7 @@ def _measurement_response(
 
 
 def _detector_rest(rest: Floats, weight: float) -> Floats:
-    """The point of rest (half-swings, terms) that the detector has after each half-cycle."""
+    """The equilibrium position (half-swings, terms) that the detector has after each half-cycle."""
     # its change in a gap is not known, and taken as zero
     kept = np.nan_to_num(rest) * weight
     for k in range(1, len(kept)):

@@ -163,8 +163,9 @@ class FittedContact:
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
     freedom of the covariance, and `terms` are its parts, as those of `FitResult`. `by_log_rho` are the
-    derivatives by ln(R/a), and `by_inputs` those by other inputs that the fit takes as known, by the names of
-    `RigQuantities`: the row time of a shutter, an error of all amplitudes, drifts over a run.
+    derivatives with respect to ln(R/a), and `by_inputs` those with respect to other inputs that the fit takes
+    as known, by the names of `RigQuantities`: the row time of a shutter, an error of all amplitudes, drifts
+    over a run.
     """
 
     names: tuple[str, ...]
@@ -214,7 +215,7 @@ def reported_quantities(
     The fit is made with the assumed angular scale and clock. If true angles are s times the assumed ones, c
     is proportional to s, b to s^(1-p) and gamma to s^-n; T0 and the drag are proportional to the true
     second. The period determines gamma only in the combination ``2 gamma a^2/(m g)``. The small additional
-    effect of R/a in Eq. 3 is taken from the fit's derivative by ln(R/a).
+    effect of R/a in Eq. 3 is taken from the fit's derivative with respect to ln(R/a).
     """
     if contact.names[:6] != PAPER.names():
         raise DataError(f"expected the parameters {PAPER.names()} first, got {contact.names}")

@@ -180,7 +180,7 @@ class FitQuality:
     changes
         Events during the run: knocks, and steps of friction or period.
     worth
-        By how many times larger each uncertainty would be without the waveform, or without the prior of the
+        The factor by which each uncertainty would be larger without the waveform, or without the prior of the
         air; empty where there is neither.
     steeper
         Boundary layer's drag in addition to the fit; None where it was not estimated.
@@ -222,7 +222,7 @@ class FitResult(FitQuality):
         Amplitude used as the unit in the fit. b reference^(p-1) and gamma reference^n are nearly normally
         distributed even if b and gamma are not.
     by_log_rho
-        Derivative of `values` by ln(R/a), which the fit takes as known.
+        Derivative of `values` with respect to ln(R/a), which the fit takes as known.
     loss, cost
         The loss function, and half of its sum at the minimum (half of chi2 if linear).
     half_cycles

@@ -151,9 +151,9 @@ _BLOCKS = 10
 _MARGIN = 3.0
 """Periods of the seismometer's record before and after the run that its signals need."""
 _SHIFT = 0.02
-"""Shift of the signals, in periods, for the derivative by their time."""
+"""Shift of the signals, in periods, for the derivative with respect to their time."""
 _WEIGHT_CHANGE = 0.1
-"""Change of the weight of a half-cycle's own samples for the derivative by it."""
+"""Change of the weight of a half-cycle's own samples for the derivative with respect to it."""
 _SPACING = 1 / 8
 """Spacing of offsets that are tried, in periods: gain and quadrature take up the offset from the nearest."""
 _MOST_TRIED = 20_000
@@ -181,7 +181,7 @@ class SignalDrives:
         return known_drive(self._points, moved, averaged=self._averaged)
 
     def with_rest_weight(self, weight: float) -> KnownDrive:
-        """The drive by all signals with another weight of a half-cycle's own samples in its point of rest."""
+        """The drive by all signals with another weight of a half-cycle's own samples in its equilibrium."""
         return known_drive(self._points, self.signals, averaged=self._averaged, rest_weight=weight)
 
 
@@ -208,7 +208,7 @@ def fitted_state(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
 
 
 def residuals_at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
-    """Whitened residuals at a fit, their derivatives by the gains of the drive and by the other columns."""
+    """Whitened residuals at a fit, their Jacobians of the gains of the drive and of the other columns."""
     assert model.known_drive is not None
     found = model.filtered(*fitted_state(model, fit))
     by_gains = found.jacobian[:, : model.known_drive.terms] / model.known_drive.unit
@@ -267,7 +267,7 @@ def clock_correction(
 
     A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes that
     up; the delay shows in the change of the phase within the band to which a half-swing responds. So does the
-    weight of a half-cycle's own samples in its point of rest, which is known only roughly.
+    weight of a half-cycle's own samples in its equilibrium position, which is known only roughly.
     """
     drive = with_start_gains(drives, fit, chosen)
     by_s = _SHIFT * drives.period_s

@@ -122,7 +122,7 @@ class _SharedParameters:
         return np.array([*(known[name] for name in _COMMON), *values[_AIR:]])
 
     def line(self, exposure: float) -> Floats:
-        """Derivatives of the drag by d0 and k at an exposure."""
+        """Derivatives of the drag with respect to d0 and k at an exposure."""
         return np.array([exposure] if self.by_ratio else [1.0, exposure])
 
     def __call__(self, values: Floats) -> tuple[Floats, Floats]:

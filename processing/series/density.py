@@ -95,7 +95,7 @@ def chances(kinds: Floats) -> Floats:
 
 
 def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
-    """Log likelihood of the censored values (M, B), and its first two derivatives by the model's value."""
+    """Log likelihood of the censored values (M, B), its first two derivatives with respect to the model's."""
     from scipy.special import log_ndtr
 
     bounds = design.bounds

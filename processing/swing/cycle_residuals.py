@@ -1,4 +1,5 @@
-"""Residuals of whole cycles from a known motion, with the derivatives by what the motion may still explain.
+"""Residuals of whole cycles from a known motion, with the derivatives with respect to what the motion may
+still explain.
 
 Half-cycles that are measured one by one adapt to an error that is fixed on the sensor, since each has an
 amplitude and a time of its own. A whole cycle, two half-cycles with one amplitude, time and rest position,
@@ -59,9 +60,9 @@ class CycleResiduals(NamedTuple):
     weight: Floats
     """Inverse square of the deflection's uncertainty; 0 for outliers."""
     own: Floats
-    """(n, q) derivatives by amplitude, time, rest position and drift of the cycle, and by a fast mode."""
+    """(n, q) derivatives with respect to amplitude, time, equilibrium and drift of the cycle, and fast mode."""
     shared: Floats
-    """(n, SHARED_COLUMNS) derivatives by frequency, shape and an error of time that depends on the place."""
+    """(n, SHARED_COLUMNS) derivatives with respect to frequency, shape and an error of time by place."""
 
 
 class CycleWatch:

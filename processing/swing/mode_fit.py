@@ -288,7 +288,7 @@ def _equations(
         slow, fast = math.exp(-p[SLOW_DAMPING] * s), math.exp(-p[FAST_DAMPING] * s)
         slow_c, slow_s = slow * math.cos(p[SLOW_RATE] * s), slow * math.sin(p[SLOW_RATE] * s)
         fast_c, fast_s = fast * math.cos(p[FAST_RATE] * s), fast * math.sin(p[FAST_RATE] * s)
-        # derivatives by a coordinate's own linear terms, in their order
+        # derivatives with respect to a coordinate's own linear terms, in their order
         row[X + REST], row[X + DRIFT] = 1.0, s
         row[X + SLOW_COSINE], row[X + SLOW_SINE] = slow_c, slow_s
         row[X + FAST_COSINE], row[X + FAST_SINE] = fast_c, fast_s

@@ -47,7 +47,7 @@ _LARGEST_CHI2_RATIO = 4.0
 """Ratio of a half-cycle's reduced chi-square to the median of all above which the fit is rejected."""
 
 _SILENCE = 50
-"""Number of half periods after a loss from which on an oscillation of a different period is accepted."""
+"""Minimum number of half periods after a loss at which an oscillation of a different period is accepted."""
 
 _SHORTEST, _LONGEST = 0.7, 1.4
 """Range of the ratio of new to old half period that is accepted before that time."""

@@ -22,7 +22,7 @@ from rig.analysis.result_rows import ResultRow, plain_row
 _SHOWN = 9
 """Number of amplitudes at which the curve is stored, which is smooth."""
 _SURE = 3.0
-"""Standard uncertainties below zero from which on a part is surely negative."""
+"""Minimum distance below zero, in standard uncertainties, of a part that is surely negative."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,7 +32,7 @@ _RECORD_NAME = re.compile(r"run-(\d+)(-recovered)?\.mcap")
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
 _STRONG = 0.99
-"""Correlation from which on the data hardly distinguish two parameters."""
+"""Minimum correlation of two parameters that the data hardly distinguish."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,7 @@ def check_materials(config: Configuration) -> None:
 PLANE_OF_SWING: Final = "plane of swing"
 """Name of the condition that the plane of swing must not turn."""
 _MIN_EXCESS_U: Final = 2.0
-"""Excess over a limit, in standard uncertainties, from which on a single period fails its condition."""
+"""Minimum excess over a limit, in standard uncertainties, with which a single period fails its condition."""
 
 
 class _Condition(NamedTuple):

@@ -213,9 +213,9 @@ _RELATIVE_HALF_WIDTH: Final = 0.1
 """Half width of a spectral line relative to its frequency, including the width by decay."""
 _MIN_HALF_WIDTH_BINS: Final = 4
 _MIN_BOTH: Final = 0.8
-"""Fraction of the variance in two lines from which on samples count as two oscillations."""
+"""Minimum fraction of the variance in two lines of samples that count as two oscillations."""
 _MIN_WEAKER: Final = 0.1
-"""Fraction of the variance from which on the weaker line is nearly as large as a swing."""
+"""Minimum fraction of the variance in a weaker line that is nearly as large as a swing."""
 _OVERTONES: Final = (2, 3)
 """Frequency ratios of overtones by stops or steps of one motion; higher ones are smaller than required."""
 _TOLERANCE: Final = 0.1

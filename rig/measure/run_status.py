@@ -258,7 +258,7 @@ class Rates:
 
 
 _MAX_SHOWN_U_RELATIVE = 1.0
-"""Relative uncertainty from which on a value is not shown."""
+"""Minimum relative uncertainty of a value that is not shown."""
 
 
 def estimate_rows(now: RunNow, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:

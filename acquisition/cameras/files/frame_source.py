@@ -73,7 +73,7 @@ _MAX_OFF_TICKS = 1.5
 _MAX_OFF_FRACTION = 2e-5
 """The same as a fraction of the elapsed time, because a rate may be stated to six digits only."""
 _MIN_GAP_STEPS = 1.75
-"""Length of a step of time, in usual steps, from which on frames are missing in it."""
+"""Minimum length of a step of time, in usual steps, in which frames are missing."""
 _MAX_LISTED = 5
 """Largest number of gaps that a message lists one by one."""
 

@@ -18,8 +18,8 @@ Maxwell slip: springs in parallel, each of which slips beyond an angle of its ow
 
 Any backbone whose slope falls is such a sum; this one has no shape but that of its four stiffnesses.
 Where a slider begins to slip, the loss of a half-swing has a kink over the amplitude. The table of
-half-swings rounds it, by 2e-5 of amplitude and time; the derivatives by the stiffnesses are off by 3 to 5 %
-there, and so may be uncertainties that hang on these amplitudes.
+half-swings rounds it, by 2e-5 of amplitude and time; the derivatives with respect to the stiffnesses are off
+by 3 to 5 % there, and so may be uncertainties that hang on these amplitudes.
 """
 
 import numpy as np
