@@ -350,8 +350,8 @@ class RecordWriter:
             # without an end event, readers could not tell why the run ended
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
                 event = Event(self._end_ns - self._offset_ns, kind, what)
-                reason = EVENT.encode(*event, event.level)
-                self._numbers.add(EVENT.topic, self._sequence, self._end_ns, reason)
+                encoded_event = EVENT.encode(*event, event.level)
+                self._numbers.add(EVENT.topic, self._sequence, self._end_ns, encoded_event)
                 self._sequence += 1
         except OSError as error:
             failure = error

@@ -32,7 +32,7 @@ class WeightResponse:
 
     def __init__(self, effect: Floats, u_effect: Floats) -> None:
         self.nominal, self.u_nominal = effect, u_effect
-        self.pairs = 0
+        self.learned_turns = 0
         self._seen = np.zeros((2, 2))
         play = np.repeat(np.linspace(0.0, _MOST_PLAY, _PLAYS), _SLACKS)
         # turns until a turn in the positive direction begins to move the weight
@@ -63,7 +63,7 @@ class WeightResponse:
         weight = np.exp(self._log - self._log.max())
         return np.asarray(weight / weight.sum())
 
-    def turned(self, parts: Sequence[float]) -> None:
+    def follow_turns(self, parts: Sequence[float]) -> None:
         """Account for turns without a measurement: only the screw's position within its play is updated."""
         _, self._slack = self._displacement([np.asarray(part) for part in parts])
 
@@ -99,7 +99,7 @@ class WeightResponse:
         self._log = self._log - 0.5 * np.sum(np.where(seen, left**2 / total + np.log(total), 0.0), axis=1)
         self._mean = found
         self._variance = np.maximum(variance * (1.0 - gain * turns), 1e-12)
-        self.pairs += 1
+        self.learned_turns += 1
         if seen[:2].all():
             self._seen += np.outer(step[:2], step[:2]) / float(np.max(other[:2]))
 
@@ -115,9 +115,9 @@ class WeightResponse:
 
     def _moments(self, moved: Floats) -> tuple[Floats, Floats]:
         weight = self._weights()
-        likely = weight > 1e-6
-        weight, mean, variance = weight[likely], self._mean[likely], self._variance[likely]
-        moved = moved[..., likely]
+        probable = weight > 1e-6
+        weight, mean, variance = weight[probable], self._mean[probable], self._variance[probable]
+        moved = moved[..., probable]
         first = (moved * weight) @ mean
         hand = (_U_TURN**2 * (moved != 0) + (_U_RELATIVE * moved) ** 2) * weight
         second = (moved**2 * weight) @ (mean**2 + variance) + hand @ mean**2

@@ -256,7 +256,7 @@ def fit_decay(
 
     Returns the solution with columns b, p, c, (d,) first amplitude, in units of the reference and of
     s = 4 t/T, and the fitted amplitudes in the unit of the points. With d the search runs in the
-    coordinates of `straight`.
+    coordinates of `to_valley_coordinates`.
     """
     x = points.amplitude / reference
     u = points.u_amplitude / reference
@@ -269,7 +269,7 @@ def fit_decay(
         if drag:
             moved = np.column_stack([values, values[:, None] + 1e-30j * matrix])
             b = np.exp(moved[_B])
-            found = np.array([b, *from_straight(b, moved[_P], moved[_D])])
+            found = np.array([b, *from_valley_coordinates(b, moved[_P], moved[_D])])
             out[[_B, _P, _D]], matrix[[_B, _P, _D]] = found[:, 0].real, found[:, 1:].imag / 1e-30
         return out, matrix
 
@@ -317,7 +317,7 @@ def fit_decay(
         start = np.array([b, first.p, c, *([first.d * slower] if drag else []), first.start])
         if drag:
             start[_B] = np.log(b)
-            start[_P], start[_D] = to_straight(float(b), first.p, first.d * slower)
+            start[_P], start[_D] = to_valley_coordinates(float(b), first.p, first.d * slower)
         start = np.clip(start, lower + 1e-9, upper - 1e-9)
         if np.all(np.isfinite(model(start)[0])):
             break
@@ -345,7 +345,7 @@ def fit_decay(
 # straight and runs along ln b.
 
 
-def from_straight(b: Any, omega: Any, linear: Any) -> tuple[Any, Any]:
+def from_valley_coordinates(b: Any, omega: Any, linear: Any) -> tuple[Any, Any]:
     """p and drag (in the unit of the linear loss), of real or complex coordinates.
 
     NaN if no p corresponds to the coordinates.
@@ -354,6 +354,6 @@ def from_straight(b: Any, omega: Any, linear: Any) -> tuple[Any, Any]:
     return (b + omega) / rest, linear - rest / 2
 
 
-def to_straight(b: float, p: float, drag: float) -> tuple[float, float]:
-    """The coordinates omega and linear; the inverse of `from_straight`."""
+def to_valley_coordinates(b: float, p: float, drag: float) -> tuple[float, float]:
+    """The coordinates omega and linear; the inverse of `from_valley_coordinates`."""
     return b * (p - 1) / (p + 1), b / (p + 1) + drag

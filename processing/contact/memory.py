@@ -234,12 +234,13 @@ def branch_law(
     parameters: Sequence[Parameter],
     branch: Branch,
     scalings: Mapping[str, Scaling],
-    straight: ValleyCoordinates,
-    likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
+    valley_coordinates: ValleyCoordinates,
+    propose_starts: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
     *,
     in_angles: bool = False,
 ) -> Law:
-    """The law with memory of a branch; see `Coordinates` for `scalings`, `straight` and `likely`. The linear
+    """The law with memory of a branch; see `Coordinates` for `scalings`, `valley_coordinates` and
+    `propose_starts`. The linear
     drag of `DRAG` may be one of the parameters.
     """
     own = tuple(p.key for p in parameters if p.key not in (PERIOD, DRAG.key))
@@ -260,8 +261,8 @@ def branch_law(
             Coordinates,
             parameters=parameters,
             scalings=scalings,
-            straight=lambda _: straight,
-            likely=likely,
+            valley_coordinates=lambda _: valley_coordinates,
+            propose_starts=propose_starts,
             in_angles=in_angles,
         ),
     )

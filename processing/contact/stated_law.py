@@ -242,7 +242,7 @@ def _law(
     stated_start = {key: start[key] for key in own}
     near_paper = _starts_near_paper(friction, stated_start, like, points)
 
-    def likely(_: StartValues, __: float) -> list[dict[str, float]]:
+    def propose_starts(_: StartValues, __: float) -> list[dict[str, float]]:
         stated = [{key: times * value for key, value in stated_start.items()} for times in _START_FACTORS]
         return [{**scaled, **each, PERIOD: like[PERIOD]} for each in [*near_paper, *stated]]
 
@@ -264,5 +264,5 @@ def _law(
         moments_function,
         scalings,
         lambda _: logarithms_of(),
-        likely,
+        propose_starts,
     )

@@ -13,7 +13,7 @@ the response that begins there, forwards and backwards. Its least-squares fit ha
 
     amplitude, equilibrium known  (s/w) int f p dt / pi,      p = cos(theta) - u sin|theta|
     amplitude, equilibrium free   (s/w) int f (pi p/2 - 2 r) dt / (pi^2/2 - 4),  r = 1 - sin|theta|
-    time, times the amplitude          (s/w^2) int f u cos(theta) sign(theta) dt / pi
+    time, times the amplitude     (s/w^2) int f u cos(theta) sign(theta) dt / pi
     equilibrium position          (1/w) int f (pi r/2 - p) dt / (pi^2/2 - 4)
 
 The equilibrium position is known from earlier half-cycles, which f has moved too: its error moves the
@@ -184,17 +184,17 @@ def known_drive(
     side = np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
     half = 0.5 * np.pi / rate
     terms = signals.value.shape[1]
-    delay = np.zeros((2, count, terms))
+    steps = np.zeros((2, count, terms))
     amplitude = np.interp(np.arange(count), number, points.amplitude)
-    delay[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
+    steps[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
     if averaged:
         measured = _measurement_response(signals, time, side, rate, half, rest_weight)
         # steps lead from measured turning point to measured one: the part of the last measurement goes off
-        delay += measured
-        delay[:, 1:] -= measured[:, :-1]
-    missing = ~np.all(np.isfinite(delay), axis=(0, 2))
-    delay[:, missing] = 0.0
-    return KnownDrive(delay, missing, np.zeros(terms))
+        steps += measured
+        steps[:, 1:] -= measured[:, :-1]
+    missing = ~np.all(np.isfinite(steps), axis=(0, 2))
+    steps[:, missing] = 0.0
+    return KnownDrive(steps, missing, np.zeros(terms))
 
 
 def _rates(time: Floats) -> Floats:

@@ -124,10 +124,12 @@ class RigQuantities:
         contribution varies from one turning point to another; using one sign gives an upper limit.
         """
         assumed = self.non_orthogonality_rad.value
-        off = slow_angle_rad - self.slow_angle_rad.value
-        apart = non_orthogonality_rad - assumed
-        cross_talk = self.fast_ratio * np.sin(off + apart) / np.cos(assumed)
-        return np.asarray(np.cos(off) + np.sin(off) * np.tan(assumed) - cross_talk, dtype=np.float64)
+        slow_error = slow_angle_rad - self.slow_angle_rad.value
+        angle_error = non_orthogonality_rad - assumed
+        cross_talk = self.fast_ratio * np.sin(slow_error + angle_error) / np.cos(assumed)
+        return np.asarray(
+            np.cos(slow_error) + np.sin(slow_error) * np.tan(assumed) - cross_talk, dtype=np.float64
+        )
 
     def pendulum(self) -> PendulumOnBall:
         """The pendulum for the fits, from the values; with two balls, half of the mass."""
@@ -237,8 +239,8 @@ def reported_quantities(
     second = inputs["clock"] / rig.clock.value
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
-    bent = np.log(radius / a / nominal_rho * scale)
-    moved = np.array([inputs[name] for name in contact.names]) + contact.by_log_rho[:, None] * bent
+    log_rho_shift = np.log(radius / a / nominal_rho * scale)
+    moved = np.array([inputs[name] for name in contact.names]) + contact.by_log_rho[:, None] * log_rho_shift
     assumed = rig.inputs()
     for name, slope in contact.by_inputs.items():
         moved = moved + slope[:, None] * (inputs[name] - assumed[name].value)

@@ -60,7 +60,7 @@ class CycleResiduals(NamedTuple):
     weight: Floats
     """Inverse square of the deflection's uncertainty; 0 for outliers."""
     own: Floats
-    """(n, q) derivatives with respect to amplitude, time, equilibrium and drift of the cycle, and fast mode."""
+    """(n, q) derivatives with respect to amplitude, time, equilibrium, drift of the cycle and a fast mode."""
     shared: Floats
     """(n, SHARED_COLUMNS) derivatives with respect to frequency, shape and an error of time by place."""
 

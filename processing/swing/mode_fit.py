@@ -96,8 +96,8 @@ class ModeSamples(NamedTuple):
     @property
     def variation(self) -> float:
         """Chi-square of a model without motion."""
-        across = (self.x - self.x.mean()) ** 2 * self.weights_x
-        return float((across + (self.y - self.y.mean()) ** 2 * self.weights_y).sum())
+        chi2_x = (self.x - self.x.mean()) ** 2 * self.weights_x
+        return float((chi2_x + (self.y - self.y.mean()) ** 2 * self.weights_y).sum())
 
     def rescaled(self, x_factor: float, y_factor: float) -> "ModeSamples":
         """Copy with the variances of the coordinates multiplied by these factors."""
@@ -284,36 +284,36 @@ def _equations(
     row = np.empty(_COLUMNS)
     chi2 = 0.0
     for i in range(len(t)):
-        s = t[i]
-        slow, fast = math.exp(-p[SLOW_DAMPING] * s), math.exp(-p[FAST_DAMPING] * s)
-        slow_c, slow_s = slow * math.cos(p[SLOW_RATE] * s), slow * math.sin(p[SLOW_RATE] * s)
-        fast_c, fast_s = fast * math.cos(p[FAST_RATE] * s), fast * math.sin(p[FAST_RATE] * s)
+        time_s = t[i]
+        slow, fast = math.exp(-p[SLOW_DAMPING] * time_s), math.exp(-p[FAST_DAMPING] * time_s)
+        slow_c, slow_s = slow * math.cos(p[SLOW_RATE] * time_s), slow * math.sin(p[SLOW_RATE] * time_s)
+        fast_c, fast_s = fast * math.cos(p[FAST_RATE] * time_s), fast * math.sin(p[FAST_RATE] * time_s)
         # derivatives with respect to a coordinate's own linear terms, in their order
-        row[X + REST], row[X + DRIFT] = 1.0, s
+        row[X + REST], row[X + DRIFT] = 1.0, time_s
         row[X + SLOW_COSINE], row[X + SLOW_SINE] = slow_c, slow_s
         row[X + FAST_COSINE], row[X + FAST_SINE] = fast_c, fast_s
         for coordinate in range(2):
             first = X if coordinate == 0 else Y
             other = Y if coordinate == 0 else X
-            way = s if coordinate == 0 else -s
+            signed_time_s = time_s if coordinate == 0 else -time_s
             # the other coordinate's slow motion, and the same a quarter of a period later
-            turned = p[other + SLOW_COSINE] * slow_c + p[other + SLOW_SINE] * slow_s
-            widened = p[other + SLOW_SINE] * slow_c - p[other + SLOW_COSINE] * slow_s
-            cosine = p[first + SLOW_COSINE] + way * (
+            in_phase = p[other + SLOW_COSINE] * slow_c + p[other + SLOW_SINE] * slow_s
+            in_quadrature = p[other + SLOW_SINE] * slow_c - p[other + SLOW_COSINE] * slow_s
+            cosine = p[first + SLOW_COSINE] + signed_time_s * (
                 p[TURNING] * p[other + SLOW_COSINE] + p[WIDENING] * p[other + SLOW_SINE]
             )
-            sine = p[first + SLOW_SINE] + way * (
+            sine = p[first + SLOW_SINE] + signed_time_s * (
                 p[TURNING] * p[other + SLOW_SINE] - p[WIDENING] * p[other + SLOW_COSINE]
             )
             slow_part = cosine * slow_c + sine * slow_s
             fast_part = p[first + FAST_COSINE] * fast_c + p[first + FAST_SINE] * fast_s
-            row[SLOW_RATE] = s * (sine * slow_c - cosine * slow_s)
-            row[SLOW_DAMPING] = -s * slow_part
-            row[FAST_RATE] = s * (p[first + FAST_SINE] * fast_c - p[first + FAST_COSINE] * fast_s)
-            row[FAST_DAMPING] = -s * fast_part
-            row[TURNING] = way * turned
-            row[WIDENING] = way * widened
-            model = p[first + REST] + p[first + DRIFT] * s + slow_part + fast_part
+            row[SLOW_RATE] = time_s * (sine * slow_c - cosine * slow_s)
+            row[SLOW_DAMPING] = -time_s * slow_part
+            row[FAST_RATE] = time_s * (p[first + FAST_SINE] * fast_c - p[first + FAST_COSINE] * fast_s)
+            row[FAST_DAMPING] = -time_s * fast_part
+            row[TURNING] = signed_time_s * in_phase
+            row[WIDENING] = signed_time_s * in_quadrature
+            model = p[first + REST] + p[first + DRIFT] * time_s + slow_part + fast_part
             if coordinate == 0:
                 left, weight = x[i] - model, weights_x[i]
                 left_x[i] = left

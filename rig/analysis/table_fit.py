@@ -51,8 +51,8 @@ from rig.intake import (
     judge_sign,
     judge_time_unit,
     missing_for_laws,
-    second_frequency,
     strange_amplitudes,
+    two_oscillations_message,
 )
 from rig.settings import Configuration
 
@@ -131,7 +131,7 @@ def analyse_trajectory(
     if not usable:
         judge_time_unit(path, trajectory)
         most = max((len(turning_points(part)) for part in parts), default=0)
-        reason = second_frequency(trajectory.times_ns, deflection) or (
+        reason = two_oscillations_message(trajectory.times_ns, deflection) or (
             "the samples hold no free decay, or too little of one. "
             + (
                 trajectory.remedy

@@ -180,9 +180,9 @@ def clock_form(
     late = next((cell for cell in two if int(cell.split(":")[0]) >= _HOURS_OF_DAY), "")
     if late:
         return M_SS, f"{late} is not a time of day"
-    check_increasing = [form for form in (M_SS, H_MM) if _is_increasing(cells, form)]
-    if len(two) < len(cells) and len(check_increasing) == 1:
-        return check_increasing[0], "the others have hours, minutes and seconds"
+    increasing_forms = [form for form in (M_SS, H_MM) if _is_increasing(cells, form)]
+    if len(two) < len(cells) and len(increasing_forms) == 1:
+        return increasing_forms[0], "the others have hours, minutes and seconds"
     raise ConfigurationError(
         f"{path}: {two[0]!r} in {title!r} may be minutes and seconds or hours and minutes; state --time-unit "
         f"{M_SS} or --time-unit {H_MM}, or write it in the header: t [{M_SS}]"
@@ -240,7 +240,7 @@ _MIN_RELATIVE_SIZE: Final = 3e-4
 """Smallest second oscillation relative to the swing; below are rounding of the table and side lobes."""
 
 
-def second_frequency(times_ns: NDArray[np.int64], deflection: NDArray[np.float64]) -> str:
+def two_oscillations_message(times_ns: NDArray[np.int64], deflection: NDArray[np.float64]) -> str:
     """A message with the two frequencies in the samples and the remedy; empty without two oscillations."""
     good = np.isfinite(deflection)
     if np.count_nonzero(good) < _MIN_SAMPLES:

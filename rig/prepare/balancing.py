@@ -10,7 +10,7 @@ from acquisition.camera import CameraInfo, Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import TrimmedPendulum, TrimWeight, imperfect_weights
-from processing.balance import Balance, Turn, find_faults
+from processing.balance import Balance, Turn, balance_checks
 from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
@@ -259,7 +259,7 @@ def balance_rig(
         return advice_for(stated, balance, session.responses, session.room).markdown
 
     def show(balance: Balance) -> None:
-        reporter.live(find_faults(balance, mass_centre_height(config, balance), config.balance))
+        reporter.live(balance_checks(balance, mass_centre_height(config, balance), config.balance))
 
     turns = measurements = 0
     swing_arcsec = math.inf
@@ -267,7 +267,7 @@ def balance_rig(
     with (
         Devices(config, folder, "rig balance") as devices,
         light_told(devices, folder),
-        BalanceView(config, rrd, advise, reporter.way) as view,
+        BalanceView(config, rrd, advise, reporter.trajectory) as view,
     ):
         while True:
             if operator is not None:
@@ -285,7 +285,7 @@ def balance_rig(
                 swing_arcsec = max(smaller, _MIN_SWING_ARCSEC)
             else:
                 advice = session.advice()
-                reporter.found(session.faults, session.before, advice)
+                reporter.found(session.checks, session.before, advice)
                 ended, turn = advice is None, advice if isinstance(advice, Turn) else None
                 swing_arcsec = math.inf if turn is None else turn.swing_arcsec
             if operator is None or not follow:
@@ -300,7 +300,7 @@ def balance_rig(
                 return 0 if ended else 1
             else:
                 operator.follow(turn)
-                session.turned(turn.weight, turn.parts)
+                session.note_turns(turn.weight, turn.parts)
                 devices.audit(AuditEntry.WEIGHT, "as advised", weight=turn.weight, turns=turn.parts)
                 turns += 1
 
@@ -345,6 +345,6 @@ def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | 
                 f"{_MAX_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
             )
             continue
-        session.turned(weight, parts)
+        session.note_turns(weight, parts)
         devices.audit(AuditEntry.WEIGHT, "stated by the operator", weight=weight, turns=parts)
         return Turn(weight, parts[0], "", sum(parts[1:]))

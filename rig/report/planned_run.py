@@ -281,5 +281,5 @@ def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:
     height_m = truth.mass_centre_height_m
     if config.pendulum is not None and config.pendulum.mass_centre_height_m is not None:
         height_m = config.pendulum.mass_centre_height_m
-    turned = level * height_m / (pendulum.gravity_m_per_s2 * pendulum.ball_radius_m)
-    return (2 * math.pi * at_hz) ** 2 * math.hypot(turned, truth.tilt_rad_per_sqrt_hz)
+    tilt = level * height_m / (pendulum.gravity_m_per_s2 * pendulum.ball_radius_m)
+    return (2 * math.pi * at_hz) ** 2 * math.hypot(tilt, truth.tilt_rad_per_sqrt_hz)

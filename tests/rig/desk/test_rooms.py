@@ -60,7 +60,7 @@ def test_a_turn_is_stated_between_two_measurements_only(desk: Desk, monkeypatch:
 
 ECHO = """
 import json, sys
-print(json.dumps({"kind": "way"}), flush=True)
+print(json.dumps({"kind": "trajectory"}), flush=True)
 for line in sys.stdin:
     print(json.dumps({"kind": "ask", "heard": line.rstrip()}), flush=True)
 """
