@@ -31,7 +31,7 @@ from processing.swing import TurningPoints
 
 _ABOVE, _BELOW = 1.05, 0.6
 """Highest and lowest amplitude of the tabulated half-swings, over the highest and lowest measured one."""
-_SLOWER = 4
+_DECAY_LENGTH_FACTOR = 4
 """Times the measured half-cycles after which a law's free decay is followed no further."""
 _STEP = 3.0
 """Step of a derivative of the evidence, in uncertainties of one column while the others are known."""
@@ -363,7 +363,7 @@ class LawHalfSwings:
             return None
         key = parameters[:-3].tobytes()
         if key not in self._in_decay:
-            count = _SLOWER * int(self._index[-1])
+            count = _DECAY_LENGTH_FACTOR * int(self._index[-1])
             self._in_decay.clear()
             self._in_decay[key] = self._from(parameters[:-2], self._highest, count, self._lowest)
         swings = self._in_decay[key]
