@@ -45,7 +45,7 @@ _LARGE_BYTES = 64 * 1024
 """Minimum size of an image compressed by itself, which is faster than in a chunk of small messages."""
 _NO_MODEL = IntegerGaussian(0, 0, 0, 0, 0, 0)
 
-_LAST = 9216
+_LAST_TABLE_ENTRY = 9216
 """Last entry of the table: 6 standard deviations, where less than one part in 4096 is left."""
 _DECAY = 1150671902385460292
 """exp(-1/512) times 2^60, rounded down."""
@@ -191,12 +191,12 @@ def _fill_planes(
     offset = (background << 12) + (1 << 14)
     across = np.empty(nx, dtype=np.int64)
     for column in range(nx):
-        across[column] = table[min((256 * column - x) ** 2 * inverse_x >> 40, _LAST)]
+        across[column] = table[min((256 * column - x) ** 2 * inverse_x >> 40, _LAST_TABLE_ENTRY)]
     low = np.zeros(8 * in_plane, dtype=np.uint8)
     high = np.zeros(8 * in_plane if bits > 8 else 0, dtype=np.uint8)
     used = 0
     for row in range(ny):
-        height = amplitude * table[min((256 * row - y) ** 2 * inverse_y >> 40, _LAST)] >> 12
+        height = amplitude * table[min((256 * row - y) ** 2 * inverse_y >> 40, _LAST_TABLE_ENTRY)] >> 12
         for column in range(nx):
             rest = (np.int64(image[row, column]) - ((height * across[column] + offset) >> 15)) & modulus
             # 0, -1, 1, -2, ... become 0, 1, 2, 3, ...: twice the number, all bits turned where it is negative
@@ -220,7 +220,7 @@ def _fill_planes(
 def _table() -> NDArray[np.int64]:
     """exp(-i/512) times 4096, rounded, from repeated products of integers; the last entry is 0."""
     entries, value = [], 1 << 60
-    for _ in range(_LAST):
+    for _ in range(_LAST_TABLE_ENTRY):
         entries.append(((value >> 47) + 1) >> 1)
         value = value * _DECAY >> 60
     return np.array([*entries, 0], dtype=np.int64)

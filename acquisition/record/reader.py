@@ -259,7 +259,7 @@ class RecordReader:
         """Log time of a time on the frames' clock; 0 for the record's beginning (None)."""
         return 0 if start_ns is None else start_ns + self.epoch_offset_ns
 
-    def _of(self, topic: str, piece: Piece | None) -> Iterator[Message]:
+    def _topic_messages(self, topic: str, piece: Piece | None) -> Iterator[Message]:
         """Messages of a topic: all, or those in a piece."""
         return self.messages(topic) if piece is None else piece.messages(topic)
 
@@ -278,7 +278,7 @@ class RecordReader:
         kind = KIND_OF[value_class]
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in self._of(kind.topic, piece)
+            for message in self._topic_messages(kind.topic, piece)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -318,7 +318,7 @@ class RecordReader:
 
     def events(self, piece: Piece | None = None) -> list[Event]:
         """All events, or those in a piece."""
-        return [Event(*EVENT.decode(one.data)[:3]) for one in self._of(EVENT.topic, piece)]
+        return [Event(*EVENT.decode(one.data)[:3]) for one in self._topic_messages(EVENT.topic, piece)]
 
     def notes(self) -> list[RecordedNote]:
         """Notes of operators during the run."""

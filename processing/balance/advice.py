@@ -22,7 +22,7 @@ _WEAKEST_EFFECT = 0.3
 """Smallest effect of a weight that is allowed for, relative to its expected effect."""
 _UNKNOWN_EFFECT = 30.0
 """Standard uncertainty of the effect of one turn of an unknown weight, in limits."""
-_MOST_UNKNOWN_TURNS = 1.0
+_MAX_UNKNOWN_TURNS = 1.0
 _TEST_MOVE = 10.0
 """Expected move of a test turn, in limits."""
 _TAKE_UP = 0.75
@@ -30,11 +30,11 @@ _TAKE_UP = 0.75
 _TAKE_UP_COST = 0.3
 _SMALLEST_GAIN = 0.2
 """Smallest expected gain of a turn, in squared limits."""
-_CAUTION = 0.25
+_VARIANCE_WEIGHT = 0.25
 """Weight of a turn's variance in its cost. A failed turn teaches something, so that 1 would be timid."""
 _LINE_UNCERTAINTIES = 2.0
 """Standard uncertainties by which a line may be wrong before balance is called unreachable."""
-_KNOWN_LINE_RAD = 0.3
+_MAX_U_KNOWN_LINE_RAD = 0.3
 """Largest uncertainty of the line of a weight that counts as known."""
 _LARGEST_PUSH = 4.0
 """Largest move of the rest position by one weight, relative to the distance from balance."""
@@ -44,7 +44,7 @@ _DOUBT_EVIDENCE = math.log(1e3)
 """Log evidence against a turn as stated above which the statement is doubted."""
 _DIRECTION_EVIDENCE = 2.0
 """Log evidence for a turn as stated above which its direction is confirmed."""
-_DRIFT = 0.1
+_STATE_DRIFT_STD = 0.1
 """Standard deviation of a state's change, in limits, without any move of a weight."""
 
 
@@ -100,7 +100,7 @@ class WeightResponses:
         known, parts = self._weights[weight], _parts(turns)
         step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
         as_stated = known.log_evidence(parts, step, u_step)
-        still = known.log_evidence([0.0], step, np.hypot(u_step, _DRIFT))
+        still = known.log_evidence([0.0], step, np.hypot(u_step, _STATE_DRIFT_STD))
         # all turns reversed, or only the first of several, with those after it as stated
         reversed_turns = [[-part for part in parts], [-parts[0], *parts[1:]]]
         if_reversed = max(known.log_evidence(parts_made, step, u_step) for parts_made in reversed_turns)
@@ -161,7 +161,7 @@ class WeightResponses:
         known = self._weights[weight]
         size = float(np.linalg.norm(known.nominal))
         distance = float(np.linalg.norm(np.nan_to_num(state / self._scale)))
-        return (distance / (_WEAKEST_EFFECT * size) if size else _MOST_UNKNOWN_TURNS) + known.largest_play
+        return (distance / (_WEAKEST_EFFECT * size) if size else _MAX_UNKNOWN_TURNS) + known.largest_play
 
     def advise(self, state: Floats, room: Room | None = None) -> Turn | Unreachable | None:
         """Next turn of one weight; None if the state is within the limits.
@@ -212,7 +212,7 @@ class WeightResponses:
         residual_projector = self._uncorrected(name)
         cost = np.einsum(
             "ni,ij,nj->n", remaining, residual_projector, remaining
-        ) + _CAUTION * u_move**2 @ np.diag(residual_projector)
+        ) + _VARIANCE_WEIGHT * u_move**2 @ np.diag(residual_projector)
         cost += _TAKE_UP_COST * (then != 0) * bool(weight.learned_turns)
         allowed = self._allowed(state, move, u_move, room)
         if not weight.learned_turns:
@@ -299,7 +299,7 @@ class WeightResponses:
         """Reason why the weights cannot balance the rest position; empty as long as they may."""
         names = self._tilting
         lines = np.array([self._weights[name].line() for name in names])
-        if len(names) < 2 or not np.all(lines[:, 1] < _KNOWN_LINE_RAD):
+        if len(names) < 2 or not np.all(lines[:, 1] < _MAX_U_KNOWN_LINE_RAD):
             return ""
         # the lines as measured, and turned against one another within their uncertainties
         error = _LINE_UNCERTAINTIES * lines[:, 1] ** 2 / float(np.linalg.norm(lines[:, 1]))

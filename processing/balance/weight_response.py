@@ -7,9 +7,9 @@ import numpy as np
 
 from processing.arrays import Floats
 
-_MOST_PLAY = 0.6
-_PLAYS = 25
-_SLACKS = 5
+_MAX_PLAY = 0.6
+_GRID_PLAYS = 25
+_GRID_SLACKS = 5
 _USUAL_PLAY = 0.3
 _U_TURN, _U_RELATIVE = 0.015, 0.01
 """Standard uncertainty of a turn made by hand, in turns and relative to the turn."""
@@ -34,9 +34,9 @@ class WeightResponse:
         self.nominal, self.u_nominal = effect, u_effect
         self.learned_turns = 0
         self._seen = np.zeros((2, 2))
-        play = np.repeat(np.linspace(0.0, _MOST_PLAY, _PLAYS), _SLACKS)
+        play = np.repeat(np.linspace(0.0, _MAX_PLAY, _GRID_PLAYS), _GRID_SLACKS)
         # turns until a turn in the positive direction begins to move the weight
-        self._slack = play * np.tile(np.linspace(0.0, 1.0, _SLACKS), _PLAYS)
+        self._slack = play * np.tile(np.linspace(0.0, 1.0, _GRID_SLACKS), _GRID_PLAYS)
         self._play = play
         self._log = -play / _USUAL_PLAY
         self._mean = np.tile(effect, (len(play), 1))
@@ -45,7 +45,7 @@ class WeightResponse:
     @property
     def largest_play(self) -> float:
         """Largest play considered, in turns."""
-        return _MOST_PLAY
+        return _MAX_PLAY
 
     def _displacement(self, parts: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Displacement (..., hypotheses) of the weight by turns in sequence, in turns, and the slack left."""

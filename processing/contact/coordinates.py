@@ -25,11 +25,11 @@ from processing.swing import TurningPoints
 
 ComplexOrReal = NDArray[Any]
 
-_AT_LIMIT = 1e-4
+_LIMIT_DISTANCE = 1e-4
 """Distance from a limit below which a value is reported as being at it."""
-_LARGEST = 1e100
+_MAX_COLUMN = 1e100
 """Largest column for which parameters are computed; beyond it, where products overflow, they are NaN."""
-_SLOWER = (1.0, 0.9, 0.7, 0.4)
+_DECAY_RATE_FACTORS = (1.0, 0.9, 0.7, 0.4)
 """Rates of decay tried, over those of a start."""
 
 
@@ -159,7 +159,7 @@ class Coordinates:
     def _differentiated(self, columns: Floats) -> tuple[Floats, Floats]:
         count = len(columns)
         out = np.full((len(self._own) + 4, 1 + count), np.nan, dtype=np.complex128)
-        if np.all(np.abs(columns) < _LARGEST):
+        if np.all(np.abs(columns) < _MAX_COLUMN):
             moved = np.column_stack([columns, columns[:, None] + 1e-30j * np.eye(count)])
             searched = np.zeros((len(self._own) + 2, 1 + count), dtype=np.complex128)
             searched[self._places] = moved[self._searched]
@@ -231,7 +231,7 @@ class Coordinates:
             renamed = dict(zip(own, self._own, strict=True))
             scaled = {renamed.get(key, key): value for key, value in start.items()}
             attempts = []
-            for slower in _SLOWER:
+            for slower in _DECAY_RATE_FACTORS:
                 weaker = {
                     key: value * slower if loses.get(key) and key not in exponents else value
                     for key, value in scaled.items()
@@ -250,7 +250,7 @@ class Coordinates:
         return HeldColumn(place % len(self.lower))
 
     def at_limit(self, columns: Floats) -> Sequence[str]:
-        near = np.minimum(columns - self.lower, self.upper - columns) < _AT_LIMIT
+        near = np.minimum(columns - self.lower, self.upper - columns) < _LIMIT_DISTANCE
         scaled, _ = self._scaled(columns)
         moved = [self.held(key).column for key in self._own]
         nearest = np.flatnonzero(near[: len(moved)]).tolist()
@@ -259,5 +259,5 @@ class Coordinates:
         for place, parameter in enumerate(self._parameters):
             if not self._scalings[self._own[place]].exponent and parameter.lower and parameter.upper < np.inf:
                 inside = min(scaled[place] - parameter.lower, parameter.upper - scaled[place])
-                found |= {place} if inside < _AT_LIMIT else set()
+                found |= {place} if inside < _LIMIT_DISTANCE else set()
         return [self._own[place] for place in sorted(found)]

@@ -19,7 +19,7 @@ from processing.arrays import Flags, Floats, Ints
 
 TABLE_RATIO = 8.0
 """Largest amplitude over the smallest one of a table, where the range of a decay is not known."""
-_MOST_GROWTH = 2.0
+_MAX_GROWTH = 2.0
 """Largest amplitude over the first one to which a walk goes: a swing that grows by more is no decay."""
 
 
@@ -153,7 +153,7 @@ def walk(
     count
         Number of half-swings.
     """
-    most = _MOST_GROWTH * first
+    most = _MAX_GROWTH * first
     amplitudes = [first]
     rows: list[Floats] = []
     while len(amplitudes) <= count and 0 < amplitudes[-1] <= most:

@@ -39,7 +39,7 @@ _NODES = 24
 """Nodes of a half-swing; decays by smooth laws then agree with an integration of their motion to 3e-7."""
 _PER_OCTAVE, _BEYOND, _FEWEST = 12, 1, 4
 """Numbers of amplitudes of a table: in each factor of two, beyond either end of the range, and at least."""
-_STEP = 1e-5
+_RELATIVE_STEP = 1e-5
 """Relative step of the numerical derivatives with respect to the parameters."""
 _ROUNDS, _NEWTON_ROUNDS, _DRAG_ROUNDS = 12, 20, 20
 """Most iterations of a drag's work, of the next reversal, of the speed with a drag. Swings take 5, 5 and 6.
@@ -193,7 +193,7 @@ def _table(
     log_a = log(lowest) + step * np.arange(-_BEYOND, steps + 1 + _BEYOND, dtype=np.float64)
     count = len(parameters)
     sets = np.repeat(parameters[None, :], 2 * count + 1, axis=0)
-    change: Floats = _STEP * np.maximum(np.abs(parameters), 1e-3)
+    change: Floats = _RELATIVE_STEP * np.maximum(np.abs(parameters), 1e-3)
     for k in range(count):
         sets[1 + k, k] += change[k]
         sets[1 + count + k, k] -= change[k]

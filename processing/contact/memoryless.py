@@ -38,16 +38,16 @@ from processing.contact.law import (
     weight_moment,
 )
 
-_PER_OCTAVE, _BEYOND, _FEWEST = 24, 2, 4
+_PER_OCTAVE, _MARGIN_AMPLITUDES, _MIN_AMPLITUDES = 24, 2, 4
 """Number of a table's amplitudes in a factor of two, beyond either end, and at least."""
 _NODES = 20
 """Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
-_ROUNDS, _DRAG_TOLERANCE, _NEWTON_TOLERANCE = 60, 1e-12, 1e-9
+_MAX_ITERATIONS, _DRAG_TOLERANCE, _NEWTON_TOLERANCE = 60, 1e-12, 1e-9
 """Most iterations, and the relative change at which they end: of those for a drag, each of which reduces the
 change by its moment over the weight's, and of Newton's, which square it."""
 _DERIVATIVE_TOLERANCE = 1e-9
 """Relative change at which the iteration of derivatives with respect to a drag ends."""
-_AMPLITUDE_ROUNDS, _AMPLITUDE_TOLERANCE = 5, 1e-9
+_MAX_AMPLITUDE_ITERATIONS, _AMPLITUDE_TOLERANCE = 5, 1e-9
 """Most iterations of the next amplitude with the drag's work before it, and the relative change at which they
 end: each reduces the change by a hundredth of the drag's moment."""
 
@@ -143,7 +143,7 @@ def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: 
     total = of_elastic[0] + sign * of_friction[0]
     without = 1 - total
     factor, travelled = without, without
-    for _ in range(_ROUNDS if drag else 1):
+    for _ in range(_MAX_ITERATIONS if drag else 1):
         travelled = np.sqrt(factor) @ nodes.travelled.T
         before, factor = factor, without - 2 * sign * drag * travelled
         if not np.any(np.abs(factor - before) > _DRAG_TOLERANCE):
@@ -166,7 +166,7 @@ def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: 
     factor_derivatives = explicit
     if drag:
         # the drag's work depends on the speed, which all parameters change
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             again = explicit - sign * drag * ((factor_derivatives * root) @ nodes.travelled.T)
             converged = not np.any(
                 np.abs(again - factor_derivatives)
@@ -192,7 +192,7 @@ def _turning(
     """
     friction, elastic = moments.friction, moments.elastic
     x = highest if near is None else np.where(np.isfinite(near), near, highest)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         above = (0.5 + drag_work) * x**2 - elastic.work(x)[0] + friction.work(x)[0]
         slope = (1 + 2 * drag_work) * x - elastic.moment(x) + friction.moment(x)
         before, x = x, np.clip(x - (above - energy) / slope, 0.1 * x, 1.5 * x)
@@ -205,17 +205,17 @@ def memoryless_table(
     moments_function: MomentsFunction, parameters: Floats, highest: float, lowest: float
 ) -> SwingTable | None:
     """The law's table (`Law.table`)."""
-    steps = max(_FEWEST, ceil(_PER_OCTAVE * log(highest / lowest, 2)))
+    steps = max(_MIN_AMPLITUDES, ceil(_PER_OCTAVE * log(highest / lowest, 2)))
     log_a = np.linspace(log(lowest), log(highest), steps + 1)
     step = log_a[1] - log_a[0]
-    log_a = log_a[0] + step * np.arange(-_BEYOND, steps + 1 + _BEYOND)
+    log_a = log_a[0] + step * np.arange(-_MARGIN_AMPLITUDES, steps + 1 + _MARGIN_AMPLITUDES)
     a = np.exp(log_a)
     with np.errstate(all="ignore"):  # a search tries values for which terms overflow
         moments = moments_function(parameters, float(a[0]), float(a[-1]))
         if moments is None:
             return None
         rows = _rows(moments, a, float(parameters[-3]), len(parameters))
-    return SwingTable.of(log_a, rows, _FEWEST + _BEYOND, _BEYOND)
+    return SwingTable.of(log_a, rows, _MIN_AMPLITUDES + _MARGIN_AMPLITUDES, _MARGIN_AMPLITUDES)
 
 
 def _rows(moments: Moments, a: Floats, drag: float, count: int) -> Floats:
@@ -224,7 +224,7 @@ def _rows(moments: Moments, a: Floats, drag: float, count: int) -> Floats:
     energy = (0.5 - drag * leaving.drag_work) * a**2 - leaving.elastic[0] - leaving.friction[0]
     following = _turning(moments, a, energy, drag * leaving.drag_work)
     if drag:
-        for _ in range(_AMPLITUDE_ROUNDS):
+        for _ in range(_MAX_AMPLITUDE_ITERATIONS):
             drag_work = _quarter(moments, following, drag, -1.0, derived=False).drag_work
             before, following = following, _turning(moments, a, energy, drag * drag_work, following)
             if not np.any(np.abs(following - before) > _AMPLITUDE_TOLERANCE * a):

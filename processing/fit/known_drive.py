@@ -39,11 +39,11 @@ from processing.fit.ground import KnownSteps
 from processing.kernel import kernel
 from processing.swing import TurningPoints
 
-_NEIGHBOURS = 4
+_FREQUENCY_NEIGHBOURS = 4
 """Half-swings on either side over which the frequency is averaged: the ground makes single ones uneven."""
 _LOSS_NEIGHBOURS = 15
 """Half-swings on either side over which the loss is averaged; a tenth of it is accurate enough."""
-_PARTS = 5
+_INTEGRALS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
 FREE_REST_WEIGHT, U_FREE_REST_WEIGHT = 1 / 3, 0.3
 """Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's equilibrium
@@ -62,7 +62,7 @@ _REST_DENOMINATOR = np.pi**2 / 2 - 4
 def moments_of(
     time: Floats, value: Floats, origin: Floats, rate: Floats, low: Floats, high: Floats, longest: float
 ) -> Floats:
-    """Integrals (n, terms, 5) of f, linear between samples, over intervals; see `_PARTS`.
+    """Integrals (n, terms, 5) of f, linear between samples, over intervals; see `_INTEGRALS`.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def moments_of(
         samples, are NaN.
     """
     count, terms, samples = len(origin), value.shape[1], len(time)
-    out = np.zeros((count, terms, _PARTS))
+    out = np.zeros((count, terms, _INTEGRALS))
     for i in range(count):
         a = np.searchsorted(time, low[i], side="right") - 1
         if a < 0 or high[i] > time[samples - 1]:
@@ -199,8 +199,8 @@ def known_drive(
 
 def _rates(time: Floats) -> Floats:
     """Angular frequency at each turning point, rad/s."""
-    after = np.minimum(np.arange(len(time)) + _NEIGHBOURS, len(time) - 1)
-    before = np.maximum(np.arange(len(time)) - _NEIGHBOURS, 0)
+    after = np.minimum(np.arange(len(time)) + _FREQUENCY_NEIGHBOURS, len(time) - 1)
+    before = np.maximum(np.arange(len(time)) - _FREQUENCY_NEIGHBOURS, 0)
     return np.asarray(np.pi * (after - before) / (time[after] - time[before]))
 
 

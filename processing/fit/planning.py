@@ -88,10 +88,6 @@ class Conditions:
             noise = max(LEAST_UNEXPLAINED, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
         return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz, seismometer_noise=noise)
 
-    def with_seismometer(self, noise: float) -> "Conditions":
-        """The same ground, recorded by an auxiliary seismometer as well."""
-        return replace(self, seismometer_noise=noise)
-
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:

@@ -99,7 +99,7 @@ class Change:
         return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {what}"
 
 
-_SIGNIFICANT = 0.003
+_SIGNIFICANT_CHANCE = 0.003
 """Chance of three standard deviations to either side."""
 
 
@@ -124,7 +124,7 @@ class BoundaryLayerDrag:
     @property
     def seen(self) -> bool:
         """Whether the data show it."""
-        return self.p_value < _SIGNIFICANT
+        return self.p_value < _SIGNIFICANT_CHANCE
 
 
 CORRELATED = 0.001
@@ -366,8 +366,8 @@ def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
     """Covariance (count, count) of values by some of their terms."""
     out = np.zeros((count, count))
     for by in (terms[name] for name in names if name in terms):
-        blind = ~np.isfinite(by.sum(axis=1))
-        known = np.where(blind[:, None], 0.0, by)
+        undetermined = ~np.isfinite(by.sum(axis=1))
+        known = np.where(undetermined[:, None], 0.0, by)
         out += known @ known.T
-        out[blind, blind] = np.inf
+        out[undetermined, undetermined] = np.inf
     return out

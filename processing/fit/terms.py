@@ -282,7 +282,7 @@ class LinearisedFit:
                 float(np.max(np.abs(by_amplitude / model.u_amplitude))),
                 float(np.max(np.abs(by_time / points.u_time_s))),
             )
-            step = _SMALL / max(felt, 1e-300)
+            step = _DERIVATIVE_STEP_U / max(felt, 1e-300)
             moved = model.with_larger_measurements(step * by_amplitude, step * by_time)(self.coordinates)[0]
             changes.append((moved / self.scale - self.residuals) / step)
         return np.asarray(changes, dtype=np.float64).T
@@ -337,5 +337,5 @@ class LinearisedFit:
         return fit
 
 
-_SMALL = 0.1
+_DERIVATIVE_STEP_U = 0.1
 """Step of a derivative with respect to measured values, in their uncertainties."""

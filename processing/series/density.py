@@ -38,10 +38,10 @@ class Spread(NamedTuple):
 
 def between_runs(design: Design, h: Floats) -> Floats:
     """Variances (M, k) between runs."""
-    return np.where(design.scatter >= 0, np.exp(2 * _at(h, design.scatter)), 0.0)
+    return np.where(design.scatter >= 0, np.exp(2 * _log_scatters(h, design.scatter)), 0.0)
 
 
-def _at(h: Floats, places: Ints) -> Floats:
+def _log_scatters(h: Floats, places: Ints) -> Floats:
     """Logarithms of scatters (M, places); 0 at the place -1, which stands for no scatter."""
     return np.asarray(np.pad(h, ((0, 0), (0, 1)))[:, places])
 
@@ -65,7 +65,7 @@ def log_determinant(matrices: Floats) -> Floats:
 
 def _prior_precision(design: Design, h: Floats) -> Floats:
     """Inverse prior variances (M, P) of the latent numbers."""
-    return np.where(design.varies >= 0, np.exp(_at(h, design.varies)), design.prior_u) ** -2
+    return np.where(design.varies >= 0, np.exp(_log_scatters(h, design.varies)), design.prior_u) ** -2
 
 
 def _log_prior(design: Design, h: Floats, w: Floats) -> Floats:

@@ -49,7 +49,7 @@ _ITERATIONS = 4
 _SEEN = 2.5
 """Significance of the drift, in standard uncertainties, above which it is used."""
 
-_ENOUGH = 0.02
+_MAX_LINEARISATION_ERROR = 0.02
 """Allowed error of the linearisation, as a fraction of the amplitude's uncertainty."""
 
 
@@ -306,7 +306,7 @@ def fit_half_cycle(
         if phase > 1.0:
             valid = False
             break
-        settled = abs(current[AMPLITUDE]) * step * step < _ENOUGH * u_amplitude
+        settled = abs(current[AMPLITUDE]) * step * step < _MAX_LINEARISATION_ERROR * u_amplitude
         if settled or iteration == _ITERATIONS - 1:
             break
         for i in range(k):

@@ -66,10 +66,10 @@ _COLUMNS = Y
 EVERY = list(range(TERMS))
 SLOW_ONLY = [k for k in EVERY if k not in _FAST_TERMS]
 _DIAGONAL = np.diag_indices(TERMS)
-_STEPS = 8
-_DETERMINED = 1e-8
+_MAX_STEPS = 8
+_MIN_INFORMATION = 1e-8
 """Smallest fraction of a term's information, beside the terms before it, that is free of rounding errors."""
-_NOISE_LIKE = 4.0
+_MAX_NOISE_CHI2 = 4.0
 """Chi-square per sample up to which residuals may be noise whose stated uncertainty is half of the true."""
 _FALSE_ALARM = 1e-7
 """Probability with which one search takes noise for a fast mode. A run makes some hundred searches, each
@@ -120,7 +120,7 @@ class ModeFit(NamedTuple):
         The second condition rejects a record that is at rest for one part and swings for the other.
         """
         part = self.chi2 / max(samples.variation, 1e-300)
-        return part < 0.5 and (self.chi2 < _NOISE_LIKE * 2 * len(samples.t) or part < 0.05)
+        return part < 0.5 and (self.chi2 < _MAX_NOISE_CHI2 * 2 * len(samples.t) or part < 0.05)
 
 
 def slow_fit(samples: ModeSamples, slow_period_s: float) -> ModeFit | None:
@@ -195,7 +195,7 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
     ridge[[SLOW_DAMPING, FAST_DAMPING, TURNING, WIDENING]] = 1.0 / (0.2 * slow_rate) ** 2
     covariance = np.zeros((TERMS, TERMS))
     limit = 0.5 * math.pi / samples.span_s
-    for step in range(_STEPS):
+    for step in range(_MAX_STEPS):
         information, score, _, _, _ = _equations(p, *samples)
         information[_DIAGONAL] += ridge
         score -= ridge * p
@@ -249,7 +249,7 @@ def _step(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Flo
                 value -= lower[j, m] * lower[k, m]
             if k < j:
                 lower[j, k] = value / lower[k, k]
-            elif value > _DETERMINED:
+            elif value > _MIN_INFORMATION:
                 lower[j, j] = math.sqrt(value)
             else:
                 return change, covariance, False

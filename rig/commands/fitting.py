@@ -255,7 +255,7 @@ def fit_film(
     """
     from rig.analysis import TableOptions, fit_several
     from rig.intake import film_trajectory, films_in
-    from rig.terminal import TimeLeft, print_line
+    from rig.terminal import ProgressLine, print_line
 
     if overrides and config is None:
         raise ConfigurationError(f"--set {overrides[0]}: has no effect without --config")
@@ -267,7 +267,7 @@ def fit_film(
     if len(films) > 1:
         print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
     inputs = [
-        (one.stem, one, partial(film_trajectory, one, asked, TimeLeft(f"{one}: frames"))) for one in films
+        (one.stem, one, partial(film_trajectory, one, asked, ProgressLine(f"{one}: frames"))) for one in films
     ]
     return fit_several(inputs, output, TableOptions(config, overrides, table_report, laws))
 

@@ -5,7 +5,7 @@ from rig.devices.acknowledgement import LightWatch, TypedAcknowledgement, ask_le
 from rig.devices.aligning import align_camera
 from rig.devices.alignment_look import (
     AlignmentFrame,
-    SeenReference,
+    ReferencePart,
     annotated_picture,
     middle_of,
     take_look,

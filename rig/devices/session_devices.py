@@ -229,7 +229,7 @@ class Devices(LitDevices):
         if config.laser.kind != "controller":
             # a laser that this program does not control is always on
             inputs.laser(config.simulation.optics.laser_w)
-        wired = inputs.laser if config.laser.kind == "controller" else _unwired
+        wired = inputs.laser if config.laser.kind == "controller" else lambda _: None
         interlock = SimulatedInterlock(
             config.faults.interlock_opens_at_s, config.faults.interlock_open_for_s, wired
         )
@@ -265,10 +265,6 @@ class Devices(LitDevices):
         else:
             return math.nan, math.nan, math.nan
         return air.temperature_c, air.humidity_percent, air.pressure_pa
-
-
-def _unwired(_: float) -> None:
-    """Laser output of the controller if the laser is not connected to it."""
 
 
 class SimulatedInterlock:

@@ -212,13 +212,13 @@ _MIN_SAMPLES: Final = 64
 _RELATIVE_HALF_WIDTH: Final = 0.1
 """Half width of a spectral line relative to its frequency, including the width by decay."""
 _MIN_HALF_WIDTH_BINS: Final = 4
-_MIN_BOTH: Final = 0.8
+_MIN_TWO_LINES_SHARE: Final = 0.8
 """Minimum fraction of the variance in two lines of samples that count as two oscillations."""
-_MIN_WEAKER: Final = 0.1
+_MIN_WEAKER_LINE_SHARE: Final = 0.1
 """Minimum fraction of the variance in a weaker line that is nearly as large as a swing."""
 _OVERTONES: Final = (2, 3)
 """Frequency ratios of overtones by stops or steps of one motion; higher ones are smaller than required."""
-_TOLERANCE: Final = 0.1
+_OVERTONE_TOLERANCE: Final = 0.1
 _MIN_GAP_STEPS: Final = 3.0
 """Shortest gap, in steps between samples."""
 _MIN_FAST_RATIO: Final = 1.5
@@ -261,8 +261,12 @@ def two_oscillations_message(times_ns: NDArray[np.int64], deflection: NDArray[np
         power[near] = 0.0
     (first_hz, first), (second_hz, second) = sorted(lines)
     ratio = second_hz / first_hz if first_hz > 0 else 0.0
-    harmonic = any(abs(ratio - overtone) < _TOLERANCE for overtone in _OVERTONES)
-    if not first + second > _MIN_BOTH * total or min(first, second) < _MIN_WEAKER * total or harmonic:
+    harmonic = any(abs(ratio - overtone) < _OVERTONE_TOLERANCE for overtone in _OVERTONES)
+    if (
+        not first + second > _MIN_TWO_LINES_SHARE * total
+        or min(first, second) < _MIN_WEAKER_LINE_SHARE * total
+        or harmonic
+    ):
         return ""
     size = (second / first) ** 0.5
     return (

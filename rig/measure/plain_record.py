@@ -37,7 +37,7 @@ from rig.terminal import (
     say,
 )
 
-_NEVER_ARCSEC = 1e-9
+_UNREACHED_ARCSEC = 1e-9
 """Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""
 
 
@@ -50,7 +50,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     """
     updates = {
         "session": config.session.model_copy(
-            update={"max_duration_s": seconds, "final_amplitude_arcsec": _NEVER_ARCSEC, "stop_when": ()}
+            update={"max_duration_s": seconds, "final_amplitude_arcsec": _UNREACHED_ARCSEC, "stop_when": ()}
         ),
         "view": config.view.model_copy(update={"mode": "none", "file": False}),
         "preflight": config.preflight.model_copy(update={"when": "never"}),

@@ -221,11 +221,11 @@ class Recording:
                     return rejected
             reason = self._end.reason(shown.swings, elapsed_s, self._posterior.estimates)
             if reason is not None:
-                self._stop.because(reason)
+                self._stop.request(reason)
             if reason is not None or (self._stop and self._stop.skip_waiting):
                 break
         if stream.ended:
-            self._stop.because(stream.ended, None if stream.failure is None else EventKind.FAILED)
+            self._stop.request(stream.ended, None if stream.failure is None else EventKind.FAILED)
         return ""
 
     def _take_nothing(self) -> None:

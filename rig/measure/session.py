@@ -63,7 +63,7 @@ def measure_session(
     folder, made = session_folder(config, source, output)
     try:
         stored = stored_configuration(config)
-        with closing(SessionFile.made(folder, source, config.session.runs, stored)) as file:
+        with closing(SessionFile.create(folder, source, config.session.runs, stored)) as file:
             return finish_session(file, config, "rig run", waiting, force=force, json_lines=json_lines)
     finally:
         withdraw_unrecorded(folder, made)

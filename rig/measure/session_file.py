@@ -129,7 +129,7 @@ class SessionFile:
         self._begun_s: dict[str, float] = {}
 
     @classmethod
-    def made(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
+    def create(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
         """Create the file of a new session; raises ConfigurationError if the folder holds one already."""
         if os.path.lexists(folder / STATE_NAME):
             raise ConfigurationError(

@@ -259,7 +259,7 @@ def balance_rig(
         return advice_for(stated, balance, session.responses, session.room).markdown
 
     def show(balance: Balance) -> None:
-        reporter.live(balance_checks(balance, mass_centre_height(config, balance), config.balance))
+        reporter.report_live(balance_checks(balance, mass_centre_height(config, balance), config.balance))
 
     turns = measurements = 0
     swing_arcsec = math.inf
@@ -267,7 +267,7 @@ def balance_rig(
     with (
         Devices(config, folder, "rig balance") as devices,
         light_told(devices, folder),
-        BalanceView(config, rrd, advise, reporter.trajectory) as view,
+        BalanceView(config, rrd, advise, reporter.report_trajectory) as view,
     ):
         while True:
             if operator is not None:
@@ -285,7 +285,7 @@ def balance_rig(
                 swing_arcsec = max(smaller, _MIN_SWING_ARCSEC)
             else:
                 advice = session.advice()
-                reporter.found(session.checks, session.before, advice)
+                reporter.report_measurement(session.checks, session.before, advice)
                 ended, turn = advice is None, advice if isinstance(advice, Turn) else None
                 swing_arcsec = math.inf if turn is None else turn.swing_arcsec
             if operator is None or not follow:
@@ -312,7 +312,7 @@ def _after_rejection(session: LearnedTurns, why: str, reporter: Reporter) -> Tur
     if not session.spot_is_gone:
         hint = "let it swing by half as much, and measure again"
         hint += "; if that does not help:" if turn else ""
-    reporter.rejected(why, hint, turn)
+    reporter.report_rejection(why, hint, turn)
     return turn
 
 
@@ -340,7 +340,7 @@ def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | 
             if weight not in WEIGHTS or not parts or not all(abs(part) <= _MAX_TURNS for part in parts):
                 raise ValueError
         except ValueError:
-            reporter.wrong(
+            reporter.report_invalid(
                 f"{' '.join(answer)!r}: should be a weight ({', '.join(WEIGHTS)}) and its turns, up to "
                 f"{_MAX_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
             )

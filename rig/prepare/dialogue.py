@@ -165,15 +165,15 @@ _POINTS_PER_LINE = 12
 class Reporter:
     """Reports the measurements of the balance to a person at the terminal, and asks for the turn made."""
 
-    def trajectory(self, at: Deflections) -> None:
+    def report_trajectory(self, at: Deflections) -> None:
         """Report the deflections of some frames: nothing here, because the live view shows them."""
 
-    def live(self, checks: Sequence[BalanceCheck]) -> None:
+    def report_live(self, checks: Sequence[BalanceCheck]) -> None:
         """Report the balance while it is measured."""
         parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in checks[:2] if math.isfinite(f.value)]
         say("  ".join(parts))
 
-    def found(
+    def report_measurement(
         self,
         checks: Sequence[BalanceCheck],
         before: Sequence[BalanceCheck],
@@ -183,7 +183,7 @@ class Reporter:
         print_checks(checks, before)
         print_line(turn_text(advice, checks))
 
-    def rejected(self, why: str, hint: str, back: Turn | None) -> None:
+    def report_rejection(self, why: str, hint: str, back: Turn | None) -> None:
         """Report a rejected measurement; the turn `back` may help."""
         say(f"this measurement is not used: {why}")
         if hint:
@@ -198,7 +198,7 @@ class Reporter:
             say("nothing done: m and Enter measures again, which lights the laser")
         return answer
 
-    def wrong(self, problem: str) -> None:
+    def report_invalid(self, problem: str) -> None:
         """Report an invalid answer."""
         say(problem)
 
@@ -206,14 +206,14 @@ class Reporter:
 class InJsonLines(Reporter):
     """Reports to a program: a JSON object on each line of stdout, answers line by line on stdin."""
 
-    def trajectory(self, at: Deflections) -> None:
+    def report_trajectory(self, at: Deflections) -> None:
         step = max(1, len(at) // _POINTS_PER_LINE)
         print_json_line("trajectory", {"x": at.shown_x[::step].tolist(), "y": at.shown_y[::step].tolist()})
 
-    def live(self, checks: Sequence[BalanceCheck]) -> None:
+    def report_live(self, checks: Sequence[BalanceCheck]) -> None:
         print_json_line("live", {"faults": [_check_values(one) for one in checks]})
 
-    def found(
+    def report_measurement(
         self,
         checks: Sequence[BalanceCheck],
         before: Sequence[BalanceCheck],
@@ -226,7 +226,7 @@ class InJsonLines(Reporter):
         }
         print_json_line("found", {**stated, "text": turn_text(advice, checks), "turn": _turn(turn)})
 
-    def rejected(self, why: str, hint: str, back: Turn | None) -> None:
+    def report_rejection(self, why: str, hint: str, back: Turn | None) -> None:
         text = turn_text(back, []) if back is not None else ""
         print_json_line("rejected", {"why": why, "hint": hint, "text": text, "turn": _turn(back)})
 
@@ -237,7 +237,7 @@ class InJsonLines(Reporter):
             raise EOFError
         return answer
 
-    def wrong(self, problem: str) -> None:
+    def report_invalid(self, problem: str) -> None:
         print_json_line("wrong", {"problem": problem})
 
 

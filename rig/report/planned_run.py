@@ -21,7 +21,7 @@ from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
 _HALF_CYCLES = 100
-_FRAMES = 9
+_TRIAL_FRAMES = 9
 _AMPLITUDE_RAD = 3e-4
 _FULL_SCALE_DN = 255.0
 
@@ -170,7 +170,7 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
     tracker = SpotTracker(sensor)
     kind = np.uint8 if sensor.full_scale_dn <= 255 else np.uint16
     found = []
-    for _ in range(_FRAMES):
+    for _ in range(_TRIAL_FRAMES):
         seen = np.clip(
             np.rint(mean_dn + sigma_dn * rng.standard_normal(mean_dn.shape)), 0, sensor.full_scale_dn
         )

@@ -38,7 +38,7 @@ STIFFNESS = Scaling(0.0, -1.0, "n", lambda pendulum: stiffness_ratio(1.0, pendul
 """Scaling of gamma, which is fitted as kappa."""
 _P_RANGE, _N_RANGE = (-0.5, 5.0), (0.002, 5.0)
 """Below the lower limit of n adhesion cancels nearly all of the stiffness, and n cannot be told from 0."""
-_STIFFEST = 20.0
+_MAX_STIFFNESS_RATIO = 20.0
 """Largest factor, in either direction, between the stiffness with adhesion and that of gravity alone for
 which parameters are tried."""
 
@@ -102,7 +102,7 @@ def _valley_coordinates(drag: bool) -> ValleyCoordinates:
         q = n / whole
         kappa = s / (whole * cosine_moment(n + 2))
         out = np.array([q * b, p, q * c, n, kappa, 4 / pi * np.sqrt(q) * air, np.sqrt(q) * period_s])
-        inside = np.abs(np.log(q.real)) < np.log(_STIFFEST)
+        inside = np.abs(np.log(q.real)) < np.log(_MAX_STIFFNESS_RATIO)
         return np.where(inside, out, np.nan)
 
     def coordinates(values: Floats) -> Floats:
@@ -125,7 +125,7 @@ def _valley_coordinates(drag: bool) -> ValleyCoordinates:
 
     def at_limit(values: Floats) -> list[int]:
         stiffness = 1 - 2 * values[4] * cosine_moment(values[3] + 2)
-        return [] if np.abs(np.log(stiffness)) < np.log(0.9 * _STIFFEST) - 1e-4 else [4]
+        return [] if np.abs(np.log(stiffness)) < np.log(0.9 * _MAX_STIFFNESS_RATIO) - 1e-4 else [4]
 
     # the valley of a drag runs along ln b, so that b is held by means of p's column; the column of adhesion
     # has the sign of gamma, which a Newton step must not change

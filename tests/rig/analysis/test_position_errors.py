@@ -138,7 +138,7 @@ class _Record:
 
 @pytest.mark.parametrize(("short", "asked"), [(20, 1), (19, 3)])
 def test_every_pass_has_the_same_frames(short: int, asked: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(passing_deflections, "_MOST_IN_MEMORY", short)
+    monkeypatch.setattr(passing_deflections, "_MAX_FRAMES_IN_MEMORY", short)
     record = _Record()
     passing = PassingDeflections(record, DeflectionUnit.RAD)
     for _ in range(3):

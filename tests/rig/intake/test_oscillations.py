@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from rig.analysis.table_fit import analyse_table
 from rig.intake.table import TableColumns
 from rig.intake.times import two_oscillations_message
+from tests.rig.intake.table_cases import analyse_table
 
 T_S = np.arange(0.0, 100.0, 0.05)
 T_NS = np.round(T_S * 1e9).astype(np.int64)

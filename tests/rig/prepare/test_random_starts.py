@@ -162,7 +162,7 @@ def test_what_was_not_determined_is_unknown_and_no_go(
     sound: Balance, capsys: pytest.CaptureFixture[str]
 ) -> None:
     faults = balance_checks(replace(sound, rotation_rad_per_s=math.nan), (0.0, 1e-6), LIMITS)
-    Reporter().found(faults, [], None)
+    Reporter().report_measurement(faults, [], None)
     lines = capsys.readouterr().out.splitlines()
     (spin,) = [line for line in lines if " spin" in line]
     assert spin.startswith("?")
