@@ -28,10 +28,6 @@ class SwingAtRest(NamedTuple):
     period_s: float
     periods: int
 
-    def with_period(self, period_s: float) -> "SwingAtRest":
-        """Copy with another period."""
-        return self._replace(period_s=period_s, periods=int(np.ptp(self.time_s) / period_s))
-
 
 def swing_at_rest(time_s: Floats, deflection: Floats) -> SwingAtRest:
     """Find the period in deflections of a pendulum at rest (n,), NaN without a spot.
@@ -251,7 +247,8 @@ def witness_at_rest(time_s: Floats, deflection: Floats, witness: Seismogram) -> 
     compared = _compare_steps(rest, signals)
     for _ in range(_PERIOD_ITERATIONS):
         # a wandering oscillation shows its period only roughly; with the seismometer it is better known
-        rest = rest.with_period(compared.period_s)
+        periods = int(np.ptp(rest.time_s) / compared.period_s)
+        rest = rest._replace(period_s=compared.period_s, periods=periods)
         compared = _compare_steps(rest, signals)
     coherence, components = compared.coherence, signals.value.shape[1]
     # one degree of freedom for the decay, and those of the gains

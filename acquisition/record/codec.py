@@ -24,7 +24,6 @@ from acquisition.camera import Image
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     CAMERA_TOPIC,
-    DEFLECTION_FIELDS,
     LOG_TOPIC,
     PREVIEW_TOPIC,
     SENSOR_FRAME,
@@ -33,7 +32,6 @@ from acquisition.record.topics import (
     IntegerGaussian,
     RecordedWindow,
 )
-from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.kernel import kernel
 from processing.spot import Spot
@@ -246,13 +244,6 @@ def encode_spots(
     )
 
 
-def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
-    """The deflections in a table of spots."""
-    # copies, so that the deflections do not keep the whole table in memory
-    x, y, u_x, u_y = (np.array(spots[name], dtype=np.float64) for name in DEFLECTION_FIELDS[unit])
-    return Deflections(np.array(spots["time_ns"], dtype=np.int64), x, y, u_x, u_y, unit)
-
-
 def encode_swing(kind: MessageType, half_cycle: HalfCycle) -> bytes:
     """Message of type `SWING` or `SWING_UNCALIBRATED`."""
     display_values = [2.0 * half_cycle.half_period_s]
@@ -261,25 +252,6 @@ def encode_swing(kind: MessageType, half_cycle: HalfCycle) -> bytes:
     return kind.encode(
         *[getattr(half_cycle, name) for name in HalfCycle.__dataclass_fields__], *display_values
     )
-
-
-def swings_of(table: NDArray[Any]) -> list[HalfCycle]:
-    """Half-cycles from a record's table, whose first fields are those of `HalfCycle` in order."""
-    return [HalfCycle(*row[: len(HalfCycle.__dataclass_fields__)]) for row in table.tolist()]
-
-
-def encode_balance(kind: MessageType, balance: Balance) -> bytes:
-    """Message of type `BALANCE` or `BALANCE_UNCALIBRATED`, depending on the balance's unit."""
-    return kind.encode(*[getattr(balance, name) for name in names_with_units(balance.unit)])
-
-
-def balances_of(table: NDArray[Any], unit: DeflectionUnit) -> list[Balance]:
-    """Balances from a record's table."""
-    names = names_with_units(unit)
-    return [
-        Balance(**{name: row[key] for name, key in names.items()}, unit=unit)
-        for row in (dict(zip(table.dtype.names or (), row, strict=True)) for row in table.tolist())
-    ]
 
 
 _PREVIEW_PX = 480

@@ -114,22 +114,14 @@ def check_settings(config: Configuration, stated: Configuration) -> Iterator[Ver
     """Check that the configuration contains what a fit needs; `stated` is the one before it was completed."""
     try:
         check_materials(config)
-        pendulum = _origin("pendulum", config, stated)
-        yield Verdict(
-            "pendulum",
-            bool(pendulum),
-            pendulum or "not stated: nothing can be fitted",
-            "" if pendulum else "state mass_kg and ball_radius_m under [pendulum]",
-        )
+        lacking = "not stated: nothing can be fitted", "state mass_kg and ball_radius_m under [pendulum]"
+        origin = _origin("pendulum", config, stated)
+        yield Verdict("pendulum", bool(origin), *((origin, "") if origin else lacking))
     except RigError as error:
         yield Verdict.failed("pendulum", error, "correct the material")
-    lever = _origin("lever", config, stated)
-    yield Verdict(
-        "light lever",
-        bool(lever),
-        lever or "no calibration: amplitudes will be in px",
-        "" if lever else "state arm_m and pixel_pitch_m under [lever]",
-    )
+    lacking = "no calibration: amplitudes will be in px", "state arm_m and pixel_pitch_m under [lever]"
+    origin = _origin("lever", config, stated)
+    yield Verdict("light lever", bool(origin), *((origin, "") if origin else lacking))
     noise = _origin("sensor", config, stated)
     yield Verdict("sensor's noise", True, noise or "not stated: a typical sensor is assumed")
 

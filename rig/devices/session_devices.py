@@ -30,7 +30,6 @@ from rig.devices.lit_devices import LitDevices
 from rig.instrument import (
     camera_settings,
     check_full_scale,
-    frame_policy,
     make_camera,
     pulse_faults,
     setting_differences,
@@ -212,7 +211,8 @@ class Devices(LitDevices):
         return FrameStream(
             camera.camera,
             camera_settings(config),
-            policy=frame_policy(config),
+            # sources on demand wait and lose no frame, which a real camera cannot
+            policy="wait" if config.on_demand else "every",
             timeout_s=config.camera.patience_s,
             permit=self.permit,
             time_shift_ns=camera.time_shift_ns,

@@ -10,7 +10,6 @@ from typing import ParamSpec, TypeVar
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras import drivers
-from acquisition.frames.queue import Policy
 from acquisition.simulation.settings import SimulationSettings
 from calibration import GLOBAL, Axes, Lever, Shutter
 from processing.contact import Material
@@ -83,11 +82,6 @@ def check_full_scale(config: Configuration, info: CameraInfo, applied: CameraSet
             f"sensor.full_scale_dn = {config.sensor.full_scale_dn:g}: the camera ends at {most_dn} DN; "
             "state that, or ask for more bits with camera.pixel_format"
         )
-
-
-def frame_policy(config: Configuration) -> Policy:
-    """Policy for a full queue: sources on demand wait and lose no frame, which a real camera cannot."""
-    return "wait" if config.on_demand else "every"
 
 
 def shutter_of(config: Configuration) -> Shutter:
