@@ -12,12 +12,12 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import (
     ResultsFolder,
     Set,
+    fit_input,
     in_json,
     input_argument,
     input_option,
     kind_of,
     refuse_stated,
-    to_be_fitted,
 )
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def fit(
         input_argument(
             "Records (.mcap), their folders; or one table of positions (CSV), one film, one folder of "
             "images or films.",
-            to_be_fitted,
+            fit_input,
         ),
     ],
     output: ResultsFolder = None,
