@@ -76,7 +76,6 @@ class FilmOptions:
 
     rate_hz: float | None = None
     force: bool = False
-    colour: str = "brightness"
     dark: bool | None = None
     size: str = ""
     begin_s: float | None = None
@@ -103,7 +102,7 @@ def film_trajectory(
             "path": path,
             "frame_rate_hz": options.rate_hz,
             "force_frame_rate": options.force,
-            "colour": options.colour,
+            "colour": "brightness",
         }
     )
     camera = FilesCamera(settings)
