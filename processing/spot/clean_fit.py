@@ -38,7 +38,7 @@ from processing.spot.upright_score import ALONG_Y, SMALLEST_SIGMA_PX, informatio
 
 _MAX_PASSES = 10
 LARGEST_TABLE = 2048
-_VECTOR = 32
+_VECTOR_PIXELS = 32
 """Largest number of pixels that one vector instruction handles."""
 
 _MAX_OUTLIERS = 8
@@ -124,7 +124,7 @@ def fit_clean(
         x0, y0 = window.x0, window.y0
         wx, wy = window.x1 - x0, window.y1 - y0
         # widen rows to whole vectors: the remaining pixels one by one would take longer than a wider row
-        wider = (wx + _VECTOR - 1) // _VECTOR * _VECTOR
+        wider = (wx + _VECTOR_PIXELS - 1) // _VECTOR_PIXELS * _VECTOR_PIXELS
         left = x0 - (wider - wx) // 2
         if left >= 0 and left + wider <= nx:
             x0, wx = left, wider

@@ -42,9 +42,9 @@ SHARED_COLUMNS = 1 + SHAPES + _TIMING_POWERS
 
 _REACH_HALF_PERIODS = 0.6
 """Half periods before the first and after the second turning point within which the cycle lies."""
-_FEWEST_SAMPLES = 8
+_MIN_SAMPLES = 8
 """Fewest samples of a half-cycle: as many as its own four terms and the fast mode's four."""
-_GATE = 6.0
+_OUTLIER_U = 6.0
 """Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
 _LINE_PROMINENCE = 40.0
 """Power of a line in the fast deflection, relative to the median of all frequencies, that is a fast mode."""
@@ -136,7 +136,7 @@ def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> C
         table, turn = tabulated(state, anchor, motion.reference, _ACTIVE)
         begin_s, end_s = np.array(zero_phases(table)) / state[RATE] + state[TIME]
         rows = np.flatnonzero(usable & (tau_s >= begin_s) & (tau_s < end_s))
-        if len(rows) < _FEWEST_SAMPLES:
+        if len(rows) < _MIN_SAMPLES:
             return None
         residual, jacobian = np.empty(len(rows)), np.empty((len(rows), len(_ACTIVE)))
         linearise(state, side, _ACTIVE, table, tau_s[rows], samples.y[rows], residual, jacobian)
@@ -158,7 +158,7 @@ def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> C
         own = np.column_stack([own, fast])
     left = without_columns(residual, own, np.sqrt(weight))
     size = np.abs(left) * np.sqrt(weight)
-    far = size > _GATE * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
+    far = size > _OUTLIER_U * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
     return CycleResiduals(samples.y[rows] - left, residual, np.where(far, 0.0, weight), own, shared)
 
 

@@ -31,7 +31,7 @@ _OUTLIER_U = 6.0
 """Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
 _STORED_NS = 120_000_000_000
 """Length of the deflections that are stored while no half-cycle is known, since half-cycles follow later."""
-_FEWEST_PIECES = 4
+_MIN_PIECES = 4
 """Fewest pieces of a class."""
 
 
@@ -192,7 +192,7 @@ def harmonic_classes(pieces: SwingHarmonics) -> list[HarmonicClass]:
     top = float(left.max()) if len(left) else 0.0
     while top > 0 and np.any(left <= top):
         inside = (pieces.amplitude <= top) & (pieces.amplitude > top / 2)
-        if np.count_nonzero(inside) >= _FEWEST_PIECES:
+        if np.count_nonzero(inside) >= _MIN_PIECES:
             amplitudes = pieces.amplitude[inside]
             mean, u = _at_middle(amplitudes, pieces.harmonics[inside])
             out.append(HarmonicClass(float(np.exp(np.mean(np.log(amplitudes)))), amplitudes, mean, u))

@@ -30,7 +30,7 @@ from rig.devices.order_socket import (
     OrderSocket,
     SessionNews,
     SessionPicture,
-    light_told,
+    light_shown_to_desk,
     safety_values,
     thinned_path,
 )

@@ -57,11 +57,11 @@ def _clock_with_sleep() -> int | None:
 class Standstill:
     """Detects that the program stood still, by a thread that wakes often and measures its delay.
 
-    `told` is called with the message.
+    `report` is called with the message.
     """
 
-    def __init__(self, told: Callable[[str], None], read: Callable[[], AwakeTime] = read_awake) -> None:
-        self._told, self._read = told, read
+    def __init__(self, report: Callable[[str], None], read: Callable[[], AwakeTime] = read_awake) -> None:
+        self._report, self._read = report, read
         self._ended = threading.Event()
         self._last = self._first = read()
 
@@ -79,7 +79,7 @@ class Standstill:
         before, self._last = self._last, self._read()
         late_ns = self._last.awake_ns - before.awake_ns - round(_EVERY_S * 1e9)
         if late_ns > _MIN_STANDSTILL_NS:
-            self._told(
+            self._report(
                 f"the program stood still for {seconds(late_ns):.1f} s (Ctrl-Z, or a busy computer); "
                 "frames that came meanwhile may be missing, times are right"
             )

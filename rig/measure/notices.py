@@ -65,9 +65,9 @@ class Notices:
                 error=True,
             )
 
-    def take(self, told: RecordContents) -> None:
+    def take(self, recorded: RecordContents) -> None:
         """Send the events of a run whose level is an alarm or a trip."""
-        for event in told.events:
+        for event in recorded.events:
             if event.level in (Severity.TRIP, Severity.ALARM) and self._alarms < _MAX_ALARMS:
                 self._alarms += 1
                 self.tell("alarm", event.line)

@@ -18,7 +18,7 @@ from rig.devices import (
     SessionNews,
     ask_leave,
     check_log,
-    light_told,
+    light_shown_to_desk,
     png_of,
     read_frames,
     running_sessions,
@@ -63,7 +63,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     folder, session_news = record.parent, SessionNews()
     with (
         Devices(config, folder, "a recording for a calibration") as devices,
-        light_told(devices, folder, session_news),
+        light_shown_to_desk(devices, folder, session_news),
     ):
         ask_leave(devices)
         plan = RunPlan(config, source, record, record.stem, fitted=False, session_news=session_news)
@@ -103,7 +103,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     config = complete(config.model_copy(update={"preflight": preflight, "view": quiet}))
     check_materials(config)
     folder, verdicts = config.session.output, list[Verdict]()
-    with Devices(config, folder, "rig doctor --preflight") as devices, light_told(devices, folder):
+    with Devices(config, folder, "rig doctor --preflight") as devices, light_shown_to_desk(devices, folder):
         ask_leave(devices)
         plan = RunPlan(
             config,

@@ -15,7 +15,7 @@ from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from processing.units import nanoseconds, seconds
-from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_told, wait_for_command
+from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_shown_to_desk, wait_for_command
 from rig.instrument import (
     DIRECTIONS,
     WEIGHTS,
@@ -266,7 +266,7 @@ def balance_rig(
     folder = history_path(config, path).parent
     with (
         Devices(config, folder, "rig balance") as devices,
-        light_told(devices, folder),
+        light_shown_to_desk(devices, folder),
         BalanceView(config, rrd, advise, reporter.report_trajectory) as view,
     ):
         while True:
