@@ -229,7 +229,8 @@ def with_changes(
         The fit that receives the changes, where it has terms that `at.fit` has not.
     """
     fit = at.fit if fit is None else fit
-    scans = _scans(at) if fit.loss == "linear" else []
+    drives = _with_drives(at, _CHANGE_DRIVE_FACTORS) if fit.loss == "linear" else ()
+    scans = [scan for noise in drives if (scan := _ChangeScan.of(at, noise)) is not None]
     if not scans:
         return fit
     if u_step > 0:
@@ -237,11 +238,6 @@ def with_changes(
     changes = _found_changes(at, scans, explained)
     warnings = (f"{one.text}; fit the parts before and after it on their own" for one in changes)
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
-
-
-def _scans(at: LinearisedFit) -> list["_ChangeScan"]:
-    found = (_ChangeScan.of(at, noise) for noise in _with_drives(at, _CHANGE_DRIVE_FACTORS))
-    return [scan for scan in found if scan is not None]
 
 
 def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained: float) -> tuple[Change, ...]:
