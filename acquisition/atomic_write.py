@@ -17,7 +17,7 @@ from pathlib import Path
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 _LEFTOVER = re.compile(r"\.(.+)\.[0-9a-f]{8}", re.DOTALL)
 _LEFTOVER_AGE_S = 24 * 3600.0
-"""Age of a temporary file from which on its writer must have been killed; no file takes so long to write."""
+"""Minimum age of a temporary file whose writer must have been killed; no file takes so long to write."""
 
 
 def write_new(path: Path, data: bytes) -> None:

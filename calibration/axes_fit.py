@@ -217,7 +217,8 @@ def fit_axes(
         if (part := (t >= first) & (t < last)).sum() > 60
     ]
     first_window = windows[0]
-    slow = _with_side(first_window.slow, slow_began) if slow_began else _upward(first_window.slow)
+    # where no side is stated, upwards is positive
+    slow = _with_side(first_window.slow, slow_began or ("+" if first_window.slow[1] <= 0 else "-"))
     along = _combine(windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows])
     usable = [w for w in windows if w.u_fast_rad < 0.2]
     if not usable:
@@ -348,10 +349,6 @@ def _refuse_changing_direction(mode: str, found: _Combined) -> None:
 def _with_side(vector: Floats, side: Sign) -> Floats:
     """The direction in which a swing that began on this side is positive."""
     return vector if side == "+" else -vector
-
-
-def _upward(vector: Floats) -> Floats:
-    return vector if vector[1] <= 0 else -vector
 
 
 def _to_the_right(vector: Floats, slow: Floats, mirrored: bool) -> Floats:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from processing.arrays import Floats
 from processing.errors import DataError
 
-_ENVELOPE = 3
+_ENVELOPE_TERMS = 3
 """Number of polynomial terms in time (a parabola) of each mode's cosine and sine amplitude."""
 
 _MAX_OVERTONES = (0.15, 0.08, 0.05)
@@ -60,17 +60,20 @@ def window_directions(
     fast_c, fast_s = np.cos(fast_omega * (t - start_s)), np.sin(fast_omega * (t - start_s))
     design = np.column_stack(
         [
-            *(slow_c * u**k for k in range(_ENVELOPE)),
-            *(slow_s * u**k for k in range(_ENVELOPE)),
-            *(fast_c * u**k for k in range(_ENVELOPE)),
-            *(fast_s * u**k for k in range(_ENVELOPE)),
-            *(u**k for k in range(_ENVELOPE)),
+            *(slow_c * u**k for k in range(_ENVELOPE_TERMS)),
+            *(slow_s * u**k for k in range(_ENVELOPE_TERMS)),
+            *(fast_c * u**k for k in range(_ENVELOPE_TERMS)),
+            *(fast_s * u**k for k in range(_ENVELOPE_TERMS)),
+            *(u**k for k in range(_ENVELOPE_TERMS)),
         ]
     )
     coefficients, *_ = np.linalg.lstsq(design, spots, rcond=None)
-    frame = _frame(coefficients[[0, _ENVELOPE]])
+    frame = _frame(coefficients[[0, _ENVELOPE_TERMS]])
     covariance = _noise(spots - design @ coefficients, design)
-    slow_columns, fast_columns = list(range(2 * _ENVELOPE)), list(range(2 * _ENVELOPE, 4 * _ENVELOPE))
+    slow_columns, fast_columns = (
+        list(range(2 * _ENVELOPE_TERMS)),
+        list(range(2 * _ENVELOPE_TERMS, 4 * _ENVELOPE_TERMS)),
+    )
     inverse = np.linalg.inv(design.T @ design)
     # overtones of the slow mode move the spot along the slow direction only, and only the fast mode across it
     across, along = (spots @ frame).T
@@ -109,10 +112,10 @@ def _frame(rows: Floats) -> Floats:
 
 def _swing(design: Floats, along: Floats) -> NDArray[np.complex128]:
     """Unit phasor of the slow mode at each sample, with its slowly varying phase."""
-    u = design[:, 4 * _ENVELOPE + 1]
-    powers = np.column_stack([u**k for k in range(_ENVELOPE)])
-    c, s = powers @ along[:_ENVELOPE], powers @ along[_ENVELOPE : 2 * _ENVELOPE]
-    phasor = (c - 1j * s) * (design[:, 0] + 1j * design[:, _ENVELOPE])
+    u = design[:, 4 * _ENVELOPE_TERMS + 1]
+    powers = np.column_stack([u**k for k in range(_ENVELOPE_TERMS)])
+    c, s = powers @ along[:_ENVELOPE_TERMS], powers @ along[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS]
+    phasor = (c - 1j * s) * (design[:, 0] + 1j * design[:, _ENVELOPE_TERMS])
     unit: NDArray[np.complex128] = phasor / np.abs(phasor)
     return unit
 
@@ -175,8 +178,8 @@ def _fast_direction(
 
 def _at_beginning(rows: Floats) -> tuple[float, float]:
     """Cosine and sine amplitude at the beginning of the window, where u = -1."""
-    signs = np.array([(-1.0) ** k for k in range(_ENVELOPE)])
-    return float(rows[:_ENVELOPE] @ signs), float(rows[_ENVELOPE:] @ signs)
+    signs = np.array([(-1.0) ** k for k in range(_ENVELOPE_TERMS)])
+    return float(rows[:_ENVELOPE_TERMS] @ signs), float(rows[_ENVELOPE_TERMS:] @ signs)
 
 
 def _direction(

@@ -105,7 +105,7 @@ class LadderSolution:
 
 def carrier(setting: Floats, kind: str) -> tuple[Floats, Floats]:
     """Tangents of twice the tilts, or the shifts, to which the spot's position is proportional, and their
-    derivatives by the settings."""
+    derivatives with respect to the settings."""
     if kind == "tilt":
         return np.tan(2.0 * setting), 2.0 / np.cos(2.0 * setting) ** 2
     return setting, np.ones_like(setting)
@@ -127,7 +127,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew
         unit[fixed - 1] = float(np.ptp(steps.reference))
 
     def parts(p: Floats) -> tuple[Floats, Floats, Floats]:
-        """t, its derivative by the setting, and the displacement over the scale."""
+        """t, its derivative with respect to the setting, and the displacement over the scale."""
         setting = steps.reference + steps.u_reference * p[fixed:]
         if way is not None:
             setting = setting + 0.5 * way * p[fixed - 1] * unit[fixed - 1]

@@ -87,7 +87,7 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
         return self.model_copy(update={"skew": 0.0}) if self.skew else self
 
     def _tangent(self, displacement_px: ArrayLike) -> tuple[Floats, Floats]:
-        """t = tan(2 phi), and the derivative of the displacement by t over its value at the reference."""
+        """t = tan(2 phi), and the displacement's derivative with respect to t over that at the reference."""
         part = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)
         root = np.sqrt(1.0 + 4.0 * self.skew * part)
         # this form of the root of the quadratic loses no digits, and is exactly `part` without skew
@@ -246,8 +246,10 @@ def _spot_on_sensor_m(geometry: LeverGeometry, tilt_rad: float) -> Floats:
     forward = np.cross(axis, [0.0, 1.0, 0.0])
     level = np.array([math.sin(across), 0.0, math.cos(across)])
     arm_of_point = geometry.beam_reach_m * level + geometry.beam_height_m * np.array([0.0, 1.0, 0.0])
-    turned = _turned(normal, axis, tilt_rad)
-    point = geometry.ball_radius_m * tilt_rad * forward + _turned(arm_of_point, axis, tilt_rad) - arm_of_point
+    turned = _rotated(normal, axis, tilt_rad)
+    point = (
+        geometry.ball_radius_m * tilt_rad * forward + _rotated(arm_of_point, axis, tilt_rad) - arm_of_point
+    )
     on_mirror = incoming * (point @ turned) / (incoming @ turned)
     outgoing = incoming - 2.0 * (incoming @ turned) * turned
     t_along, t_across = geometry.sensor_tilt_along_rad, geometry.sensor_tilt_across_rad
@@ -267,11 +269,11 @@ def _spot_on_sensor_m(geometry: LeverGeometry, tilt_rad: float) -> Floats:
     return np.array([spot @ right, spot @ up])
 
 
-def _turned(vector: Floats, axis: Floats, angle: float) -> Floats:
+def _rotated(vector: Floats, axis: Floats, angle: float) -> Floats:
     """The vector rotated about a unit `axis` (Rodrigues' formula), angle in rad."""
-    turned: Floats = (
+    rotated: Floats = (
         vector * math.cos(angle)
         + np.cross(axis, vector) * math.sin(angle)
         + axis * (axis @ vector) * (1.0 - math.cos(angle))
     )
-    return turned
+    return rotated

@@ -14,7 +14,7 @@ from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.units import NS_PER_S
 
-_PERIODS = 3.0
+_STRETCH_PERIODS = 3.0
 """Length in periods of a stretch that is fitted by itself, short enough for a nearly constant amplitude."""
 _MIN_STRETCHES = 6
 _MIN_FRAMES = 24
@@ -111,7 +111,7 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     times_s, y_px = times_s[good] - times_s[good][:1].sum(), y_px[good]
     path_across_rows_px(y_px)
     period_s = _period(times_s, y_px)
-    length_s = _PERIODS * period_s
+    length_s = _STRETCH_PERIODS * period_s
     stretches = int((times_s[-1] - times_s[0]) / length_s)
     found = []
     for begin_s in times_s[0] + length_s * np.arange(stretches):
@@ -123,8 +123,8 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
         table = table[table[:, 3] > _MIN_AMPLITUDE_FRACTION * table[:, 3].max()]
     if len(table) < _MIN_STRETCHES:
         raise DataError(
-            f"row time: {len(table)} stretches of {_PERIODS:g} periods ({period_s:.3g} s) have a swing, "
-            f"{_MIN_STRETCHES} are needed; record for longer"
+            f"row time: {len(table)} stretches of {_STRETCH_PERIODS:g} periods ({period_s:.3g} s) have a "
+            f"swing, {_MIN_STRETCHES} are needed; record for longer"
         )
     odd, u_odd, even, amplitude_px, at_s = table.T
     weight = u_odd**-2.0

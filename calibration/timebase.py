@@ -19,7 +19,7 @@ from processing.units import S_PER_NS, nanoseconds, seconds
 FRAME_JITTER_LIMIT_S = 15e-6
 """Jitter of the frame times that does not affect the times of turning points; 100 us doubles their error."""
 _MIN_FRAMES = 50
-_HUBER = 1.345
+_HUBER_STD = 1.345
 """Residuals larger than this many standard deviations get less weight (95 % efficiency for normal ones)."""
 _ROUNDING_S = S_PER_NS / 12**0.5
 """Standard uncertainty of timestamps that are rounded to 1 ns."""
@@ -191,7 +191,7 @@ def _huber(design: Floats, values: Floats) -> tuple[Floats, Floats, float]:
     for _ in range(60):
         residual = values - design @ solution
         sigma = max(robust_scatter(residual), 1e-12)
-        weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(residual), 1e-300))
+        weight = np.minimum(1.0, _HUBER_STD * sigma / np.maximum(np.abs(residual), 1e-300))
         root = np.sqrt(weight)[:, None]
         new = np.linalg.lstsq(design * root, values * root[:, 0], rcond=None)[0]
         if np.allclose(new, solution, rtol=1e-13, atol=1e-16):
@@ -199,8 +199,8 @@ def _huber(design: Floats, values: Floats) -> tuple[Floats, Floats, float]:
             break
         solution = new
     residual = (values - design @ solution) / sigma
-    psi = np.clip(residual, -_HUBER, _HUBER)
-    inside = np.mean(np.abs(residual) < _HUBER)
+    psi = np.clip(residual, -_HUBER_STD, _HUBER_STD)
+    inside = np.mean(np.abs(residual) < _HUBER_STD)
     dof = len(values) - design.shape[1]
     # timestamps are integer ns: the uncertainty is not smaller than their rounding allows
     scale = max(sigma**2 * float(psi @ psi) / dof / inside**2, _ROUNDING_S**2)

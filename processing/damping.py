@@ -25,7 +25,7 @@ PARTS: Final = ("constant", "linear", "quadratic")
 _FEWEST_AMPLITUDES: Final = 12
 """Fewest amplitudes: four parameters leave eight degrees of freedom."""
 _DB: Final = 10.0 / log(10.0)
-_SMALLEST: Final = 1e-9
+_MIN_RELATIVE_AMPLITUDE: Final = 1e-9
 """Smallest amplitude in units of the largest one; smaller ones count as this."""
 _ENDS: Final = np.array([0.0, 1.0])
 _FLOOR_CHI2: Final = 12.0
@@ -69,11 +69,6 @@ class DampingTerms:
         parts = {name: getattr(self, name).probability for name in PARTS}
         sure = tuple(name for name in PARTS if parts[name] > 0.95)
         return sure or (max(PARTS, key=lambda name: parts[name]),)
-
-    @property
-    def is_exponential(self) -> bool:
-        """Whether one time constant is enough: the decay needs neither a constant nor a quadratic part."""
-        return max(self.constant.probability, self.quadratic.probability) < 0.95
 
     def time_constant_s(self, amplitude: Floats) -> tuple[Floats, Floats]:
         """Time constant tau at these amplitudes (n,) with standard uncertainties, s."""
@@ -232,7 +227,9 @@ class _Fit:
 
     def __init__(self, t: Floats, y: Floats, u: Floats, decibel: bool) -> None:
         self._t, self._y, self._u, self._decibel = t, y, u, decibel
-        self._lowest = float(np.min(10 ** (y / 20.0))) if decibel else float(max(np.min(y), _SMALLEST))
+        self._lowest = (
+            float(np.min(10 ** (y / 20.0))) if decibel else float(max(np.min(y), _MIN_RELATIVE_AMPLITUDE))
+        )
 
     def start(self) -> Floats:
         """Start values: first amplitude, and a linear part from the time in which the amplitude halves."""
@@ -258,7 +255,9 @@ class _Fit:
             values[free] = p[:count]
             return self._residual(values, exp(min(p[count], 5.0)) if floor else nan)
 
-        at_start = np.append(begin[free], log(self._lowest + _SMALLEST)) if floor else begin[free]
+        at_start = (
+            np.append(begin[free], log(self._lowest + _MIN_RELATIVE_AMPLITUDE)) if floor else begin[free]
+        )
         found = solve(differenced(residual), at_start)
         values, covariance = np.zeros(4), np.zeros((4, 4))
         values[free] = found.values[:count]
@@ -272,5 +271,5 @@ class _Fit:
         if np.isfinite(floor):
             amplitude = np.hypot(amplitude, floor)
         if self._decibel:
-            amplitude = 2.0 * _DB * np.log(np.maximum(amplitude, _SMALLEST))
+            amplitude = 2.0 * _DB * np.log(np.maximum(amplitude, _MIN_RELATIVE_AMPLITUDE))
         return np.asarray((amplitude - self._y) / self._u)

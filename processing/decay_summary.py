@@ -53,14 +53,14 @@ def mean_period_estimate(points: TurningPoints, chi2_per_dof: float) -> Estimate
     return Estimate(mean_period(points), float(2 * u / (points.index[-1] - points.index[0])))
 
 
-_FEWEST = 4
+_MIN_TURNING_POINTS = 4
 """Fewest turning points: a straight line leaves two degrees of freedom for its scatter."""
-_FEWEST_OF_PART = 3
+_MIN_OF_PART = 3
 _NOT_CONSTANT = 4.0
 """chi2/dof of a constant value above which its residuals are more than scatter."""
-_AGREE = 2.0
+_AGREEMENT_U = 2.0
 """Standard uncertainties of their difference within which both ends agree."""
-_SIGNIFICANT = 2.0
+_SIGNIFICANT_U = 2.0
 """Standard uncertainties above which a decrement differs from zero, so that its reciprocal has a value."""
 _PARTS = 3
 """Number of equal parts of the half-cycles; a change is that from the first part to the last."""
@@ -93,7 +93,7 @@ class DecayMean:
             return False
         if np.isnan(self.first):
             return True
-        return bool(abs(self.last - self.first) > _AGREE * np.hypot(self.u_first, self.u_last))
+        return bool(abs(self.last - self.first) > _AGREEMENT_U * np.hypot(self.u_first, self.u_last))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class DecaySummary:
     @property
     def grows(self) -> bool:
         """Whether the amplitude rises: no decay, or a decay with its time reversed."""
-        return self.decrement.value < -_SIGNIFICANT * self.decrement.u
+        return self.decrement.value < -_SIGNIFICANT_U * self.decrement.u
 
     @property
     def quality_factor(self) -> Estimate | None:
@@ -122,7 +122,7 @@ class DecaySummary:
         None if the decrement changes, is not significantly positive, or exceeds pi (faster than a period).
         """
         found = self.decrement
-        if found.changes or found.value > np.pi or not found.value > _SIGNIFICANT * found.u:
+        if found.changes or found.value > np.pi or not found.value > _SIGNIFICANT_U * found.u:
             return None
         return Estimate(np.pi / found.value, np.pi / found.value * found.u / found.value)
 
@@ -132,9 +132,10 @@ def summarise_decay(points: TurningPoints) -> DecaySummary:
 
     Raises DataError for fewer than four turning points.
     """
-    if len(points) < _FEWEST:
+    if len(points) < _MIN_TURNING_POINTS:
         raise DataError(
-            f"{len(points)} usable half-cycles, at least {_FEWEST} are needed for a period and a decrement"
+            f"{len(points)} usable half-cycles, at least {_MIN_TURNING_POINTS} are needed for a "
+            "period and a decrement"
         )
     return DecaySummary(
         half_cycles=len(points),
@@ -149,7 +150,7 @@ def _mean(index: Ints, values: Floats, u_values: Floats, factor: float) -> Decay
     """Slope of values against the half-cycle's index, multiplied by `factor`."""
     found = _slope(index, values, u_values, factor)
     count = len(index) // _PARTS
-    if count < _FEWEST_OF_PART:
+    if count < _MIN_OF_PART:
         return found
     first = _slope(index[:count], values[:count], u_values[:count], factor)
     last = _slope(index[-count:], values[-count:], u_values[-count:], factor)
@@ -175,11 +176,11 @@ def _slope(index: Ints, values: Floats, u_values: Floats, factor: float) -> Deca
     return DecayMean(factor * slope, abs(factor) * u_slope, chi2_per_dof)
 
 
-_FEWEST_TO_FORECAST = 6
+_MIN_TO_FORECAST = 6
 """Fewest amplitudes: four parameters leave two degrees of freedom."""
-_MOST_AMPLITUDES = 240
+_MAX_AMPLITUDES = 240
 """Most amplitudes: the covariance of a random walk is full, and its factor costs the cube of the number."""
-_NODES = 400
+_GRID_NODES = 400
 """Nodes of the amplitude grid. With 6,400 the forecast differs by a thousandth of its uncertainty."""
 _PRIOR, _U_PRIOR = np.array([0.0, 0.0, 0.87, math.log(0.25)]), np.array([0.06, 0.6])
 """Means of the parameters, and standard deviations of the last two, p and ln d; the others have no prior."""
@@ -217,11 +218,11 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
     """
     good = np.isfinite(amplitudes) & (amplitudes > 0) & (u_amplitudes > 0)
     times_s, amplitudes, u_amplitudes = times_s[good], amplitudes[good], u_amplitudes[good]
-    if len(times_s) < _FEWEST_TO_FORECAST:
+    if len(times_s) < _MIN_TO_FORECAST:
         return Forecast(math.nan, math.nan)
     if amplitudes[-1] <= final:
         return Forecast(0.0, 0.0)
-    chosen = np.unique(np.linspace(0, len(times_s) - 1, _MOST_AMPLITUDES).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(times_s) - 1, _MAX_AMPLITUDES).round().astype(int))
     decay = _Decay(times_s[chosen] - times_s[-1], amplitudes[chosen], u_amplitudes[chosen], final)
     if not decay.slope < 0:
         return Forecast(math.nan, math.nan)
@@ -237,7 +238,7 @@ class _Decay:
     def __init__(self, times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: float) -> None:
         self._t, self._a, self._u, self._final = times_s, amplitudes, u_amplitudes, final
         self.slope = float(np.polyfit(times_s, np.log(amplitudes), 1)[0])
-        self._grid = np.geomspace(amplitudes.max() * 1.05, final, _NODES)
+        self._grid = np.geomspace(amplitudes.max() * 1.05, final, _GRID_NODES)
 
     def _paces(self, parameters: Floats) -> Floats:
         """Time per loss of amplitude, at the nodes of the grid."""
@@ -255,8 +256,10 @@ class _Decay:
 
     def _times(self, parameters: Floats) -> Floats:
         """Predicted times of the amplitudes and, last, of the final one."""
-        wanted = np.append(self._a, self._final)
-        return np.asarray(self._interpolated(wanted, self._integral(self._paces(parameters))) + parameters[0])
+        amplitudes = np.append(self._a, self._final)
+        return np.asarray(
+            self._interpolated(amplitudes, self._integral(self._paces(parameters))) + parameters[0]
+        )
 
     def _white_noise_fit(self) -> Floats:
         """Parameters of a fit with white noise alone, without a walk."""
@@ -267,9 +270,9 @@ class _Decay:
             return np.concatenate([late, (parameters - _PRIOR)[2:] / _U_PRIOR])
 
         start = np.array([self._t[0], math.log(-self.slope * self._grid[0]), *_PRIOR[2:]])
-        apart = np.array([np.inf, 5.0, *(10 * _U_PRIOR)])
+        reach = np.array([np.inf, 5.0, *(10 * _U_PRIOR)])
         found = solve(
-            differenced(residuals), start, lower=start - apart, upper=start + apart, max_evaluations=60
+            differenced(residuals), start, lower=start - reach, upper=start + reach, max_evaluations=60
         )
         return found.values
 
@@ -279,34 +282,40 @@ class _Decay:
 
         parameters = self._white_noise_fit()
         times, slopes = differenced(self._times)(parameters)
-        left, count, paces = self._t - times[:-1], len(self._t), self._paces(parameters)
-        known = np.eye(4)[2:] / _U_PRIOR[:, None]
+        residuals, count, paces = self._t - times[:-1], len(self._t), self._paces(parameters)
+        prior_rows = np.eye(4)[2:] / _U_PRIOR[:, None]
         # a step of the walk stays in the amplitude, so that its effect on the time grows with the pace; it
         # adds from one amplitude to the next whether that one is lower or higher
         squares = self._interpolated(self._a, paces**2)
         steps = 0.5 * (squares[1:] + squares[:-1]) * np.maximum(np.diff(self._t), 0.0) / half_period_s
-        typical2 = float(np.median(self._u)) ** 2
-        walked = typical2 * np.concatenate([[0.0], np.cumsum(steps)])
-        to_come = self._integral(paces**3) / half_period_s
-        walk_left = typical2 * float(to_come[-1] - self._interpolated(self._a[-1:], to_come)[0])
+        median_u2 = float(np.median(self._u)) ** 2
+        walk_variance = median_u2 * np.concatenate([[0.0], np.cumsum(steps)])
+        walk_ahead = self._integral(paces**3) / half_period_s
+        walk_left = median_u2 * float(walk_ahead[-1] - self._interpolated(self._a[-1:], walk_ahead)[0])
         noise = np.diag((self._u * self._interpolated(self._a, paces)) ** 2)
-        earlier = np.minimum.outer(np.arange(count), np.arange(count))
+        earlier_index = np.minimum.outer(np.arange(count), np.arange(count))
 
         def solved(ratio: float) -> tuple[float, float, float]:
             """Correction of the final time, its variance and the log likelihood, for a size of the walk."""
-            root = cholesky(noise + ratio * walked[earlier], lower=True)
-            white = solve_triangular(root, np.column_stack([left, slopes[:-1], ratio * walked]), lower=True)
+            root = cholesky(noise + ratio * walk_variance[earlier_index], lower=True)
+            white = solve_triangular(
+                root, np.column_stack([residuals, slopes[:-1], ratio * walk_variance]), lower=True
+            )
             e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
             misfit = FactoredJacobian(a).left(e)
             # amplitudes may scatter more than by their uncertainties
             scale = max(1.0, float(misfit @ misfit) / max(count - 4, 1))
-            rows = np.concatenate([e / math.sqrt(scale), -known @ (parameters - _PRIOR)])
-            fit = FactoredJacobian(np.vstack([a / math.sqrt(scale), known]))
+            rows = np.concatenate([e / math.sqrt(scale), -prior_rows @ (parameters - _PRIOR)])
+            fit = FactoredJacobian(np.vstack([a / math.sqrt(scale), prior_rows]))
             shift, rest = fit.coefficients(rows), fit.left(rows)
             # the future walk starts from the present offset of the walk
             value = float(slopes[-1] @ shift + last @ (e - a @ shift))
             variance = float(np.sum(((slopes[-1] - last @ a) @ fit.root) ** 2))
-            ahead = ratio * (walked[-1] + walk_left) - float(last @ last) + typical2 * float(paces[-1]) ** 2
+            ahead = (
+                ratio * (walk_variance[-1] + walk_left)
+                - float(last @ last)
+                + median_u2 * float(paces[-1]) ** 2
+            )
             cost = float(rest @ rest) + count * math.log(scale) + 2.0 * float(np.log(np.diag(root)).sum())
             return value, variance + scale * ahead, -0.5 * (cost + fit.log_det)
 

@@ -14,7 +14,7 @@ from processing.damping import DampingTerms, fit_damping
 from processing.swing import estimate_noise
 from processing.units import nanoseconds, seconds
 
-_ROUNDING = 1e-9
+_ROUNDING_ERROR = 1e-9
 _NOT_DESCRIBED = 2.0
 """Chi-square per degree of freedom at which the error of the model equals the noise. Noise alone exceeds it
 once in 30 envelopes of twelve values and once in 90,000 of sixty."""
@@ -44,7 +44,7 @@ class EnvelopeDecay:
     @property
     def changes(self) -> bool:
         """Whether one time constant does not describe the fall."""
-        return not self.damping.is_exponential
+        return max(self.damping.constant.probability, self.damping.quadratic.probability) >= 0.95
 
     @property
     def described(self) -> bool:
@@ -72,7 +72,7 @@ def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeD
     good = np.isfinite(values)
     t, y = times_s[good] - times_s[0], values[good]
     # computed values have no noise: their scatter about the fit replaces it
-    noise = max(estimate_noise(nanoseconds(t), y), _ROUNDING * float(np.max(np.abs(y), initial=0.0)))
+    noise = max(estimate_noise(nanoseconds(t), y), _ROUNDING_ERROR * float(np.max(np.abs(y), initial=0.0)))
     damping = fit_damping(t, y, np.full(len(y), noise), decibel=decibel, floor=True)
     quarters = damping.amplitudes(5)
     ends_s = damping.time_constant_s(quarters[[1, 3]])[0]
@@ -105,9 +105,9 @@ _LARGEST_SQUARES_RATIO: Final = 0.2
 """Largest ratio of the squares that a rectified sinusoid and a sinusoid leave, if the first fits better."""
 _LARGEST_SCATTER: Final = 0.04
 """Largest scatter about the rectified shape, relative to the range of a cycle."""
-_ZERO: Final = 0.1
+_MAX_ZERO_VALUE: Final = 0.1
 """Values, relative to the largest, that count as zero because of the sampling."""
-_FALLEN: Final = 0.75
+_MAX_RANGE_RATIO: Final = 0.75
 """Largest ratio of last to first range that counts as a decay."""
 _LARGEST_MOVE: Final = 0.1
 """Largest move of constant turning points, relative to the fall of the other side."""
@@ -155,8 +155,14 @@ def _returns_to_zero(parts: list[NDArray[np.float64]]) -> bool:
         ends = -ends[:, ::-1]
     third = len(ends) // 3
     (first_low, first), (last_low, last) = np.median(ends[:third], axis=0), np.median(ends[-third:], axis=0)
-    stands = abs(first_low) < _ZERO * first and abs(last_low) < _ZERO * last and 0 < last < _FALLEN * first
-    at_zero = np.mean([np.mean(np.abs(part) < _ZERO * np.abs(part).max()) for part in parts[:third]])
+    stands = (
+        abs(first_low) < _MAX_ZERO_VALUE * first
+        and abs(last_low) < _MAX_ZERO_VALUE * last
+        and 0 < last < _MAX_RANGE_RATIO * first
+    )
+    at_zero = np.mean(
+        [np.mean(np.abs(part) < _MAX_ZERO_VALUE * np.abs(part).max()) for part in parts[:third]]
+    )
     return bool(stands and at_zero < _LARGEST_ZERO_FRACTION)
 
 
@@ -169,11 +175,11 @@ def _one_side_is_constant(parts: list[NDArray[np.float64]]) -> bool:
     third = len(ends) // 3
     first, last = np.median(ends[:third], axis=0), np.median(ends[-third:], axis=0)
     span, fell = np.ptp(first), np.ptp(first) - np.ptp(last)
-    if not fell > (1.0 - _FALLEN) * span:
+    if not fell > (1.0 - _MAX_RANGE_RATIO) * span:
         return False
     moved = np.abs(last - first)
     side = int(np.argmin(moved))
-    near = np.mean([np.mean(np.abs(part - first[side]) < _ZERO * span) for part in parts[:third]])
+    near = np.mean([np.mean(np.abs(part - first[side]) < _MAX_ZERO_VALUE * span) for part in parts[:third]])
     return bool(moved[side] < _LARGEST_MOVE * fell and near < _LARGEST_ZERO_FRACTION)
 
 

@@ -28,10 +28,6 @@ class SwingAtRest(NamedTuple):
     period_s: float
     periods: int
 
-    def with_period(self, period_s: float) -> "SwingAtRest":
-        """Copy with another period."""
-        return self._replace(period_s=period_s, periods=int(np.ptp(self.time_s) / period_s))
-
 
 def swing_at_rest(time_s: Floats, deflection: Floats) -> SwingAtRest:
     """Find the period in deflections of a pendulum at rest (n,), NaN without a spot.
@@ -107,7 +103,7 @@ def without_decay(turning: NDArray[np.complex128]) -> Floats:
 
 _ONE_SIGMA, _ONE_SIDED = 1.0, 2.706
 """Rises of -2 ln L for a standard uncertainty, and for a bound of 95 %."""
-_SWINGING = 5.0
+_MIN_OSCILLATION_RATIO = 5.0
 """Smallest mean square of the oscillation, relative to that of the reading noise, that is significant."""
 _U_LOG_READING = 0.5
 """Uncertainty of ln(variance of the reading) from neighbouring samples; slow air has a larger variance."""
@@ -166,7 +162,7 @@ def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
     def density(variance_a_period: float) -> float:
         return to_density * float(np.sqrt(0.5 * unit * variance_a_period))
 
-    swings = float(np.mean(np.abs(turning) ** 2)) > _SWINGING * 2 * expected
+    swings = float(np.mean(np.abs(turning) ** 2)) > _MIN_OSCILLATION_RATIO * 2 * expected
     value = density(_GRID[best]) if swings and rise[0] > GROUND_SEEN else 0.0
     u = 0.5 * (density(high) - density(low)) if value else density(high)
     upper = _crossing(rise, best, 1, _ONE_SIDED)
@@ -189,7 +185,7 @@ _DELAY_FREEDOM = 0.5
 """Degrees of freedom (complex) that the choice of the delay uses."""
 _STEPS_PER_INDEPENDENT = 1.125
 """Number of steps worth an independent one: neighbours correlate by 1/4 in pendulum and seismometer."""
-_FEWEST_FREE = 5
+_MIN_FREE_STEPS = 5
 _PERIOD_ITERATIONS = 3
 _CHANCE_LEVEL = 0.95
 _NORMAL_95 = 1.96
@@ -251,15 +247,16 @@ def witness_at_rest(time_s: Floats, deflection: Floats, witness: Seismogram) -> 
     compared = _compare_steps(rest, signals)
     for _ in range(_PERIOD_ITERATIONS):
         # a wandering oscillation shows its period only roughly; with the seismometer it is better known
-        rest = rest.with_period(compared.period_s)
+        periods = int(np.ptp(rest.time_s) / compared.period_s)
+        rest = rest._replace(period_s=compared.period_s, periods=periods)
         compared = _compare_steps(rest, signals)
     coherence, components = compared.coherence, signals.value.shape[1]
     # one degree of freedom for the decay, and those of the gains
     free = compared.steps - 1 - components - _DELAY_FREEDOM
-    if free < _FEWEST_FREE - 1:
+    if free < _MIN_FREE_STEPS - 1:
         raise DataError(
             f"seismometer and pendulum at rest have {compared.steps} periods in common; at least "
-            f"{_FEWEST_FREE + 1 + components} are needed"
+            f"{_MIN_FREE_STEPS + 1 + components} are needed"
         )
     taken = components + _DELAY_FREEDOM
     of_chance = min(1.0, (1 - coherence) * (free + taken) / free)

@@ -17,7 +17,7 @@ _LONGEST_S = 64.0
 _MIN_FRAMES = 64
 """Fewest frames of a stretch."""
 _LARGEST_LOST_PART = 0.1
-"""Fraction of lost frames from which on a stretch is left out."""
+"""Minimum fraction of lost frames of a stretch that is left out."""
 _WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
 """Window of Blackman and Harris: at sidelobes of -92 dB a swing of 1e4 times the beam's motion is gone."""
 _STARTS_PER_LENGTH = 4

@@ -220,7 +220,7 @@ def _independent_count(values: Floats) -> float:
     return len(values) / (1 + 2 * float(np.sum(correlation[1:length])))
 
 
-_LAG = 16
+_LAG_FRAMES = 16
 """Distance in frames of the positions whose difference shows a walk; between neighbours noise hides it."""
 _MEMORY_FRAMES = 1000
 """Number of differences in the running mean of their squares."""
@@ -265,7 +265,7 @@ class _BeamAxis:
 
     def _learn(self, place: float, noise: float) -> None:
         self._recent.append(place)
-        if len(self._recent) <= _LAG:
+        if len(self._recent) <= _LAG_FRAMES:
             return
         difference = place - self._recent.pop(0)
         self._count += 1
@@ -273,7 +273,7 @@ class _BeamAxis:
         self._square += share * (difference * difference - self._square)
         self._noise += share * (2.0 * noise - self._noise)
         moves = self._count >= _MIN_DIFFERENCES and self._square > _MIN_RATIO * self._noise
-        self.walk = (self._square - self._noise) / _LAG if moves else 0.0
+        self.walk = (self._square - self._noise) / _LAG_FRAMES if moves else 0.0
 
 
 class CausalReference:

@@ -24,7 +24,7 @@ FEWEST_PARTS: Final = 8
 _VARIANCE_RATIOS: Final = np.logspace(-1.5, 4.0, 12)
 """Variances of wandering noise that are tried, relative to white noise, after subtraction of a line."""
 _OCTAVES: Final = 7
-_MEMORIES: Final = (1 / 32, 1 / 8)
+_CORRELATION_TIMES: Final = (1 / 32, 1 / 8)
 """Correlation times of a wandering slope, relative to the record's length; it cannot show longer ones."""
 _P_WHITE: Final = 0.6
 _P_SHORT: Final = 0.2
@@ -97,18 +97,18 @@ def _wandering_covariances(count: int) -> tuple[tuple[Array, ...], tuple[Array, 
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     flicker = np.asarray(sum(np.exp(-apart * 2.0**-octave) for octave in range(_OCTAVES)))
     total = np.tril(np.ones((count, count)))
-    slopes = [total @ np.exp(-apart / (memory * count)) @ total.T for memory in _MEMORIES]
+    slopes = [total @ np.exp(-apart / (memory * count)) @ total.T for memory in _CORRELATION_TIMES]
     return (np.exp(-apart),), (flicker, total @ total.T, *slopes)
 
 
-_SIGNIFICANCE = 8.0
+_MIN_STEP_SIGNIFICANCE = 8.0
 """Significance of a step. One of 1,100 values of white noise exceeds it by chance, since six values show
 their scatter badly (one of 150 exceeds 5; simulated). Of 20,000 turning points 3 exceed 5 and none 6, and
 real noise is not as white. The least step that is reported should be above the noise."""
 _STEP_HALF = 6
 _KICK_HALF = 8
 """Turning points of a line: two for the line, six for its scatter."""
-_MOST_MISSING = _KICK_HALF // 2
+_MAX_MISSING = _KICK_HALF // 2
 """Most turning points missing in a row, half a line: over a longer gap the extrapolation is too far."""
 
 
@@ -145,7 +145,7 @@ class StepWatch:
         size = float(np.median(after) - np.median(before))
         scatter = math.hypot(robust_scatter(before), robust_scatter(after))
         # a step within one half makes that half scatter, so that it is found only between the halves
-        if abs(size) < max(self._least, _SIGNIFICANCE * scatter / math.sqrt(_STEP_HALF)):
+        if abs(size) < max(self._least, _MIN_STEP_SIGNIFICANCE * scatter / math.sqrt(_STEP_HALF)):
             return None
         time_ns = self._values[_STEP_HALF][0]
         for _ in range(_STEP_HALF):
@@ -177,7 +177,7 @@ class KickWatch:
         """
         if not math.isfinite(amplitude):
             return None
-        if self._points and index - self._points[-1][0] > _MOST_MISSING + 1:
+        if self._points and index - self._points[-1][0] > _MAX_MISSING + 1:
             self._points.clear()
         self._points.append((index, time_ns, amplitude))
         if len(self._points) < 2 * _KICK_HALF:
@@ -192,7 +192,7 @@ class KickWatch:
         # half a period is the slope of the times
         rate = math.pi * (count[-1] - count[0]) / time_s[-1] * float(np.mean(sizes))
         size = math.hypot(grown, rate * late_s)
-        if size < max(self._least, _SIGNIFICANCE * math.hypot(u_grown, rate * u_late_s)):
+        if size < max(self._least, _MIN_STEP_SIGNIFICANCE * math.hypot(u_grown, rate * u_late_s)):
             return None
         time_ns = self._points[_KICK_HALF][1]
         for _ in range(_KICK_HALF):

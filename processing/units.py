@@ -106,7 +106,7 @@ _TOKEN: Final = re.compile(
     r"|([^\s/*·^()√⁻⁰¹²³⁴-⁹]+)([⁻⁰¹²³⁴-⁹]*))"  # symbol, its power
 )
 
-_LONGEST: Final = 80
+_MAX_UNIT_CHARACTERS: Final = 80
 """Most characters of a unit."""
 _IN_NAMES: Final[Mapping[str, str]] = {
     "m": "m", "m2": "m^2", "m3": "m^3", "kg": "kg", "s": "s", "s2": "s^2", "ms": "ms", "us": "us",
@@ -140,8 +140,8 @@ def factors(unit: str) -> tuple[tuple[str, Fraction], ...]:
 
     Raises ConfigurationError for a text that is no unit.
     """
-    if len(unit) > _LONGEST:
-        raise ConfigurationError(f"{unit[:_LONGEST]!r} and more is not a known unit")
+    if len(unit) > _MAX_UNIT_CHARACTERS:
+        raise ConfigurationError(f"{unit[:_MAX_UNIT_CHARACTERS]!r} and more is not a known unit")
     tokens = [match for match in _TOKEN.finditer(unit.strip()) if match[0].strip()]
     if not any(match[4] for match in tokens) or "".join(match[0] for match in tokens).split() != unit.split():
         raise ConfigurationError(f"{unit!r} is not a known unit")

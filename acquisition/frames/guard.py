@@ -79,7 +79,7 @@ class FrameChecks:
             numbers[1] = _INT_END - 1
             frame = frame._replace(device_time_ns=numbers[1])
         if set(map(type, numbers)) != {int} or not -_INT_END <= min(numbers) <= max(numbers) < _INT_END:
-            numbers = [_whole(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
+            numbers = [_whole_number(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
             frame = Frame(image, *numbers)
         number, _, host_time_ns = numbers
         ahead_ns = host_time_ns - time.monotonic_ns()
@@ -306,7 +306,7 @@ def clock_rate_text(drift_ppm: float) -> str:
     return f"the camera's clock runs {1.0 + 1e-6 * drift_ppm:.6g} times as fast as the computer's"
 
 
-def _whole(name: str, value: object) -> int:
+def _whole_number(name: str, value: object) -> int:
     if isinstance(value, int | np.integer) and not isinstance(value, bool) and -_INT_END <= value < _INT_END:
         return int(value)
     raise _refusal(

@@ -18,7 +18,7 @@ _LARGEST_GAP: Final = 1 << 31
 """A larger jump of a number means that the counter was reset, not that frames were lost."""
 _MAX_LOSS_AT_WRAP: Final = 1000
 """Largest number of frames that can be lost where a counter begins again."""
-_RESTARTED_AFTER: Final = 3
+_MIN_RISING_OLD_NUMBERS: Final = 3
 """This many old but rising numbers in a row are no late frames: the camera has begun to count again."""
 LAST_SHORT_ID: Final = 65535
 """Last 16-bit number of a block, which is followed by 1; zero is not used (GigE Vision 1.x)."""
@@ -87,7 +87,7 @@ class BlockNumbers:
         if self._stale and block <= self._stale[-1]:
             self._stale.clear()
         self._stale.append(block)
-        if len(self._stale) >= _RESTARTED_AFTER:
+        if len(self._stale) >= _MIN_RISING_OLD_NUMBERS:
             raise CameraLost(
                 f"{self._name}: its block numbers and its clock have begun again, at {block} "
                 f"after {self._last_block}: it has reset itself; see its supply and its cable"

@@ -19,8 +19,8 @@ _COMPRESSION = b"zstd"
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode and length of a message, its channel, sequence, log time, publish time; its content follows."""
 MESSAGE_HEAD_BYTES: Final = _MESSAGE.size
-_BEGIN = struct.Struct("<BQH")
-"""The part of it that all messages of one channel and length share."""
+_MESSAGE_BEGIN = struct.Struct("<BQH")
+"""The part of a message that all messages of one channel and length share."""
 
 
 class Message(NamedTuple):
@@ -72,24 +72,24 @@ class ChunkPlaces:
         return map(self.__getitem__, range(len(self)))
 
 
-_MOST_CHANNELS = 64
+_MAX_CHANNELS = 64
 """Channels that a place has bits for; records have fewer."""
 
 
 def bits(channels: Iterable[int]) -> int:
     """One bit for each channel."""
-    return sum(1 << number for number in channels if number < _MOST_CHANNELS)
+    return sum(1 << number for number in channels if number < _MAX_CHANNELS)
 
 
-def chunk_at(place: int, data: bytes) -> ChunkPlace | None:
+def chunk_at(offset: int, data: bytes) -> ChunkPlace | None:
     """The chunk at a position in the file, where `data` begin; None if they are not the head of one."""
     if len(data) < CHUNK_HEAD.size:
         return None
     opcode, length, start_ns, end_ns, _, _, name_bytes, name, size = CHUNK_HEAD.unpack_from(data)
     if (opcode, name_bytes, name) != (Opcode.CHUNK, len(_COMPRESSION), _COMPRESSION) or start_ns > end_ns:
         return None
-    agree = length == CHUNK_HEAD.size - HEAD.size + size
-    return ChunkPlace(place, HEAD.size + length, start_ns, end_ns) if agree else None
+    lengths_agree = length == CHUNK_HEAD.size - HEAD.size + size
+    return ChunkPlace(offset, HEAD.size + length, start_ns, end_ns) if lengths_agree else None
 
 
 def content_of(record: bytes, place: ChunkPlace, zstd: zstandard.ZstdDecompressor) -> bytes:
@@ -124,8 +124,8 @@ class Piece:
         self._runs: dict[str, list[range]] = {}
         at = 0
         while at < len(content):
-            begin, head = at, content[at : at + _BEGIN.size]
-            opcode, length, channel = _BEGIN.unpack(head)
+            begin, head = at, content[at : at + _MESSAGE_BEGIN.size]
+            opcode, length, channel = _MESSAGE_BEGIN.unpack(head)
             step = HEAD.size + length
             at += step
             # the first chunk begins with schemas and channels, which are no messages

@@ -24,7 +24,6 @@ from acquisition.camera import Image
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     CAMERA_TOPIC,
-    DEFLECTION_FIELDS,
     LOG_TOPIC,
     PREVIEW_TOPIC,
     SENSOR_FRAME,
@@ -33,7 +32,6 @@ from acquisition.record.topics import (
     IntegerGaussian,
     RecordedWindow,
 )
-from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.kernel import kernel
 from processing.spot import Spot
@@ -42,10 +40,10 @@ from processing.units import ARCSEC_RAD
 
 _ZSTD_LEVEL = 1
 _LARGE_BYTES = 64 * 1024
-"""Size from which on an image is compressed by itself, which is faster than in a chunk of small messages."""
+"""Minimum size of an image compressed by itself, which is faster than in a chunk of small messages."""
 _NO_MODEL = IntegerGaussian(0, 0, 0, 0, 0, 0)
 
-_LAST = 9216
+_LAST_TABLE_ENTRY = 9216
 """Last entry of the table: 6 standard deviations, where less than one part in 4096 is left."""
 _DECAY = 1150671902385460292
 """exp(-1/512) times 2^60, rounded down."""
@@ -191,12 +189,12 @@ def _fill_planes(
     offset = (background << 12) + (1 << 14)
     across = np.empty(nx, dtype=np.int64)
     for column in range(nx):
-        across[column] = table[min((256 * column - x) ** 2 * inverse_x >> 40, _LAST)]
+        across[column] = table[min((256 * column - x) ** 2 * inverse_x >> 40, _LAST_TABLE_ENTRY)]
     low = np.zeros(8 * in_plane, dtype=np.uint8)
     high = np.zeros(8 * in_plane if bits > 8 else 0, dtype=np.uint8)
     used = 0
     for row in range(ny):
-        height = amplitude * table[min((256 * row - y) ** 2 * inverse_y >> 40, _LAST)] >> 12
+        height = amplitude * table[min((256 * row - y) ** 2 * inverse_y >> 40, _LAST_TABLE_ENTRY)] >> 12
         for column in range(nx):
             rest = (np.int64(image[row, column]) - ((height * across[column] + offset) >> 15)) & modulus
             # 0, -1, 1, -2, ... become 0, 1, 2, 3, ...: twice the number, all bits turned where it is negative
@@ -220,7 +218,7 @@ def _fill_planes(
 def _table() -> NDArray[np.int64]:
     """exp(-i/512) times 4096, rounded, from repeated products of integers; the last entry is 0."""
     entries, value = [], 1 << 60
-    for _ in range(_LAST):
+    for _ in range(_LAST_TABLE_ENTRY):
         entries.append(((value >> 47) + 1) >> 1)
         value = value * _DECAY >> 60
     return np.array([*entries, 0], dtype=np.int64)
@@ -246,13 +244,6 @@ def encode_spots(
     )
 
 
-def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
-    """The deflections in a table of spots."""
-    # copies, so that the deflections do not keep the whole table in memory
-    x, y, u_x, u_y = (np.array(spots[name], dtype=np.float64) for name in DEFLECTION_FIELDS[unit])
-    return Deflections(np.array(spots["time_ns"], dtype=np.int64), x, y, u_x, u_y, unit)
-
-
 def encode_swing(kind: MessageType, half_cycle: HalfCycle) -> bytes:
     """Message of type `SWING` or `SWING_UNCALIBRATED`."""
     display_values = [2.0 * half_cycle.half_period_s]
@@ -261,25 +252,6 @@ def encode_swing(kind: MessageType, half_cycle: HalfCycle) -> bytes:
     return kind.encode(
         *[getattr(half_cycle, name) for name in HalfCycle.__dataclass_fields__], *display_values
     )
-
-
-def swings_of(table: NDArray[Any]) -> list[HalfCycle]:
-    """Half-cycles from a record's table, whose first fields are those of `HalfCycle` in order."""
-    return [HalfCycle(*row[: len(HalfCycle.__dataclass_fields__)]) for row in table.tolist()]
-
-
-def encode_balance(kind: MessageType, balance: Balance) -> bytes:
-    """Message of type `BALANCE` or `BALANCE_UNCALIBRATED`, depending on the balance's unit."""
-    return kind.encode(*[getattr(balance, name) for name in names_with_units(balance.unit)])
-
-
-def balances_of(table: NDArray[Any], unit: DeflectionUnit) -> list[Balance]:
-    """Balances from a record's table."""
-    names = names_with_units(unit)
-    return [
-        Balance(**{name: row[key] for name, key in names.items()}, unit=unit)
-        for row in (dict(zip(table.dtype.names or (), row, strict=True)) for row in table.tolist())
-    ]
 
 
 _PREVIEW_PX = 480

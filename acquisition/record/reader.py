@@ -15,20 +15,14 @@ from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
 from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Damage, Message
 from acquisition.record.chunk import Piece as Piece
-from acquisition.record.codec import (
-    balances_of,
-    decode_preview,
-    decode_window,
-    deflections_of,
-    preview_step,
-    swings_of,
-)
+from acquisition.record.codec import decode_preview, decode_window, preview_step
 from acquisition.record.digest import is_being_written, utc
 from acquisition.record.events import Event
 from acquisition.record.read_file import ReadFile
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     BALANCE,
+    DEFLECTION_FIELDS,
     EVENT,
     IMAGE,
     KIND_OF,
@@ -44,7 +38,7 @@ from acquisition.record.topics import (
     TimedMessage,
     number_topics,
 )
-from processing.balance import Balance
+from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.swing import HalfCycle
@@ -259,7 +253,7 @@ class RecordReader:
         """Log time of a time on the frames' clock; 0 for the record's beginning (None)."""
         return 0 if start_ns is None else start_ns + self.epoch_offset_ns
 
-    def _of(self, topic: str, piece: Piece | None) -> Iterator[Message]:
+    def _topic_messages(self, topic: str, piece: Piece | None) -> Iterator[Message]:
         """Messages of a topic: all, or those in a piece."""
         return self.messages(topic) if piece is None else piece.messages(topic)
 
@@ -278,7 +272,7 @@ class RecordReader:
         kind = KIND_OF[value_class]
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in self._of(kind.topic, piece)
+            for message in self._topic_messages(kind.topic, piece)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -291,7 +285,10 @@ class RecordReader:
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
         """Deflections in rows returned by `spots` or `spot_blocks`; by default of the whole record."""
-        return deflections_of(self.spots() if spots is None else spots, self.deflection_unit)
+        spots, unit = self.spots() if spots is None else spots, self.deflection_unit
+        # copies, so that the deflections do not keep the whole table in memory
+        x, y, u_x, u_y = (np.array(spots[name], dtype=np.float64) for name in DEFLECTION_FIELDS[unit])
+        return Deflections(np.array(spots["time_ns"], dtype=np.int64), x, y, u_x, u_y, unit)
 
     def spot_blocks(
         self, start_ns: int | None = None, fields: Collection[str] | None = None
@@ -310,15 +307,22 @@ class RecordReader:
 
     def swings(self, piece: Piece | None = None) -> list[HalfCycle]:
         """All half-cycles, or those in a piece, with amplitudes in `deflection_unit`."""
-        return swings_of(self.table(SWING.topic, piece))
+        # the first fields of a row are those of `HalfCycle` in order
+        count = len(HalfCycle.__dataclass_fields__)
+        return [HalfCycle(*row[:count]) for row in self.table(SWING.topic, piece).tolist()]
 
     def balances(self, piece: Piece | None = None) -> list[Balance]:
         """All balances, or those in a piece, in `deflection_unit`."""
-        return balances_of(self.table(BALANCE.topic, piece), self.deflection_unit)
+        table, names = self.table(BALANCE.topic, piece), names_with_units(self.deflection_unit)
+        rows = (dict(zip(table.dtype.names or (), row, strict=True)) for row in table.tolist())
+        return [
+            Balance(**{name: row[key] for name, key in names.items()}, unit=self.deflection_unit)
+            for row in rows
+        ]
 
     def events(self, piece: Piece | None = None) -> list[Event]:
         """All events, or those in a piece."""
-        return [Event(*EVENT.decode(one.data)[:3]) for one in self._of(EVENT.topic, piece)]
+        return [Event(*EVENT.decode(one.data)[:3]) for one in self._topic_messages(EVENT.topic, piece)]
 
     def notes(self) -> list[RecordedNote]:
         """Notes of operators during the run."""

@@ -15,7 +15,6 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from acquisition.camera import Frame, Image
 from acquisition.record import pixels_beside
 from acquisition.record.codec import (
-    encode_balance,
     encode_log,
     encode_preview,
     encode_spots,
@@ -43,7 +42,7 @@ from acquisition.record.topics import (
     TimedMessage,
     number_topics,
 )
-from processing.balance import Balance
+from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
@@ -209,7 +208,8 @@ class RecordWriter:
     def write_balance(self, balance: Balance) -> None:
         """Write one balance. Raises ValueError if its unit is not the record's `deflection_unit`."""
         self._check_unit(balance.unit)
-        self._add(BALANCE.topic, balance.time_ns, encode_balance(self._balance, balance))
+        values = [getattr(balance, name) for name in names_with_units(balance.unit)]
+        self._add(BALANCE.topic, balance.time_ns, self._balance.encode(*values))
 
     def write_event(self, time_ns: int, kind: str, text: str) -> None:
         """Write an event, also as a line of the log, which viewers display."""
@@ -350,8 +350,8 @@ class RecordWriter:
             # without an end event, readers could not tell why the run ended
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
                 event = Event(self._end_ns - self._offset_ns, kind, what)
-                reason = EVENT.encode(*event, event.level)
-                self._numbers.add(EVENT.topic, self._sequence, self._end_ns, reason)
+                encoded_event = EVENT.encode(*event, event.level)
+                self._numbers.add(EVENT.topic, self._sequence, self._end_ns, encoded_event)
                 self._sequence += 1
         except OSError as error:
             failure = error

@@ -19,7 +19,7 @@ from acquisition.simulation.equation_of_motion import (
 )
 from acquisition.simulation.ground import ground_of
 from acquisition.simulation.settings import ARCSEC_RAD, ContactTruth, FastModeTruth, SimulationSettings
-from acquisition.simulation.smooth_series import Pieces, SmoothSeries, no_pieces
+from acquisition.simulation.smooth_series import DEGREE, Pieces, SmoothSeries
 from processing.errors import ConfigurationError
 
 _ROWS = 256
@@ -108,7 +108,7 @@ class Motion:
             )
         self._mode = mode
         self._ground = ground
-        self._no_motion = no_pieces()
+        self._no_motion = Pieces(0.0, 1.0, np.empty((0, DEGREE + 1)))
         self._rule = equation_of_motion.collocation()
         self._rows = np.zeros((_ROWS, COLUMNS))
         self._turns = np.zeros((_TURNS, 2))

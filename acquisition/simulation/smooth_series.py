@@ -49,11 +49,6 @@ class Pieces(NamedTuple):
     coefficients: NDArray[np.float64]
 
 
-def no_pieces() -> Pieces:
-    """The function that is zero."""
-    return Pieces(0.0, 1.0, np.empty((0, DEGREE + 1)))
-
-
 def _basis() -> NDArray[np.float64]:
     """Contribution (6, 6) of six neighbouring coefficients to the polynomial between the middle two."""
     from scipy.interpolate import BSpline, PPoly
@@ -105,7 +100,7 @@ class SmoothSeries:
     terms
         Pairs of a factor and the term that it multiplies.
     end_s
-        Time from which on the series is not known; a reader stops there.
+        End of the time in which the series is known; a reader stops there.
     """
 
     def __init__(self, rate_hz: float, terms: Sequence[tuple[float, Term]], end_s: float = math.inf) -> None:

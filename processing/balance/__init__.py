@@ -3,13 +3,13 @@
 from processing.balance.advice import WeightResponses
 from processing.balance.balance import (
     Balance,
+    BalanceCheck,
     BalanceLimits,
     Doubt,
-    Fault,
     Room,
     Turn,
     Unreachable,
-    find_faults,
+    balance_checks,
     implausible,
     mass_centre_height_m,
     names_with_units,

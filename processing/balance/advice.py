@@ -22,7 +22,7 @@ _WEAKEST_EFFECT = 0.3
 """Smallest effect of a weight that is allowed for, relative to its expected effect."""
 _UNKNOWN_EFFECT = 30.0
 """Standard uncertainty of the effect of one turn of an unknown weight, in limits."""
-_MOST_UNKNOWN_TURNS = 1.0
+_MAX_UNKNOWN_TURNS = 1.0
 _TEST_MOVE = 10.0
 """Expected move of a test turn, in limits."""
 _TAKE_UP = 0.75
@@ -30,11 +30,11 @@ _TAKE_UP = 0.75
 _TAKE_UP_COST = 0.3
 _SMALLEST_GAIN = 0.2
 """Smallest expected gain of a turn, in squared limits."""
-_CAUTION = 0.25
+_VARIANCE_WEIGHT = 0.25
 """Weight of a turn's variance in its cost. A failed turn teaches something, so that 1 would be timid."""
 _LINE_UNCERTAINTIES = 2.0
 """Standard uncertainties by which a line may be wrong before balance is called unreachable."""
-_KNOWN_LINE_RAD = 0.3
+_MAX_U_KNOWN_LINE_RAD = 0.3
 """Largest uncertainty of the line of a weight that counts as known."""
 _LARGEST_PUSH = 4.0
 """Largest move of the rest position by one weight, relative to the distance from balance."""
@@ -44,7 +44,7 @@ _DOUBT_EVIDENCE = math.log(1e3)
 """Log evidence against a turn as stated above which the statement is doubted."""
 _DIRECTION_EVIDENCE = 2.0
 """Log evidence for a turn as stated above which its direction is confirmed."""
-_DRIFT = 0.1
+_STATE_DRIFT_STD = 0.1
 """Standard deviation of a state's change, in limits, without any move of a weight."""
 
 
@@ -66,9 +66,9 @@ class WeightResponses:
             )
 
     @property
-    def pairs(self) -> dict[str, int]:
+    def learned_turns(self) -> dict[str, int]:
         """Number of turns of each weight from which its response was learned."""
-        return {name: weight.pairs for name, weight in self._weights.items()}
+        return {name: weight.learned_turns for name, weight in self._weights.items()}
 
     def learn(
         self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
@@ -79,9 +79,9 @@ class WeightResponses:
             step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
             self._weights[weight].learn(parts, step, u_step)
 
-    def turned(self, weight: str, turns: float | Sequence[float]) -> None:
+    def follow_turns(self, weight: str, turns: float | Sequence[float]) -> None:
         """Account for turns without usable states: only the screw's position within its play is updated."""
-        self._weights[weight].turned(_parts(turns))
+        self._weights[weight].follow_turns(_parts(turns))
 
     def can_make(
         self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
@@ -100,32 +100,32 @@ class WeightResponses:
         known, parts = self._weights[weight], _parts(turns)
         step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
         as_stated = known.log_evidence(parts, step, u_step)
-        still = known.log_evidence([0.0], step, np.hypot(u_step, _DRIFT))
+        still = known.log_evidence([0.0], step, np.hypot(u_step, _STATE_DRIFT_STD))
         # all turns reversed, or only the first of several, with those after it as stated
-        other_ways = [[-part for part in parts], [-parts[0], *parts[1:]]]
-        reversed_way = max(known.log_evidence(way, step, u_step) for way in other_ways)
+        reversed_turns = [[-part for part in parts], [-parts[0], *parts[1:]]]
+        if_reversed = max(known.log_evidence(parts_made, step, u_step) for parts_made in reversed_turns)
         # the learned effect of a weight that never moved is zero: compare with the expected one, too
         as_expected = WeightResponse(known.nominal, known.u_nominal).log_evidence(parts, step, u_step)
         gain, doubt = max(
-            (still - min(as_stated, as_expected), Doubt.STUCK), (reversed_way - as_stated, Doubt.REVERSED)
+            (still - min(as_stated, as_expected), Doubt.STUCK), (if_reversed - as_stated, Doubt.REVERSED)
         )
         if gain > _DOUBT_EVIDENCE:
             return doubt
-        return None if as_stated - reversed_way > _DIRECTION_EVIDENCE else Doubt.OPEN
+        return None if as_stated - if_reversed > _DIRECTION_EVIDENCE else Doubt.OPEN
 
     def relearn(
-        self, weight: str, pairs: Sequence[tuple[Sequence[float], Floats, Floats, Floats]] = ()
+        self, weight: str, effects: Sequence[tuple[Sequence[float], Floats, Floats, Floats]] = ()
     ) -> None:
-        """Forget the learned response of one weight and learn from the likeliest of `pairs`.
+        """Forget the learned response of one weight and learn from the likeliest of `effects`.
 
-        A pair is (turns, state before, state after, standard uncertainty).
+        An effect is (turns, state before, state after, standard uncertainty).
         """
         known = self._weights[weight]
         fresh = self._weights[weight] = WeightResponse(known.nominal, known.u_nominal)
-        if pairs:
+        if effects:
             turns = [
                 (_parts(parts), (after - before) / self._scale, math.sqrt(2.0) * u / self._scale)
-                for parts, before, after, u in pairs
+                for parts, before, after, u in effects
             ]
             fresh.learn(*max(turns, key=lambda turn: fresh.log_evidence(*turn)))
 
@@ -137,16 +137,18 @@ class WeightResponses:
 
     def can_help(self, state: Floats, room: Room | None = None) -> bool:
         """Whether a turn of any weight is expected to improve the balance."""
-        wanted = np.nan_to_num(state / self._scale)
-        return any(self._best(name, state, wanted, room).gain > _SMALLEST_GAIN for name in self._weights)
+        scaled_state = np.nan_to_num(state / self._scale)
+        return any(
+            self._best(name, state, scaled_state, room).gain > _SMALLEST_GAIN for name in self._weights
+        )
 
     def test_turn(self, weight: str, state: Floats, room: Room | None, why: str) -> Turn:
         """Best turn of one weight, or a test turn if the best one is too small to show whether it moves."""
-        wanted = np.nan_to_num(state / self._scale)
-        best = self._best(weight, state, wanted, room)
+        scaled_state = np.nan_to_num(state / self._scale)
+        best = self._best(weight, state, scaled_state, room)
         known = self._weights[weight]
         shows = abs(sum(best.parts)) > known.largest_play
-        parts = best.parts if shows else self._test(weight, state, wanted, room)
+        parts = best.parts if shows else self._test(weight, state, scaled_state, room)
         return self._turn(weight, parts, state, room, f"{why}; ")
 
     def effect(self, weight: str) -> tuple[Floats, Floats]:
@@ -159,7 +161,7 @@ class WeightResponses:
         known = self._weights[weight]
         size = float(np.linalg.norm(known.nominal))
         distance = float(np.linalg.norm(np.nan_to_num(state / self._scale)))
-        return (distance / (_WEAKEST_EFFECT * size) if size else _MOST_UNKNOWN_TURNS) + known.largest_play
+        return (distance / (_WEAKEST_EFFECT * size) if size else _MAX_UNKNOWN_TURNS) + known.largest_play
 
     def advise(self, state: Floats, room: Room | None = None) -> Turn | Unreachable | None:
         """Next turn of one weight; None if the state is within the limits.
@@ -169,24 +171,26 @@ class WeightResponses:
         uncertainty. A turn that suffices alone is preferred. Weights without a learned turn come first,
         because all later turns benefit; then the one whose turn is the most uncertain.
         """
-        wanted = np.nan_to_num(state / self._scale)
-        if np.all(np.abs(wanted) <= 1.0):
+        scaled_state = np.nan_to_num(state / self._scale)
+        if np.all(np.abs(scaled_state) <= 1.0):
             return None
-        if why := self._unreachable(wanted):
+        if why := self._unreachable(scaled_state):
             return Unreachable(why)
         # the correction of a height within its limit would cost more by the tilt that it brings
-        planned = wanted * [1.0, 1.0, float(abs(wanted[2]) > 0.7)]
+        planned = scaled_state * [1.0, 1.0, float(abs(scaled_state[2]) > 0.7)]
         options = {name: self._best(name, state, planned, room) for name in self._weights}
         needed = {name: found for name, found in options.items() if found.gain > _SMALLEST_GAIN}
-        new = [name for name in needed if not self._weights[name].pairs]
+        new = [name for name in needed if not self._weights[name].learned_turns]
         alone = [name for name, found in options.items() if found.suffices]
         # a weight that seems useless may act across the axis after which it is named
-        idle = [name for name in self._tilting if not self._weights[name].pairs and name not in needed]
-        tilted = bool(np.any(np.abs(wanted[:2]) > 1.0))
+        idle = [
+            name for name in self._tilting if not self._weights[name].learned_turns and name not in needed
+        ]
+        tilted = bool(np.any(np.abs(scaled_state[:2]) > 1.0))
         if not new and alone:
             name = max(alone, key=lambda name: options[name].gain)
         elif not needed or (tilted and idle and not new):
-            name = idle[0] if tilted and idle else self._least_known(wanted)
+            name = idle[0] if tilted and idle else self._least_known(scaled_state)
             return self._turn(name, self._test(name, state, planned, room), state, room, "a test turn: ")
         else:
             name = max(new or needed, key=lambda name: (not self._lifts(name), needed[name].u_move))
@@ -194,29 +198,30 @@ class WeightResponses:
                 name = max(needed, key=lambda name: needed[name].u_move)
         return self._turn(name, options[name].parts, state, room, "")
 
-    def _best(self, name: str, state: Floats, wanted: Floats, room: Room | None) -> "_Option":
+    def _best(self, name: str, state: Floats, scaled_state: Floats, room: Room | None) -> "_Option":
         """Turn of one weight with the smallest expected cost."""
         weight = self._weights[name]
         most = self.largest_turns(name, state)
-        straight = np.linspace(-most, most, 301)
-        zero = np.zeros_like(straight)
-        way = np.sign(straight)
-        first = np.concatenate([straight, straight + way * _TAKE_UP])
-        then = np.concatenate([zero, -way * _TAKE_UP])
+        turns = np.linspace(-most, most, 301)
+        take_up = np.sign(turns) * _TAKE_UP
+        first = np.concatenate([turns, turns + take_up])
+        then = np.concatenate([np.zeros_like(turns), -take_up])
         first, then = np.round(first, 2), np.round(then, 2)
         move, u_move = weight.predict([first, then])
-        left = wanted + move
-        keep = self._uncorrected(name)
-        cost = np.einsum("ni,ij,nj->n", left, keep, left) + _CAUTION * u_move**2 @ np.diag(keep)
-        cost += _TAKE_UP_COST * (then != 0) * bool(weight.pairs)
+        remaining = scaled_state + move
+        residual_projector = self._uncorrected(name)
+        cost = np.einsum(
+            "ni,ij,nj->n", remaining, residual_projector, remaining
+        ) + _VARIANCE_WEIGHT * u_move**2 @ np.diag(residual_projector)
+        cost += _TAKE_UP_COST * (then != 0) * bool(weight.learned_turns)
         allowed = self._allowed(state, move, u_move, room)
-        if not weight.pairs:
+        if not weight.learned_turns:
             # a first turn needs a take-up, as in `_test`, unless it is longer than the play
             allowed &= (then != 0) | (np.abs(first) > weight.largest_play)
         allowed |= first == 0
         k = int(np.argmin(np.where(allowed, cost, np.inf)))
         gain = float(cost[first == 0].min() - cost[k])
-        suffices = bool(np.all(np.abs(left[k]) + 2.0 * u_move[k] <= 0.9)) and first[k] != 0
+        suffices = bool(np.all(np.abs(remaining[k]) + 2.0 * u_move[k] <= 0.9)) and first[k] != 0
         return _Option((float(first[k]), float(then[k])), gain, float(np.linalg.norm(u_move[k])), suffices)
 
     def _uncorrected(self, name: str) -> Floats:
@@ -246,26 +251,28 @@ class WeightResponses:
         nominal = np.abs(self._weights[name].nominal)
         return bool(nominal[2] > max(nominal[0], nominal[1]))
 
-    def _least_known(self, wanted: Floats) -> str:
-        tilted = bool(np.any(np.abs(wanted[:2]) > 1.0))
-        return min(self._weights, key=lambda name: (self._weights[name].pairs, self._lifts(name) == tilted))
+    def _least_known(self, scaled_state: Floats) -> str:
+        tilted = bool(np.any(np.abs(scaled_state[:2]) > 1.0))
+        return min(
+            self._weights, key=lambda name: (self._weights[name].learned_turns, self._lifts(name) == tilted)
+        )
 
-    def _test(self, name: str, state: Floats, wanted: Floats, room: Room | None) -> tuple[float, float]:
+    def _test(self, name: str, state: Floats, scaled_state: Floats, room: Room | None) -> tuple[float, float]:
         """Test turn and take-up that show the effect of a weight, as large as the sensor allows."""
         weight = self._weights[name]
         mean, u = weight.effect()
         most = min(
             self.largest_turns(name, state), _TEST_MOVE / max(float(np.linalg.norm(np.hypot(mean, u))), 1e-9)
         )
-        most += weight.largest_play * min(1, weight.pairs)
+        most += weight.largest_play * min(1, weight.learned_turns)
         turns = np.round(np.linspace(-most, most, 40), 2)
         # without a take-up a first turn may be lost in the play of the screw
-        then = np.zeros_like(turns) if weight.pairs else -np.sign(turns) * _TAKE_UP
+        then = np.zeros_like(turns) if weight.learned_turns else -np.sign(turns) * _TAKE_UP
         move, u_move = weight.predict([turns - then, then])
         allowed = self._allowed(state, move, u_move, room) & (turns != 0)
         if not allowed.any():
-            return round(math.copysign(0.02, -float(wanted @ mean) or 1.0), 2), 0.0
-        cost = np.sum((wanted + move) ** 2, axis=-1) - np.sum(u_move**2, axis=-1)
+            return round(math.copysign(0.02, -float(scaled_state @ mean) or 1.0), 2), 0.0
+        cost = np.sum((scaled_state + move) ** 2, axis=-1) - np.sum(u_move**2, axis=-1)
         k = int(np.argmin(np.where(allowed, cost, np.inf)))
         return round(float(turns[k] - then[k]), 2), float(then[k])
 
@@ -278,7 +285,7 @@ class WeightResponses:
         if room is not None:
             rest, u_rest = state[:2] + move[0, :2] * self._scale[:2], u_move[0, :2] * self._scale[:2]
             swing = max(float(room.largest_swing_arcsec(rest, u_rest)), _SMALLEST_SWING_ARCSEC)
-        count = weight.pairs
+        count = weight.learned_turns
         why += (
             f"learned from {count} turn{'s' if count > 1 else ''}"
             if count
@@ -288,19 +295,19 @@ class WeightResponses:
         )
         return Turn(name, parts[0], why, parts[1], swing)
 
-    def _unreachable(self, wanted: Floats) -> str:
+    def _unreachable(self, scaled_state: Floats) -> str:
         """Reason why the weights cannot balance the rest position; empty as long as they may."""
         names = self._tilting
         lines = np.array([self._weights[name].line() for name in names])
-        if len(names) < 2 or not np.all(lines[:, 1] < _KNOWN_LINE_RAD):
+        if len(names) < 2 or not np.all(lines[:, 1] < _MAX_U_KNOWN_LINE_RAD):
             return ""
         # the lines as measured, and turned against one another within their uncertainties
         error = _LINE_UNCERTAINTIES * lines[:, 1] ** 2 / float(np.linalg.norm(lines[:, 1]))
         signs = product((-1.0, 0.0, 1.0), repeat=len(names))
-        left = [self._remaining_rest(wanted, lines[:, 0] + sign * error) for sign in signs]
+        left = [self._remaining_rest(scaled_state, lines[:, 0] + sign * error) for sign in signs]
         if not min(np.max(np.abs(rest)) for rest in left) > 1.0:
             return ""
-        across = float(np.linalg.norm(self._remaining_rest(wanted, lines[:, 0]))) * self._scale[0]
+        across = float(np.linalg.norm(self._remaining_rest(scaled_state, lines[:, 0]))) * self._scale[0]
         angles = ", ".join(
             f"{name} {math.degrees(angle):.0f} deg" for name, angle in zip(names, lines[:, 0], strict=True)
         )
@@ -309,14 +316,14 @@ class WeightResponses:
             f"{across:.0f} arcsec across it stay; move one of them to another side of the pendulum"
         )
 
-    def _remaining_rest(self, wanted: Floats, angles_rad: Floats) -> Floats:
+    def _remaining_rest(self, scaled_state: Floats, angles_rad: Floats) -> Floats:
         """Rest position, in limits, that remains if weights push along these lines within `_LARGEST_PUSH`."""
         from scipy.optimize import lsq_linear
 
-        most = _LARGEST_PUSH * max(float(np.linalg.norm(wanted[:2])), 1.0)
+        most = _LARGEST_PUSH * max(float(np.linalg.norm(scaled_state[:2])), 1.0)
         ways = np.array([np.cos(angles_rad), np.sin(angles_rad)])
-        pushes = lsq_linear(ways, -wanted[:2], bounds=(-most, most)).x
-        return np.asarray(wanted[:2] + ways @ pushes)
+        pushes = lsq_linear(ways, -scaled_state[:2], bounds=(-most, most)).x
+        return np.asarray(scaled_state[:2] + ways @ pushes)
 
 
 class _Option(NamedTuple):

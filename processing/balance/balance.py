@@ -163,8 +163,8 @@ class BalanceLimits:
     spin_deg_per_min: float = field(default=0.2, metadata={"gt": 0})
 
 
-class Fault(NamedTuple):
-    """Quantity that describes the balance, with its limit and the meaning of its sign."""
+class BalanceCheck(NamedTuple):
+    """A quantity of the balance checked against its limit, with the meaning of its sign."""
 
     name: str
     value: float
@@ -196,7 +196,9 @@ def mass_centre_height_m(
     return ball_radius_m - arm_m
 
 
-def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLimits) -> list[Fault]:
+def balance_checks(
+    balance: Balance, height: tuple[float, float], limits: BalanceLimits
+) -> list[BalanceCheck]:
     """All quantities of the balance with their limits. `height` is (value, standard uncertainty) in m.
 
     Raises ValueError for a balance in px: its limits are in arcsec.
@@ -209,32 +211,32 @@ def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLi
     b = balance
     per_min = 60.0 / degree
     return [
-        Fault(
+        BalanceCheck(
             "rest position X", b.rest_x / arcsec, b.u_rest_x / arcsec, "arcsec",
             limits.rest_arcsec, "mass centre too far towards " + ("+X" if b.rest_x > 0 else "-X"),
         ),
-        Fault(
+        BalanceCheck(
             "rest position Y", b.rest_y / arcsec, b.u_rest_y / arcsec, "arcsec",
             limits.rest_arcsec, "mass centre too far towards " + ("+Y" if b.rest_y > 0 else "-Y"),
         ),
-        Fault(
+        BalanceCheck(
             "mass centre", height[0] * 1e6, height[1] * 1e6, "µm", limits.height_m * 1e6,
             "too high: the period is long" if height[0] > 0 else "too low: the period is short",
         ),
-        Fault(
+        BalanceCheck(
             "angle of the line", b.line_angle_rad / degree, b.u_line_angle_rad / degree, "deg",
             limits.line_angle_deg, "turn the camera, or the mirror, "
             + ("back from X towards Y" if b.line_angle_rad > 0 else "from Y towards X"),
         ),
-        Fault(
+        BalanceCheck(
             "transverse motion", b.transverse_ratio, b.u_transverse_ratio, "", limits.transverse_ratio,
             "the start pushes sideways: release along Y",
         ),
-        Fault(
+        BalanceCheck(
             "leakage", b.width_ratio, b.u_width_ratio, "", limits.width_ratio,
             "the slow mode leaks into X: the axes of inertia lie askew to the contact",
         ),
-        Fault(
+        BalanceCheck(
             "spin", b.rotation_rad_per_s * per_min, b.u_rotation_rad_per_s * per_min, "deg/min",
             limits.spin_deg_per_min, "turns about the vertical: let it settle before the release",
         ),

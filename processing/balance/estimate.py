@@ -17,7 +17,7 @@ from processing.swing import TwoModes, separate_modes
 from processing.units import nanoseconds, seconds
 
 _WINDOW_PERIODS = 2.0
-_HISTORY = 8
+_HISTORY_ESTIMATES = 8
 """Number of estimates, one a slow period, from which rates follow: half a minute at a period of 4 s."""
 _FEWEST_IN_HISTORY = 4
 """Fewest estimates for a rate: a line leaves two degrees of freedom, which show how well it fits."""
@@ -33,13 +33,13 @@ minute is found soon after it has passed."""
 _REST_CHI2 = 4.0
 """Chi-square per sample below which the pendulum is at rest."""
 _FIRST_SIZE = 4096
-_NEAR_WHOLE = 0.1
+_MAX_HARMONIC_DISTANCE = 0.1
 """Distance from a whole multiple of the slow mode's frequency within which a weak line is a harmonic of its
 waveform: damping and noise under the line shift it by more than its uncertainty."""
 _LARGEST_DIFFERENCE, _LARGEST_DIFFERENCE_U = 1e-3, 3.0
 """Largest difference of a window and its later half, relative to amplitude and period, and in standard
 uncertainties; the larger one applies."""
-_OVERTONE = 1e-3
+_MAX_OVERTONE = 1e-3
 """Largest deviation of the waveform from a sine because of friction, as a fraction of the amplitude."""
 
 
@@ -177,7 +177,7 @@ class BalanceEstimator:
             last = self._history[-1][1]
             angle = last + math.remainder(angle - last, math.pi)
         self._history = [
-            *self._history[1 - _HISTORY :],
+            *self._history[1 - _HISTORY_ESTIMATES :],
             (
                 seconds(modes.time_ns),
                 angle,
@@ -273,6 +273,8 @@ def _without_harmonic(modes: TwoModes) -> TwoModes:
     ratio = slow.period_s / fast.period_s
     u_ratio = ratio * math.hypot(slow.u_period_s / slow.period_s, fast.u_period_s / fast.period_s)
     size = math.hypot(fast.x_amplitude, fast.y_amplitude)
-    if size > _OVERTONE * slow.amplitude or abs(ratio - round(ratio)) > max(3.0 * u_ratio, _NEAR_WHOLE):
+    if size > _MAX_OVERTONE * slow.amplitude or abs(ratio - round(ratio)) > max(
+        3.0 * u_ratio, _MAX_HARMONIC_DISTANCE
+    ):
         return modes
     return replace(modes, fast=None, fast_limit=max(modes.fast_limit, size))

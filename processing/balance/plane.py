@@ -24,12 +24,12 @@ _INTERVALS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Numbers of intervals of a cubic spline that are tried, after a line and a parabola."""
 _DIRECTIONS_PER_TERM = 3
 """Fewest directions per term of the curve."""
-_OVERLAP = 2.0
+_OVERLAP_VARIANCE = 2.0
 """Variance of a mean of directions whose windows overlap by half, relative to independent ones."""
-_OUTLYING = 4.0
+_OUTLIER_U = 4.0
 """Standard uncertainties beyond which a direction counts by its sign alone."""
-_ROUNDS = 3
-_HALVINGS = 40
+_ITERATIONS = 3
+_BISECTIONS = 40
 _LONGEST_GAP_PERIODS = 4.0
 """Longest interval without a direction, in periods, over which the plane counts as known."""
 _LARGEST_UNKNOWN_PART = 0.05
@@ -74,11 +74,11 @@ class PlaneOfSwing:
         """Angle by which the plane has turned since the start, at these times (n,)."""
         return np.asarray(self._since_start(times_ns) @ self.coefficients)
 
-    def u_turned(self, times_ns: Ints) -> Floats:
+    def u_turned_rad(self, times_ns: Ints) -> Floats:
         """Independent errors (n, terms) of `turned_rad`, each for one standard uncertainty, in rad."""
         return self._errors(self._since_start(times_ns))
 
-    def u_direction(self, times_ns: Ints) -> Floats:
+    def u_direction_rad(self, times_ns: Ints) -> Floats:
         """Independent errors (n, terms) of `direction_rad`, each for one standard uncertainty, in rad."""
         return self._errors(self._basis(times_ns))
 
@@ -154,19 +154,19 @@ def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> Pla
     period_s = float(np.median([one.period_s for one in known]))
     u = _with_motion_across(part, angle, u, size)
     knots, degree = _best_curve(part, angle, u)
-    coefficients, covariance, left = _fit_curve(_design(part, knots, degree), angle, u)
+    coefficients, covariance, residuals = _fit_curve(_design(part, knots, degree), angle, u)
     dof = len(angle) - len(coefficients)
-    chi2_per_dof = float(left @ left) / dof
+    chi2_per_dof = float(residuals @ residuals) / dof
     plane = PlaneOfSwing(
         first_ns=int(times_ns[0]),
         last_ns=int(times_ns[-1]),
         knots=knots,
         degree=degree,
         coefficients=coefficients,
-        covariance=_OVERLAP * max(1.0, chi2_per_dof) * covariance,
+        covariance=_OVERLAP_VARIANCE * max(1.0, chi2_per_dof) * covariance,
         directions=len(angle),
         chi2_per_dof=chi2_per_dof,
-        scatter_rad=float(np.sqrt(np.average((left * u) ** 2, weights=size**2))),
+        scatter_rad=float(np.sqrt(np.average((residuals * u) ** 2, weights=size**2))),
         start_ns=from_ns,
         period_s=period_s,
     )
@@ -220,19 +220,19 @@ def _with_motion_across(part: Floats, angle: Floats, u: Floats, size: Floats) ->
     design = _design(part, knots, degree)
     dof = len(angle) - design.shape[1]
     enlarged = u
-    for _ in range(_ROUNDS):
-        _, _, left = _fit_curve(design, angle, enlarged)
-        usual = max(1.0, robust_scatter(left, middle=0.0))
-        far = np.maximum(np.abs(left) / (_OUTLYING * usual), 1.0)
-        left2 = (left * enlarged / far) ** 2
-        low, high = 0.0, float(np.sum(left2 * size**2)) / dof
-        if float(np.sum(left2 / u**2)) <= dof:
+    for _ in range(_ITERATIONS):
+        _, _, residuals = _fit_curve(design, angle, enlarged)
+        usual = max(1.0, robust_scatter(residuals, middle=0.0))
+        outlier_factor = np.maximum(np.abs(residuals) / (_OUTLIER_U * usual), 1.0)
+        residuals2 = (residuals * enlarged / outlier_factor) ** 2
+        low, high = 0.0, float(np.sum(residuals2 * size**2)) / dof
+        if float(np.sum(residuals2 / u**2)) <= dof:
             high = 0.0
-        for _ in range(_HALVINGS if high > 0.0 else 0):
+        for _ in range(_BISECTIONS if high > 0.0 else 0):
             across2 = 0.5 * (low + high)
-            too_little = float(np.sum(left2 / (u**2 + across2 / size**2))) > dof
+            too_little = float(np.sum(residuals2 / (u**2 + across2 / size**2))) > dof
             low, high = (across2, high) if too_little else (low, across2)
-        enlarged = far * np.sqrt(u**2 + high / size**2)
+        enlarged = outlier_factor * np.sqrt(u**2 + high / size**2)
     return enlarged
 
 
@@ -255,13 +255,13 @@ def _best_curve(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
     chi2, terms = [], []
     for knots, degree in candidates:
         design = _design(part, knots, degree)
-        _, _, left = _fit_curve(design, angle, u)
-        chi2.append(float(left @ left))
+        _, _, residuals = _fit_curve(design, angle, u)
+        chi2.append(float(residuals @ residuals))
         terms.append(design.shape[1])
     noise2 = max(1.0, chi2[-1] / (len(angle) - terms[-1]))
-    independent = len(angle) / _OVERLAP
+    independent = len(angle) / _OVERLAP_VARIANCE
     criterion = [
-        value / (_OVERLAP * noise2) + count * math.log(independent)
+        value / (_OVERLAP_VARIANCE * noise2) + count * math.log(independent)
         for value, count in zip(chi2, terms, strict=True)
     ]
     return candidates[int(np.argmin(criterion))]
@@ -270,10 +270,12 @@ def _best_curve(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
 def _fit_curve(design: Floats, angle: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
     """Weighted least-squares fit: coefficients, their covariance, and residuals in uncertainties."""
     design = design / u[:, None]
-    directions, sizes, turns = np.linalg.svd(design, full_matrices=False)
-    inverse = np.where(sizes > 1e-10 * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
-    coefficients = turns.T @ (inverse * (directions.T @ (angle / u)))
-    covariance = (turns.T * inverse**2) @ turns
+    directions, singular_values, right = np.linalg.svd(design, full_matrices=False)
+    inverse = np.where(
+        singular_values > 1e-10 * singular_values[0], 1.0 / np.maximum(singular_values, 1e-300), 0.0
+    )
+    coefficients = right.T @ (inverse * (directions.T @ (angle / u)))
+    covariance = (right.T * inverse**2) @ right
     return coefficients, covariance, angle / u - design @ coefficients
 
 
@@ -306,7 +308,7 @@ def _doubt(plane: PlaneOfSwing, times_ns: Ints, from_ns: int, to_ns: int) -> str
     return ""
 
 
-_EARLY = 5
+_FIRST_BALANCES = 5
 """Number of balances at the beginning that show the transverse motion from the start."""
 
 
@@ -318,7 +320,9 @@ def balance_of_run(balances: Sequence[Balance], plane: PlaneOfSwing | None) -> B
     """
     if not balances:
         return None
-    first = sorted(balances[:_EARLY], key=lambda one: one.transverse_ratio)[len(balances[:_EARLY]) // 2]
+    first = sorted(balances[:_FIRST_BALANCES], key=lambda one: one.transverse_ratio)[
+        len(balances[:_FIRST_BALANCES]) // 2
+    ]
     width_ratio, u_width_ratio = _mean(balances, "width_ratio")
     rest_x, u_rest_x = _mean(balances, "rest_x")
     rest_y, u_rest_y = _mean(balances, "rest_y")

@@ -7,9 +7,9 @@ import numpy as np
 
 from processing.arrays import Floats
 
-_MOST_PLAY = 0.6
-_PLAYS = 25
-_SLACKS = 5
+_MAX_PLAY = 0.6
+_GRID_PLAYS = 25
+_GRID_SLACKS = 5
 _USUAL_PLAY = 0.3
 _U_TURN, _U_RELATIVE = 0.015, 0.01
 """Standard uncertainty of a turn made by hand, in turns and relative to the turn."""
@@ -32,11 +32,11 @@ class WeightResponse:
 
     def __init__(self, effect: Floats, u_effect: Floats) -> None:
         self.nominal, self.u_nominal = effect, u_effect
-        self.pairs = 0
+        self.learned_turns = 0
         self._seen = np.zeros((2, 2))
-        play = np.repeat(np.linspace(0.0, _MOST_PLAY, _PLAYS), _SLACKS)
+        play = np.repeat(np.linspace(0.0, _MAX_PLAY, _GRID_PLAYS), _GRID_SLACKS)
         # turns until a turn in the positive direction begins to move the weight
-        self._slack = play * np.tile(np.linspace(0.0, 1.0, _SLACKS), _PLAYS)
+        self._slack = play * np.tile(np.linspace(0.0, 1.0, _GRID_SLACKS), _GRID_PLAYS)
         self._play = play
         self._log = -play / _USUAL_PLAY
         self._mean = np.tile(effect, (len(play), 1))
@@ -45,7 +45,7 @@ class WeightResponse:
     @property
     def largest_play(self) -> float:
         """Largest play considered, in turns."""
-        return _MOST_PLAY
+        return _MAX_PLAY
 
     def _displacement(self, parts: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Displacement (..., hypotheses) of the weight by turns in sequence, in turns, and the slack left."""
@@ -63,7 +63,7 @@ class WeightResponse:
         weight = np.exp(self._log - self._log.max())
         return np.asarray(weight / weight.sum())
 
-    def turned(self, parts: Sequence[float]) -> None:
+    def follow_turns(self, parts: Sequence[float]) -> None:
         """Account for turns without a measurement: only the screw's position within its play is updated."""
         _, self._slack = self._displacement([np.asarray(part) for part in parts])
 
@@ -99,7 +99,7 @@ class WeightResponse:
         self._log = self._log - 0.5 * np.sum(np.where(seen, left**2 / total + np.log(total), 0.0), axis=1)
         self._mean = found
         self._variance = np.maximum(variance * (1.0 - gain * turns), 1e-12)
-        self.pairs += 1
+        self.learned_turns += 1
         if seen[:2].all():
             self._seen += np.outer(step[:2], step[:2]) / float(np.max(other[:2]))
 
@@ -115,9 +115,9 @@ class WeightResponse:
 
     def _moments(self, moved: Floats) -> tuple[Floats, Floats]:
         weight = self._weights()
-        likely = weight > 1e-6
-        weight, mean, variance = weight[likely], self._mean[likely], self._variance[likely]
-        moved = moved[..., likely]
+        probable = weight > 1e-6
+        weight, mean, variance = weight[probable], self._mean[probable], self._variance[probable]
+        moved = moved[..., probable]
         first = (moved * weight) @ mean
         hand = (_U_TURN**2 * (moved != 0) + (_U_RELATIVE * moved) ** 2) * weight
         second = (moved**2 * weight) @ (mean**2 + variance) + hand @ mean**2

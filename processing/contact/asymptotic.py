@@ -37,8 +37,8 @@ def decay_path(
     """Solve ``dx/ds = -(c + b x^p + d x)`` at rising s >= s_0, with derivatives.
 
     The variables are separated, s = integral dx/(c + b x^p + d x), and the integral is taken over pieces of
-    ln x. `b` stands for b/(p+1). Returns x and its derivatives by (start, b, p, c, d, s), shape (len, 6);
-    NaN after x has reached zero.
+    ln x. `b` stands for b/(p+1). Returns x and its derivatives with respect to (start, b, p, c, d, s), shape
+    (len, 6); NaN after x has reached zero.
     """
     path, gradient = np.full(len(rate_time), np.nan), np.full((len(rate_time), 6), np.nan)
     if not start > 0:
@@ -59,7 +59,7 @@ def decay_path(
         return y, x, power, np.where(np.all(r > 0, axis=1, keepdims=True), weights * half * x / r, np.nan), r
 
     def integrals(low: Floats, high: Floats) -> Floats:
-        """Integrals over x of 1/r, r the rate, and of its derivatives by b, p, c and d; one row a piece."""
+        """Integrals over x of 1/rate and its derivatives with respect to b, p, c and d; one row a piece."""
         y, x, power, over, r = nodes_of(low, high)
         by = -over / r
         return np.array([part.sum(axis=1) for part in (over, by * power, b * by * power * y, by, by * x)]).T
@@ -256,7 +256,7 @@ def fit_decay(
 
     Returns the solution with columns b, p, c, (d,) first amplitude, in units of the reference and of
     s = 4 t/T, and the fitted amplitudes in the unit of the points. With d the search runs in the
-    coordinates of `straight`.
+    coordinates of `to_valley_coordinates`.
     """
     x = points.amplitude / reference
     u = points.u_amplitude / reference
@@ -264,12 +264,12 @@ def fit_decay(
     first = decay_start(s, x, u, drag=drag)
 
     def natural(values: Floats) -> tuple[Floats, Floats]:
-        """b, p, c, (d,) start, and their derivatives by the solver's columns."""
+        """b, p, c, (d,) start, and their derivatives with respect to the solver's columns."""
         out, matrix = values.copy(), np.eye(len(values))
         if drag:
             moved = np.column_stack([values, values[:, None] + 1e-30j * matrix])
             b = np.exp(moved[_B])
-            found = np.array([b, *from_straight(b, moved[_P], moved[_D])])
+            found = np.array([b, *from_valley_coordinates(b, moved[_P], moved[_D])])
             out[[_B, _P, _D]], matrix[[_B, _P, _D]] = found[:, 0].real, found[:, 1:].imag / 1e-30
         return out, matrix
 
@@ -301,7 +301,7 @@ def fit_decay(
         )
 
     rate = (x[0] - x[-1]) / (s[-1] - s[0])
-    # with a rate of exactly zero the derivative by its exponent would vanish
+    # with a rate of exactly zero the derivative with respect to its exponent would vanish
     b0 = max(first.b * (first.p + 1), 1e-3 * rate)
     lower = np.full(5 if drag else 4, -np.inf)
     upper = np.full(5 if drag else 4, np.inf)
@@ -317,7 +317,7 @@ def fit_decay(
         start = np.array([b, first.p, c, *([first.d * slower] if drag else []), first.start])
         if drag:
             start[_B] = np.log(b)
-            start[_P], start[_D] = to_straight(float(b), first.p, first.d * slower)
+            start[_P], start[_D] = to_valley_coordinates(float(b), first.p, first.d * slower)
         start = np.clip(start, lower + 1e-9, upper - 1e-9)
         if np.all(np.isfinite(model(start)[0])):
             break
@@ -345,7 +345,7 @@ def fit_decay(
 # straight and runs along ln b.
 
 
-def from_straight(b: Any, omega: Any, linear: Any) -> tuple[Any, Any]:
+def from_valley_coordinates(b: Any, omega: Any, linear: Any) -> tuple[Any, Any]:
     """p and drag (in the unit of the linear loss), of real or complex coordinates.
 
     NaN if no p corresponds to the coordinates.
@@ -354,6 +354,6 @@ def from_straight(b: Any, omega: Any, linear: Any) -> tuple[Any, Any]:
     return (b + omega) / rest, linear - rest / 2
 
 
-def to_straight(b: float, p: float, drag: float) -> tuple[float, float]:
-    """The coordinates omega and linear; the inverse of `from_straight`."""
+def to_valley_coordinates(b: float, p: float, drag: float) -> tuple[float, float]:
+    """The coordinates omega and linear; the inverse of `from_valley_coordinates`."""
     return b * (p - 1) / (p + 1), b / (p + 1) + drag

@@ -25,11 +25,11 @@ from processing.swing import TurningPoints
 
 ComplexOrReal = NDArray[Any]
 
-_AT_LIMIT = 1e-4
+_LIMIT_DISTANCE = 1e-4
 """Distance from a limit below which a value is reported as being at it."""
-_LARGEST = 1e100
+_MAX_COLUMN = 1e100
 """Largest column for which parameters are computed; beyond it, where products overflow, they are NaN."""
-_SLOWER = (1.0, 0.9, 0.7, 0.4)
+_DECAY_RATE_FACTORS = (1.0, 0.9, 0.7, 0.4)
 """Rates of decay tried, over those of a start."""
 
 
@@ -104,7 +104,7 @@ class Coordinates:
     """`SolverCoordinates` of any law: coordinates of its own parameters (`ValleyCoordinates`) and of a fitted
     drag, first amplitude, coordinate of T0, first time.
 
-    `likely` proposes scaled start values, from those of a decay of the paper's form and the reference
+    `propose_starts` proposes scaled start values, from those of a decay of the paper's form and the reference
     amplitude. A parameter that replaces another without a calibration has its scaling by place.
     """
 
@@ -115,8 +115,8 @@ class Coordinates:
         names: tuple[str, ...],
         parameters: Sequence[Parameter],
         scalings: Mapping[str, Scaling],
-        straight: Callable[[bool], ValleyCoordinates],
-        likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
+        valley_coordinates: Callable[[bool], ValleyCoordinates],
+        propose_starts: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
         *,
         in_angles: bool = False,
     ) -> None:
@@ -131,8 +131,8 @@ class Coordinates:
         self._scalings = dict(zip(self._own, scalings.values(), strict=True))
         self._drag = DRAG.key in names
         self._found: dict[bytes, tuple[Floats, Floats]] = {}
-        self._straight, self._likely = straight(self._drag), likely
-        self.valley = self._straight.valley
+        self._valley_coordinates, self._propose_starts = valley_coordinates(self._drag), propose_starts
+        self.valley = self._valley_coordinates.valley
         self._rho = relative_curvature(pendulum) * self.reference
         count = len(self._own)
         self.map_by_log_rho = np.zeros(count + 4)
@@ -144,7 +144,7 @@ class Coordinates:
         self.lower = -self.upper
         halves = points.index[-1] - points.index[0]
         loss = abs(float(np.log(points.amplitude[0] / points.amplitude[-1]) / halves))
-        for place, (low, high) in self._straight.limits(loss).items():
+        for place, (low, high) in self._valley_coordinates.limits(loss).items():
             self.lower[place], self.upper[place] = low, high
         self.lower[-3], self.lower[-2] = 1e-3, 1e-6
 
@@ -159,12 +159,12 @@ class Coordinates:
     def _differentiated(self, columns: Floats) -> tuple[Floats, Floats]:
         count = len(columns)
         out = np.full((len(self._own) + 4, 1 + count), np.nan, dtype=np.complex128)
-        if np.all(np.abs(columns) < _LARGEST):
+        if np.all(np.abs(columns) < _MAX_COLUMN):
             moved = np.column_stack([columns, columns[:, None] + 1e-30j * np.eye(count)])
             searched = np.zeros((len(self._own) + 2, 1 + count), dtype=np.complex128)
             searched[self._places] = moved[self._searched]
             with np.errstate(all="ignore"):
-                found = self._straight.scaled(searched)
+                found = self._valley_coordinates.scaled(searched)
             out[[*range(len(self._own) + 1), -2]] = found
             out[[-3, -1]] = moved[[-3, -1]]
         # a trial step may lie anywhere; the caller rejects values that overflow
@@ -212,7 +212,7 @@ class Coordinates:
 
     def _columns(self, scaled: Mapping[str, float], first: float, time_s: float) -> Floats:
         values = np.array([scaled.get(key, 0.0) for key in (*self._own, DRAG.key, PERIOD)])
-        found = self._straight.coordinates(values)
+        found = self._valley_coordinates.coordinates(values)
         if not self._drag:
             found = np.delete(found, -2)
         out = np.empty(len(self.lower))
@@ -225,13 +225,13 @@ class Coordinates:
         loses = {key: scaling.loses for key, scaling in self._scalings.items()} | {DRAG.key: True}
         exponents = {scaling.exponent for scaling in self._scalings.values()}
         groups = []
-        for likely in self._likely(found, self.reference):
+        for start in self._propose_starts(found, self.reference):
             # a parameter that replaces another is proposed under the other's key
-            own = [key for key in likely if key not in (PERIOD, DRAG.key)]
+            own = [key for key in start if key not in (PERIOD, DRAG.key)]
             renamed = dict(zip(own, self._own, strict=True))
-            scaled = {renamed.get(key, key): value for key, value in likely.items()}
+            scaled = {renamed.get(key, key): value for key, value in start.items()}
             attempts = []
-            for slower in _SLOWER:
+            for slower in _DECAY_RATE_FACTORS:
                 weaker = {
                     key: value * slower if loses.get(key) and key not in exponents else value
                     for key, value in scaled.items()
@@ -243,19 +243,21 @@ class Coordinates:
     def held(self, name: str) -> HeldColumn:
         if name in self._own:
             place = self._own.index(name)
-            return self._straight.held[place] if self._straight.held else HeldColumn(place)
+            return (
+                self._valley_coordinates.held[place] if self._valley_coordinates.held else HeldColumn(place)
+            )
         place = {DRAG.key: len(self._own), AMPLITUDE.key: -3, PERIOD: -2, TIME.key: -1}[name]
         return HeldColumn(place % len(self.lower))
 
     def at_limit(self, columns: Floats) -> Sequence[str]:
-        near = np.minimum(columns - self.lower, self.upper - columns) < _AT_LIMIT
+        near = np.minimum(columns - self.lower, self.upper - columns) < _LIMIT_DISTANCE
         scaled, _ = self._scaled(columns)
         moved = [self.held(key).column for key in self._own]
         nearest = np.flatnonzero(near[: len(moved)]).tolist()
         found = {moved.index(column) if column in moved else column for column in nearest}
-        found |= set(self._straight.at_limit(scaled))
+        found |= set(self._valley_coordinates.at_limit(scaled))
         for place, parameter in enumerate(self._parameters):
             if not self._scalings[self._own[place]].exponent and parameter.lower and parameter.upper < np.inf:
                 inside = min(scaled[place] - parameter.lower, parameter.upper - scaled[place])
-                found |= {place} if inside < _AT_LIMIT else set()
+                found |= {place} if inside < _LIMIT_DISTANCE else set()
         return [self._own[place] for place in sorted(found)]

@@ -29,7 +29,7 @@ STEEPER_DRAG = "steeper_drag"
 """Key of a drag that grows with the 3/2 power of the speed, in s^1.5: ``-m g R steeper |phi'|^0.5 phi'``."""
 _NODES = 256
 """Nodes of a half-swing; with these numbers the third harmonic is right within 1e-4 of itself."""
-_ROUNDS = 5
+_ITERATIONS = 5
 """Iterations of the next amplitude and of the air's work: each gains the ratio of moment to weight, 1 %."""
 _AMPLITUDES, _BEYOND = 8, 1.02
 """Number of amplitudes at which a law is computed, and the highest of them over the highest wanted."""
@@ -38,7 +38,8 @@ _SAMPLES = 256
 
 
 class FreeSwing(NamedTuple):
-    """Deflection (rad), its derivative by the phase ``w0 t``, and that phase, shape (amplitudes, nodes).
+    """Deflection (rad), its derivative with respect to the phase ``w0 t``, and that phase, shape (amplitudes,
+    nodes).
 
     `end` (amplitudes,) is the phase at the last turning point.
     """
@@ -76,7 +77,7 @@ def free_swing(
         for _ in range(halves):
             following = a * ratio
             speed = 0.5 * (a + following) * sin
-            for _ in range(_ROUNDS):
+            for _ in range(_ITERATIONS):
                 half = 0.5 * (a + following)
                 phi = 0.5 * (a - following) + half * cos
                 friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)

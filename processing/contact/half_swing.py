@@ -19,12 +19,12 @@ from processing.arrays import Flags, Floats, Ints
 
 TABLE_RATIO = 8.0
 """Largest amplitude over the smallest one of a table, where the range of a decay is not known."""
-_MOST_GROWTH = 2.0
+_MAX_GROWTH = 2.0
 """Largest amplitude over the first one to which a walk goes: a swing that grows by more is no decay."""
 
 
 class HalfSwings(NamedTuple):
-    """Turning points that a law predicts, and their derivatives by the map's parameters.
+    """Turning points that a law predicts, and their derivatives with respect to the map's parameters.
 
     `amplitude` in units of the reference amplitude and `time` in units of T0, shape ``(points,)``,
     NaN after the pendulum has stopped; the gradients have one column per parameter of the map.
@@ -40,9 +40,9 @@ class OneHalfSwing(NamedTuple):
     """Loss and duration of a half-swing at the falling amplitudes of a free decay.
 
     Amplitudes and losses are in units of the reference, durations in units of T0. `loss_slope` and
-    `duration_slope` are derivatives by the amplitude; `loss_gradient` and `duration_gradient`, shape
-    ``(amplitudes, parameters)``, are those by the map's parameters at fixed amplitude. The column of the
-    map's last parameter, the first amplitude, is zero.
+    `duration_slope` are derivatives with respect to the amplitude; `loss_gradient` and `duration_gradient`,
+    shape ``(amplitudes, parameters)``, are those by the map's parameters at fixed amplitude. The column of
+    the map's last parameter, the first amplitude, is zero.
     """
 
     amplitude: Floats
@@ -106,7 +106,7 @@ class SwingTable(NamedTuple):
         return self.lowest <= amplitude and log(amplitude) <= self.knots[-1]
 
     def at(self, log_a: Floats) -> tuple[Floats, Floats]:
-        """Values (amplitudes, 2 + 2 k), and the derivatives of the first two by ln A."""
+        """Values (amplitudes, 2 + 2 k), and the derivatives of the first two with respect to ln A."""
         step = self.knots[1] - self.knots[0]
         k = np.clip(((log_a - self.knots[0]) / step).astype(np.int64), 0, self.cubics.shape[1] - 1)
         d = (log_a - self.knots[k])[:, None]
@@ -153,7 +153,7 @@ def walk(
     count
         Number of half-swings.
     """
-    most = _MOST_GROWTH * first
+    most = _MAX_GROWTH * first
     amplitudes = [first]
     rows: list[Floats] = []
     while len(amplitudes) <= count and 0 < amplitudes[-1] <= most:

@@ -149,8 +149,8 @@ class SolverCoordinates(Protocol):
     lower, upper
         Bounds of the columns.
     map_by_log_rho
-        Derivative of the map's parameters by ln(R/a), which a fit takes as known; 0 if the law does not
-        contain it.
+        Derivative of the map's parameters with respect to ln(R/a), which a fit takes as known; 0 if the law
+        does not contain it.
     valley
         Column along which friction and drag replace each other without a change of the turning points; None
         where there is none, or where it is not known.
@@ -164,11 +164,11 @@ class SolverCoordinates(Protocol):
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         """The map's parameters, T0 (s) and the time of the first turning point (s) in one array, and their
-        derivatives by the columns; NaN for columns without a solution. The map's parameters are the law's
-        own, the drag, the reference (rad), R/a times it, and the first amplitude."""
+        derivatives with respect to the columns; NaN for columns without a solution. The map's parameters are
+        the law's own, the drag, the reference (rad), R/a times it, and the first amplitude."""
 
     def physical(self, columns: Floats) -> tuple[Floats, Floats]:
-        """SI values in the order of `Law.fit_names`, and their derivatives by the columns."""
+        """SI values in the order of `Law.fit_names`, and their derivatives with respect to the columns."""
 
     def from_physical(self, values: Mapping[str, float]) -> Floats:
         """The columns that correspond to physical values, given by key."""

@@ -168,7 +168,7 @@ def spline_law(points: TurningPoints) -> tuple[Law, MomentSplines]:
     of_friction = [f"f{number}" for number in range(splines.friction_count)]
     of_elastic = [f"g{number + 1}" for number in range(splines.elastic_count)]
 
-    def likely(found: StartValues, _: float) -> list[dict[str, float]]:
+    def propose_starts(found: StartValues, _: float) -> list[dict[str, float]]:
         x = np.geomspace(0.3 * points.amplitude.min(), points.amplitude.max(), _PER_FIT) / reference
         wanted = found.decay.c + max(found.decay.b, 0.0) * x**found.decay.p
         friction = FactoredJacobian(splines.friction(x) / wanted[:, None]).coefficients(np.ones_like(x))
@@ -189,6 +189,6 @@ def spline_law(points: TurningPoints) -> tuple[Law, MomentSplines]:
         partial(_spline_moments, splines),
         scalings,
         lambda _: logarithms_of(),
-        likely,
+        propose_starts,
     )
     return law, splines

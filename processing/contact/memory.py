@@ -39,8 +39,8 @@ _NODES = 24
 """Nodes of a half-swing; decays by smooth laws then agree with an integration of their motion to 3e-7."""
 _PER_OCTAVE, _BEYOND, _FEWEST = 12, 1, 4
 """Numbers of amplitudes of a table: in each factor of two, beyond either end of the range, and at least."""
-_STEP = 1e-5
-"""Relative step of the numerical derivatives by the parameters."""
+_RELATIVE_STEP = 1e-5
+"""Relative step of the numerical derivatives with respect to the parameters."""
 _ROUNDS, _NEWTON_ROUNDS, _DRAG_ROUNDS = 12, 20, 20
 """Most iterations of a drag's work, of the next reversal, of the speed with a drag. Swings take 5, 5 and 6.
 A search also tries values for which one amplitude of many never converges: all would wait for it."""
@@ -193,7 +193,7 @@ def _table(
     log_a = log(lowest) + step * np.arange(-_BEYOND, steps + 1 + _BEYOND, dtype=np.float64)
     count = len(parameters)
     sets = np.repeat(parameters[None, :], 2 * count + 1, axis=0)
-    change: Floats = _STEP * np.maximum(np.abs(parameters), 1e-3)
+    change: Floats = _RELATIVE_STEP * np.maximum(np.abs(parameters), 1e-3)
     for k in range(count):
         sets[1 + k, k] += change[k]
         sets[1 + count + k, k] -= change[k]
@@ -234,12 +234,13 @@ def branch_law(
     parameters: Sequence[Parameter],
     branch: Branch,
     scalings: Mapping[str, Scaling],
-    straight: ValleyCoordinates,
-    likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
+    valley_coordinates: ValleyCoordinates,
+    propose_starts: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
     *,
     in_angles: bool = False,
 ) -> Law:
-    """The law with memory of a branch; see `Coordinates` for `scalings`, `straight` and `likely`. The linear
+    """The law with memory of a branch; see `Coordinates` for `scalings`, `valley_coordinates` and
+    `propose_starts`. The linear
     drag of `DRAG` may be one of the parameters.
     """
     own = tuple(p.key for p in parameters if p.key not in (PERIOD, DRAG.key))
@@ -260,8 +261,8 @@ def branch_law(
             Coordinates,
             parameters=parameters,
             scalings=scalings,
-            straight=lambda _: straight,
-            likely=likely,
+            valley_coordinates=lambda _: valley_coordinates,
+            propose_starts=propose_starts,
             in_angles=in_angles,
         ),
     )

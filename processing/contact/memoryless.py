@@ -13,8 +13,8 @@ and either quarter lasts ``integral dtheta / (2 pi sqrt(G))`` in units of T0, wi
 (+ after the turning point, - before it). The drag takes ``drag A^2`` times the integral of ``sin^2 sqrt(G)``
 in each quarter, and changes G by twice that over ``sin^2 theta``, with the integral up to theta.
 
-A law states f, e, D and V, and the derivatives of D and V by its parameters; those of a half-swing follow.
-Angles and the moments over m g R are in units of a reference.
+A law states f, e, D and V, and the derivatives of D and V with respect to its parameters; those of a
+half-swing follow. Angles and the moments over m g R are in units of a reference.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,16 +38,16 @@ from processing.contact.law import (
     weight_moment,
 )
 
-_PER_OCTAVE, _BEYOND, _FEWEST = 24, 2, 4
+_PER_OCTAVE, _MARGIN_AMPLITUDES, _MIN_AMPLITUDES = 24, 2, 4
 """Number of a table's amplitudes in a factor of two, beyond either end, and at least."""
 _NODES = 20
 """Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
-_ROUNDS, _DRAG_TOLERANCE, _NEWTON_TOLERANCE = 60, 1e-12, 1e-9
+_MAX_ITERATIONS, _DRAG_TOLERANCE, _NEWTON_TOLERANCE = 60, 1e-12, 1e-9
 """Most iterations, and the relative change at which they end: of those for a drag, each of which reduces the
 change by its moment over the weight's, and of Newton's, which square it."""
 _DERIVATIVE_TOLERANCE = 1e-9
-"""Relative change at which the iteration of derivatives by a drag ends."""
-_AMPLITUDE_ROUNDS, _AMPLITUDE_TOLERANCE = 5, 1e-9
+"""Relative change at which the iteration of derivatives with respect to a drag ends."""
+_MAX_AMPLITUDE_ITERATIONS, _AMPLITUDE_TOLERANCE = 5, 1e-9
 """Most iterations of the next amplitude with the drag's work before it, and the relative change at which they
 end: each reduces the change by a hundredth of the drag's moment."""
 
@@ -55,10 +55,11 @@ end: each reduces the change by a hundredth of the drag's moment."""
 class Moment(NamedTuple):
     """A moment over m g R and its work from 0, as functions of angles x > 0 of any shape.
 
-    `work` returns a first axis of the value and its derivatives by the parameters of the map at `places`.
+    `work` returns a first axis of the value and its derivatives with respect to the parameters of the map at
+    `parameter_indices`.
     """
 
-    places: tuple[int, ...]
+    parameter_indices: tuple[int, ...]
     moment: Callable[[Floats], Floats]
     work: Callable[[Floats], Floats]
 
@@ -119,15 +120,15 @@ def _quarter_nodes() -> _QuarterNodes:
 
 
 class _Quarter(NamedTuple):
-    """Quarters from or to turning points: time in T0, `lost`, the work of the drag over ``drag A^2``, and the
-    derivatives `by` and `lost_by` (first axis: the friction's parameters, the elastic moment's, the drag,
-    ln A). `friction` and `elastic` are the works at the turning points.
+    """Quarters from or to turning points: time in T0, `drag_work`, the work of the drag over ``drag A^2``,
+    and the derivatives `time_derivatives` and `drag_work_derivatives` (first axis: the friction's parameters,
+    the elastic moment's, the drag, ln A). `friction` and `elastic` are the works at the turning points.
     """
 
     time: Floats
-    by: Floats
-    lost: Floats
-    lost_by: Floats
+    time_derivatives: Floats
+    drag_work: Floats
+    drag_work_derivatives: Floats
     friction: Floats
     elastic: Floats
 
@@ -142,17 +143,17 @@ def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: 
     total = of_elastic[0] + sign * of_friction[0]
     without = 1 - total
     factor, travelled = without, without
-    for _ in range(_ROUNDS if drag else 1):
+    for _ in range(_MAX_ITERATIONS if drag else 1):
         travelled = np.sqrt(factor) @ nodes.travelled.T
         before, factor = factor, without - 2 * sign * drag * travelled
         if not np.any(np.abs(factor - before) > _DRAG_TOLERANCE):
             break
     speed = np.sqrt(factor)
     root = 1 / speed
-    time, lost = root @ nodes.weight / (2 * np.pi), speed @ (nodes.weight * nodes.sin2)
+    time, drag_work = root @ nodes.weight / (2 * np.pi), speed @ (nodes.weight * nodes.sin2)
     at_turn = friction[..., 0], elastic[..., 0]
     if not derived:
-        return _Quarter(time, time[None], lost, lost[None], *at_turn)
+        return _Quarter(time, time[None], drag_work, drag_work[None], *at_turn)
     along = x * (moments.elastic.moment(x) + sign * moments.friction.moment(x))
     explicit = np.concatenate(
         [
@@ -162,32 +163,38 @@ def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: 
             (2 * total - (along[:, :1] - along[:, 1:]) * per_size)[None],
         ]
     )
-    by = explicit
+    factor_derivatives = explicit
     if drag:
         # the drag's work depends on the speed, which all parameters change
-        for _ in range(_ROUNDS):
-            again = explicit - sign * drag * ((by * root) @ nodes.travelled.T)
-            settled = not np.any(np.abs(again - by) > _DERIVATIVE_TOLERANCE * np.max(np.abs(by), initial=0.0))
-            by = again
-            if settled:
+        for _ in range(_MAX_ITERATIONS):
+            again = explicit - sign * drag * ((factor_derivatives * root) @ nodes.travelled.T)
+            converged = not np.any(
+                np.abs(again - factor_derivatives)
+                > _DERIVATIVE_TOLERANCE * np.max(np.abs(factor_derivatives), initial=0.0)
+            )
+            factor_derivatives = again
+            if converged:
                 break
-    by_time = -0.25 / np.pi * np.einsum("kmn,mn->km", by, nodes.weight * root**3)
-    lost_by = 0.5 * np.einsum("kmn,mn->km", by, nodes.weight * nodes.sin2 * root)
-    return _Quarter(time, by_time, lost, lost_by, *at_turn)
+    time_derivatives = -0.25 / np.pi * np.einsum("kmn,mn->km", factor_derivatives, nodes.weight * root**3)
+    drag_work_derivatives = 0.5 * np.einsum(
+        "kmn,mn->km", factor_derivatives, nodes.weight * nodes.sin2 * root
+    )
+    return _Quarter(time, time_derivatives, drag_work, drag_work_derivatives, *at_turn)
 
 
 def _turning(
-    moments: Moments, highest: Floats, energy: Floats, lost: Floats, near: Floats | None = None
+    moments: Moments, highest: Floats, energy: Floats, drag_work: Floats, near: Floats | None = None
 ) -> Floats:
-    """Amplitudes A' below `highest` at which A'^2/2 - V + D + lost A'^2 is `energy`; NaN where there is none.
+    """Amplitudes A' below `highest` at which A'^2/2 - V + D + drag_work A'^2 is `energy`; NaN where there is
+    none.
 
     The search begins at `near`, or at the highest.
     """
     friction, elastic = moments.friction, moments.elastic
     x = highest if near is None else np.where(np.isfinite(near), near, highest)
-    for _ in range(_ROUNDS):
-        above = (0.5 + lost) * x**2 - elastic.work(x)[0] + friction.work(x)[0]
-        slope = (1 + 2 * lost) * x - elastic.moment(x) + friction.moment(x)
+    for _ in range(_MAX_ITERATIONS):
+        above = (0.5 + drag_work) * x**2 - elastic.work(x)[0] + friction.work(x)[0]
+        slope = (1 + 2 * drag_work) * x - elastic.moment(x) + friction.moment(x)
         before, x = x, np.clip(x - (above - energy) / slope, 0.1 * x, 1.5 * x)
         if not np.any(np.abs(x - before) > _NEWTON_TOLERANCE * highest):
             break
@@ -198,48 +205,56 @@ def memoryless_table(
     moments_function: MomentsFunction, parameters: Floats, highest: float, lowest: float
 ) -> SwingTable | None:
     """The law's table (`Law.table`)."""
-    steps = max(_FEWEST, ceil(_PER_OCTAVE * log(highest / lowest, 2)))
+    steps = max(_MIN_AMPLITUDES, ceil(_PER_OCTAVE * log(highest / lowest, 2)))
     log_a = np.linspace(log(lowest), log(highest), steps + 1)
     step = log_a[1] - log_a[0]
-    log_a = log_a[0] + step * np.arange(-_BEYOND, steps + 1 + _BEYOND)
+    log_a = log_a[0] + step * np.arange(-_MARGIN_AMPLITUDES, steps + 1 + _MARGIN_AMPLITUDES)
     a = np.exp(log_a)
     with np.errstate(all="ignore"):  # a search tries values for which terms overflow
         moments = moments_function(parameters, float(a[0]), float(a[-1]))
         if moments is None:
             return None
         rows = _rows(moments, a, float(parameters[-3]), len(parameters))
-    return SwingTable.of(log_a, rows, _FEWEST + _BEYOND, _BEYOND)
+    return SwingTable.of(log_a, rows, _MIN_AMPLITUDES + _MARGIN_AMPLITUDES, _MARGIN_AMPLITUDES)
 
 
 def _rows(moments: Moments, a: Floats, drag: float, count: int) -> Floats:
     """Rows (2 + 2 k, amplitudes) of a table, see `SwingTable.of`."""
     leaving = _quarter(moments, a, drag, 1.0)
-    energy = (0.5 - drag * leaving.lost) * a**2 - leaving.elastic[0] - leaving.friction[0]
-    following = _turning(moments, a, energy, drag * leaving.lost)
+    energy = (0.5 - drag * leaving.drag_work) * a**2 - leaving.elastic[0] - leaving.friction[0]
+    following = _turning(moments, a, energy, drag * leaving.drag_work)
     if drag:
-        for _ in range(_AMPLITUDE_ROUNDS):
-            lost = _quarter(moments, following, drag, -1.0, derived=False).lost
-            before, following = following, _turning(moments, a, energy, drag * lost, following)
+        for _ in range(_MAX_AMPLITUDE_ITERATIONS):
+            drag_work = _quarter(moments, following, drag, -1.0, derived=False).drag_work
+            before, following = following, _turning(moments, a, energy, drag * drag_work, following)
             if not np.any(np.abs(following - before) > _AMPLITUDE_TOLERANCE * a):
                 break
     coming = _quarter(moments, following, drag, -1.0)
-    by = np.concatenate(
+    amplitude_derivatives = np.concatenate(
         [
             -leaving.friction[1:] - coming.friction[1:],
             coming.elastic[1:] - leaving.elastic[1:],
-            -(leaving.lost * a**2 + coming.lost * following**2)[None],
+            -(leaving.drag_work * a**2 + coming.drag_work * following**2)[None],
         ]
     )
     if drag:
-        by -= drag * (leaving.lost_by[:-1] * a**2 + coming.lost_by[:-1] * following**2)
+        amplitude_derivatives -= drag * (
+            leaving.drag_work_derivatives[:-1] * a**2 + coming.drag_work_derivatives[:-1] * following**2
+        )
     at_end = moments.friction.moment(following) - moments.elastic.moment(following)
-    by /= following + at_end + drag * following * (2 * coming.lost + coming.lost_by[-1])
-    by_time = leaving.by[:-1] + coming.by[:-1] + coming.by[-1] / following * by
-    places = np.array([*moments.friction.places, *moments.elastic.places, count - 3])
+    amplitude_derivatives /= (
+        following + at_end + drag * following * (2 * coming.drag_work + coming.drag_work_derivatives[-1])
+    )
+    time_derivatives = (
+        leaving.time_derivatives[:-1]
+        + coming.time_derivatives[:-1]
+        + coming.time_derivatives[-1] / following * amplitude_derivatives
+    )
+    indices = np.array([*moments.friction.parameter_indices, *moments.elastic.parameter_indices, count - 3])
     rows = np.zeros((2 + 2 * count, len(a)))
     rows[0], rows[1] = following / a, leaving.time + coming.time
-    np.add.at(rows, 2 + places, by / a)
-    np.add.at(rows, 2 + count + places, by_time)
+    np.add.at(rows, 2 + indices, amplitude_derivatives / a)
+    np.add.at(rows, 2 + count + indices, time_derivatives)
     return rows
 
 
@@ -250,8 +265,8 @@ def memoryless_law(
     parameters: Sequence[Parameter],
     moments_function: MomentsFunction,
     scalings: Mapping[str, Scaling],
-    straight: Callable[[bool], ValleyCoordinates],
-    likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
+    valley_coordinates: Callable[[bool], ValleyCoordinates],
+    propose_starts: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
     uncalibrated: Mapping[str, Parameter] = MappingProxyType({}),
 ) -> Law:
     """A law of friction and elastic moment; see `Coordinates` for the last arguments."""
@@ -278,7 +293,11 @@ def memoryless_law(
         branch_moments=moments,
         table=partial(memoryless_table, moments_function),
         columns=partial(
-            Coordinates, parameters=parameters, scalings=scalings, straight=straight, likely=likely
+            Coordinates,
+            parameters=parameters,
+            scalings=scalings,
+            valley_coordinates=valley_coordinates,
+            propose_starts=propose_starts,
         ),
         uncalibrated=dict(uncalibrated),
     )

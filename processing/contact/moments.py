@@ -177,9 +177,9 @@ ATOMIC_DISTANCE_M = 0.3e-9
 _MAUGIS_PER_TABOR = 1.157
 """Maugis' parameter lambda over Tabor's mu, if Dugdale's step of the force has the work and the peak force of
 Lennard-Jones'."""
-_JKR_FROM = 5.0
-"""Tabor parameter above which JKR holds; DMT holds below 0.1 (Johnson & Greenwood 1997)."""
-_DMT_UP_TO = 0.1
+_MIN_TABOR_JKR = 5.0
+_MAX_TABOR_DMT = 0.1
+"""Tabor parameters above which JKR, and below which DMT holds (Johnson & Greenwood 1997)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,9 +202,9 @@ class AdhesiveContacts:
     @property
     def holds(self) -> str:
         """Name of the theory that holds at the Tabor parameter."""
-        if self.tabor > _JKR_FROM:
+        if self.tabor > _MIN_TABOR_JKR:
             return "JKR"
-        return "DMT" if self.tabor < _DMT_UP_TO else "Maugis-Dugdale"
+        return "DMT" if self.tabor < _MAX_TABOR_DMT else "Maugis-Dugdale"
 
 
 def adhesive_contacts(c: float, pendulum: PendulumOnBall) -> AdhesiveContacts:

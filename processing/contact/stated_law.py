@@ -2,7 +2,8 @@
 
     M = -m g R f(|phi|) sign(phi') + m g R e(|phi|) sign(phi)
 
-The works of f and e are computed by quadrature, their derivatives by the parameters by differences.
+The works of f and e are computed by quadrature, their derivatives with respect to the parameters by
+differences.
 """
 
 import inspect
@@ -32,9 +33,9 @@ _LOWEST, _PER_OCTAVE = 1e-5, 40
 work is tabulated in a factor of two."""
 _START_FACTORS = (1.0, 0.3, 3.0)
 """Factors of the stated start values, with each of which a fit begins."""
-_COMPARED = 24
+_COMPARED_ANGLES = 24
 """Angles at which a friction is compared with the paper's, for start values of its fit."""
-_STEP = 1e-4
+_RELATIVE_STEP = 1e-4
 """Relative step of a parameter, for derivatives."""
 
 StatedMoment = Callable[..., Floats]
@@ -175,7 +176,7 @@ def _starts_near_paper(
     """
     if not {"b", "p", "c"} <= like.keys():
         return []
-    phi_rad = np.geomspace(float(points.amplitude.min()), float(points.amplitude.max()), _COMPARED)
+    phi_rad = np.geomspace(float(points.amplitude.min()), float(points.amplitude.max()), _COMPARED_ANGLES)
     papers = like["c"] + like["b"] * phi_rad ** like["p"]
     scale = np.array([abs(value) or 1.0 for value in start.values()])
 
@@ -216,7 +217,7 @@ def _law(
 
     def moments_function(parameters: Floats, lowest: float, highest: float) -> Moments:
         known = dict(zip(names, parameters[:-3].tolist(), strict=True))
-        steps = {name: _STEP * max(abs(value), scale[name]) for name, value in known.items()}
+        steps = {name: _RELATIVE_STEP * max(abs(value), scale[name]) for name, value in known.items()}
         _, reference, rho = parameters[-3:].tolist()
 
         def stated_one(moment: StatedMoment, keys: tuple[str, ...]) -> Moment:
@@ -241,7 +242,7 @@ def _law(
     stated_start = {key: start[key] for key in own}
     near_paper = _starts_near_paper(friction, stated_start, like, points)
 
-    def likely(_: StartValues, __: float) -> list[dict[str, float]]:
+    def propose_starts(_: StartValues, __: float) -> list[dict[str, float]]:
         stated = [{key: times * value for key, value in stated_start.items()} for times in _START_FACTORS]
         return [{**scaled, **each, PERIOD: like[PERIOD]} for each in [*near_paper, *stated]]
 
@@ -263,5 +264,5 @@ def _law(
         moments_function,
         scalings,
         lambda _: logarithms_of(),
-        likely,
+        propose_starts,
     )

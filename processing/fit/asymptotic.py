@@ -248,7 +248,7 @@ def period_by_log_rho(
     rho: float,
     printed_curvature: bool,
 ) -> Floats:
-    """Derivatives of T0, n and kappa by ln(R/a), by linearised least squares."""
+    """Derivatives of T0, n and kappa with respect to ln(R/a), by linearised least squares."""
     x = points.amplitude[periods.where] / reference
     t0, n, kappa = solution.values
     drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
@@ -259,7 +259,8 @@ def period_by_log_rho(
 
 # A least-squares fit takes the errors of turning points as independent, which those of a driven pendulum are
 # not: a step of the drive moves all later turning points. The covariance of the fitted values follows from
-# their derivatives by each measured amplitude and time, and from how a step moves the later turning points.
+# their derivatives with respect to each measured amplitude and time, and from how a step moves the later
+# turning points.
 
 
 def driven_covariance(
@@ -274,7 +275,7 @@ def driven_covariance(
     Parameters
     ----------
     by_amplitude, by_time
-        (half-cycles, values) derivatives of the values by the measured amplitudes and times.
+        (half-cycles, values) derivatives of the values with respect to the measured amplitudes and times.
     points
         The turning points that `exact` was fitted to.
     exact
@@ -284,7 +285,7 @@ def driven_covariance(
     noise, rate = exact.ground.noise, 2 * np.pi / exact.mean_period_s.value
     model, columns = ExactModel.of(points, pendulum, exact)
     _, _, amplitude_jacobian, time_jacobian = model.curve(columns)
-    # derivatives of all amplitudes and times by the first amplitude
+    # derivatives of all amplitudes and times with respect to the first amplitude
     amplitude_slope = _to_the_end(amplitude_jacobian[:, -3])
     time_slope = _to_the_end(time_jacobian[:, -3] / model.reference)
 

@@ -23,15 +23,15 @@ from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian, Solution, solve
 from processing.swing import TurningPoints
 
-_SURELY_PARABOLIC = 0.01
+_MAX_PARABOLIC_U = 0.01
 """Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
-_MOST_EVALUATIONS = 40
+_MAX_EVALUATIONS = 40
 """Most evaluations of the model in one refit; a second round where it would set a limit unconverged."""
-_MOST_UNCONVERGED = 1
+_MAX_UNCONVERGED = 1
 """Refits that never converge which the search on one side passes over; one more ends it."""
-_MOST_HELD = 20
+_MAX_HELD_VALUES = 20
 """Most values at which a parameter is held on each side."""
-_TOLERANCE = 0.15
+_MAX_END_DIFFERENCE = 0.15
 """Largest difference of the two intervals' ends, over the half-width, at which value and uncertainty do."""
 
 
@@ -62,7 +62,7 @@ class _ConditionalModel:
         self._guess = float(best[self.column])
 
     def full(self, held: float, free: Floats) -> tuple[Floats, Floats]:
-        """All columns, with the missing one found by Newton's method, and its derivatives by the others."""
+        """All columns, the missing one by Newton's method, and its derivatives with respect to the others."""
         values = np.empty(len(free) + 1)
         values[self.free] = free
         values[self.column] = self._guess
@@ -158,8 +158,8 @@ def profile_likelihood(
     if not np.isfinite(u):
         u = abs(value) or 1.0
     scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
-    factor = _u_inflation(result, name)
-    scale *= factor**2
+    u_inflation = 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
+    scale *= u_inflation**2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     held = _ConditionalModel(model, name, best)
     low_end, high_end = model.lower[held.free], model.upper[held.free]
@@ -196,7 +196,7 @@ def profile_likelihood(
         z = farthest_step = min(target * unit, farthest)
         was_below: bool | None = None
         unconverged = 0
-        for _ in range(_MOST_HELD):
+        for _ in range(_MAX_HELD_VALUES):
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
             model_there = held.at(at(sign * z))
@@ -205,7 +205,7 @@ def profile_likelihood(
                 solution = _refitted(refitted, model_there, solution.values)
                 if solution is not None and is_open(solution):
                     solution, unconverged = None, unconverged + 1
-                    if unconverged > _MOST_UNCONVERGED:
+                    if unconverged > _MAX_UNCONVERGED:
                         z = high
                         break
             if solution is None:
@@ -257,11 +257,6 @@ def profile_likelihood(
     return Profile(lower, upper, np.array(trace))
 
 
-def _u_inflation(result: FitResult, name: str) -> float:
-    """Ratio of a standard uncertainty to that by the likelihood."""
-    return 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
-
-
 def _refitted(
     refit: Callable[..., Solution],
     model: Callable[[Floats], tuple[Floats, Floats]],
@@ -269,7 +264,7 @@ def _refitted(
 ) -> Solution | None:
     """The other parameters fitted again; None where the law has no value to begin with."""
     try:
-        return refit(model, start, max_evaluations=_MOST_EVALUATIONS)
+        return refit(model, start, max_evaluations=_MAX_EVALUATIONS)
     except DataError:
         return None
 
@@ -303,11 +298,13 @@ def _determination(
     value, u = result.estimate(name)
     verdict = Determinacy.INTERVAL
     lower, upper = result.interval(name)
-    by_profile = not u <= _SURELY_PARABOLIC * abs(value)
+    by_profile = not u <= _MAX_PARABOLIC_U * abs(value)
     if by_profile:
         found = profile_likelihood(points, pendulum, result, name)
         limits, half = np.array([found.lower, found.upper]), 0.5 * (upper - lower)
-        if u <= WELL_DETERMINED * abs(value) and np.all(np.abs(limits - (lower, upper)) < _TOLERANCE * half):
+        if u <= WELL_DETERMINED * abs(value) and np.all(
+            np.abs(limits - (lower, upper)) < _MAX_END_DIFFERENCE * half
+        ):
             by_profile = False
     if not by_profile:
         verdict = Determinacy.DETERMINED

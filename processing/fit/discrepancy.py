@@ -30,16 +30,16 @@ from processing.fit.terms import DrivenRows, LinearisedFit, RestrictedLikelihood
 from processing.least_squares import FactoredJacobian
 from processing.noise_models import robust_scatter
 
-_SPACING = 0.4
+_NODE_SPACING = 0.4
 """Largest distance of an error's nodes, in ln A."""
-_REACH = 2.0
+_CORRELATION_LENGTH = 2.0
 """Distance in ln A over which errors are correlated: a wrong exponent or a missing term bends slowly."""
 _SIZES_TRIED = 10.0 ** np.arange(-5.0, 0.51, 0.25)
 """Relative errors that are tried, of losses and harmonics; those of durations are times `_DURATION_SHARE`."""
 _DURATION_SHARE = 1e-3
-_DRIVES = (*10.0 ** np.arange(0.0, -3.01, -0.25), 0.0)
+_ERROR_DRIVE_FACTORS = (*10.0 ** np.arange(0.0, -3.01, -0.25), 0.0)
 """Drives of the ground that are tried, over the likeliest one of the law without errors."""
-_DIAGONAL = 1e-9
+_DIAGONAL_EXCESS = 1e-9
 """Added to the diagonal of a correlation matrix, so that rounding leaves it a root."""
 
 
@@ -98,7 +98,7 @@ def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
         found = DrivenRows.of(model, at.coordinates, noise, errors, of_waveform)
         return found if np.all(np.isfinite(found.residuals)) else None
 
-    tried = [here for here in map(driven, _with_drives(at, _DRIVES)) if here is not None]
+    tried = [here for here in map(driven, _with_drives(at, _ERROR_DRIVE_FACTORS)) if here is not None]
     if not tried:
         return DiscrepancySize(against_law=nan), None
     best = min((_scaled(here, _likeliest_sizes, 0.01) for here in tried), key=lambda one: one.deviance)
@@ -121,10 +121,10 @@ class _HatFunctions:
 
     def __init__(self, amplitude: Floats) -> None:
         x = np.log(amplitude)
-        count = max(3, int(np.ceil(np.ptp(x) / _SPACING)) + 1)
+        count = max(3, int(np.ceil(np.ptp(x) / _NODE_SPACING)) + 1)
         self._at = np.linspace(x.min(), x.max(), count)
-        apart = np.abs(self._at[:, None] - self._at) / _REACH
-        correlation = np.exp(-0.5 * apart**2) + _DIAGONAL * np.eye(count)
+        apart = np.abs(self._at[:, None] - self._at) / _CORRELATION_LENGTH
+        correlation = np.exp(-0.5 * apart**2) + _DIAGONAL_EXCESS * np.eye(count)
         self._root = np.linalg.cholesky(correlation)
         self.count = count
 
@@ -144,7 +144,7 @@ def _with_drives(at: LinearisedFit, factors: Iterable[float]) -> list[Noise]:
 
 
 def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
-    """Derivatives of the evidence's residuals by relative errors of losses, durations (0) and harmonics."""
+    """The evidence's derivatives with respect to relative errors of losses, durations (0) and harmonics."""
     model, waveform = at.model, at.model.evidence.waveform
     out = np.zeros((len(model.evidence_residuals(at.coordinates)), 3 * nodes.count))
     if waveform is None or model.pendulum is None:
@@ -198,13 +198,13 @@ def _likeliest_sizes(here: RestrictedLikelihood) -> _Sizes:
     return _Sizes(sizes, averaged, deviance)
 
 
-_CHUNK = 64
+_CHUNK_PLACES = 64
 """Places at which changes are computed together."""
-_EDGE = 5
+_EDGE_HALF_CYCLES = 5
 """Half-cycles at both ends at which no change is looked for."""
 _STEP_PROBABILITY = 0.2
 """Prior probability that a run has a step of the friction."""
-_DRIVE_FACTORS = (1.0, 0.3, 0.1, 0.03, 0.0)
+_CHANGE_DRIVE_FACTORS = (1.0, 0.3, 0.1, 0.03, 0.0)
 """Drives of the ground that are tried, over the likeliest one of the law without changes."""
 _CLEAR_GAIN = 20.0
 """Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
@@ -229,18 +229,15 @@ def with_changes(
         The fit that receives the changes, where it has terms that `at.fit` has not.
     """
     fit = at.fit if fit is None else fit
-    scans = _scans(at) if fit.loss == "linear" else []
+    drives = _with_drives(at, _CHANGE_DRIVE_FACTORS) if fit.loss == "linear" else ()
+    scans = [scan for noise in drives if (scan := _ChangeScan.of(at, noise)) is not None]
     if not scans:
         return fit
     if u_step > 0:
         fit = fit.with_term(FRICTION_STEP, at.to_physical @ scans[0].hidden_friction(u_step, explained))
     changes = _found_changes(at, scans, explained)
-    return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings_of(changes)))
-
-
-def _scans(at: LinearisedFit) -> list["_ChangeScan"]:
-    found = (_ChangeScan.of(at, noise) for noise in _with_drives(at, _DRIVE_FACTORS))
-    return [scan for scan in found if scan is not None]
+    warnings = (f"{one.text}; fit the parts before and after it on their own" for one in changes)
+    return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
 
 
 def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained: float) -> tuple[Change, ...]:
@@ -260,7 +257,7 @@ def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained:
 
 
 def _change(at: LinearisedFit, best: "_ClearestChange", gain: float) -> Change:
-    place = best.place + _EDGE
+    place = best.place + _EDGE_HALF_CYCLES
     points = at.points
     size, u_size = best.size, best.u_size
     if best.kind is ChangeKind.KNOCK:
@@ -276,11 +273,6 @@ def _change(at: LinearisedFit, best: "_ClearestChange", gain: float) -> Change:
     )
 
 
-def warnings_of(changes: Sequence[Change]) -> tuple[str, ...]:
-    """Warnings of a fit, one for each change during its decay."""
-    return tuple(f"{change.text}; fit the parts before and after it on their own" for change in changes)
-
-
 class _ClearestChange(NamedTuple):
     """The clearest change of one scan."""
 
@@ -292,7 +284,7 @@ class _ClearestChange(NamedTuple):
 
 
 class _ChangeScan:
-    """Whitened residuals for one drive, and their derivatives by a change at each place.
+    """Whitened residuals for one drive, and their derivatives with respect to a change at each place.
 
     The derivatives are computed anew for each search, some places at a time: all of a long decay's would fill
     the memory.
@@ -305,9 +297,11 @@ class _ChangeScan:
         self._nodes, self._loss = model.losses(at.coordinates)
         time_s = model.points.time_s - model.points.time_s[0]
         # a change lies between the half-cycle before its place and the one at it
-        self._places_s = 0.5 * (time_s[1:] + time_s[:-1])[_EDGE - 1 : len(time_s) - _EDGE - 1]
+        self._places_s = (
+            0.5 * (time_s[1:] + time_s[:-1])[_EDGE_HALF_CYCLES - 1 : len(time_s) - _EDGE_HALF_CYCLES - 1]
+        )
         self._rate = 2 * pi / mean_period(model.points)
-        self._amplitude = model.points.amplitude[_EDGE:] / model.reference
+        self._amplitude = model.points.amplitude[_EDGE_HALF_CYCLES:] / model.reference
         # by the median, which a change hardly moves: it must not hide in a scatter that it makes
         self._scale = max(1.0, robust_scatter(rows.residuals[: rows.points], middle=0.0))
         rows = rows.in_scatter(self._scale)
@@ -319,7 +313,7 @@ class _ChangeScan:
     @classmethod
     def of(cls, at: LinearisedFit, noise: Noise) -> "_ChangeScan | None":
         """None where the filter has no value for this drive, or there is no place to look at."""
-        if len(at.points) <= 2 * _EDGE:
+        if len(at.points) <= 2 * _EDGE_HALF_CYCLES:
             return None
         rows = DrivenRows.of(at.model, at.coordinates, noise)
         return cls(at, noise, rows) if np.all(np.isfinite(rows.residuals)) else None
@@ -331,8 +325,8 @@ class _ChangeScan:
         standard uncertainty `u_size`. The data weigh each place by its gain in -2 ln L beyond `explained`.
         """
         sizes, chances, moved = [], [], []
-        for first in range(0, len(self._places_s), _CHUNK):
-            raw = self._changes(first, _CHUNK, whole=True)[:, 1]
+        for first in range(0, len(self._places_s), _CHUNK_PLACES):
+            raw = self._changes(first, _CHUNK_PLACES, whole=True)[:, 1]
             changes = self._law.left(raw)
             power = np.einsum("rp,rp->p", changes, changes) + 1e-30
             variance = 1.0 / (1.0 / u_size**2 + power)
@@ -352,17 +346,17 @@ class _ChangeScan:
         """
         here_s = self._places_s[first : first + count]
 
-        def of_loss(amplitude: Floats, node_s: Floats) -> Floats:
+        def loss_errors(amplitude: Floats, node_s: Floats) -> Floats:
             knock = _impulses(node_s, here_s) / np.interp(-amplitude, -self._nodes, self._loss)[:, None]
             after = (node_s[:, None] > here_s) * self._shares(amplitude)[0][:, None]
             return np.column_stack([knock, after])
 
-        def of_duration(_: Floats, node_s: Floats) -> Floats:
+        def duration_errors(_: Floats, node_s: Floats) -> Floats:
             lasting = np.gradient(node_s)
             knock = _impulses(node_s, here_s) / lasting[:, None]
             return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
 
-        at, errors = self._at, LawErrors(of_loss, of_duration)
+        at, errors = self._at, LawErrors(loss_errors, duration_errors)
         changes = DrivenRows.of(at.model, at.coordinates, self._noise, errors).by_errors / self._scale
         if not whole:
             changes = self._law.left(changes)
@@ -377,14 +371,14 @@ class _ChangeScan:
     def best(self) -> _ClearestChange:
         """The change that explains most."""
         out = None
-        for first in range(0, len(self._places_s), _CHUNK):
+        for first in range(0, len(self._places_s), _CHUNK_PLACES):
             out = _better(out, self._best_of(first))
         assert out is not None
         return out
 
     def _best_of(self, first: int) -> _ClearestChange:
         """The change that explains most at the places of a chunk from `first` on."""
-        changes = self._changes(first, _CHUNK)
+        changes = self._changes(first, _CHUNK_PLACES)
         out, now = None, self.deviance()
         score = np.einsum("r,rkp->kp", self._left, changes)
         power = np.einsum("rkp,rkp->kp", changes, changes) + 1e-30

@@ -23,7 +23,7 @@ SIGNIFICANT = 0.003
 """Significance level of the test: the two-sided probability of three standard deviations."""
 _FIT_BELOW_CHANCE = 0.05
 """Probability by chance of the linear step's F below which a fit with a drag is made, whatever u(b) is."""
-_PARABOLIC = 0.2
+_MAX_TEST_DIFFERENCE = 0.2
 """Difference of the drag's two tests, by curvature and by likelihood, up to which chi2 is a parabola."""
 _TWO_SIDED = 0.90
 """Coverage of an interval whose upper end is a bound of 95 %."""
@@ -181,7 +181,7 @@ def _test(
     p_value = float(fdtrc(1, alone.dof, f_statistic))
     upper_95 = max(0.0, value) + float(stdtrit(alone.dof, 0.95)) * u if u < inf else inf
     by_curvature = abs(value) / u if u > 0 else inf
-    parabolic = abs(sqrt(f_statistic) - by_curvature) <= _PARABOLIC * max(1.0, by_curvature)
+    parabolic = abs(sqrt(f_statistic) - by_curvature) <= _MAX_TEST_DIFFERENCE * max(1.0, by_curvature)
     if not parabolic:
         u = max(u, abs(value) / sqrt(f_statistic)) if f_statistic > 0 else inf
         found = profile_likelihood(points, pendulum, alone, DRAG.key, coverage=_TWO_SIDED)

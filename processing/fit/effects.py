@@ -77,16 +77,16 @@ def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -
 
 
 def rows_with_drifts(model: ExactModel, columns: Floats, noise: Noise) -> DrivenRows:
-    """The rows of a model for a drive, with their derivatives by `DRIFTS`."""
+    """The rows of a model for a drive, with their derivatives with respect to `DRIFTS`."""
     shares = loss_shares(model, columns)
     lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
 
-    def of_loss(amplitude: Floats, time_s: Floats) -> Floats:
+    def loss_errors(amplitude: Floats, time_s: Floats) -> Floats:
         of_contact, of_adhesion = shares(amplitude)
         parts = np.column_stack([of_contact - of_adhesion, of_adhesion, 1.0 - of_contact])
         return np.asarray(parts * _since_middle(time_s, lasting_s)[:, None])
 
-    def slower(_: Floats, time_s: Floats) -> Floats:
+    def duration_errors(_: Floats, time_s: Floats) -> Floats:
         return _since_middle(time_s, lasting_s)[:, None]
 
     of_waveform = np.zeros((len(model.evidence_rows(columns)[0]), len(DRIFTS)))
@@ -101,7 +101,7 @@ def rows_with_drifts(model: ExactModel, columns: Floats, noise: Noise) -> Driven
             moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWTH_STEP
             reduced = waveform.reduced(since * moved)
             of_waveform[: len(reduced), column] = reduced
-    return DrivenRows.of(model, columns, noise, LawErrors(of_loss, slower), of_waveform)
+    return DrivenRows.of(model, columns, noise, LawErrors(loss_errors, duration_errors), of_waveform)
 
 
 def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
@@ -109,7 +109,7 @@ def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
     return time_s / lasting_s - 0.5
 
 
-_UNIT = 1e-3
+_UNIT_DRAG_RATIO = 1e-3
 """Size of the drag over the weight's moment at the reference amplitude for which derivatives are taken."""
 _BOUNDARY_LAYER_INTEGRAL = sqrt(pi) * gamma(1.75) / gamma(2.25)
 """The integral of ``sin^2.5`` over half a swing."""
@@ -125,9 +125,9 @@ def boundary_layer_drag(at: LinearisedFit) -> BoundaryLayerDrag:
     fit = at.fit
     period0_s, period_s = fit.estimate("period0_s").value, fit.mean_period_s.value
     rate = 2 * pi / period0_s
-    per_unit = _UNIT / (at.model.reference**0.5 * rate**1.5)
-    # a softer pendulum is slower by the root of its stiffness
-    lost = _UNIT * _BOUNDARY_LAYER_INTEGRAL * sqrt(period_s / period0_s)
+    per_unit = _UNIT_DRAG_RATIO / (at.model.reference**0.5 * rate**1.5)
+    # a softer pendulum is duration_errors by the root of its stiffness
+    lost = _UNIT_DRAG_RATIO * _BOUNDARY_LAYER_INTEGRAL * sqrt(period_s / period0_s)
     more = at.by_loss(lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {STEEPER_DRAG: per_unit})
     found = at.solved(Term(BOUNDARY_LAYER, more))
     # enlarged as the parameters of the fit are: by the scatter, and by the factors of their uncertainties
@@ -169,7 +169,7 @@ def _share(steeper_s: float, drag_s: float) -> float:
     return _BOUNDARY_LAYER_INTEGRAL * steeper_s / (0.5 * pi * drag_s) if drag_s else nan
 
 
-_FELT = 1e-3
+_MAX_NEGLIGIBLE_ERROR_U = 1e-3
 """Largest error of an amplitude, in its uncertainties, below which a coordinate keeps its prior."""
 _SECOND = ORDERS.index(2)
 _FEWEST = 8
@@ -195,7 +195,7 @@ def fit_position_errors(at: LinearisedFit, errors: Floats) -> PositionErrorFit:
     `errors` (points, m) are those of the amplitudes for each of m independent coordinates of variance 1.
     """
     errors = errors[: len(at.points)]
-    felt = np.max(np.abs(errors) / at.points.u_amplitude[:, None], axis=0) > _FELT
+    felt = np.max(np.abs(errors) / at.points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_ERROR_U
     by_errors = -at.by_points(amplitude=errors[:, felt])
     noise = 1.0
     for _ in range(2):

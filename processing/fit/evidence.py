@@ -27,13 +27,13 @@ WAVEFORM, AIR = "waveform", "air"
 _ODD = [ORDERS.index(order) for order in (3, 5, 7, 9)]
 _NODE_RATIO = 1.6
 """Ratio of neighbouring nodes' amplitudes; between the nodes harmonics are interpolated."""
-_FEWEST = 8
+_MIN_PIECES = 8
 """Fewest pieces that make a waveform: half of their stated uncertainty then comes from their scatter."""
-_STATED = 10.0
+_PIECES_OF_STATED_COVARIANCE = 10.0
 """Number of pieces as which the stated covariance counts against the scatter of the harmonics."""
-_MOST_CACHED = 32
+_MAX_CACHED = 32
 """Most predictions in a waveform's cache: a fit and the verdicts on it need the same ones again."""
-_GATE = 5.0
+_OUTLIER_U = 5.0
 """Standard deviations of a harmonic beyond which its piece counts as disturbed."""
 
 
@@ -98,7 +98,7 @@ class Waveform:
         known = self._predictions.get(key)
         if known is None or known[0] is not law:
             sine = -law_harmonics(law, values, pendulum, self.amplitude_rad).imag[:, _ODD]
-            while len(self._predictions) >= _MOST_CACHED:
+            while len(self._predictions) >= _MAX_CACHED:
                 del self._predictions[next(iter(self._predictions))]
             known = self._predictions[key] = law, sine
         return known[1]
@@ -120,11 +120,11 @@ def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
     order = np.argsort(-pieces.amplitude)
     amplitude, sine = pieces.amplitude[order], pieces.sine[order][:, _ODD]
     stated = pieces.covariance_sine[order][:, _ODD][:, :, _ODD]
-    while len(amplitude) >= _FEWEST:
+    while len(amplitude) >= _MIN_PIECES:
         whitening = np.linalg.inv(np.linalg.cholesky(stated))
         whole = _whole_scatter(amplitude, sine, whitening)
         left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
-        kept = np.all(np.abs(left) < _GATE * np.sqrt(np.diag(whole)), axis=1)
+        kept = np.all(np.abs(left) < _OUTLIER_U * np.sqrt(np.diag(whole)), axis=1)
         if np.all(kept):
             root = np.linalg.inv(whitening)
             enlarged = root @ whole @ np.swapaxes(root, 1, 2)
@@ -150,14 +150,14 @@ def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats
     left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
     # clipped, so that pieces far off are judged by the scatter of the others
     size = MAD_TO_SIGMA * np.median(np.abs(left), axis=0)
-    left = np.clip(left, -_GATE * size, _GATE * size)
+    left = np.clip(left, -_OUTLIER_U * size, _OUTLIER_U * size)
     scatter, degrees = left.T @ left, len(amplitude) - 3
     louder = max(1.0, float(np.trace(scatter)) / len(_ODD) / degrees)
-    own = (degrees + _STATED) ** 2 / degrees
+    own = (degrees + _PIECES_OF_STATED_COVARIANCE) ** 2 / degrees
     return np.asarray(
         _weights_factor(own, len(_ODD))
-        * (scatter + _STATED * louder * np.eye(len(_ODD)))
-        / (degrees + _STATED)
+        * (scatter + _PIECES_OF_STATED_COVARIANCE * louder * np.eye(len(_ODD)))
+        / (degrees + _PIECES_OF_STATED_COVARIANCE)
     )
 
 

@@ -31,7 +31,7 @@ from processing.swing import TurningPoints
 
 _ABOVE, _BELOW = 1.05, 0.6
 """Highest and lowest amplitude of the tabulated half-swings, over the highest and lowest measured one."""
-_SLOWER = 4
+_DECAY_LENGTH_FACTOR = 4
 """Times the measured half-cycles after which a law's free decay is followed no further."""
 _STEP = 3.0
 """Step of a derivative of the evidence, in uncertainties of one column while the others are known."""
@@ -40,7 +40,7 @@ _STEP = 3.0
 class _LinearEvidence(NamedTuple):
     """Residuals of the evidence, linear about the columns `at`.
 
-    `scale` is by how many times turning points scatter more than stated.
+    `scale` is the factor by which turning points scatter more than stated.
     """
 
     at: Floats
@@ -65,7 +65,7 @@ class LawErrors(NamedTuple):
 
 
 class FilterResult(NamedTuple):
-    """Whitened innovations, their derivatives by the columns at fixed gains, and more of `drive_filter`."""
+    """Whitened innovations, their Jacobian of the columns at fixed gains, and more of `drive_filter`."""
 
     residuals: Floats
     jacobian: Floats
@@ -124,7 +124,8 @@ class ExactModel:
         self._swings = LawHalfSwings(law, self._index, self._x)
 
     def curve(self, columns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Amplitude (in units of the reference), time (s), and the derivatives of both by the columns.
+        """Amplitude (in units of the reference), time (s), and the derivatives of both with respect to the
+        columns.
 
         With the columns v, the map's parameters q(v) and its time tau in units of T0:
         ``t = t_0 + T0 tau``, ``dt/dv = T0 dtau/dq dq/dv + tau dT0/dv + dt_0/dv``.
@@ -141,7 +142,7 @@ class ExactModel:
         return found.amplitude, first_time_s + period0_s * found.time, amplitude_jacobian, time_jacobian
 
     def __call__(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
+        """Residuals over their standard uncertainties, and their derivatives with respect to the columns."""
         residuals, jacobian = self._point_residuals(columns)
         if not len(self._evidence_rows.residuals):
             return residuals, jacobian
@@ -150,11 +151,11 @@ class ExactModel:
 
     @property
     def scale(self) -> float:
-        """By how many times the turning points scatter more than stated, as given to `on_ground`."""
+        """The factor by which the turning points scatter more than stated, as given to `on_ground`."""
         return self._evidence_rows.scale
 
     def evidence_rows(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Residuals of the evidence, in units of their scatter, and their derivatives by the columns."""
+        """Residuals of the evidence, in units of their scatter, and their Jacobian of the columns."""
         return self._evidence_rows._replace(scale=1.0)(columns)
 
     def _point_residuals(self, columns: Floats) -> tuple[Floats, Floats]:
@@ -171,7 +172,7 @@ class ExactModel:
 
         The weights stay: the residuals then depend on the columns by the predictions alone, so that a minimum
         of their squares is where the predictions are best, and not where the weights are smallest. `scale` is
-        by how many times turning points scatter more than stated, where `noise` does not contain that.
+        the factor by which turning points scatter more than stated, where `noise` does not contain that.
         """
         out = copy(self)
         out._noise = noise
@@ -237,8 +238,8 @@ class ExactModel:
     ) -> FilterResult:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 
-        `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a), and `errors` one for each
-        relative error, those of the losses first.
+        `with_rho` adds a column to the Jacobian, the derivatives with respect to ln(R/a), and `errors` one
+        for each relative error, those of the losses first.
         """
         parameters, matrix = self.columns.map_parameters(columns)
         if with_rho:
@@ -362,7 +363,7 @@ class LawHalfSwings:
             return None
         key = parameters[:-3].tobytes()
         if key not in self._in_decay:
-            count = _SLOWER * int(self._index[-1])
+            count = _DECAY_LENGTH_FACTOR * int(self._index[-1])
             self._in_decay.clear()
             self._in_decay[key] = self._from(parameters[:-2], self._highest, count, self._lowest)
         swings = self._in_decay[key]

@@ -34,7 +34,7 @@ OUTLIER = 5.0
 _SMALL_RAD = 0.03
 """Amplitude up to which gravity's moment is taken as proportional: A^2/16 of the period is 6e-5 there."""
 _SIGNIFICANT = 3.0
-"""Standard uncertainties below zero from which on a negative value is no chance."""
+"""Standard uncertainties below zero at and above which a negative value is no chance."""
 _AT_LIMIT = "{} is at the limit of its range: the data do not determine it"
 _LAGS = 20
 """Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""
@@ -217,7 +217,7 @@ def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: W
         yield (
             f"the residuals of neighbouring half-cycles are correlated (chance {chance}): "
             "the model does not describe all of the motion, or the "
-            f"point of rest wanders (pointing of the beam, air); uncertainties are {wider} for it"
+            f"equilibrium position wanders (pointing of the beam, air); uncertainties are {wider} for it"
         )
 
 
@@ -239,18 +239,18 @@ def _by_air(model: ExactModel, solution: Solution) -> Floats | None:
 
 def _gain_factors(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
     """Ratios of uncertainties without a part of the evidence to those with it, by part and parameter."""
-    worth = {}
+    uncertainty_ratio_without = {}
     whole = covariance_of(solution.jacobian)
     for part, rows in _evidence_parts(model).items():
         without = covariance_of(np.delete(solution.jacobian, rows, axis=0))
         factor = _factor(to_physical, without, whole)
-        blind = ~np.isfinite(np.einsum("ij,jk,ik->i", to_physical, without, to_physical))
-        factor = np.where(blind, np.inf, factor)
+        undetermined = ~np.isfinite(np.einsum("ij,jk,ik->i", to_physical, without, to_physical))
+        factor = np.where(undetermined, np.inf, factor)
         kept = (name not in (AMPLITUDE.key, TIME.key) for name in model.names)
-        worth[part] = {
+        uncertainty_ratio_without[part] = {
             name: float(one) for name, one, stays in zip(model.names, factor, kept, strict=True) if stays
         }
-    return worth
+    return uncertainty_ratio_without
 
 
 def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
@@ -264,10 +264,10 @@ def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
 def _by_measurement(model: ExactModel, solution: Solution, to_physical: Floats) -> Floats:
     """Changes (values, m) of the values where only the measurement of the turning points is uncertain."""
     residuals, jacobian = model.on_ground(solution.values, AT_REST, model.scale)(solution.values)
-    law = FactoredJacobian(jacobian[np.isfinite(residuals)])
-    by = to_physical @ law.root * np.sqrt(max(1.0, solution.chi2 / solution.dof))
-    by[np.any(to_physical[:, law.blind] != 0, axis=1)] = np.inf
-    return np.asarray(by)
+    factored = FactoredJacobian(jacobian[np.isfinite(residuals)])
+    changes = to_physical @ factored.root * np.sqrt(max(1.0, solution.chi2 / solution.dof))
+    changes[np.any(to_physical[:, factored.blind] != 0, axis=1)] = np.inf
+    return np.asarray(changes)
 
 
 def _mean_of_finite(values: Floats) -> float:
@@ -277,7 +277,7 @@ def _mean_of_finite(values: Floats) -> float:
 
 
 def _by_correlation(to_physical: Floats, solution: Solution, white: Whiteness, count: int) -> Floats:
-    """By how many times correlated residuals enlarge every standard uncertainty."""
+    """The factor by which correlated residuals enlarge every standard uncertainty."""
     of_points = slice(2 * count)
     jacobian, covariance = solution.jacobian[of_points], solution.covariance
     factor = _factor(to_physical, neighbours_covariance(white, jacobian, covariance), covariance)
@@ -388,7 +388,7 @@ def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall | None, fit:
 
 
 def impossible_signs(fit: FitResult) -> dict[str, float]:
-    """Parameters negative beyond chance that cannot be: by how many standard uncertainties."""
+    """Standard uncertainties by which parameters that cannot be negative are so, beyond chance."""
     found = {}
     for name in fit.contact_names:
         value, u = fit.estimate(name)

@@ -140,7 +140,8 @@ class Predictions(NamedTuple):
     nodes
         (5, nodes) falling amplitude, loss, its slope, duration in s, its slope.
     loss_by, duration_by
-        (nodes, columns) derivatives of loss and duration by the solver's columns at fixed amplitude.
+        (nodes, columns) derivatives of loss and duration with respect to the solver's columns at fixed
+        amplitude.
     start, start_by
         (2,) amplitude and time of the first turning point, and (2, columns) their derivatives.
     """

@@ -11,14 +11,14 @@ A turning point that is measured on the samples of its half-cycle, between its z
 oscillation that fits them best. Relative to the motion through the true turning point, f adds to the samples
 the response that begins there, forwards and backwards. Its least-squares fit has, with u = pi/2 - |theta|:
 
-    amplitude, point of rest known     (s/w) int f p dt / pi,      p = cos(theta) - u sin|theta|
-    amplitude, point of rest free      (s/w) int f (pi p/2 - 2 r) dt / (pi^2/2 - 4),  r = 1 - sin|theta|
-    time, times the amplitude          (s/w^2) int f u cos(theta) sign(theta) dt / pi
-    point of rest                      (1/w) int f (pi r/2 - p) dt / (pi^2/2 - 4)
+    amplitude, equilibrium known  (s/w) int f p dt / pi,      p = cos(theta) - u sin|theta|
+    amplitude, equilibrium free   (s/w) int f (pi p/2 - 2 r) dt / (pi^2/2 - 4),  r = 1 - sin|theta|
+    time, times the amplitude     (s/w^2) int f u cos(theta) sign(theta) dt / pi
+    equilibrium position          (1/w) int f (pi r/2 - p) dt / (pi^2/2 - 4)
 
-The point of rest is known from earlier half-cycles, which f has moved too: its error moves the amplitude by
--(4/pi) s of it. This term alone looks back and not ahead; without it the fitted delay of a seismometer would
-be 0.1 s too long at a period of 4 s.
+The equilibrium position is known from earlier half-cycles, which f has moved too: its error moves the
+amplitude by -(4/pi) s of it. This term alone looks back and not ahead; without it the fitted delay of a
+seismometer would be 0.1 s too long at a period of 4 s.
 
 f is linear between its samples, and all integrals have closed forms.
 
@@ -39,18 +39,18 @@ from processing.fit.ground import KnownSteps
 from processing.kernel import kernel
 from processing.swing import TurningPoints
 
-_NEIGHBOURS = 4
+_FREQUENCY_NEIGHBOURS = 4
 """Half-swings on either side over which the frequency is averaged: the ground makes single ones uneven."""
 _LOSS_NEIGHBOURS = 15
 """Half-swings on either side over which the loss is averaged; a tenth of it is accurate enough."""
-_PARTS = 5
+_INTEGRALS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
 FREE_REST_WEIGHT, U_FREE_REST_WEIGHT = 1 / 3, 0.3
-"""Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's point of rest, and
-its standard uncertainty.
+"""Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's equilibrium
+position, and its standard uncertainty.
 
-The detector adapts it to how much the point of rest wanders. It does not follow from the turning points:
-their uncertainties imply 0.12, too small because they hold the drive's part, too. On a white drive of
+The detector adapts it to how much the equilibrium position wanders. It does not follow from the turning
+points: their uncertainties imply 0.12, too small because they hold the drive's part, too. On a white drive of
 1e-7 rad/s^2/sqrt(Hz) it was 0.35 in long runs and 0.7 in runs of 100 half-cycles. An error of it moves the
 fitted delay, at a period of 4 s by -0.026 s for each 0.1: with 0.2, 1/3 and 0.5 a seismometer without delay
 got 0.067, 0.024 and -0.012 s (each 0.016, of four long runs). At one frequency a delay is a phase, which the
@@ -62,7 +62,7 @@ _REST_DENOMINATOR = np.pi**2 / 2 - 4
 def moments_of(
     time: Floats, value: Floats, origin: Floats, rate: Floats, low: Floats, high: Floats, longest: float
 ) -> Floats:
-    """Integrals (n, terms, 5) of f, linear between samples, over intervals; see `_PARTS`.
+    """Integrals (n, terms, 5) of f, linear between samples, over intervals; see `_INTEGRALS`.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def moments_of(
         samples, are NaN.
     """
     count, terms, samples = len(origin), value.shape[1], len(time)
-    out = np.zeros((count, terms, _PARTS))
+    out = np.zeros((count, terms, _INTEGRALS))
     for i in range(count):
         a = np.searchsorted(time, low[i], side="right") - 1
         if a < 0 or high[i] > time[samples - 1]:
@@ -184,23 +184,23 @@ def known_drive(
     side = np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
     half = 0.5 * np.pi / rate
     terms = signals.value.shape[1]
-    delay = np.zeros((2, count, terms))
+    steps = np.zeros((2, count, terms))
     amplitude = np.interp(np.arange(count), number, points.amplitude)
-    delay[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
+    steps[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
     if averaged:
         measured = _measurement_response(signals, time, side, rate, half, rest_weight)
         # steps lead from measured turning point to measured one: the part of the last measurement goes off
-        delay += measured
-        delay[:, 1:] -= measured[:, :-1]
-    missing = ~np.all(np.isfinite(delay), axis=(0, 2))
-    delay[:, missing] = 0.0
-    return KnownDrive(delay, missing, np.zeros(terms))
+        steps += measured
+        steps[:, 1:] -= measured[:, :-1]
+    missing = ~np.all(np.isfinite(steps), axis=(0, 2))
+    steps[:, missing] = 0.0
+    return KnownDrive(steps, missing, np.zeros(terms))
 
 
 def _rates(time: Floats) -> Floats:
     """Angular frequency at each turning point, rad/s."""
-    after = np.minimum(np.arange(len(time)) + _NEIGHBOURS, len(time) - 1)
-    before = np.maximum(np.arange(len(time)) - _NEIGHBOURS, 0)
+    after = np.minimum(np.arange(len(time)) + _FREQUENCY_NEIGHBOURS, len(time) - 1)
+    before = np.maximum(np.arange(len(time)) - _FREQUENCY_NEIGHBOURS, 0)
     return np.asarray(np.pi * (after - before) / (time[after] - time[before]))
 
 
@@ -246,7 +246,7 @@ def _measurement_response(
 
 
 def _detector_rest(rest: Floats, weight: float) -> Floats:
-    """The point of rest (half-swings, terms) that the detector has after each half-cycle."""
+    """The equilibrium position (half-swings, terms) that the detector has after each half-cycle."""
     # its change in a gap is not known, and taken as zero
     kept = np.nan_to_num(rest) * weight
     for k in range(1, len(kept)):

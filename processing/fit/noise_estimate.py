@@ -26,9 +26,9 @@ _LOWEST, _SPACING = -2.0, 0.1
 """Lowest step and spacing of the steps over which a covariance is averaged, as in `_FIRST_LOG_STEPS`."""
 _PRIOR_EXPONENT = 0.7
 """The prior density of a step falls with this power of the step."""
-_WELL_KNOWN = 0.15
+_MAX_U_KNOWN_STEP = 0.15
 """Relative uncertainty of the step below which it is taken as known."""
-_ONE_SIDED = 2.706
+_RISE_AT_ONE_SIDED_95 = 2.706
 """Rise of -2 ln L at a bound of 95 %: the square of the normal quantile 1.645."""
 _STATED_WEIGHT = 25.0
 """Weight of the stated uncertainties against a larger scale, as a number of residuals that agree with them.
@@ -36,7 +36,7 @@ _STATED_WEIGHT = 25.0
 In a short run a larger scale and a drive explain a scatter equally well, but only the drive enlarges the
 uncertainties of the parameters.
 """
-_SAME_SCALE = 1e-3
+_SCALE_TOLERANCE = 1e-3
 """Relative change of the squared scale below which its iteration ends."""
 _MIN_EIGENVALUE = 1e-13
 """Smallest eigenvalue of a matrix of unit diagonal: below it is the rounding of sums over thousands of
@@ -80,14 +80,14 @@ class NoiseSearch:
         self._evidence_rows = model.evidence_rows(columns)
         self._highest = float(np.log10(_MAX_STEP_FRACTION * model.lowest / self._unit))
         self._known: dict[float, LikeliestNoise] = {}
-        self._rest = self._at(-np.inf)
+        self._rest = self._evaluated(-np.inf)
 
     def likeliest(self) -> LikeliestNoise:
         """The optimum over all steps."""
         tried = np.append(_FIRST_LOG_STEPS[self._highest > _FIRST_LOG_STEPS], self._highest)
         best = int(np.argmin([self._deviance(x) for x in tried.tolist()]))
         low, high = float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)])
-        found = self._at(_lowest(self._deviance, low, high))
+        found = self._evaluated(_lowest(self._deviance, low, high))
         found = found if found.deviance < self._rest.deviance else self._rest
         return found._replace(against_rest=self._rest.deviance - found.deviance)
 
@@ -97,12 +97,12 @@ class NoiseSearch:
         start = float(_FIRST_LOG_STEPS[0])
         if not at_rest:
             start = float(np.log10(found.noise.step / found.noise.scale / self._unit))
-        target = found.deviance + _ONE_SIDED
+        target = found.deviance + _RISE_AT_ONE_SIDED_95
         above = start
         while self._deviance(above + 0.25) < target and above < self._highest:
             above += 0.25
         above = _crossing(lambda x: self._deviance(x) - target, above, above + 0.25)
-        highest = self._at(above).noise.step
+        highest = self._evaluated(above).noise.step
         if at_rest:
             # half of a normal distribution about zero that has this bound
             return NoiseBounds(highest / 1.96, highest)
@@ -123,14 +123,14 @@ class NoiseSearch:
         """
         known = self._model.known_drive
         least = 0.0 if known is None else known.least_unexplained(self._columns)
-        if bounds.u_step < _WELL_KNOWN * found.noise.step and found.noise.step > least:
+        if bounds.u_step < _MAX_U_KNOWN_STEP * found.noise.step and found.noise.step > least:
             return None
         lowest = _LOWEST
         if least:
             lowest = min(max(_LOWEST, float(np.log10(least / found.noise.scale / self._unit))), self._highest)
         above = float(np.log10(max(bounds.highest_step / found.noise.scale / self._unit, 10 * 10**_LOWEST)))
         tried = np.arange(lowest, max(min(above + 0.5, self._highest), lowest + _SPACING), _SPACING)
-        parts = [self._at(x) for x in tried.tolist()]
+        parts = [self._evaluated(x) for x in tried.tolist()]
         steps = 10.0**tried
         mass = steps ** (1 - _PRIOR_EXPONENT) * _SPACING * np.log(10)
         if not least:
@@ -145,9 +145,9 @@ class NoiseSearch:
         return out
 
     def _deviance(self, log_step: float) -> float:
-        return self._at(log_step).deviance
+        return self._evaluated(log_step).deviance
 
-    def _at(self, log_step: float) -> LikeliestNoise:
+    def _evaluated(self, log_step: float) -> LikeliestNoise:
         if log_step not in self._known:
             self._known[log_step] = self._evaluate(10.0**log_step * self._unit)
         return self._known[log_step]
@@ -162,7 +162,7 @@ class NoiseSearch:
             likeliest = self._with_scale(found, ratio, scale2)
             before, scale2 = scale2, likeliest.noise.scale**2
             # with evidence, which does not scatter with the turning points, the scale takes some rounds
-            if not len(self._evidence_rows[0]) or abs(scale2 - before) < _SAME_SCALE * scale2:
+            if not len(self._evidence_rows[0]) or abs(scale2 - before) < _SCALE_TOLERANCE * scale2:
                 return likeliest
 
     def _with_scale(self, found: FilterResult, ratio: float, weight: float) -> LikeliestNoise:

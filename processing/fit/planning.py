@@ -28,7 +28,7 @@ from processing.swing import PIECE_HALF_CYCLES, TurningPoints
 _RUN_PARAMETERS = ("period0_s", AMPLITUDE.key, TIME.key)
 """Parameters of which each run has its own."""
 _UNKNOWN_U = 1e6
-"""Relative uncertainty from which on nothing is known: rounding makes a singular matrix give such a value."""
+"""Minimum relative uncertainty of what counts as unknown: rounding gives such values of a singular matrix."""
 _HIDDEN_RATIO = 10.0
 """A run ends where the amplitude is this many times the ground's step in a half-swing."""
 
@@ -87,10 +87,6 @@ class Conditions:
         if noise is not None and rad_per_s2_rthz > 0:
             noise = max(LEAST_UNEXPLAINED, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
         return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz, seismometer_noise=noise)
-
-    def with_seismometer(self, noise: float) -> "Conditions":
-        """The same ground, recorded by an auxiliary seismometer as well."""
-        return replace(self, seismometer_noise=noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +231,8 @@ def planned_series(
 
 
 def series_jacobian(names: Sequence[str], runs: Sequence[tuple[Floats, float]], waiting_s: float) -> Floats:
-    """Derivatives of the residuals of consecutive runs by shared parameters, ageing and their own parameters.
+    """Derivatives of the residuals of consecutive runs with respect to shared parameters, ageing and their
+    own parameters.
 
     `runs` gives for each run the derivatives of `relative_jacobian` and the duration in s.
 

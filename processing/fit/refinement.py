@@ -34,7 +34,7 @@ from processing.swing import (
 )
 from processing.units import seconds
 
-_MOST = 0.95
+_MIN_REFINED_SHARE = 0.95
 """Share of the half-cycles that the second measurement must find."""
 
 
@@ -139,7 +139,7 @@ class MeasurementShift(NamedTuple):
 
     @property
     def complete(self) -> bool:
-        return self.found >= _MOST
+        return self.found >= _MIN_REFINED_SHARE
 
 
 def measurement_shift(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> MeasurementShift:

@@ -124,10 +124,12 @@ class RigQuantities:
         contribution varies from one turning point to another; using one sign gives an upper limit.
         """
         assumed = self.non_orthogonality_rad.value
-        off = slow_angle_rad - self.slow_angle_rad.value
-        apart = non_orthogonality_rad - assumed
-        cross_talk = self.fast_ratio * np.sin(off + apart) / np.cos(assumed)
-        return np.asarray(np.cos(off) + np.sin(off) * np.tan(assumed) - cross_talk, dtype=np.float64)
+        slow_error = slow_angle_rad - self.slow_angle_rad.value
+        angle_error = non_orthogonality_rad - assumed
+        cross_talk = self.fast_ratio * np.sin(slow_error + angle_error) / np.cos(assumed)
+        return np.asarray(
+            np.cos(slow_error) + np.sin(slow_error) * np.tan(assumed) - cross_talk, dtype=np.float64
+        )
 
     def pendulum(self) -> PendulumOnBall:
         """The pendulum for the fits, from the values; with two balls, half of the mass."""
@@ -163,8 +165,9 @@ class FittedContact:
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
     freedom of the covariance, and `terms` are its parts, as those of `FitResult`. `by_log_rho` are the
-    derivatives by ln(R/a), and `by_inputs` those by other inputs that the fit takes as known, by the names of
-    `RigQuantities`: the row time of a shutter, an error of all amplitudes, drifts over a run.
+    derivatives with respect to ln(R/a), and `by_inputs` those with respect to other inputs that the fit takes
+    as known, by the names of `RigQuantities`: the row time of a shutter, an error of all amplitudes, drifts
+    over a run.
     """
 
     names: tuple[str, ...]
@@ -214,7 +217,7 @@ def reported_quantities(
     The fit is made with the assumed angular scale and clock. If true angles are s times the assumed ones, c
     is proportional to s, b to s^(1-p) and gamma to s^-n; T0 and the drag are proportional to the true
     second. The period determines gamma only in the combination ``2 gamma a^2/(m g)``. The small additional
-    effect of R/a in Eq. 3 is taken from the fit's derivative by ln(R/a).
+    effect of R/a in Eq. 3 is taken from the fit's derivative with respect to ln(R/a).
     """
     if contact.names[:6] != PAPER.names():
         raise DataError(f"expected the parameters {PAPER.names()} first, got {contact.names}")
@@ -236,8 +239,8 @@ def reported_quantities(
     second = inputs["clock"] / rig.clock.value
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
-    bent = np.log(radius / a / nominal_rho * scale)
-    moved = np.array([inputs[name] for name in contact.names]) + contact.by_log_rho[:, None] * bent
+    log_rho_shift = np.log(radius / a / nominal_rho * scale)
+    moved = np.array([inputs[name] for name in contact.names]) + contact.by_log_rho[:, None] * log_rho_shift
     assumed = rig.inputs()
     for name, slope in contact.by_inputs.items():
         moved = moved + slope[:, None] * (inputs[name] - assumed[name].value)

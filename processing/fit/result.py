@@ -99,7 +99,7 @@ class Change:
         return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {what}"
 
 
-_SIGNIFICANT = 0.003
+_SIGNIFICANT_CHANCE = 0.003
 """Chance of three standard deviations to either side."""
 
 
@@ -124,7 +124,7 @@ class BoundaryLayerDrag:
     @property
     def seen(self) -> bool:
         """Whether the data show it."""
-        return self.p_value < _SIGNIFICANT
+        return self.p_value < _SIGNIFICANT_CHANCE
 
 
 CORRELATED = 0.001
@@ -180,7 +180,7 @@ class FitQuality:
     changes
         Events during the run: knocks, and steps of friction or period.
     worth
-        By how many times larger each uncertainty would be without the waveform, or without the prior of the
+        The factor by which each uncertainty would be larger without the waveform, or without the prior of the
         air; empty where there is neither.
     steeper
         Boundary layer's drag in addition to the fit; None where it was not estimated.
@@ -222,7 +222,7 @@ class FitResult(FitQuality):
         Amplitude used as the unit in the fit. b reference^(p-1) and gamma reference^n are nearly normally
         distributed even if b and gamma are not.
     by_log_rho
-        Derivative of `values` by ln(R/a), which the fit takes as known.
+        Derivative of `values` with respect to ln(R/a), which the fit takes as known.
     loss, cost
         The loss function, and half of its sum at the minimum (half of chi2 if linear).
     half_cycles
@@ -366,8 +366,8 @@ def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
     """Covariance (count, count) of values by some of their terms."""
     out = np.zeros((count, count))
     for by in (terms[name] for name in names if name in terms):
-        blind = ~np.isfinite(by.sum(axis=1))
-        known = np.where(blind[:, None], 0.0, by)
+        undetermined = ~np.isfinite(by.sum(axis=1))
+        known = np.where(undetermined[:, None], 0.0, by)
         out += known @ known.T
-        out[blind, blind] = np.inf
+        out[undetermined, undetermined] = np.inf
     return out

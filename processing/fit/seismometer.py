@@ -35,15 +35,15 @@ from processing.fit.seismometer_terms import (
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
 
-PAYS = 12.0
+MIN_PREDICTION_GAIN = 12.0
 """Fall of -2 ln L, of half-cycles that gains were not fitted to, above which the gains are used. With an
 unrelated seismometer -2 ln L rises, by about 2 for each gain."""
-_FEWEST = 0.2
+_MIN_COVERED_SHARE = 0.2
 """Share of the half-swings that the seismometer has to cover."""
 _U_DELAY = 0.015
 """Standard uncertainty of a delay, in periods, from what is not known of the measurement of half-cycles: at a
 period of 4 s, six recorded runs with a delay of -0.05 s gave 0.06 to 0.09 s more in the mean."""
-_CORRECTIONS = 10
+_MAX_CORRECTIONS = 10
 """Most corrections of a clock; each reduces its error by a tenth of a second or by half."""
 
 
@@ -158,12 +158,12 @@ def accepted_use(
             )
         )
     left = fit.ground.density_rad_per_s2_rthz
-    known = float(np.mean((drive.steps[0][~drive.missing] @ drive.gains) ** 2))
+    explained_power = float(np.mean((drive.steps[0][~drive.missing] @ drive.gains) ** 2))
     step = fit.ground.noise.step
     return replace(
         use.with_saved(alone, fit),
         verdict=SeismometerVerdict.USED,
-        explained=float(known / (known + step**2)),
+        explained=float(explained_power / (explained_power + step**2)),
         ground_left_rad_per_s2_rthz=left,
         responses=tuple(responses),
     )
@@ -199,18 +199,18 @@ def fit_with_seismometer(
         they explain nothing as they stand, an offset is sought.
     """
     search = _Search(points.first(alone.half_cycles), pendulum, alone, averaged)
-    found = search.with_corrected_clock(witness, PAYS)
+    found = search.with_corrected_clock(witness, MIN_PREDICTION_GAIN)
     if found.use.used or offset_known:
         return found
     try:
-        offset = best_offset(search.points, pendulum, witness, alone, averaged=averaged)
+        offset_s, tried = best_offset(search.points, pendulum, witness, alone, averaged=averaged)
     except DataError as error:
         return replace(found, use=replace(found.use, reason=str(error)))
     # the best of many offsets gains by chance, so that more is asked of it
-    found = search.with_corrected_clock(witness.delayed(offset.by_s), PAYS + 2 * log(offset.tried))
+    found = search.with_corrected_clock(witness.delayed(offset_s), MIN_PREDICTION_GAIN + 2 * log(tried))
     return replace(
         found,
-        use=replace(found.use, offset_s=offset.by_s if found.use.used else 0.0, offsets_tried=offset.tried),
+        use=replace(found.use, offset_s=offset_s if found.use.used else 0.0, offsets_tried=tried),
     )
 
 
@@ -229,7 +229,7 @@ class _Search:
     alone: FitResult
     averaged: bool
 
-    def with_corrected_clock(self, witness: Seismogram, pays: float) -> SeismometerFit:
+    def with_corrected_clock(self, witness: Seismogram, min_gain: float) -> SeismometerFit:
         """The fit with the seismometer, its clock corrected where the run shows an error of it.
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
@@ -237,7 +237,7 @@ class _Search:
         assert self.alone.ground is not None
         middle_s = 0.5 * float(self.points.time_s[0] + self.points.time_s[-1])
         delay_s = drift = 0.0
-        for left in reversed(range(_CORRECTIONS + 1)):
+        for left in reversed(range(_MAX_CORRECTIONS + 1)):
             moved = witness.delayed(delay_s, drift, middle_s)
             try:
                 drives = SignalDrives(self.points, moved, averaged=self.averaged)
@@ -250,12 +250,12 @@ class _Search:
                 ground_alone_rad_per_s2_rthz=self.alone.ground.density_rad_per_s2_rthz,
             )
             count = len(drives.every.missing)
-            if use.missing_half_cycles > (1 - _FEWEST) * count:
+            if use.missing_half_cycles > (1 - _MIN_COVERED_SHARE) * count:
                 reason = f"{use.missing_half_cycles} of {count} half-swings have no witness"
                 return SeismometerFit(
                     self.alone, replace(use, verdict=SeismometerVerdict.ABSENT, reason=reason)
                 )
-            found = self._with(drives, _Selection(self.alone, [], 0.0), PAIR, pays)
+            found = self._with_signals(drives, _Selection(self.alone, [], 0.0), PAIR, min_gain)
             if not found.chosen:
                 return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
             clock = clock_correction(self.points, self.pendulum, found.fit, drives, found.chosen)
@@ -263,10 +263,10 @@ class _Search:
                 Estimate(delay_s + clock.delay_s.value, clock.delay_s.standard_uncertainty),
                 Estimate(drift + clock.drift.value, clock.drift.standard_uncertainty),
             )
-            if not left or not clock.wrong:
+            if not left or not clock.significant:
                 break
             delay_s, drift = correction.delay_s.value, correction.drift.value
-        found = self._with(drives, found, SLOPES, pays)
+        found = self._with_signals(drives, found, SLOPES, min_gain)
         u_delay_s = hypot(correction.delay_s.standard_uncertainty, _U_DELAY * drives.period_s)
         delay = Estimate(correction.delay_s.value, u_delay_s)
         use = replace(use, gain_of_prediction=found.gain, delay_s=delay, clock_drift=correction.drift)
@@ -275,8 +275,8 @@ class _Search:
             found.fit, replace(use, spectra=seismometer_spectra(self.points, self.pendulum, found.fit))
         )
 
-    def _with(
-        self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...], pays: float
+    def _with_signals(
+        self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...], min_gain: float
     ) -> _Selection:
         """The selection with further components whose signals of these kinds pay, the best one first.
 
@@ -290,7 +290,7 @@ class _Search:
             )
             gains = [gain(columns_of(component, kinds)) for component in left]
             best = int(np.argmax(gains))
-            if not gains[best] > pays:
+            if not gains[best] > min_gain:
                 return accepted if accepted.chosen else accepted._replace(gain=gains[best])
             chosen = [*accepted.chosen, *columns_of(left.pop(best), kinds)]
             fit = self.fitted_with(accepted.fit, drives, chosen)

@@ -23,14 +23,14 @@ from processing.fit.seismometer_terms import fitted_state, model_of
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
 
-_LONGEST, _SHORTEST = 64, 16
+_MAX_STRETCH, _MIN_STRETCH = 64, 16
 """Most and fewest half-swings of a stretch, which gives one spectrum."""
-_STRETCHES = 6
+_WANTED_STRETCHES = 6
 """Stretches into which a run is divided where it is long enough: fewer give no coherence."""
-_SHOWN = 0.5
+_MAX_DETUNING = 0.5
 """Detuning, in the pendulum's frequencies, up to which spectra are given: beyond it the integral over a
 half-swing responds to frequencies of the other side as well."""
-_NEAR = 0.1
+_COHERENCE_DETUNING = 0.1
 """Detuning within which the coherence is averaged to one number."""
 _DRIVE = Quantity("", "", unit="rad/s^2/sqrt(Hz)")
 
@@ -76,13 +76,13 @@ def seismometer_spectra(
     """Spectra of a fit with an auxiliary seismometer; None for a run that is too short."""
     drive = fit.evidence.drive
     assert drive is not None
-    halves = mean_period(points) / 2
+    half_period_s = mean_period(points) / 2
     usable = _usable(points, drive)
-    length = _length(int(np.count_nonzero(usable)))
+    length = _stretch_length(int(np.count_nonzero(usable)))
     if length == 0:
         return None
-    seen = np.conj(_steps(points, pendulum, fit, drive.with_gains(np.zeros(drive.terms))))
-    left = np.conj(_steps(points, pendulum, fit, drive))
+    observed = np.conj(_steps(points, pendulum, fit, drive.with_gains(np.zeros(drive.terms))))
+    remainder = np.conj(_steps(points, pendulum, fit, drive))
     parts = _stretches(usable, length)
     if len(parts) < 2:
         return None
@@ -92,23 +92,25 @@ def seismometer_spectra(
         cut = np.stack([steps[part] for part in parts]) * window
         return np.asarray(np.fft.fftshift(np.fft.fft(cut, axis=1), axes=1) / np.sqrt(np.sum(window**2)))
 
-    of_seen, of_left = spectrum(seen), spectrum(left)
-    of_witness = of_seen - of_left
-    powers = [np.mean(np.abs(one) ** 2, axis=0) for one in (of_seen, of_witness, of_left)]
-    cross = np.mean(of_seen * np.conj(of_witness), axis=0)
+    observed_spectrum, remainder_spectrum = spectrum(observed), spectrum(remainder)
+    witness_spectrum = observed_spectrum - remainder_spectrum
+    powers = [
+        np.mean(np.abs(one) ** 2, axis=0) for one in (observed_spectrum, witness_spectrum, remainder_spectrum)
+    ]
+    cross = np.mean(observed_spectrum * np.conj(witness_spectrum), axis=0)
     nu = np.fft.fftshift(np.fft.fftfreq(length))
     # an error of a turning point is in the step to it and, with the other sign, in the step from it
     measured = _measurement(points) * 4 * np.sin(np.pi * nu) ** 2
-    shown = np.abs(2 * nu) <= _SHOWN
-    frequency = (1 + 2 * nu) / (2 * halves)
+    shown = np.abs(2 * nu) <= _MAX_DETUNING
+    frequency = (1 + 2 * nu) / (2 * half_period_s)
 
     def density(power: Floats) -> tuple[float, ...]:
         # either quadrature has half of the power
-        unit = density_of_step(1.0, halves)
+        unit = density_of_step(1.0, half_period_s)
         return tuple((unit * np.sqrt(0.5 * power[shown])).tolist())
 
     squared = np.abs(cross) ** 2 / (powers[0] * powers[1])
-    near = np.abs(2 * nu) <= _NEAR
+    near = np.abs(2 * nu) <= _COHERENCE_DETUNING
     return SeismometerSpectra(
         frequency_hz=tuple(frequency[shown].tolist()),
         pendulum_rad_per_s2_rthz=density(powers[0]),
@@ -139,14 +141,14 @@ def _steps(
 
 def _usable(points: TurningPoints, drive: KnownDrive) -> Flags:
     """Whether each turning point follows its neighbour by one half-swing that the seismometer covers."""
-    after = np.diff(points.index, prepend=points.index[0] - 2) == 1
-    return np.asarray(after & ~drive.missing[points.index - points.index[0]])
+    follows = np.diff(points.index, prepend=points.index[0] - 2) == 1
+    return np.asarray(follows & ~drive.missing[points.index - points.index[0]])
 
 
-def _length(usable: int) -> int:
+def _stretch_length(usable: int) -> int:
     """Half-swings of a stretch, a power of 2; 0 for too few."""
-    most = 2 * usable // (_STRETCHES + 1)
-    return 0 if most < _SHORTEST else min(_LONGEST, 1 << (most.bit_length() - 1))
+    most = 2 * usable // (_WANTED_STRETCHES + 1)
+    return 0 if most < _MIN_STRETCH else min(_MAX_STRETCH, 1 << (most.bit_length() - 1))
 
 
 def _stretches(usable: Flags, length: int) -> list[slice]:

@@ -32,17 +32,17 @@ from processing.fit.terms import Term, solve
 from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
 
-_COARSEST = 0.25
+_MAX_STEP_PERIODS = 0.25
 """Longest step between samples, in periods: a parabola through three of them still follows a swing."""
-_FINEST = 1 / 80
+_MIN_STEP_PERIODS = 1 / 80
 """Step, in periods, to which finer samples are averaged, which reduces the gain by 3e-4."""
-_GAP = 1.6
+_MIN_GAP_STEPS = 1.6
 """Distance of two samples, in median steps, above which samples are missing between them."""
-_GUARD = 0.5
+_GUARD_PERIODS = 0.5
 """Periods on either side of a gap that are not used, since the interpolation in the gap changes them."""
-_DRIFT = 1 / 8
+_MAX_DRIFT_FREQUENCY = 1 / 8
 """Frequency over the pendulum's below which a record is taken as its instrument's drift."""
-_PADDED = 16
+_PADDED_PERIODS = 16
 """Periods by which a record is mirrored at its ends."""
 
 
@@ -92,20 +92,20 @@ def signals_of(witness: Seismogram, period_s: float) -> Signals:
             f"least four periods ({4 * period_s:.3g} s) are needed"
         )
     filled = np.column_stack([np.interp(time, time[good], one[good]) for one in value.T])
-    padding = min(ceil(_PADDED * period_s / step_s), len(time) - 1)
+    padding = min(ceil(_PADDED_PERIODS * period_s / step_s), len(time) - 1)
     filled -= filled.mean(axis=0)
     padded = np.pad(filled, ((padding, padding), (0, 0)), mode="reflect", reflect_type="odd")
     padded -= np.linspace(padded[0], padded[-1], len(padded))
     spectrum = np.fft.rfft(padded, axis=0)
     nu = np.fft.rfftfreq(len(padded), step_s)[:, None] * period_s
-    spectrum *= 1.0 - np.exp(-((nu / _DRIFT) ** 2))
+    spectrum *= 1.0 - np.exp(-((nu / _MAX_DRIFT_FREQUENCY) ** 2))
     slope = np.clip(nu - 1.0, -1.0, 1.0)
     turned = -1j * spectrum
     kinds = np.stack([spectrum, turned, slope * spectrum, slope * turned], axis=2)
     found = np.fft.irfft(kinds.reshape(len(nu), -1), len(padded), axis=0)
     found = found[padding : padding + len(time)]
-    usable = ~_near(~good, ceil(_GUARD * period_s / step_s))
-    return Signals(time[usable], np.ascontiguousarray(found[usable]), _GAP * step_s)
+    usable = ~_dilated(~good, ceil(_GUARD_PERIODS * period_s / step_s))
+    return Signals(time[usable], np.ascontiguousarray(found[usable]), _MIN_GAP_STEPS * step_s)
 
 
 def plain_signals(witness: Seismogram, period_s: float) -> Signals:
@@ -120,18 +120,18 @@ def _even(witness: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
         raise DataError(f"the seismometer has {len(time)} samples beside the run: their times do not overlap")
     steps = np.diff(time)
     step_s = float(np.median(steps))
-    if step_s > _COARSEST * period_s:
+    if step_s > _MAX_STEP_PERIODS * period_s:
         raise DataError(
             f"the seismometer has a sample every {step_s:.3g} s; the pendulum's period of {period_s:.3g} s "
-            f"needs one every {_COARSEST * period_s:.2g} s at least"
+            f"needs one every {_MAX_STEP_PERIODS * period_s:.2g} s at least"
         )
     count = round((time[-1] - time[0]) / step_s) + 1
     even = time[0] + step_s * np.arange(count)
     before = np.clip(np.searchsorted(time, even, side="right") - 1, 0, len(time) - 2)
-    lost = steps[before] > _GAP * step_s
+    lost = steps[before] > _MIN_GAP_STEPS * step_s
     found = np.column_stack([np.interp(even, time, one) for one in value.T])
     found[lost] = np.nan
-    together = int(_FINEST * period_s / step_s)
+    together = int(_MIN_STEP_PERIODS * period_s / step_s)
     if together < 2:
         return even, found, step_s
     kept = count // together * together
@@ -139,7 +139,7 @@ def _even(witness: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
     return even, found[:kept].reshape(len(even), together, -1).mean(axis=1), step_s * together
 
 
-def _near(lost: Flags, guard: int) -> Flags:
+def _dilated(lost: Flags, guard: int) -> Flags:
     """Whether each sample is at most `guard` samples from a lost one."""
     count = np.concatenate([[0], np.cumsum(lost)])
     places = np.arange(len(lost))
@@ -147,17 +147,18 @@ def _near(lost: Flags, guard: int) -> Flags:
     return np.asarray(count[high] > count[low])
 
 
-_BLOCKS = 10
-_MARGIN = 3.0
+_LEFT_OUT_BLOCKS = 10
+"""Parts of a run, each of which is predicted by gains fitted to the others."""
+_MARGIN_PERIODS = 3.0
 """Periods of the seismometer's record before and after the run that its signals need."""
-_SHIFT = 0.02
-"""Shift of the signals, in periods, for the derivative by their time."""
+_SHIFT_PERIODS = 0.02
+"""Shift of the signals, in periods, for the derivative with respect to their time."""
 _WEIGHT_CHANGE = 0.1
-"""Change of the weight of a half-cycle's own samples for the derivative by it."""
-_SPACING = 1 / 8
+"""Change of the weight of a half-cycle's own samples for the derivative with respect to it."""
+_OFFSET_SPACING_PERIODS = 1 / 8
 """Spacing of offsets that are tried, in periods: gain and quadrature take up the offset from the nearest."""
-_MOST_TRIED = 20_000
-_COVERED = 0.6
+_MAX_OFFSETS_TRIED = 20_000
+_MIN_COVERED_AT_OFFSET = 0.6
 """Share of the half-swings that a seismometer has to cover at an offset that is tried."""
 
 
@@ -166,7 +167,7 @@ class SignalDrives:
 
     def __init__(self, points: TurningPoints, witness: Seismogram, *, averaged: bool) -> None:
         self.period_s = mean_period(points)
-        margin_s = _MARGIN * self.period_s
+        margin_s = _MARGIN_PERIODS * self.period_s
         beside = witness.between(points.time_s[0] - margin_s, points.time_s[-1] + margin_s)
         self.names = witness.names
         self.signals = signals_of(beside, self.period_s)
@@ -181,7 +182,7 @@ class SignalDrives:
         return known_drive(self._points, moved, averaged=self._averaged)
 
     def with_rest_weight(self, weight: float) -> KnownDrive:
-        """The drive by all signals with another weight of a half-cycle's own samples in its point of rest."""
+        """The drive by all signals with another weight of a half-cycle's own samples in its equilibrium."""
         return known_drive(self._points, self.signals, averaged=self._averaged, rest_weight=weight)
 
 
@@ -208,7 +209,7 @@ def fitted_state(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
 
 
 def residuals_at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
-    """Whitened residuals at a fit, their derivatives by the gains of the drive and by the other columns."""
+    """Whitened residuals at a fit, their Jacobians of the gains of the drive and of the other columns."""
     assert model.known_drive is not None
     found = model.filtered(*fitted_state(model, fit))
     by_gains = found.jacobian[:, : model.known_drive.terms] / model.known_drive.unit
@@ -235,9 +236,9 @@ def gain_of_prediction(
     law = FactoredJacobian(np.column_stack([by_law, by_gains[:, : len(chosen)]]))
     left, of = law.left(residuals), law.left(candidates)
     count = len(residuals) // 2
-    block = np.tile(np.arange(count) * _BLOCKS // count, 2)
+    block = np.tile(np.arange(count) * _LEFT_OUT_BLOCKS // count, 2)
     fall = 0.0
-    for one in range(_BLOCKS):
+    for one in range(_LEFT_OUT_BLOCKS):
         here = block == one
         gains = FactoredJacobian(of[~here]).coefficients(left[~here])
         fall += float(np.sum(left[here] ** 2) - np.sum((left[here] - of[here] @ gains) ** 2))
@@ -251,7 +252,7 @@ class ClockCorrection(NamedTuple):
     drift: Estimate
 
     @property
-    def wrong(self) -> bool:
+    def significant(self) -> bool:
         """Whether delay or drift is seen, at four standard uncertainties."""
         return any(abs(one.value) > 4 * one.standard_uncertainty for one in self)
 
@@ -267,10 +268,10 @@ def clock_correction(
 
     A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes that
     up; the delay shows in the change of the phase within the band to which a half-swing responds. So does the
-    weight of a half-cycle's own samples in its point of rest, which is known only roughly.
+    weight of a half-cycle's own samples in its equilibrium position, which is known only roughly.
     """
     drive = with_start_gains(drives, fit, chosen)
-    by_s = _SHIFT * drives.period_s
+    by_s = _SHIFT_PERIODS * drives.period_s
     half_s = 0.5 * float(points.time_s[-1] - points.time_s[0])
     moved = []
     heavier, lighter = FREE_REST_WEIGHT + _WEIGHT_CHANGE, FREE_REST_WEIGHT - _WEIGHT_CHANGE
@@ -295,13 +296,6 @@ def clock_correction(
     return ClockCorrection(delay_s, drift)
 
 
-class ClockOffset(NamedTuple):
-    """Offset to add to a seismometer's times so that it explains most, and how many were tried."""
-
-    by_s: float
-    tried: int
-
-
 def best_offset(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
@@ -309,8 +303,8 @@ def best_offset(
     alone: FitResult,
     *,
     averaged: bool = True,
-) -> ClockOffset:
-    """The offset at which gain and quadrature of all components explain most of the pendulum's motion.
+) -> tuple[float, int]:
+    """Offset (s) to add to the times so that all components explain most of the motion, and the number tried.
 
     Raises
     ------
@@ -321,19 +315,19 @@ def best_offset(
     signals = signals_of(witness, period_s)
     length_s = float(points.time_s[-1] - points.time_s[0])
     first_s, last_s = float(signals.time_s[0]), float(signals.time_s[-1])
-    lowest = points.time_s[0] + _COVERED * length_s - last_s
-    highest = points.time_s[0] + (1 - _COVERED) * length_s - first_s
+    lowest = points.time_s[0] + _MIN_COVERED_AT_OFFSET * length_s - last_s
+    highest = points.time_s[0] + (1 - _MIN_COVERED_AT_OFFSET) * length_s - first_s
     if highest <= lowest:
         raise DataError(
-            f"the seismometer lasts {last_s - first_s:.4g} s and has to cover {100 * _COVERED:.0f} % of the "
-            f"run of {length_s:.4g} s"
+            f"the seismometer lasts {last_s - first_s:.4g} s and has to cover "
+            f"{100 * _MIN_COVERED_AT_OFFSET:.0f} % of the run of {length_s:.4g} s"
         )
-    step_s = _SPACING * period_s
+    step_s = _OFFSET_SPACING_PERIODS * period_s
     tried = int((highest - lowest) / step_s) + 1
-    if tried > _MOST_TRIED:
+    if tried > _MAX_OFFSETS_TRIED:
         raise DataError(
             f"the seismometer lasts {last_s - first_s:.4g} s, too long to search for its offset: state it to "
-            f"{0.5 * _MOST_TRIED * step_s:.3g} s, or shorten its record"
+            f"{0.5 * _MAX_OFFSETS_TRIED * step_s:.3g} s, or shorten its record"
         )
     signals = signals.only([k for one in range(len(witness.names)) for k in columns_of(one, PAIR)])
     drive = known_drive(points, signals, averaged=averaged)
@@ -341,14 +335,14 @@ def best_offset(
 
     def explained(by_s: float) -> float:
         drive = known_drive(points, signals.delayed(by_s), averaged=averaged)
-        if np.count_nonzero(drive.missing) > (1 - _COVERED) * len(drive.missing):
+        if np.count_nonzero(drive.missing) > (1 - _MIN_COVERED_AT_OFFSET) * len(drive.missing):
             return 0.0
         return _explained(model, alone, drive)
 
     coarse = lowest + step_s * np.arange(tried)
     best = float(coarse[int(np.argmax([explained(one) for one in coarse.tolist()]))])
     near = best + step_s * np.linspace(-1, 1, 17)
-    return ClockOffset(float(near[int(np.argmax([explained(one) for one in near.tolist()]))]), tried)
+    return float(near[int(np.argmax([explained(one) for one in near.tolist()]))]), tried
 
 
 def _explained(model: ExactModel, alone: FitResult, drive: KnownDrive) -> float:

@@ -112,7 +112,7 @@ class RestrictedLikelihood:
     Parameters
     ----------
     residuals, jacobian
-        Residuals of the law in units of their scatter, and their derivatives by its coordinates.
+        Residuals of the law in units of their scatter, and their derivatives with respect to its coordinates.
     groups
         Derivatives (rows, m) of the residuals by the coordinates of each group, for the size 1.
 
@@ -167,7 +167,7 @@ class DrivenRows(NamedTuple):
     Attributes
     ----------
     residuals, jacobian, by_errors
-        Residuals (rows,), and their derivatives by the law's coordinates and by errors of the law.
+        Residuals (rows,), and their derivatives with respect to the law's coordinates and errors of the law.
     log_det
         ln det of the covariance of the rows of the turning points.
     points
@@ -189,7 +189,7 @@ class DrivenRows(NamedTuple):
         errors: LawErrors | None = None,
         of_waveform: Floats | None = None,
     ) -> "DrivenRows":
-        """The rows of a model for a drive, with their derivatives by errors of the law.
+        """The rows of a model for a drive, with their derivatives with respect to errors of the law.
 
         `of_waveform` (evidence rows, errors) are those of the evidence; 0 by default.
         """
@@ -231,11 +231,11 @@ class LinearisedFit:
     fit, model, coordinates
         The fit, the model with its noise, and the solver's coordinates at which it ended.
     scale
-        By how many times the turning points scatter more than stated.
+        The factor by which the turning points scatter more than stated.
     residuals, jacobian
         Of turning points and evidence, (rows,) and (rows, n).
     to_physical
-        Derivatives of the fit's values by the coordinates.
+        Derivatives of the fit's values with respect to the coordinates.
     """
 
     fit: FitResult
@@ -282,7 +282,7 @@ class LinearisedFit:
                 float(np.max(np.abs(by_amplitude / model.u_amplitude))),
                 float(np.max(np.abs(by_time / points.u_time_s))),
             )
-            step = _SMALL / max(felt, 1e-300)
+            step = _DERIVATIVE_STEP_U / max(felt, 1e-300)
             moved = model.with_larger_measurements(step * by_amplitude, step * by_time)(self.coordinates)[0]
             changes.append((moved / self.scale - self.residuals) / step)
         return np.asarray(changes, dtype=np.float64).T
@@ -337,5 +337,5 @@ class LinearisedFit:
         return fit
 
 
-_SMALL = 0.1
-"""Step of a derivative by measured values, in their uncertainties."""
+_DERIVATIVE_STEP_U = 0.1
+"""Step of a derivative with respect to measured values, in their uncertainties."""

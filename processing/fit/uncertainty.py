@@ -30,7 +30,9 @@ class BudgetSource:
     source: str
     type: Literal["A", "B"]
     u_source: Annotated[float, Quantity("", "of the source", unit=OF + "source")]
-    sensitivity: Annotated[float, Quantity("", "derivative by the source", unit=OWN + PER + OF + "source")]
+    sensitivity: Annotated[
+        float, Quantity("", "derivative with respect to the source", unit=OWN + PER + OF + "source")
+    ]
     contribution: Annotated[float, PART]
     share: float
 
@@ -72,7 +74,8 @@ Model = Callable[[Mapping[str, Floats]], Mapping[str, Floats]]
 
 
 def sensitivities(model: Model, inputs: Mapping[str, InputQuantity]) -> dict[str, dict[str, float]]:
-    """Derivative of each quantity of a model by each input that is uncertain, at the inputs' values.
+    """Derivative of each quantity of a model with respect to each input that is uncertain, at the inputs'
+    values.
 
     Central differences over a thousandth of each input's standard uncertainty.
     """
@@ -153,7 +156,7 @@ def _fitted(found: FittedContact) -> dict[str, InputQuantity]:
 def _slopes(
     found: FittedContact, rig: RigQuantities, model: Model
 ) -> tuple[dict[str, Floats], dict[str, dict[str, float]]]:
-    """Derivatives of each quantity by the fitted values, and by each other input that is uncertain."""
+    """Derivatives of each quantity with respect to the fitted values and each other uncertain input."""
     slopes = sensitivities(model, {**_fitted(found), **rig.inputs()})
     by_value = {name: np.array([by.pop(one) for one in found.names]) for name, by in slopes.items()}
     return by_value, slopes

@@ -30,7 +30,7 @@ _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
 _COMMON = tuple(name for name in PAPER.names() if name not in _OWN)
 _AIR = len(_COMMON)
 """Place of d0 among the shared parameters; k follows where it is fitted."""
-_IMPROBABLE = 0.01
+_MIN_SCATTER_CHANCE = 0.01
 """Chance of a scatter below which it is not attributed to chance, and enlarges the uncertainties."""
 
 
@@ -122,7 +122,7 @@ class _SharedParameters:
         return np.array([*(known[name] for name in _COMMON), *values[_AIR:]])
 
     def line(self, exposure: float) -> Floats:
-        """Derivatives of the drag by d0 and k at an exposure."""
+        """Derivatives of the drag with respect to d0 and k at an exposure."""
         return np.array([exposure] if self.by_ratio else [1.0, exposure])
 
     def __call__(self, values: Floats) -> tuple[Floats, Floats]:
@@ -187,7 +187,7 @@ def air_of_vanes(
     chi2 = max(0.0, 2 * found.cost - alone)
     dof = len(runs) * (_AIR + 1) - shared.count
     chance = float(chdtrc(dof, chi2))
-    enlarged = float(np.sqrt(chi2 / dof)) if chance < _IMPROBABLE else 1.0
+    enlarged = float(np.sqrt(chi2 / dof)) if chance < _MIN_SCATTER_CHANCE else 1.0
     covariance = covariance_of(found.jacobian) * enlarged**2
     values, by = differenced(shared.physical)(found.values[: shared.count])
     u = np.sqrt(np.diag(by @ covariance[: shared.count, : shared.count] @ by.T))

@@ -26,12 +26,12 @@ from processing.least_squares import FactoredJacobian
 from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
 from processing.units import nanoseconds, seconds
 
-_REACH = 0.2
+_REACH_HALF_PERIODS = 0.2
 """Time and speed of a crossing are fitted to samples within this fraction of the half period on either
 side."""
 _POWERS = 6
 """Number of powers, from 0 to 5: over the reach they leave 1.2e-7 of the amplitude of a sine."""
-_FEWEST = 8
+_MIN_SAMPLES = 8
 """Fewest samples of a crossing, and fewest turning points of a law of the period."""
 _EARLY = 0.5 * (math.pi / 4 + 1 / math.pi), 0.5 * (math.pi / 4 - 1 / math.pi)
 """Friction shifts a turning point to a time before the middle of its two crossings, by ln(v_1/v_2)/w0 times
@@ -63,7 +63,7 @@ def inferred_swings(times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Fl
         crossings. The rest position is the level whose crossings are equally spaced.
     """
     seen = np.isfinite(deflection_rad) & (u_deflection_rad > 0)
-    if np.count_nonzero(seen) < 4 * _FEWEST:
+    if np.count_nonzero(seen) < 4 * _MIN_SAMPLES:
         return []
     start_ns = int(times_ns[0])
     time_s = seconds(times_ns[seen] - start_ns)
@@ -136,10 +136,12 @@ def _crossings(time_s: Floats, values: Floats, u: Floats, half_s: float, spacing
     for i in at.tolist():
         if found and time_s[i] - found[-1].time_s < 0.4 * half_s:
             continue
-        first, last = np.searchsorted(time_s, [time_s[i] - _REACH * half_s, time_s[i] + _REACH * half_s])
-        if last - first < _FEWEST:
+        first, last = np.searchsorted(
+            time_s, [time_s[i] - _REACH_HALF_PERIODS * half_s, time_s[i] + _REACH_HALF_PERIODS * half_s]
+        )
+        if last - first < _MIN_SAMPLES:
             continue
-        scale_s = _REACH * half_s
+        scale_s = _REACH_HALF_PERIODS * half_s
         x = (time_s[first:last] - time_s[i]) / scale_s
         fit = FactoredJacobian(np.vander(x, _POWERS, increasing=True) / u[first:last, np.newaxis])
         solution = fit.coefficients(values[first:last] / u[first:last])
@@ -255,9 +257,10 @@ def circular_error(points: TurningPoints) -> CircularError:
     Amplitudes of missing turning points are interpolated. Raises DataError for fewer than eight turning
     points, or if all amplitudes are equal.
     """
-    if len(points) < _FEWEST:
+    if len(points) < _MIN_SAMPLES:
         raise DataError(
-            f"{len(points)} usable turning points, at least {_FEWEST} are needed for the law of the period"
+            f"{len(points)} usable turning points, at least {_MIN_SAMPLES} are needed for the law of "
+            "the period"
         )
     index = np.arange(points.index[0], points.index[-1] + 1)
     amplitude = np.exp(np.interp(index, points.index, np.log(points.amplitude)))

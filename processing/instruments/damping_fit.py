@@ -20,9 +20,9 @@ from processing.swing import TurningPoints
 
 Found = TypeVar("Found", bound=NamedTuple)
 
-_DRAWS = 100
+_SIMULATED_DECAYS = 100
 """Simulated decays; their scatter is known to 7 %."""
-_FEWEST = 12
+_MIN_DIFFERENCES = 12
 """Fewest third differences of amplitudes from which the drive is estimated."""
 
 
@@ -39,7 +39,7 @@ class SharedError(NamedTuple):
     clock: float = 0.0
     amplitude_rad: float | Floats = 0.0
 
-    def moved(self, points: TurningPoints, by: float) -> TurningPoints:
+    def shifted(self, points: TurningPoints, by: float) -> TurningPoints:
         """The points changed by `by` standard uncertainties of the error."""
         scale, clock = 1 + by * self.scale, 1 + by * self.clock
         return replace(
@@ -113,7 +113,7 @@ def with_shared(
     for error in errors:
         for sign in (1.0, -1.0):
             try:
-                shifted = reduce(error.moved(points, sign))
+                shifted = reduce(error.shifted(points, sign))
             except DataError:
                 continue
             for name, changes in shared.items():
@@ -136,8 +136,8 @@ def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) 
     """Evaluate turning points with uncertainties that contain the scatter by a drive of the ground.
 
     A kick of the ground moves all later half-cycles: passages and periods far apart scatter by more than the
-    measurement of their turning points. The decay is simulated `_DRAWS` times with the drive that its own
-    turning points show and with their measurement errors, and each time evaluated.
+    measurement of their turning points. The decay is simulated `_SIMULATED_DECAYS` times with the drive that
+    its own turning points show and with their measurement errors, and each time evaluated.
 
     Parameters
     ----------
@@ -156,12 +156,12 @@ def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) 
         return found
     rng = np.random.default_rng(0)
     simulated = []
-    for _ in range(_DRAWS):
+    for _ in range(_SIMULATED_DECAYS):
         try:
             simulated.append(reduce(_simulated(points, step, rng)))
         except DataError:
             continue
-    if len(simulated) < 0.5 * _DRAWS:
+    if len(simulated) < 0.5 * _SIMULATED_DECAYS:
         return found
     columns = zip(*simulated, strict=True)
     return found._replace(
@@ -180,7 +180,7 @@ def drive_step(points: TurningPoints) -> float:
     """
     runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(points.index) != 1) + 1)
     excess = np.concatenate([_excess(points, run) for run in runs])
-    if len(excess) < _FEWEST:
+    if len(excess) < _MIN_DIFFERENCES:
         return 0.0
     mean = float(np.mean(excess))
     # third differences share half-cycles: only one in four is independent

@@ -31,14 +31,6 @@ class Limits:
     value: float
     tolerance: float
 
-    @property
-    def lowest(self) -> float:
-        return self.value if math.isinf(self.tolerance) else self.value - self.tolerance
-
-    @property
-    def highest(self) -> float:
-        return self.value + self.tolerance
-
 
 @dataclass(frozen=True, slots=True)
 class Description:
@@ -170,7 +162,8 @@ class Check:
 def check(name: str, measured: Estimate, limits: Limits, unit: str) -> Check:
     """Compare a value with limits; an unknown uncertainty (0) is ignored."""
     value, u = measured
-    low, high = limits.lowest, limits.highest
+    high = limits.value + limits.tolerance
+    low = limits.value if math.isinf(limits.tolerance) else limits.value - limits.tolerance
     inside = low <= value <= high
     near = min(abs(value - low), abs(value - high) if math.isfinite(high) else math.inf)
     verdict = Compliance.UNDECIDED if near < 2 * u else Compliance.WITHIN if inside else Compliance.OUTSIDE

@@ -26,7 +26,7 @@ from processing.kernel import kernel
 from processing.least_squares import differenced, solve
 from processing.swing import TurningPoints
 
-_FEWEST = 6
+_MIN_POINTS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +80,9 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
     Raises DataError for fewer than six turning points, for amplitudes that do not fall, or if the data do not
     determine the law.
     """
-    if len(points) < _FEWEST:
+    if len(points) < _MIN_POINTS:
         raise DataError(
-            f"{len(points)} usable turning points, at least {_FEWEST} are needed for a law of friction"
+            f"{len(points)} usable turning points, at least {_MIN_POINTS} are needed for a law of friction"
         )
     amplitude, steps = points.amplitude, points.index - points.index[0]
     lost = float(np.log(amplitude[0] / amplitude[-1]))

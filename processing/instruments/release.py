@@ -16,12 +16,12 @@ from processing.least_squares import FactoredJacobian
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
 
-_REACH = 0.32
+_REACH_HALF_PERIODS = 0.32
 """Half periods fitted on either side: the powers below then follow a cosine to 2e-5 of the amplitude."""
 _POWERS = np.array([3, 2, 4, 6])
 _U_PART = 1 / math.sqrt(12)
 """Prior standard uncertainty of the drag's share of the loss, about one half."""
-_FEWEST_HELD = 5
+_MIN_HELD_SAMPLES = 5
 _ITERATIONS = 12
 _LARGEST_CHI2 = 4.0
 """Chi-square per degree of freedom above which the samples are no release from rest."""
@@ -47,12 +47,16 @@ def with_release(
     first, half_s = good[0], float(seconds(good[1].turn_time_ns - good[0].turn_time_ns))
     zero_ns = first.turn_time_ns - nanoseconds(half_s)
     time_s = seconds(times_ns - zero_ns)
-    near = np.isfinite(deflection_rad) & (u_deflection_rad > 0) & (np.abs(time_s) < 2 * _REACH * half_s)
+    near = (
+        np.isfinite(deflection_rad)
+        & (u_deflection_rad > 0)
+        & (np.abs(time_s) < 2 * _REACH_HALF_PERIODS * half_s)
+    )
     side = -first.side
     loss = math.log(first.amplitude / good[1].amplitude)
     if not loss > 0:
         return None
-    cubic = loss * first.amplitude * math.pi**2 * _REACH**3 / 3
+    cubic = loss * first.amplitude * math.pi**2 * _REACH_HALF_PERIODS**3 / 3
     fitted = _release_fit(
         time_s[near], side * (deflection_rad[near] - first.centre), u_deflection_rad[near], half_s, cubic
     )
@@ -84,12 +88,12 @@ def _release_fit(
     """
     known = np.zeros((1, len(_POWERS) + 2))
     known[0, 1] = 1 / (_U_PART * cubic)
-    release_s, scale_s = 0.0, _REACH * half_s
+    release_s, scale_s = 0.0, _REACH_HALF_PERIODS * half_s
     for _ in range(_ITERATIONS):
         tau = (time_s - release_s) / scale_s
         used = np.abs(tau) < 1
         held = used & (tau < 0)
-        if np.count_nonzero(held) < _FEWEST_HELD or np.count_nonzero(used & ~held) < 2 * len(_POWERS):
+        if np.count_nonzero(held) < _MIN_HELD_SAMPLES or np.count_nonzero(used & ~held) < 2 * len(_POWERS):
             return None
         since = np.maximum(tau[used], 0.0)[:, None]
         design = np.column_stack([np.ones(len(since)), since**_POWERS]) / u_values[used, None]

@@ -18,14 +18,14 @@ from processing.least_squares import FactoredJacobian
 from processing.swing import HalfCycle, HalfCycleFlag
 from processing.units import seconds
 
-_REACH = 0.40
+_REACH_HALF_PERIODS = 0.40
 """Half-width of the fitted interval in half periods. Within it even powers up to the sixth approximate a
 cosine to 1e-6 of the amplitude."""
-_FEWEST_CENTRES = 4
+_MIN_CENTRES = 4
 _POWERS = 7
 _TERMS = _POWERS + 1
 """Terms of the fit: the powers 0 to 6, and one for a friction that changes its sign with the motion."""
-_FEWEST = 2 * _TERMS
+_MIN_SAMPLES = 2 * _TERMS
 """Fewest samples, which leave as many degrees of freedom as there are terms."""
 
 
@@ -62,7 +62,7 @@ def _refined_one(
 ) -> HalfCycle:
     if swing.flags:
         return swing
-    reach_ns = _REACH * half_period_ns
+    reach_ns = _REACH_HALF_PERIODS * half_period_ns
     turn_ns = swing.turn_time_ns
     fitted = None
     for _ in range(3):
@@ -70,7 +70,7 @@ def _refined_one(
         ends_ns = np.array([turn_ns - reach_ns, turn_ns + reach_ns], dtype=np.int64)
         first, last = np.searchsorted(times_ns, ends_ns)
         x = (times_ns[first:last] - turn_ns) / reach_ns
-        if len(x) < _FEWEST or x[0] > -0.8 or x[-1] < 0.8 or np.max(np.diff(x)) > 0.3:
+        if len(x) < _MIN_SAMPLES or x[0] > -0.8 or x[-1] < 0.8 or np.max(np.diff(x)) > 0.3:
             return replace(swing, flags=swing.flags | int(HalfCycleFlag.GAP))
         fitted = _fit(x, values[first:last], u_values[first:last])
         shift = -0.5 * fitted[0][1] / fitted[0][2]
@@ -111,7 +111,7 @@ def _about_the_rest_position(swings: list[HalfCycle]) -> list[HalfCycle]:
         for a, b, c in zip(good, good[1:], good[2:], strict=False)
         if c.index - a.index == 2 and b.index - a.index == 1
     ]
-    if len(triples) < _FEWEST_CENTRES:
+    if len(triples) < _MIN_CENTRES:
         return swings
     place = {swing.index: swing.centre + swing.side * swing.amplitude for swing in good}
     time_s = np.array([seconds(b.turn_time_ns - good[0].turn_time_ns) for _, b, _ in triples])

@@ -157,11 +157,11 @@ _SPLINES = 320
 _LENGTHS = (0.25, 0.125, 0.0625, 0.032, 0.016, 0.008)
 """Correlation lengths tried, as fractions of the range."""
 _FEWEST_CYCLES = 8
-_SAMPLED = 24
+_SAMPLED_CYCLES = 24
 """Number of cycles whose residuals are stored, to measure their scatter about a common error."""
-_MOST_SUMS = 64
+_MAX_SUMS = 64
 """About the largest number of groups of neighbouring cycles whose scores are summed."""
-_PARTS = 10
+_CROSS_VALIDATION_PARTS = 10
 """Number of parts of the run, each of which is predicted by the others."""
 _SMALLEST_CONFIRMATION = 0.8
 """Smallest fraction of the parts that must be described better with the map of the others."""
@@ -196,17 +196,19 @@ class PositionMapSearch:
 
     def __init__(self, low: float, high: float, cycles: int) -> None:
         self._splines = Splines.over(low, high, _SPLINES)
-        self._parts = [Accumulator(self._splines) for _ in range(_PARTS)]
+        self._parts = [Accumulator(self._splines) for _ in range(_CROSS_VALIDATION_PARTS)]
         self._expected = max(cycles, 1)
-        self._group = max(1, math.ceil(cycles / _MOST_SUMS))
-        self._every = max(1, math.ceil(cycles / _SAMPLED))
+        self._group = max(1, math.ceil(cycles / _MAX_SUMS))
+        self._every = max(1, math.ceil(cycles / _SAMPLED_CYCLES))
         self._scores: list[Floats] = []
         self._sampled: list[CycleResiduals] = []
         self._cycles = 0
 
     def add(self, cycle: CycleResiduals) -> None:
         """Add the residuals of one cycle."""
-        score = self._parts[min(_PARTS * self._cycles // self._expected, _PARTS - 1)].add(cycle)
+        score = self._parts[
+            min(_CROSS_VALIDATION_PARTS * self._cycles // self._expected, _CROSS_VALIDATION_PARTS - 1)
+        ].add(cycle)
         if self._cycles % self._group == 0:
             self._scores.append(score)
         else:

@@ -16,13 +16,13 @@ from processing.series.model import Design, SeriesModel, design_of
 from processing.series.runs import ORDER, CompressedRun, Effect, Form
 
 _LOG_2PI = float(np.log(2 * np.pi))
-_STEPS = 60
+_MAX_NEWTON_STEPS = 60
 _TOLERANCE = 1e-7
 _LARGEST_ARRAY = 4_000_000
 """Most numbers of one array: more draws are computed in parts."""
 _NARROWEST, _WIDEST = 1e-5, 8.0
 """Range of the scatters searched, over their stated sizes: without priors these are far too large."""
-_STEP = 2e-3
+_DERIVATIVE_STEP = 2e-3
 _OUTER, _INNER = 0.1, 0.02
 """Steps of second derivatives, so wide that the density's departure from a parabola shows in them."""
 _LARGEST_U = 1.5
@@ -38,10 +38,10 @@ class Spread(NamedTuple):
 
 def between_runs(design: Design, h: Floats) -> Floats:
     """Variances (M, k) between runs."""
-    return np.where(design.scatter >= 0, np.exp(2 * _at(h, design.scatter)), 0.0)
+    return np.where(design.scatter >= 0, np.exp(2 * _log_scatters(h, design.scatter)), 0.0)
 
 
-def _at(h: Floats, places: Ints) -> Floats:
+def _log_scatters(h: Floats, places: Ints) -> Floats:
     """Logarithms of scatters (M, places); 0 at the place -1, which stands for no scatter."""
     return np.asarray(np.pad(h, ((0, 0), (0, 1)))[:, places])
 
@@ -65,7 +65,7 @@ def log_determinant(matrices: Floats) -> Floats:
 
 def _prior_precision(design: Design, h: Floats) -> Floats:
     """Inverse prior variances (M, P) of the latent numbers."""
-    return np.where(design.varies >= 0, np.exp(_at(h, design.varies)), design.prior_u) ** -2
+    return np.where(design.varies >= 0, np.exp(_log_scatters(h, design.varies)), design.prior_u) ** -2
 
 
 def _log_prior(design: Design, h: Floats, w: Floats) -> Floats:
@@ -95,7 +95,7 @@ def chances(kinds: Floats) -> Floats:
 
 
 def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
-    """Log likelihood of the censored values (M, B), and its first two derivatives by the model's value."""
+    """Log likelihood of the censored values (M, B), its first two derivatives with respect to the model's."""
     from scipy.special import log_ndtr
 
     bounds = design.bounds
@@ -127,7 +127,7 @@ def conditional(design: Design, h: Floats, start: Floats) -> tuple[Floats, Float
     found, curvature = spread(design, h, w), np.empty(0)
     places = np.arange(w.shape[1])
     flat, x = design.x.reshape(-1, len(places)), design.bounds.x
-    for _ in range(_STEPS):
+    for _ in range(_MAX_NEWTON_STEPS):
         chance = chances(log_kinds(design, w, found))
         weighted = np.sum(chance / design.worse**2, axis=3)[..., None, None] * found.inverse
         pulled = (weighted @ design.y[..., None])[..., 0].sum(axis=2)
@@ -195,10 +195,10 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
 
     def fall(h: Floats) -> tuple[float, Floats]:
         nonlocal w
-        value, found = log_marginal(design, np.concatenate([h[None], *_around(h, _STEP)]), w)
+        value, found = log_marginal(design, np.concatenate([h[None], *_around(h, _DERIVATIVE_STEP)]), w)
         w = found[0]
         ahead, behind = np.split(value[1:], 2)
-        return -float(value[0]), -(ahead - behind) / (2 * _STEP)
+        return -float(value[0]), -(ahead - behind) / (2 * _DERIVATIVE_STEP)
 
     low, high = np.log(_NARROWEST * design.scales), np.log(_WIDEST * design.scales)
     solved = minimize(fall, np.clip(begin, low, high), jac=True, method="L-BFGS-B",
@@ -227,7 +227,7 @@ SEEN = 0.05
 """Chance, shared between all effects that were tried, below which an effect is reported as seen."""
 ABSENT = 0.95
 """Probability that an effect is smaller than what matters, above which it is reported as absent."""
-_FEWEST = 2
+_MIN_RUNS_PER_SIDE = 2
 """Fewest runs on either side of a change."""
 
 
@@ -275,9 +275,9 @@ def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: st
     fewer than four runs."""
     from scipy.special import logsumexp
 
-    if len(runs) < 2 * _FEWEST:
-        raise DataError(f"{len(runs)} runs: a change needs {_FEWEST} on either side")
-    places = range(_FEWEST, len(runs) - _FEWEST + 1)
+    if len(runs) < 2 * _MIN_RUNS_PER_SIDE:
+        raise DataError(f"{len(runs)} runs: a change needs {_MIN_RUNS_PER_SIDE} on either side")
+    places = range(_MIN_RUNS_PER_SIDE, len(runs) - _MIN_RUNS_PER_SIDE + 1)
     steps = [
         Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=place) for place in places
     ]

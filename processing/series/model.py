@@ -83,9 +83,9 @@ class LatentNumber(NamedTuple):
 class Bounds(NamedTuple):
     """Values of B runs that are only bounded.
 
-    `x` (B, P) are their derivatives by the latent numbers, `limit` (B,) the limits, `sign` is +1 for an upper
-    limit and -1 for a lower one. `softness` is the standard deviation of a limit, `coordinate` the index of
-    the bounded coordinate.
+    `x` (B, P) are their derivatives with respect to the latent numbers, `limit` (B,) the limits, `sign` is +1
+    for an upper limit and -1 for a lower one. `softness` is the standard deviation of a limit, `coordinate`
+    the index of the bounded coordinate.
     """
 
     x: Floats
@@ -102,9 +102,9 @@ class Design(NamedTuple):
     (R, S, k, k) and logarithms of their shares `log_share` (R, S). Where a run does not have a coordinate,
     `has` (R, k) is 0, its variance 1 and its value 0.
 
-    `x` (R, k, P) are the derivatives of the values by the latent numbers `levels`, whose priors are normal
-    with `prior_mean` and `prior_u` (P,). `blurred` (E, R, k) are standard deviations of the values by
-    uncertain covariates, for effects of size 1; `blurred_by` (E,) are the indices of these effects among
+    `x` (R, k, P) are the derivatives of the values with respect to the latent numbers `levels`, whose priors
+    are normal with `prior_mean` and `prior_u` (P,). `blurred` (E, R, k) are standard deviations of the values
+    by uncertain covariates, for effects of size 1; `blurred_by` (E,) are the indices of these effects among
     `levels`.
 
     The scatters `hyper` (H,) have half-normal priors with the scales `scales` (H,). `scatter` (k,) is the

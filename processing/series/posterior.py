@@ -32,16 +32,16 @@ from processing.series.runs import CompressedRun
 DRAWS = 1000
 _ENOUGH_SHARE = 0.2
 """Effective share of the draws above which no further round is made."""
-_ROUNDS = 4
-_TAILS = 6.0
-_TAILS_OF_LEVELS = 30.0
+_MAX_ROUNDS = 4
+_SCATTER_TAILS, _LEVEL_TAILS = 6.0, 30.0
 """Degrees of freedom of Student's t from which scatters and latent numbers are drawn."""
-_R_HAT = 1.05
+_MAX_R_HAT = 1.05
 """R-hat below which chains agree."""
-_CHAINS = 4
-_BURN_IN = 0.3
-_LONGEST_LOG_SCATTER = 12.0
-_MOST_DRAWS = 4000
+_ENSEMBLES = 4
+_BURN_IN_SHARE = 0.3
+_MAX_LOG_SCATTER_CHANGE = 12.0
+"""Largest distance of a walker from the likeliest scatters, in their logarithms."""
+_MAX_DRAWS = 4000
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class SeriesPosterior:
         This is the posterior predictive p-value of the sum of squares of all runs. Near 0 the model lacks
         something, near 1 the uncertainties are too large.
         """
-        rng, design, more = np.random.default_rng(seed), self.design, 0
+        rng, design, exceeding = np.random.default_rng(seed), self.design, 0
         which = rng.choice(len(self.h), size=min(400, len(self.h)), p=self.weight)
         # which runs are bad is part of the model, so that a copy draws its own
         kinds = np.exp(design.log_kind)
@@ -153,8 +153,8 @@ class SeriesPosterior:
             # a run that has only bounds scatters in nothing
             copies = worse**2 * 2 * rng.standard_gamma(0.5 * design.has.sum(axis=1))
             # a bad run counts only up to a limit: it is named elsewhere
-            more += bool(np.minimum(copies, 30.0).sum() >= np.minimum(real, 30.0).sum())
-        return more / len(which)
+            exceeding += bool(np.minimum(copies, 30.0).sum() >= np.minimum(real, 30.0).sum())
+        return exceeding / len(which)
 
 
 def _run_posteriors(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
@@ -164,11 +164,11 @@ def _run_posteriors(design: Design, h: Floats, w: Floats) -> tuple[Floats, Float
     chance = chances(log_kinds(design, w, found))
     centre = np.tensordot(w, design.x, (1, 2))
     off = design.y - centre[:, :, None]
-    moved = variance[:, :, None] * np.einsum("mrskl,mrsl->mrsk", found.inverse, off)
+    offset = variance[:, :, None] * np.einsum("mrskl,mrsl->mrsk", found.inverse, off)
     # the factor of a bad run's kind widens both its own uncertainty and its scatter
     parts, widths = np.sum(chance, axis=3), np.sum(chance * design.worse**2, axis=(2, 3))[..., None]
-    mean = np.einsum("mrs,mrsk->mrk", parts, moved)
-    second = np.einsum("mrs,mrsk->mrk", parts, moved**2)
+    mean = np.einsum("mrs,mrsk->mrk", parts, offset)
+    second = np.einsum("mrs,mrsk->mrk", parts, offset**2)
     inner = np.diagonal(found.inverse, axis1=-2, axis2=-1)
     left = variance - variance**2 * np.einsum("mrs,mrsk->mrk", parts, inner)
     bad = 1 - chance[..., 0].sum(axis=2)
@@ -189,8 +189,8 @@ def fit_series(
     rng = np.random.default_rng(seed)
     centre, covariance = found.h, found.covariance
     best: SeriesPosterior | None = None
-    for _ in range(_ROUNDS):
-        z, log_z = _students(rng, (draws, len(centre)), _TAILS)
+    for _ in range(_MAX_ROUNDS):
+        z, log_z = _students(rng, (draws, len(centre)), _SCATTER_TAILS)
         h = centre + z @ np.linalg.cholesky(covariance).T
         log_h = log_z - 0.5 * log_determinant(covariance)
         one, log_ratio = _weighted(rng, runs, model, design, found.w, h, log_h)
@@ -227,14 +227,14 @@ def _weighted(
     Latent numbers are drawn about the likeliest ones for each draw of the scatters.
     """
 
-    def drawn(h: Floats) -> tuple[Floats, Floats]:
-        z, log_z = _students(rng, (len(h), len(start)), _TAILS_OF_LEVELS)
+    def draws_of_levels(h: Floats) -> tuple[Floats, Floats]:
+        z, log_z = _students(rng, (len(h), len(start)), _LEVEL_TAILS)
         w, curvature, _ = conditional(design, h, start)
         factor = np.swapaxes(np.linalg.cholesky(curvature), 1, 2)
         w = w + np.linalg.solve(factor, z[..., None])[..., 0]
         return w, log_density(design, h, w) - log_z - 0.5 * log_determinant(curvature)
 
-    w, log_ratio = in_parts(design, drawn, h)
+    w, log_ratio = in_parts(design, draws_of_levels, h)
     log_ratio = np.where(np.isfinite(log_ratio - log_h), log_ratio - log_h, -np.inf)
     return SeriesPosterior(tuple(runs), model, design, h, w, _weights(log_ratio)), log_ratio
 
@@ -257,7 +257,7 @@ class SampledPosterior:
     """A posterior by a sampler.
 
     `r_hat` and `effective` are by level: the ratio of scatters between and within independent halves of
-    ensembles, and the number of independent draws. `settled` is whether all chains agree.
+    ensembles, and the number of independent draws. `converged` is whether all chains agree.
     """
 
     posterior: SeriesPosterior
@@ -265,8 +265,8 @@ class SampledPosterior:
     effective: Mapping[LatentNumber, float]
 
     @property
-    def settled(self) -> bool:
-        return max(self.r_hat.values()) < _R_HAT
+    def converged(self) -> bool:
+        return max(self.r_hat.values()) < _MAX_R_HAT
 
 
 def sample_series(
@@ -291,28 +291,28 @@ def sample_series(
     def log_posterior(at: Floats) -> Floats:
         h = found.h + at @ factor.T
         value = np.full(len(at), -np.inf)
-        good = np.all(np.abs(h - found.h) < _LONGEST_LOG_SCATTER, axis=1)
+        good = np.all(np.abs(h - found.h) < _MAX_LOG_SCATTER_CHANGE, axis=1)
         if np.any(good):
             value[good] = log_marginal(design, h[good], found.w)[0]
         return np.where(np.isfinite(value), value, -np.inf)
 
     walkers = max(2 * size + 2, 10)
     chains, times = [], []
-    for _ in range(_CHAINS):
+    for _ in range(_ENSEMBLES):
         sampler = emcee.EnsembleSampler(walkers, size, log_posterior, vectorize=True)
         sampler.random_state = np.random.RandomState(int(rng.integers(2**31))).get_state()
         sampler.run_mcmc(rng.standard_normal((walkers, size)), steps, progress=False)
-        chains.append(found.h + sampler.get_chain(discard=int(_BURN_IN * steps)) @ factor.T)
+        chains.append(found.h + sampler.get_chain(discard=int(_BURN_IN_SHARE * steps)) @ factor.T)
         times.append([emcee.autocorr.integrated_time(one, tol=0) for one in np.moveaxis(chains[-1], 2, 0)])
-    there = np.array(chains)
-    flat = there.reshape(-1, size)
-    h = flat[:: max(1, len(flat) // _MOST_DRAWS)]
+    walks = np.array(chains)
+    flat = walks.reshape(-1, size)
+    h = flat[:: max(1, len(flat) // _MAX_DRAWS)]
     posterior, _ = _weighted(rng, runs, model, design, found.w, h, log_marginal(design, h, found.w)[0])
-    each = len(flat) / np.maximum(np.mean(times, axis=0).ravel(), 1.0)
+    effective = len(flat) / np.maximum(np.mean(times, axis=0).ravel(), 1.0)
     return SampledPosterior(
         posterior,
-        {level: split_r_hat(there[..., place]) for place, level in enumerate(design.hyper)},
-        dict(zip(design.hyper, each.tolist(), strict=True)),
+        {level: split_r_hat(walks[..., place]) for place, level in enumerate(design.hyper)},
+        dict(zip(design.hyper, effective.tolist(), strict=True)),
     )
 
 

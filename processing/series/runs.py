@@ -185,7 +185,7 @@ class Effect:
         return np.log(x / self.reference)
 
     def slope(self, x: Floats) -> Floats:
-        """Derivative of the form by x."""
+        """Derivative of the form with respect to x."""
         if self.form is Form.LOGARITHM:
             return 1 / x
         return np.zeros_like(x) if self.form is Form.STEP else np.ones_like(x)

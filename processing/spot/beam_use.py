@@ -118,7 +118,7 @@ def _count(flags: dict[SpotFlag, int], marks: Ints) -> None:
 
 _AWAY_SIGMAS = 4.5
 """Distance from the spot beyond which its own light is below 4e-5 of the peak."""
-_FEWEST_PICTURES = 4
+_MIN_PICTURES = 4
 """Fewest pictures with the spot away from a pixel, from which the other light of the pixel is known."""
 _CHANCE_U = 5.0
 """Smallest shift, in standard uncertainties of the mean of the pictures, that is not by chance."""
@@ -187,7 +187,7 @@ class FixedLight:
 def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     """Light that does not move in pictures of a moving spot; None if its shifts do not matter."""
     pairs = [(image, spot) for image, spot in pictures if not spot.flags & SpotFlag.LOST]
-    if len(pairs) < 2 * _FEWEST_PICTURES:
+    if len(pairs) < 2 * _MIN_PICTURES:
         return None
     found = [spot for _, spot in pairs]
     sigma = float(np.median([np.sqrt(spot.sigma_x_px * spot.sigma_y_px) for spot in found]))
@@ -201,7 +201,7 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
         total[box] -= np.where(by_spot, image[box], 0.0)
         count += 1.0
         count[box] -= by_spot
-    known = count >= _FEWEST_PICTURES
+    known = count >= _MIN_PICTURES
     if not known.any():
         return None
     mean = total / np.maximum(count, 1.0)
@@ -245,11 +245,11 @@ def _shift(light: Floats, spot: Spot, sigma: float, height: float) -> float:
     return float(np.hypot((weight * u).sum(), (weight * v).sum()))
 
 
-_REACH = 5.0
+_PICTURE_HALF_WIDTH = 5.0
 """Half-width of the picture in standard deviations of the spot."""
-_FINEST = 8.0
+_MAX_PIXELS_PER_SIGMA = 8.0
 """Most pixels per standard deviation of the spot; pictures with twice as many or more are averaged."""
-_SMOOTH = 0.33
+_SMOOTHING_SIGMA = 0.33
 """Standard deviation of the smoothing, in those of the spot; it removes single pixels and noise."""
 _DIRECTIONS = 12
 
@@ -295,15 +295,15 @@ def beam_shape(images: Sequence[Image], spots: Sequence[Spot], full_scale_dn: fl
         return None
     sigma_px = float(np.median([math.sqrt(spot.sigma_x_px * spot.sigma_y_px) for _, spot in seen]))
     widest_px = float(np.median([max(spot.sigma_x_px, spot.sigma_y_px) for _, spot in seen]))
-    half = math.ceil(_REACH * widest_px)
+    half = math.ceil(_PICTURE_HALF_WIDTH * widest_px)
     light, rest, count = np.zeros((3, 2 * half + 1, 2 * half + 1))
     for image, spot in seen:
         _add(image, spot, full_scale_dn, light, rest, count)
     peak = float(np.median([spot.amplitude_dn for _, spot in seen]))
-    coarse = max(1, int(sigma_px / _FINEST))
+    coarse = max(1, int(sigma_px / _MAX_PIXELS_PER_SIGMA))
     light = _coarser(light / np.maximum(count, 1.0), coarse) / peak
     rest = _coarser(rest / np.maximum(count, 1.0), coarse) / peak
-    smooth = _SMOOTH * sigma_px / coarse
+    smooth = _SMOOTHING_SIGMA * sigma_px / coarse
     left_over = _blurred(rest, smooth)
     row, column = np.unravel_index(int(np.argmax(np.abs(left_over))), left_over.shape)
     middle = 0.5 * (len(rest) - 1)

@@ -36,18 +36,18 @@ from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.tilted_score import information_tilted, score_tilted
 from processing.spot.upright_score import ALONG_Y, SMALLEST_SIGMA_PX, information, profile, score
 
-_PASSES = 10
+_MAX_PASSES = 10
 LARGEST_TABLE = 2048
-_VECTOR = 32
+_VECTOR_PIXELS = 32
 """Largest number of pixels that one vector instruction handles."""
 
-_MOST_OUTLIERS = 8
-_MOST_TILTED = 0.95
+_MAX_OUTLIERS = 8
+_MAX_CORRELATION = 0.95
 """Correlation of the light along x and y above which a spot is left to the general fit."""
-_LARGEST_SCATTER = 1.3
+_MAX_CLEAN_CHI2 = 1.3
 """Chi-square per pixel above which the spot is not treated as clean and upright."""
 
-_LEFT_OVER = 0.03
+_MAX_ITERATION_ERROR = 0.03
 """Allowed error of iteration, as a fraction of the standard uncertainty; it adds 0.05 % to the scatter."""
 
 TILT_EVIDENCE = 6.0
@@ -66,12 +66,12 @@ class CleanFit(NamedTuple):
 
 
 @kernel
-def _not_done(far: bool) -> CleanFit:
+def _failed(far: bool) -> CleanFit:
     return CleanFit(Fitted(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0, far)
 
 
 @kernel
-def moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
+def has_left(image: Image, p: Floats, noise: PixelNoise) -> bool:
     """Whether the light at the expected centre has fallen so far that the spot must be elsewhere.
 
     At a distance of 0.8 standard deviations it has fallen below three quarters. The general fit from there
@@ -108,28 +108,28 @@ def fit_clean(
     step = np.zeros(TILTED)
     informed = False
     fetched = False
-    opened = rough
+    gate_opened = rough
     gate = GATE
     if rough:
         # Rough start values leave large residuals on the spot itself. But a residual of half the amplitude
         # on a dark pixel cannot come from them: it is a hot pixel.
         floor = background_variance(p[BACKGROUND], noise)
         gate = max(4.0 * GATE, 0.25 * p[AMPLITUDE] * p[AMPLITUDE] / floor)
-    for _ in range(_PASSES):
+    for _ in range(_MAX_PASSES):
         floor = background_variance(p[BACKGROUND], noise)
         peak_variance = floor + p[AMPLITUDE] * (noise.dn_per_e + p[AMPLITUDE] * noise.prnu2)
         if p[AMPLITUDE] + p[BACKGROUND] + 3.0 * math.sqrt(peak_variance) >= noise.full_scale_dn:
-            return _not_done(False)
+            return _failed(False)
         window = window_of(p, nx, ny, REACH)
         x0, y0 = window.x0, window.y0
         wx, wy = window.x1 - x0, window.y1 - y0
         # widen rows to whole vectors: the remaining pixels one by one would take longer than a wider row
-        wider = (wx + _VECTOR - 1) // _VECTOR * _VECTOR
+        wider = (wx + _VECTOR_PIXELS - 1) // _VECTOR_PIXELS * _VECTOR_PIXELS
         left = x0 - (wider - wx) // 2
         if left >= 0 and left + wider <= nx:
             x0, wx = left, wider
         if min(p[SIGMA_X], p[SIGMA_Y]) < SMALLEST_SIGMA_PX or max(wx, wy) > LARGEST_TABLE or min(wx, wy) < 4:
-            return _not_done(False)
+            return _failed(False)
         if not fetched:
             prefetch_window(image, x0, y0, wx, wy)
             fetched = True
@@ -144,13 +144,13 @@ def fit_clean(
                 noise.prnu2, gate, gradient,
             )  # fmt: skip
         outliers = wx * wy - int(kept)
-        many = outliers > _MOST_OUTLIERS + 0.002 * wx * wy
-        if many and not opened:
-            if moved(image, p, noise):
-                return _not_done(True)
+        many = outliers > _MAX_OUTLIERS + 0.002 * wx * wy
+        if many and not gate_opened:
+            if has_left(image, p, noise):
+                return _failed(True)
             # The spot has moved further than expected, and much of its light is rejected as outliers. The
             # remaining pixels would hardly tell where it went: repeat once without a limit for outliers.
-            opened = True
+            gate_opened = True
             gate = math.inf
             continue
         if not informed:
@@ -168,7 +168,7 @@ def fit_clean(
                     work.information,
                 )  # fmt: skip
             if not cholesky(work.information, size, work.factor):
-                return _not_done(False)
+                return _failed(False)
             informed = True
         solve(work.factor, size, gradient, step)
         largest = 0.5 if rough else 0.2
@@ -177,9 +177,9 @@ def fit_clean(
             or abs(step[SIGMA_Y]) > largest * p[SIGMA_Y]
             or abs(step[AMPLITUDE]) > 1.5 * largest * p[AMPLITUDE]
         ):
-            return _not_done(True)
+            return _failed(True)
         if abs(step[X]) > p[SIGMA_X] or abs(step[Y]) > p[SIGMA_Y]:
-            return _not_done(True)
+            return _failed(True)
         # Scoring neglects the second derivatives of the model, which couple the parameters. The error
         # left in x after a step is therefore about the product of its own step and the sum of all
         # steps, in units of sigma.
@@ -195,8 +195,8 @@ def fit_clean(
         u_x = math.sqrt(inverse_diagonal(work.factor, size, X))
         u_y = math.sqrt(inverse_diagonal(work.factor, size, Y))
         small = (
-            abs(step[X]) * others < _LEFT_OVER * u_x * sigma
-            and abs(step[Y]) * others < _LEFT_OVER * u_y * sigma
+            abs(step[X]) * others < _MAX_ITERATION_ERROR * u_x * sigma
+            and abs(step[Y]) * others < _MAX_ITERATION_ERROR * u_y * sigma
         )
         changed = (
             max(
@@ -208,10 +208,10 @@ def fit_clean(
         )
         for k in range(size):
             p[k] += step[k]
-        if abs(p[COVARIANCE]) > _MOST_TILTED * p[SIGMA_X] * p[SIGMA_Y]:
-            return _not_done(False)
+        if abs(p[COVARIANCE]) > _MAX_CORRELATION * p[SIGMA_X] * p[SIGMA_Y]:
+            return _failed(False)
         scatter = chi2 / max(kept, 1.0)
-        settled = gate <= GATE * _LARGEST_SCATTER
+        settled = gate <= GATE * _MAX_CLEAN_CHI2
         # within the range where the model is linear, a step reduces chi-square by gradient . step
         expected = chi2
         if others < 0.5 * sigma:
@@ -225,12 +225,12 @@ def fit_clean(
         elif rough:
             rough = False
         elif small and settled:
-            if many or scatter > _LARGEST_SCATTER:
-                return _not_done(False)
+            if many or scatter > _MAX_CLEAN_CHI2:
+                return _failed(False)
             for k in range(size):
                 chi2 -= gradient[k] * step[k]
             tilt = 0.0
             if not tilted:
                 tilt = gradient[COVARIANCE] / math.sqrt(max(work.information[COVARIANCE, COVARIANCE], 1e-300))
             return CleanFit(Fitted(True, chi2, int(kept), 0, outliers, size, tilted, False), tilt, False)
-    return _not_done(False)
+    return _failed(False)

@@ -8,7 +8,7 @@ import math
 
 from processing.arrays import Floats, Singles
 from processing.kernel import kernel
-from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, moved
+from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, has_left
 from processing.spot.fit_values import (
     AMPLITUDE,
     COVARIANCE,
@@ -115,7 +115,7 @@ def follow(
             return without_spot(SEARCH)
         # the failed fit has changed the parameters: restore the start values
         expect(memory, place, work.parameters)
-    if moved(image, work.parameters, noise):
+    if has_left(image, work.parameters, noise):
         return without_spot(SEARCH)
     fitted = fit_general(image, work, tilted, two, noise, REACH, nothing_hidden())
     if not fitted.done or not _plausible(work.parameters, memory, noise, fitted):

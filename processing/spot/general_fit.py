@@ -52,11 +52,11 @@ from processing.spot.fit_values import (
 )
 from processing.spot.sensor_model import PixelNoise, background_variance
 
-_PASSES = 80
-_SWINGING = 12
+_MAX_PASSES = 80
+_PASSES_BEFORE_HALVING = 12
 """Number of passes after which the fit is assumed to oscillate; steps are then halved."""
 
-_FAR = 2.0 * 20.7
+_MAX_EXPONENT = 2.0 * 20.7
 """(u, v) P (u, v)^T beyond which the light is less than 1e-9 of the peak."""
 
 
@@ -90,7 +90,7 @@ def _light_at(u: float, v: float, pxx: float, pyy: float, pxy: float) -> tuple[f
     qy = pxy * u + pyy * v
     exponent = u * qx + v * qy
     f = 0.0
-    if exponent < _FAR:
+    if exponent < _MAX_EXPONENT:
         f = math.exp(-0.5 * exponent) * (1.0 + (qx * qx - pxx + qy * qy - pyy) / 24.0)
     return f, qx, qy
 
@@ -257,7 +257,7 @@ def fit_general(
     chi2 = 0.0
     pixels = saturated = outliers = 0
     window = window_of(p, nx, ny, reach)
-    for count in range(_PASSES):
+    for count in range(_MAX_PASSES):
         if window.x1 - window.x0 < 3 or window.y1 - window.y0 < 3:
             break
         chi2, pixels, saturated, outliers = score_general(
@@ -280,7 +280,7 @@ def fit_general(
             worst = max(worst, max(abs(step[SECOND_X]), abs(step[SECOND_Y])) / limit)
         shrink = 1.0 if worst <= 1.0 else 1.0 / worst
         # pixels that are left out in one pass and used in the next can make the fit oscillate
-        damping = 1.0 if count < _SWINGING else 0.5
+        damping = 1.0 if count < _PASSES_BEFORE_HALVING else 0.5
         for k in range(size):
             p[k] += damping * shrink * step[k]
         # the covariance matrix is positive definite only for |c| < sigma_x sigma_y
@@ -307,10 +307,10 @@ def fit_general(
         settled = gate < math.inf and abs(new_gate - gate) <= 0.02 * gate
         if worst <= 0.5:
             gate = new_gate
-        tolerance = (1e-3 if count < _SWINGING else 0.2) * math.sqrt(scatter)
+        tolerance = (1e-3 if count < _PASSES_BEFORE_HALVING else 0.2) * math.sqrt(scatter)
         u_x = math.sqrt(max(inverse_diagonal(work.factor, size, X), 1e-30))
         u_y = math.sqrt(max(inverse_diagonal(work.factor, size, Y), 1e-30))
         small = abs(step[X]) < tolerance * u_x and abs(step[Y]) < tolerance * u_y
-        if small and worst <= 1.0 and (settled or count > 2 * _SWINGING):
+        if small and worst <= 1.0 and (settled or count > 2 * _PASSES_BEFORE_HALVING):
             return Fitted(True, chi2, pixels, saturated, outliers, size, tilted, two)
     return Fitted(False, chi2, pixels, saturated, outliers, size, tilted, two)

@@ -139,7 +139,7 @@ class ModelChoice:
 
 
 _DOUBTFUL_FLAGS = SpotFlag.POOR_FIT | SpotFlag.OUTLIERS | SpotFlag.MULTIPLE | SpotFlag.CUT
-_SHIFT = 2.0
+_SHIFT_PER_WIDTH_CHANGE = 2.0
 """Shift of the fitted position by an obstacle without a sharp edge, relative to the change of the fitted
 width: from 1.0 for a cut one sigma before the centre to 2.1 for one two sigmas behind it."""
 _SIGNIFICANT_CHANGE = 3.0
@@ -184,5 +184,6 @@ class FirstWidths:
         if not max(by_x, by_y) > _SIGNIFICANT_CHANGE * max(spot.u_x_px, spot.u_y_px):
             return spot
         return spot._replace(
-            u_x_px=math.hypot(spot.u_x_px, _SHIFT * by_x), u_y_px=math.hypot(spot.u_y_px, _SHIFT * by_y)
+            u_x_px=math.hypot(spot.u_x_px, _SHIFT_PER_WIDTH_CHANGE * by_x),
+            u_y_px=math.hypot(spot.u_y_px, _SHIFT_PER_WIDTH_CHANGE * by_y),
         )

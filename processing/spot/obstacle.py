@@ -46,34 +46,34 @@ FEWEST_OUTLIERS = 6
 """Fewest outliers that suggest an edge; fewer are hot pixels."""
 _MARGIN_PX = 2
 """Pixels beyond the window of the fit in which the edge is searched for."""
-_CLEAR = 12.0
+_MIN_GRADIENT_SQUARE = 12.0
 """Squared gradient, relative to the variance of a pixel, below which it may be noise."""
-_ONE_WAY = 0.6
+_MIN_PARALLELISM = 0.6
 """Length of the mean unit vector of the gradients (1: all parallel) above which they belong to one edge."""
-_ALONG = 0.8
+_MIN_COSINE = 0.8
 """Cosine of the angle to the mean direction above which a gradient belongs to the edge."""
-_STRAIGHT_PX = 1.2
+_MAX_LINE_SCATTER_PX = 1.2
 """Largest scatter of the edge's pixels about a line."""
-_FEWEST = 3.0
+_MIN_EFFECTIVE_PIXELS = 3.0
 """Smallest effective number of pixels, by their weights, of an edge; fewer are a hot pixel."""
-_NEAR_PX = 3.0
+_MAX_LINE_DISTANCE_PX = 3.0
 """Largest distance from the line of a pixel of the edge."""
-_BEFORE_PX = 1.0
+_MARGIN_BEFORE_LINE_PX = 1.0
 """Distance before the line within which pixels are left out, too: the obstacle may cover a part of them."""
 _BEHIND_PX = 8.0
 """Distance behind an edge within which it must be dark."""
-_DARK = 0.2
+_MAX_DARK_LIGHT = 0.2
 """Light behind an edge, relative to the step, above which a pixel is lit."""
-_LIT = 0.02
+_MAX_LIT_FRACTION = 0.02
 """Largest fraction of lit pixels behind an edge."""
-_MISSING = 8.0
+_MIN_MISSING_SIGNIFICANCE = 8.0
 """Smallest significance of the light that is missing."""
-_TALL = 0.25
+_MIN_STEP_HEIGHT = 0.25
 """Step, relative to the brightest light, above which it is not a structure of the beam itself."""
-_EXPLAINS = 0.5
+_MAX_REMAINING_CHI2 = 0.5
 """Largest fraction of chi-square that remains without the hidden pixels if there is an obstacle; in a beam
 that is not Gaussian more remains."""
-_TOLD = 0.1
+_MAX_U_FROM_REST = 0.1
 """Largest standard uncertainty, relative to sigma, of a position from the rest of the light."""
 
 
@@ -119,7 +119,7 @@ def edge_of(image: Image, p: Floats, amplitude: float, noise: PixelNoise) -> tup
             gy = 0.5 * (left[j + 1, i] - left[j - 1, i])
             square = gx * gx + gy * gy
             light = max(image[window.y0 + j, window.x0 + i] - p[BACKGROUND], 0.0)
-            if square > _CLEAR * (floor + light * noise.dn_per_e):
+            if square > _MIN_GRADIENT_SQUARE * (floor + light * noise.dn_per_e):
                 size = math.sqrt(square)
                 weight = square * square * square
                 weights[j, i] = weight
@@ -127,7 +127,7 @@ def edge_of(image: Image, p: Floats, amplitude: float, noise: PixelNoise) -> tup
                 along_x -= weight * gx / size
                 along_y -= weight * gy / size
     length = math.hypot(along_x, along_y)
-    if not length > _ONE_WAY * total:
+    if not length > _MIN_PARALLELISM * total:
         return nothing_hidden(), 0.0
     along_x /= length
     along_y /= length
@@ -142,10 +142,10 @@ def edge_of(image: Image, p: Floats, amplitude: float, noise: PixelNoise) -> tup
                     continue
                 gx = 0.5 * (left[j, i + 1] - left[j, i - 1])
                 gy = 0.5 * (left[j + 1, i] - left[j - 1, i])
-                if -(gx * along_x + gy * along_y) < _ALONG * math.hypot(gx, gy):
+                if -(gx * along_x + gy * along_y) < _MIN_COSINE * math.hypot(gx, gy):
                     continue
                 distance = along_x * i + along_y * j
-                if count > 0 and abs(distance - at) > _NEAR_PX:
+                if count > 0 and abs(distance - at) > _MAX_LINE_DISTANCE_PX:
                     continue
                 mass += weight
                 moment += weight * distance
@@ -155,7 +155,7 @@ def edge_of(image: Image, p: Floats, amplitude: float, noise: PixelNoise) -> tup
             return nothing_hidden(), 0.0
         at = moment / mass
     scatter = math.sqrt(max(second / mass - at * at, 0.0))
-    if mass < 0.5 * total or scatter > _STRAIGHT_PX or mass * mass < _FEWEST * squares:
+    if mass < 0.5 * total or scatter > _MAX_LINE_SCATTER_PX or mass * mass < _MIN_EFFECTIVE_PIXELS * squares:
         return nothing_hidden(), 0.0
     edge = HalfPlane(along_x, along_y, at + along_x * window.x0 + along_y * window.y0)
     step = _step_into_dark(image, window, edge, p[BACKGROUND], floor)
@@ -164,7 +164,7 @@ def edge_of(image: Image, p: Floats, amplitude: float, noise: PixelNoise) -> tup
 
 @kernel
 def _step_into_dark(image: Image, window: Window, edge: HalfPlane, background: float, floor: float) -> float:
-    """Light before an edge relative to the brightest; 0 if more than `_LIT` of the pixels behind are lit."""
+    """Light before an edge over the brightest; 0 if more than `_MAX_LIT_FRACTION` behind it is lit."""
     step = brightest = 0.0
     for j in range(window.y0, window.y1):
         for i in range(window.x0, window.x1):
@@ -172,7 +172,7 @@ def _step_into_dark(image: Image, window: Window, edge: HalfPlane, background: f
             if -3.0 < beyond < -1.0:
                 step = max(step, image[j, i] - background)
             brightest = max(brightest, image[j, i] - background)
-    limit = _DARK * step + 5.0 * math.sqrt(floor)
+    limit = _MAX_DARK_LIGHT * step + 5.0 * math.sqrt(floor)
     pixels = lit = 0
     for j in range(window.y0, window.y1):
         for i in range(window.x0, window.x1):
@@ -180,7 +180,7 @@ def _step_into_dark(image: Image, window: Window, edge: HalfPlane, background: f
                 pixels += 1
                 if image[j, i] - background > limit:
                     lit += 1
-    return step / brightest if step > 0.0 and pixels > 0 and lit <= _LIT * pixels else 0.0
+    return step / brightest if step > 0.0 and pixels > 0 and lit <= _MAX_LIT_FRACTION * pixels else 0.0
 
 
 @kernel
@@ -216,26 +216,26 @@ def fit_uncovered(image: Image, work: Workspace, noise: PixelNoise, whole: Fitte
     if step == 0.0:
         return WHOLE, whole
     trial = p.copy()
-    before = HalfPlane(edge.along_x, edge.along_y, edge.distance - _BEFORE_PX)
+    before = HalfPlane(edge.along_x, edge.along_y, edge.distance - _MARGIN_BEFORE_LINE_PX)
     information, factor = np.empty((PARAMETERS, PARAMETERS)), np.empty((PARAMETERS, PARAMETERS))
     rest = fit_general(
         image, Workspace(trial, information, factor), whole.tilted, False, noise, REACH, before
     )
     # a small step may be a structure of a beam that is not Gaussian
-    otherwise = HIDDEN if step > _TALL else WHOLE
+    otherwise = HIDDEN if step > _MIN_STEP_HEIGHT else WHOLE
     if not rest.done:
         return otherwise, whole
     unknowns = TILTED if whole.tilted else UPRIGHT
     fits = rest.chi2 < poor_fit_limit(rest.pixels) * max(rest.pixels - unknowns, 1)
     fits = fits and rest.outliers < FEWEST_OUTLIERS + 0.01 * rest.pixels
-    if not fits and rest.chi2 * whole.pixels > _EXPLAINS * whole.chi2 * rest.pixels:
+    if not fits and rest.chi2 * whole.pixels > _MAX_REMAINING_CHI2 * whole.chi2 * rest.pixels:
         return WHOLE, whole
-    if _missing(image, trial, edge, noise) < _MISSING:
+    if _missing(image, trial, edge, noise) < _MIN_MISSING_SIGNIFICANCE:
         # no light is missing: the step is a structure of the beam
         return WHOLE, whole
     sigma = min(trial[SIGMA_X], trial[SIGMA_Y])
     u_px = math.sqrt(max(inverse_diagonal(factor, PARAMETERS, X), inverse_diagonal(factor, PARAMETERS, Y)))
-    if not fits or u_px > _TOLD * sigma:
+    if not fits or u_px > _MAX_U_FROM_REST * sigma:
         return otherwise, whole
     for k in range(PARAMETERS):
         p[k] = trial[k]

@@ -23,7 +23,7 @@ FITTED = 6
 MARGIN_PX = 4
 """Margin of the spline beyond the window of the fit: two pixels that cubic pieces need at each end, and two
 by which the spot may be off the window's middle."""
-_PASSES = 25
+_MAX_PASSES = 25
 _LEAST_PIXELS = 24  # four for each fitted parameter
 _NO_GATE = 1e30
 
@@ -223,7 +223,7 @@ def fit_profile(
     matrix, factor = np.zeros((FITTED, FITTED)), np.zeros((FITTED, FITTED))
     gate = _NO_GATE
     failed = (False, 0.0, 0.0, 0.0, 0.0, math.nan, math.nan)
-    for _ in range(_PASSES):
+    for _ in range(_MAX_PASSES):
         start_x, start_y = centre[0] - p[CENTRE_X], centre[1] - p[CENTRE_Y]
         reach_y, reach_x = spline.shape
         # checked before the conversion to whole numbers, which NaN would break

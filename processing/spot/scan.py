@@ -63,7 +63,7 @@ _SAMPLES_Y = 16
 _SAMPLES_X = 32
 SAMPLES = _SAMPLES_Y * _SAMPLES_X
 
-_STREAMS = 4
+_ALTERNATING_PLACES = 4
 """Number of places of the frame that are read alternately, so that more loads are under way at once."""
 _BLOCK = 64
 _LARGEST_BLOCK_BYTES = 256
@@ -88,7 +88,7 @@ def scan_every_row(image: Image, bands: Image) -> None:
     in_a_line = LINE_BYTES // image.itemsize
     block = nx if nx < _BLOCK else min(nx, _LARGEST_BLOCK_BYTES // image.itemsize) // _BLOCK * _BLOCK
     number = (ny + BAND_ROWS - 1) // BAND_ROWS
-    apart = (number + _STREAMS - 1) // _STREAMS
+    apart = (number + _ALTERNATING_PLACES - 1) // _ALTERNATING_PLACES
     bands[:, :nx] = 0
     for start in range(apart):
         for y in range(0, BAND_ROWS, 4):

@@ -32,9 +32,9 @@ from processing.spot.fit_values import (
 from processing.spot.general_fit import inverse_covariance, score_general
 from processing.spot.sensor_model import PixelNoise
 
-_PARTS = 32.0
+_EXPONENT_DIVISOR = 32.0
 """Divisor of the exponent before the exponential series; the sum is then squared five times."""
-_FAR = np.float32(20.7 / _PARTS)
+_FAR = np.float32(20.7 / _EXPONENT_DIVISOR)
 """Divided exponent beyond which the light is less than 1e-9 of the peak."""
 
 
@@ -74,9 +74,10 @@ def score_tilted(
     limit = np.float32(gate)
     far = np.float32(_FAR)
     # the unit of w is that whose square is the divided exponent
-    unit = math.sqrt(2.0 * _PARTS / pxx)
+    unit = math.sqrt(2.0 * _EXPONENT_DIVISOR / pxx)
     bent = (pxx * pxx + pxy * pxy) / 24.0 * unit * unit
-    # 1/2, 1/6 and 1/24 of the exponential series: with exponents divided by _PARTS the error is below 2e-7
+    # 1/2, 1/6 and 1/24 of the exponential series: with exponents divided by _EXPONENT_DIVISOR the error is
+    # below 2e-7
     half = np.float32(0.5)
     sixth = np.float32(1.0 / 6.0)
     last = np.float32(1.0 / 24.0)

@@ -37,7 +37,8 @@ TABLE_ROWS = 6
 
 @kernel(fastmath=True)
 def profile(table: Singles, first: int, count: int, centre: float, sigma: float) -> None:
-    """Tabulate a pixel-integrated Gaussian of unit peak density and its derivatives by centre and sigma.
+    """Tabulate a pixel-integrated Gaussian of unit peak density and its derivatives with respect to centre
+    and sigma.
 
     Taylor expansion in the pixel's width gives the integral over a pixel as the density times
 
@@ -251,8 +252,8 @@ def information(
         matrix[COVARIANCE, SIGMA_Y] += dy * wy * sed
         matrix[COVARIANCE, BACKGROUND] += dy * sd
         matrix[COVARIANCE, COVARIANCE] += dy * dy * sdd
-    # Only the derivative by the background does not vanish at the window's edge, where the grid may extend
-    # beyond the window or end before it: scale its sum to the number of pixels.
+    # Only the derivative with respect to the background does not vanish at the window's edge, where the grid
+    # may extend beyond the window or end before it: scale its sum to the number of pixels.
     matrix[BACKGROUND, BACKGROUND] *= nx * ny / (rows * columns * step_x * step_y)
     for k in range(TILTED):
         for m in range(k + 1):

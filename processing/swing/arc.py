@@ -61,7 +61,7 @@ class Arc:
     states: Matrix
     """(m, STATES): state at each turning point."""
     transitions: Floats
-    """(m, k, k): derivative of each state by the first one, active entries only."""
+    """(m, k, k): derivative of each state with respect to the first one, active entries only."""
     information: Floats
     """(m, k, k): information of each half-cycle's samples about the first state."""
     score: Matrix

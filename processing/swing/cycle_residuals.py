@@ -1,4 +1,5 @@
-"""Residuals of whole cycles from a known motion, with the derivatives by what the motion may still explain.
+"""Residuals of whole cycles from a known motion, with the derivatives with respect to what the motion may
+still explain.
 
 Half-cycles that are measured one by one adapt to an error that is fixed on the sensor, since each has an
 amplitude and a time of its own. A whole cycle, two half-cycles with one amplitude, time and rest position,
@@ -41,9 +42,9 @@ SHARED_COLUMNS = 1 + SHAPES + _TIMING_POWERS
 
 _REACH_HALF_PERIODS = 0.6
 """Half periods before the first and after the second turning point within which the cycle lies."""
-_FEWEST_SAMPLES = 8
+_MIN_SAMPLES = 8
 """Fewest samples of a half-cycle: as many as its own four terms and the fast mode's four."""
-_GATE = 6.0
+_OUTLIER_U = 6.0
 """Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
 _LINE_PROMINENCE = 40.0
 """Power of a line in the fast deflection, relative to the median of all frequencies, that is a fast mode."""
@@ -59,9 +60,9 @@ class CycleResiduals(NamedTuple):
     weight: Floats
     """Inverse square of the deflection's uncertainty; 0 for outliers."""
     own: Floats
-    """(n, q) derivatives by amplitude, time, rest position and drift of the cycle, and by a fast mode."""
+    """(n, q) derivatives with respect to amplitude, time, equilibrium, drift of the cycle and a fast mode."""
     shared: Floats
-    """(n, SHARED_COLUMNS) derivatives by frequency, shape and an error of time that depends on the place."""
+    """(n, SHARED_COLUMNS) derivatives with respect to frequency, shape and an error of time by place."""
 
 
 class CycleWatch:
@@ -135,7 +136,7 @@ def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> C
         table, turn = tabulated(state, anchor, motion.reference, _ACTIVE)
         begin_s, end_s = np.array(zero_phases(table)) / state[RATE] + state[TIME]
         rows = np.flatnonzero(usable & (tau_s >= begin_s) & (tau_s < end_s))
-        if len(rows) < _FEWEST_SAMPLES:
+        if len(rows) < _MIN_SAMPLES:
             return None
         residual, jacobian = np.empty(len(rows)), np.empty((len(rows), len(_ACTIVE)))
         linearise(state, side, _ACTIVE, table, tau_s[rows], samples.y[rows], residual, jacobian)
@@ -157,7 +158,7 @@ def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> C
         own = np.column_stack([own, fast])
     left = without_columns(residual, own, np.sqrt(weight))
     size = np.abs(left) * np.sqrt(weight)
-    far = size > _GATE * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
+    far = size > _OUTLIER_U * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
     return CycleResiduals(samples.y[rows] - left, residual, np.where(far, 0.0, weight), own, shared)
 
 

@@ -34,17 +34,17 @@ from processing.swing.term_selection import ANHARMONIC, FAST_MODE, extend, frict
 from processing.swing.waveform import DAMPING, RISE
 from processing.units import nanoseconds, seconds
 
-_REFITS = (8, 16, 32, 64)
+_REFIT_HALF_CYCLES = (8, 16, 32, 64)
 _LINEAR_REFITS = (6, 8, 10, 12, 16, 24, 32, 64)
-_ANCHORS = (128, 256, 512, 1024)
+_ANCHOR_HALF_CYCLES = (128, 256, 512, 1024)
 """Numbers of half-cycles after which all of them are fitted again jointly (refits; the second list is for a
 model that is still a damped sinusoid), and indices at which the waveform is expanded about the present state
 (anchors)."""
 
-_JUMP = 100.0
+_MIN_KICK_INNOVATION = 100.0
 """Normalised innovation squared (two degrees of freedom) of a turning point above which it was a kick."""
 
-_INCONSISTENT = 3.0
+_MAX_CONSISTENT_INNOVATION = 3.0
 """Running mean of the squared innovation per degree of freedom above which the predictions count as wrong."""
 _CALM_DRIFT_NOISE = 100.0
 """Scale of the drift's process noise below which an insignificant drift of the centre may be set to zero."""
@@ -57,7 +57,7 @@ accepted."""
 _START_HALF_CYCLES = 8
 """Number of half-cycles before which an unexpected turning point is blamed on a wrong start, not on a
 kick."""
-_MOST_MISSES = 3
+_MAX_MISSES = 3
 """Number of disturbed half-cycles in a row after which the oscillation counts as lost."""
 
 _MUCH_DRIFT_NOISE = 1e4
@@ -73,7 +73,7 @@ _MOST_COLOURED_DRIFT_NOISE = 1e6
 _SHAPE_INFLATION = 2.0
 """Factor on the uncertainties of frequency and shape where they predict a driven motion wrongly."""
 
-_RUNAWAY = 10.0
+_MAX_AMPLITUDE_RATIO = 10.0
 """Amplitude, relative to the reference, above which the filter has diverged."""
 _LARGEST_U_TIME = 0.1
 """Uncertainty of the next turning point's time, in half periods, above which the oscillation counts as
@@ -135,10 +135,12 @@ class OscillationTracker:
     @property
     def lost(self) -> bool:
         """Whether the oscillation is lost and a new search is needed."""
-        if not 0.0 < self._x[AMPLITUDE] < _RUNAWAY * self._reference or not math.isfinite(self._end_s):
+        if not 0.0 < self._x[AMPLITUDE] < _MAX_AMPLITUDE_RATIO * self._reference or not math.isfinite(
+            self._end_s
+        ):
             return True
         blurred = math.sqrt(self._covariance[TIME, TIME]) > _LARGEST_U_TIME * self.half_period_s
-        return blurred or self.misses >= _MOST_MISSES
+        return blurred or self.misses >= _MAX_MISSES
 
     def take(self, half: HalfCycleSamples) -> tuple[HalfCycleFit, HalfCycleFlag]:
         """Measure the present half-cycle, update the state unless it was disturbed, and go on to the next.
@@ -147,14 +149,18 @@ class OscillationTracker:
         """
         result = self._measure(half, self._covariance)
         flags = self._judge(result)
-        if not result.valid or flags & HalfCycleFlag.VIBRATION or result.normalised_innovation > _JUMP:
+        if (
+            not result.valid
+            or flags & HalfCycleFlag.VIBRATION
+            or result.normalised_innovation > _MIN_KICK_INNOVATION
+        ):
             # the rest position may have moved: test whether this explains the large residuals
             again = self._measure_moved_rest(half)
             flags_again = self._judge(again)
             if (
                 again.valid
                 and not flags_again & HalfCycleFlag.VIBRATION
-                and again.normalised_innovation < _JUMP
+                and again.normalised_innovation < _MIN_KICK_INNOVATION
             ):
                 result, flags = again, flags_again
                 self._drift_noise = max(self._drift_noise, 100.0) * 10.0
@@ -241,10 +247,13 @@ class OscillationTracker:
                 self._drift_noise = max(self._drift_noise * 0.8, 1.0)
 
     def _learn(self, result: HalfCycleFit) -> HalfCycleFlag:
-        jumped = result.normalised_innovation > _JUMP and self._mean_innovation < _INCONSISTENT
+        jumped = (
+            result.normalised_innovation > _MIN_KICK_INNOVATION
+            and self._mean_innovation < _MAX_CONSISTENT_INNOVATION
+        )
         if jumped and self._age < _START_HALF_CYCLES:
             # too early to distinguish a kick from a wrong model at the start: search again
-            self.misses = _MOST_MISSES
+            self.misses = _MAX_MISSES
             self.first_miss_ns = self.start_ns
             return HalfCycleFlag.VIBRATION
         self._learn_drift_noise(result)
@@ -257,7 +266,7 @@ class OscillationTracker:
         if self.walk.variance > 0.0:
             if self.walk.biased():
                 self._inflate_shape()
-        elif self._mean_innovation > _INCONSISTENT:
+        elif self._mean_innovation > _MAX_CONSISTENT_INNOVATION:
             self._process_noise = min(self._process_noise * max(2.0, 0.1 * result.normalised_innovation), 1e6)
         else:
             self._process_noise = max(self._process_noise * 0.9, 1.0)
@@ -268,7 +277,7 @@ class OscillationTracker:
         # The model is nearly linear in the damping, which changes considerably over a long decay: expand
         # about its present value at every step.
         self._anchor[SHAPE + DAMPING] = self._x[SHAPE + DAMPING]
-        if self.index in _ANCHORS:
+        if self.index in _ANCHOR_HALF_CYCLES:
             self._anchor = self._x.copy()
         return HalfCycleFlag(0)
 
@@ -331,7 +340,7 @@ class OscillationTracker:
         would otherwise keep an error from the poor states about which they were linearised. The joint fit
         also decides whether the anharmonic terms are needed.
         """
-        refits = _REFITS if SHAPE + RISE in self._active else _LINEAR_REFITS
+        refits = _REFIT_HALF_CYCLES if SHAPE + RISE in self._active else _LINEAR_REFITS
         if self._history is None or len(self._history) not in refits:
             return
         arc = extend(self._first, self._history, self._reference, self._active)
@@ -340,7 +349,7 @@ class OscillationTracker:
             self._first = arc.states[0].copy()
             if anharmonic or len(arc.active) > len(self._active):
                 self._adopt(arc)
-        if len(self._history) == _REFITS[-1]:
+        if len(self._history) == _REFIT_HALF_CYCLES[-1]:
             self._history = None
 
     def _adopt(self, arc: Arc) -> None:

@@ -85,7 +85,7 @@ def invert(matrix: Matrix, inverse: Matrix) -> bool:
 def tabulate_state(
     x: Vector, anchor: Vector, reference: float, active: Ints, table: Table, turn: Matrix
 ) -> None:
-    """Tabulate the waveform of the state `x` and its derivatives by the active shape terms.
+    """Tabulate the waveform of the state `x` and its derivatives with respect to the active shape terms.
 
     The waveform is expanded to first order in the shape terms about those of `anchor`, another state. As
     long as the anchor stays the same, all half-cycles give information about the same linear combinations of
@@ -146,7 +146,8 @@ def linearise(
     residual: Vector,
     jacobian: Matrix,
 ) -> None:
-    """Residuals and derivatives of the model by the active entries of the state, at every sample.
+    """Residuals and derivatives of the model with respect to the active entries of the state, at every
+    sample.
 
     With the time tau since the reference time, the phase s = (tau - TIME) RATE, the tabulated waveform y(s)
     and the amplitude A, the model is
@@ -256,7 +257,8 @@ def normal_equations(
 
 @kernel
 def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
-    """State at the next turning point and its derivatives by the present state (transition matrix).
+    """State at the next turning point and its derivatives with respect to the present state (transition
+    matrix).
 
     The next reference time is `elapsed` s after the present one. With the phase s' of the next turning point
     and the remaining fraction a of the amplitude (`turn` of `waveform.tabulate`)

@@ -43,13 +43,13 @@ SLOW_TERMS = (4, 5, 6)
 """Orders of a cosine series over the half-cycle that show slow noise: 4 to 6 times the pendulum's frequency.
 Lower orders are mostly taken up by amplitude, time, centre and drift."""
 SLOW_FEWEST = 24
-_GATE = 6.0
+_OUTLIER_U = 6.0
 """Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
 _ITERATIONS = 4
-_SEEN = 2.5
+_MIN_DRIFT_SIGNIFICANCE = 2.5
 """Significance of the drift, in standard uncertainties, above which it is used."""
 
-_ENOUGH = 0.02
+_MAX_LINEARISATION_ERROR = 0.02
 """Allowed error of the linearisation, as a fraction of the amplitude's uncertainty."""
 
 
@@ -148,9 +148,9 @@ def _slow_power(tau: Vector, residual: Vector, weight: Vector, count: int, start
 def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> int:
     """Reject outliers by setting their weight to 0; returns their number.
 
-    A sample is an outlier if its residual after the step exceeds _GATE times its uncertainty, and also _GATE
-    times the robust scatter of all samples. The second condition is needed because a single outlier shifts
-    the whole fit, so that the residuals of good samples are large too.
+    A sample is an outlier if its residual after the step exceeds _OUTLIER_U times its uncertainty, and also
+    _OUTLIER_U times the robust scatter of all samples. The second condition is needed because a single
+    outlier shifts the whole fit, so that the residuals of good samples are large too.
     """
     n = len(residual)
     size, count, largest = np.empty(n), 0, 0.0
@@ -162,12 +162,12 @@ def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> i
             size[count] = abs(left) * math.sqrt(weight[i])
             largest = max(largest, size[count])
             count += 1
-    if largest <= _GATE:
+    if largest <= _OUTLIER_U:
         return 0
     kept = size[:count].copy()
     sort(kept, count)
     median = 0.5 * (kept[(count - 1) // 2] + kept[count // 2])
-    threshold = _GATE * max(1.0, MAD_TO_SIGMA * median)
+    threshold = _OUTLIER_U * max(1.0, MAD_TO_SIGMA * median)
     gated, k = 0, 0
     for i in range(n):
         if weight[i] > 0.0 and residual[i] == residual[i]:
@@ -191,7 +191,7 @@ def _forget_drift(mean: Vector, covariance: Matrix, active: Ints) -> None:
         if active[d] != DRIFT:
             continue
         variance = covariance[d, d]
-        if not mean[DRIFT] ** 2 < _SEEN**2 * variance:
+        if not mean[DRIFT] ** 2 < _MIN_DRIFT_SIGNIFICANCE**2 * variance:
             return
         column = np.empty(len(active))
         for i in range(len(active)):
@@ -306,7 +306,7 @@ def fit_half_cycle(
         if phase > 1.0:
             valid = False
             break
-        settled = abs(current[AMPLITUDE]) * step * step < _ENOUGH * u_amplitude
+        settled = abs(current[AMPLITUDE]) * step * step < _MAX_LINEARISATION_ERROR * u_amplitude
         if settled or iteration == _ITERATIONS - 1:
             break
         for i in range(k):

@@ -27,11 +27,11 @@ _OWN_TERMS = 8
 """Number of the terms of a piece that are no harmonics."""
 _RIDGE = 1e-9
 """Ridge on a normal matrix of unit diagonal: a harmonic at the fast mode's frequency is not determined."""
-_GATE = 6.0
+_OUTLIER_U = 6.0
 """Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
 _STORED_NS = 120_000_000_000
 """Length of the deflections that are stored while no half-cycle is known, since half-cycles follow later."""
-_FEWEST_PIECES = 4
+_MIN_PIECES = 4
 """Fewest pieces of a class."""
 
 
@@ -153,7 +153,7 @@ class HarmonicsMeasurement:
             terms = np.column_stack([terms, fast])
         weight = 1.0 / samples.u_y
         left = np.abs(without_columns(samples.y, terms, weight)) * weight
-        weight = np.where(left > _GATE * max(1.0, robust_scatter(left, middle=0.0)), 0.0, weight)
+        weight = np.where(left > _OUTLIER_U * max(1.0, robust_scatter(left, middle=0.0)), 0.0, weight)
         weighted = terms * weight[:, None]
         norm = np.sqrt(np.sum(weighted**2, axis=0))
         normal = (weighted.T @ weighted) / np.outer(norm, norm) + _RIDGE * np.eye(len(norm))
@@ -192,7 +192,7 @@ def harmonic_classes(pieces: SwingHarmonics) -> list[HarmonicClass]:
     top = float(left.max()) if len(left) else 0.0
     while top > 0 and np.any(left <= top):
         inside = (pieces.amplitude <= top) & (pieces.amplitude > top / 2)
-        if np.count_nonzero(inside) >= _FEWEST_PIECES:
+        if np.count_nonzero(inside) >= _MIN_PIECES:
             amplitudes = pieces.amplitude[inside]
             mean, u = _at_middle(amplitudes, pieces.harmonics[inside])
             out.append(HarmonicClass(float(np.exp(np.mean(np.log(amplitudes)))), amplitudes, mean, u))

@@ -5,27 +5,27 @@ from processing.swing.half_cycle_fit import HalfCycleFit, excess, segment_size
 from processing.swing.noise import NoiseLevel
 from processing.swing.swing import HalfCycleFlag
 
-_EXCESS = 5.0
+_MAX_EXCESS_STD = 5.0
 """Chi-square, in standard deviations above its expectation, above which a half-cycle was disturbed."""
 
 _SEGMENT_EXCESS = 5.5
 """The same limit for the worst of eight parts. It is higher, so that noise alone exceeds it no more often:
 with a probability of 1.5e-7, against 2.9e-7 for the whole."""
 
-_OUTLIERS = 0.03
+_MAX_OUTLIER_FRACTION = 0.03
 """Largest fraction of outliers (samples beyond six standard deviations), which noise does not make; one more
 outlier is allowed, as a glitch."""
 
 _LARGEST_TIME_ERROR = 0.15
 """Largest accepted difference of measured and predicted time, as a fraction of the half period."""
 
-_GAP = 0.12
+_MAX_GAP_HALF_PERIODS = 0.12
 """Longest gap between samples that is not flagged, as a fraction of the half period ..."""
 
 _GAP_SPACINGS = 3.5
 """... and in mean spacings of the samples; the longer of the two applies."""
 
-_FEWEST = 7
+_MIN_SAMPLES = 7
 """Fewest samples: amplitude and time leave five degrees of freedom; with fewer chi-square shows nothing."""
 _SMALLEST_SIGNIFICANCE = 5.0
 """Smallest amplitude in its standard uncertainties; below it the fit is not linear in the phase (0.2 rad)."""
@@ -37,7 +37,9 @@ def judge(
     """Flags of a valid measurement; 0 if it passes all checks. `predicted_time_s` counts as its `time_s`."""
     flags = HalfCycleFlag(0)
     spacing = half_period_s / (result.samples + 1)
-    if result.samples < _FEWEST or result.hole_s > max(_GAP * half_period_s, _GAP_SPACINGS * spacing):
+    if result.samples < _MIN_SAMPLES or result.hole_s > max(
+        _MAX_GAP_HALF_PERIODS * half_period_s, _GAP_SPACINGS * spacing
+    ):
         flags |= HalfCycleFlag.GAP
     # fewer of slow residuals are independent, so that their chi-square scatters more
     degrees = max(max(result.samples - 2.0, 1.0) / noise.concentration, 1.0)
@@ -46,9 +48,9 @@ def judge(
     part = excess(result.worst_segment / noise.scale**2 * size, size)
     shifted = abs(result.time_s - predicted_time_s) > _LARGEST_TIME_ERROR * half_period_s
     if (
-        high > _EXCESS
+        high > _MAX_EXCESS_STD
         or part > _SEGMENT_EXCESS
-        or result.outliers > _OUTLIERS * result.samples + 1
+        or result.outliers > _MAX_OUTLIER_FRACTION * result.samples + 1
         or shifted
     ):
         flags |= HalfCycleFlag.VIBRATION

@@ -66,10 +66,10 @@ _COLUMNS = Y
 EVERY = list(range(TERMS))
 SLOW_ONLY = [k for k in EVERY if k not in _FAST_TERMS]
 _DIAGONAL = np.diag_indices(TERMS)
-_STEPS = 8
-_DETERMINED = 1e-8
+_MAX_STEPS = 8
+_MIN_INFORMATION = 1e-8
 """Smallest fraction of a term's information, beside the terms before it, that is free of rounding errors."""
-_NOISE_LIKE = 4.0
+_MAX_NOISE_CHI2 = 4.0
 """Chi-square per sample up to which residuals may be noise whose stated uncertainty is half of the true."""
 _FALSE_ALARM = 1e-7
 """Probability with which one search takes noise for a fast mode. A run makes some hundred searches, each
@@ -96,8 +96,8 @@ class ModeSamples(NamedTuple):
     @property
     def variation(self) -> float:
         """Chi-square of a model without motion."""
-        across = (self.x - self.x.mean()) ** 2 * self.weights_x
-        return float((across + (self.y - self.y.mean()) ** 2 * self.weights_y).sum())
+        chi2_x = (self.x - self.x.mean()) ** 2 * self.weights_x
+        return float((chi2_x + (self.y - self.y.mean()) ** 2 * self.weights_y).sum())
 
     def rescaled(self, x_factor: float, y_factor: float) -> "ModeSamples":
         """Copy with the variances of the coordinates multiplied by these factors."""
@@ -120,7 +120,7 @@ class ModeFit(NamedTuple):
         The second condition rejects a record that is at rest for one part and swings for the other.
         """
         part = self.chi2 / max(samples.variation, 1e-300)
-        return part < 0.5 and (self.chi2 < _NOISE_LIKE * 2 * len(samples.t) or part < 0.05)
+        return part < 0.5 and (self.chi2 < _MAX_NOISE_CHI2 * 2 * len(samples.t) or part < 0.05)
 
 
 def slow_fit(samples: ModeSamples, slow_period_s: float) -> ModeFit | None:
@@ -195,7 +195,7 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
     ridge[[SLOW_DAMPING, FAST_DAMPING, TURNING, WIDENING]] = 1.0 / (0.2 * slow_rate) ** 2
     covariance = np.zeros((TERMS, TERMS))
     limit = 0.5 * math.pi / samples.span_s
-    for step in range(_STEPS):
+    for step in range(_MAX_STEPS):
         information, score, _, _, _ = _equations(p, *samples)
         information[_DIAGONAL] += ridge
         score -= ridge * p
@@ -249,7 +249,7 @@ def _step(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Flo
                 value -= lower[j, m] * lower[k, m]
             if k < j:
                 lower[j, k] = value / lower[k, k]
-            elif value > _DETERMINED:
+            elif value > _MIN_INFORMATION:
                 lower[j, j] = math.sqrt(value)
             else:
                 return change, covariance, False
@@ -284,36 +284,36 @@ def _equations(
     row = np.empty(_COLUMNS)
     chi2 = 0.0
     for i in range(len(t)):
-        s = t[i]
-        slow, fast = math.exp(-p[SLOW_DAMPING] * s), math.exp(-p[FAST_DAMPING] * s)
-        slow_c, slow_s = slow * math.cos(p[SLOW_RATE] * s), slow * math.sin(p[SLOW_RATE] * s)
-        fast_c, fast_s = fast * math.cos(p[FAST_RATE] * s), fast * math.sin(p[FAST_RATE] * s)
-        # derivatives by a coordinate's own linear terms, in their order
-        row[X + REST], row[X + DRIFT] = 1.0, s
+        time_s = t[i]
+        slow, fast = math.exp(-p[SLOW_DAMPING] * time_s), math.exp(-p[FAST_DAMPING] * time_s)
+        slow_c, slow_s = slow * math.cos(p[SLOW_RATE] * time_s), slow * math.sin(p[SLOW_RATE] * time_s)
+        fast_c, fast_s = fast * math.cos(p[FAST_RATE] * time_s), fast * math.sin(p[FAST_RATE] * time_s)
+        # derivatives with respect to a coordinate's own linear terms, in their order
+        row[X + REST], row[X + DRIFT] = 1.0, time_s
         row[X + SLOW_COSINE], row[X + SLOW_SINE] = slow_c, slow_s
         row[X + FAST_COSINE], row[X + FAST_SINE] = fast_c, fast_s
         for coordinate in range(2):
             first = X if coordinate == 0 else Y
             other = Y if coordinate == 0 else X
-            way = s if coordinate == 0 else -s
+            signed_time_s = time_s if coordinate == 0 else -time_s
             # the other coordinate's slow motion, and the same a quarter of a period later
-            turned = p[other + SLOW_COSINE] * slow_c + p[other + SLOW_SINE] * slow_s
-            widened = p[other + SLOW_SINE] * slow_c - p[other + SLOW_COSINE] * slow_s
-            cosine = p[first + SLOW_COSINE] + way * (
+            in_phase = p[other + SLOW_COSINE] * slow_c + p[other + SLOW_SINE] * slow_s
+            in_quadrature = p[other + SLOW_SINE] * slow_c - p[other + SLOW_COSINE] * slow_s
+            cosine = p[first + SLOW_COSINE] + signed_time_s * (
                 p[TURNING] * p[other + SLOW_COSINE] + p[WIDENING] * p[other + SLOW_SINE]
             )
-            sine = p[first + SLOW_SINE] + way * (
+            sine = p[first + SLOW_SINE] + signed_time_s * (
                 p[TURNING] * p[other + SLOW_SINE] - p[WIDENING] * p[other + SLOW_COSINE]
             )
             slow_part = cosine * slow_c + sine * slow_s
             fast_part = p[first + FAST_COSINE] * fast_c + p[first + FAST_SINE] * fast_s
-            row[SLOW_RATE] = s * (sine * slow_c - cosine * slow_s)
-            row[SLOW_DAMPING] = -s * slow_part
-            row[FAST_RATE] = s * (p[first + FAST_SINE] * fast_c - p[first + FAST_COSINE] * fast_s)
-            row[FAST_DAMPING] = -s * fast_part
-            row[TURNING] = way * turned
-            row[WIDENING] = way * widened
-            model = p[first + REST] + p[first + DRIFT] * s + slow_part + fast_part
+            row[SLOW_RATE] = time_s * (sine * slow_c - cosine * slow_s)
+            row[SLOW_DAMPING] = -time_s * slow_part
+            row[FAST_RATE] = time_s * (p[first + FAST_SINE] * fast_c - p[first + FAST_COSINE] * fast_s)
+            row[FAST_DAMPING] = -time_s * fast_part
+            row[TURNING] = signed_time_s * in_phase
+            row[WIDENING] = signed_time_s * in_quadrature
+            model = p[first + REST] + p[first + DRIFT] * time_s + slow_part + fast_part
             if coordinate == 0:
                 left, weight = x[i] - model, weights_x[i]
                 left_x[i] = left

@@ -23,7 +23,7 @@ from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.swing import HalfCycle
 from processing.units import seconds
 
-_MEMORY = 15
+_MEMORY_HALF_CYCLES = 15
 """Number of half-cycles whose median reduced chi-square gives the factor on the samples' uncertainties."""
 _SLOW_MEMORY = 63
 """Number of half-cycles whose median slow power is used. It is known to 0.13, so that noise counts as slow
@@ -32,9 +32,9 @@ _CHI2_MEDIAN = 0.789
 """Median of a chi-square of three degrees of freedom, per degree."""
 _MEDIAN_SPREAD = 1.02
 """Standard deviation of the median of m such values, multiplied by sqrt(m)."""
-_SIGNIFICANT = 6.0
+_SIGNIFICANT_STD = 6.0
 """Significance in standard deviations; high, because a run tests after each of thousands of half-cycles."""
-_RISE = 4.0
+_NOISE_POWER_RISE = 4.0
 """Power of 1/f noise at 1.25 times the pendulum's frequency (about that of turning points) over 5 times."""
 _CENTRE_RISE = 9.0
 """The same ratio for half the frequency, to which the centre is about sensitive."""
@@ -63,15 +63,15 @@ class SampleNoise:
 
     def __init__(self, scale: float) -> None:
         self.level = NoiseLevel(scale)
-        self._ratios: deque[float] = deque([scale**2] * _MEMORY, maxlen=_MEMORY)
+        self._ratios: deque[float] = deque([scale**2] * _MEMORY_HALF_CYCLES, maxlen=_MEMORY_HALF_CYCLES)
         self._slow: deque[float] = deque(maxlen=_SLOW_MEMORY)
 
     def learn(self, result: HalfCycleFit) -> None:
         """Add one more half-cycle without gaps."""
         degrees = max(result.samples - 2, 1)
         self._ratios.append(result.chi2 / degrees)
-        median = sorted(self._ratios)[_MEMORY // 2]
-        scatter = 1.25 * math.sqrt(2.0 / degrees / _MEMORY)
+        median = sorted(self._ratios)[_MEMORY_HALF_CYCLES // 2]
+        scatter = 1.25 * math.sqrt(2.0 / degrees / _MEMORY_HALF_CYCLES)
         scale = math.sqrt(median) if median > 1.0 + 4.0 * scatter else 1.0
         self.level = NoiseLevel(scale, *self._colour(scale, result))
 
@@ -82,9 +82,11 @@ class SampleNoise:
         if not count:
             return 1.0, 1.0, 1.0
         power = sorted(self._slow)[count // 2] / (_CHI2_MEDIAN * scale**2)
-        if power < 1.0 + _SIGNIFICANT * _MEDIAN_SPREAD / math.sqrt(count):
+        if power < 1.0 + _SIGNIFICANT_STD * _MEDIAN_SPREAD / math.sqrt(count):
             return 1.0, 1.0, 1.0
-        colour, amplitude = (math.sqrt(1.0 + rise * (power - 1.0)) for rise in (_RISE, _CENTRE_RISE))
+        colour, amplitude = (
+            math.sqrt(1.0 + rise * (power - 1.0)) for rise in (_NOISE_POWER_RISE, _CENTRE_RISE)
+        )
         return colour, amplitude / colour, power
 
 
@@ -96,7 +98,7 @@ _SMALLEST_VARIANCE_RATIO = 1e-3
 """Smallest expected variance of a bin, relative to the median variance of the differences."""
 _LARGEST_SPEED_RATIO = 0.99
 """Ratio of the mean square speeds of slowest and fastest bin above which speeds do not differ."""
-_ORDER = 5
+_DIFFERENCE_ORDER = 5
 """Order of the differences; they leave less than 1e-3 of a sinusoid sampled 20 times per period."""
 
 
@@ -146,11 +148,13 @@ def estimate_scatter(times_ns: ArrayLike, deflection: ArrayLike) -> SampleScatte
         line = covariance @ (terms.T @ (weight**2 * found2))
         expected = np.maximum(terms @ line, np.maximum(_SMALLEST_VARIANCE_RATIO * found2, least2))
     steady2, moving2 = float(max(line[0], 0.0)), float(line[1])
-    if alternates > 0 or not moving2 > _SIGNIFICANT * float(np.sqrt(covariance[1, 1])):
+    if alternates > 0 or not moving2 > _SIGNIFICANT_STD * float(np.sqrt(covariance[1, 1])):
         return none
     jitter_s = float(np.sqrt(moving2 / speed2[-1]))
     every = np.interp(
-        np.asarray(times_ns, dtype=np.float64), times[: len(speed)] + 0.5 * (times[_ORDER] - times[0]), speed
+        np.asarray(times_ns, dtype=np.float64),
+        times[: len(speed)] + 0.5 * (times[_DIFFERENCE_ORDER] - times[0]),
+        speed,
     )
     return SampleScatter(noise, jitter_s, np.sqrt(steady2 + (jitter_s * every) ** 2))
 
@@ -174,10 +178,10 @@ def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
         Lengths differ, there are fewer than seven samples with different times, or all values are equal.
     """
     times, values, _ = _usable(times_ns, deflection)
-    if len(values) < _ORDER + 2:
+    if len(values) < _DIFFERENCE_ORDER + 2:
         raise DataError(
             f"{len(values)} samples with a deflection and times of their own are too few to estimate noise: "
-            f"at least {_ORDER + 2} are needed"
+            f"at least {_DIFFERENCE_ORDER + 2} are needed"
         )
     steps = np.abs(np.diff(values))
     if not np.any(steps > 0):
@@ -205,9 +209,9 @@ def _usable(times_ns: ArrayLike, deflection: ArrayLike) -> tuple[Ints, Floats, I
 def _differences(times: Ints, values: Floats) -> tuple[Floats, Floats]:
     """Divided differences, scaled to the scatter of a single sample, and the speeds there per second."""
     windows = np.lib.stride_tricks.sliding_window_view
-    t = windows(seconds(times - times[0]), _ORDER + 1)
-    y = windows(values, _ORDER + 1)
-    apart = t[:, :, None] - t[:, None, :] + np.eye(_ORDER + 1)
+    t = windows(seconds(times - times[0]), _DIFFERENCE_ORDER + 1)
+    y = windows(values, _DIFFERENCE_ORDER + 1)
+    apart = t[:, :, None] - t[:, None, :] + np.eye(_DIFFERENCE_ORDER + 1)
     weights = 1.0 / (apart / np.abs(apart).max(axis=(1, 2), keepdims=True)).prod(axis=2)
     left = (weights * y).sum(axis=1) / np.sqrt((weights**2).sum(axis=1))
     middle = t - t.mean(axis=1, keepdims=True)

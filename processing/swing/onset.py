@@ -31,10 +31,10 @@ from processing.swing.swing import HalfCycleFlag
 from processing.swing.term_selection import choose, first_guess
 from processing.units import nanoseconds, seconds
 
-_PIVOTS = 4
+_START_PIVOTS = 4
 """Number of rough turning points that start a fit ..."""
 
-_FEWEST_PIVOTS = 3
+_MIN_PIVOTS = 3
 """... and the number that suffices at the end of the record."""
 
 _STORED_SAMPLES = 1 << 17
@@ -46,8 +46,8 @@ _LARGEST_CHI2 = 1.5
 _LARGEST_CHI2_RATIO = 4.0
 """Ratio of a half-cycle's reduced chi-square to the median of all above which the fit is rejected."""
 
-_SILENCE = 50
-"""Number of half periods after a loss from which on an oscillation of a different period is accepted."""
+_MIN_SILENCE_HALF_PERIODS = 50
+"""Minimum number of half periods after a loss at which an oscillation of a different period is accepted."""
 
 _SHORTEST, _LONGEST = 0.7, 1.4
 """Range of the ratio of new to old half period that is accepted before that time."""
@@ -152,8 +152,8 @@ class OnsetSearch:
                 return self._last_attempt() if final else None
             self._searched = found + samples.dropped
             self._pivots.append(Pivot(int(self._marks[FOUND_TIME]), float(self._state[FOUND])))
-            del self._pivots[:-_PIVOTS]
-            if len(self._pivots) == _PIVOTS and is_regular(self._pivots) and not self._is_disturbance():
+            del self._pivots[:-_START_PIVOTS]
+            if len(self._pivots) == _START_PIVOTS and is_regular(self._pivots) and not self._is_disturbance():
                 self._ready_ns = self._pivots[-1].time_ns + _spacing_ns(self._pivots) * 6 // 10
 
     def _is_disturbance(self) -> bool:
@@ -165,7 +165,7 @@ class OnsetSearch:
             return False
         since_s = seconds(self._pivots[0].time_ns - self._lost_ns)
         ratio = seconds(_spacing_ns(self._pivots)) / self._half_period_s
-        return since_s < _SILENCE * self._half_period_s and not _SHORTEST < ratio < _LONGEST
+        return since_s < _MIN_SILENCE_HALF_PERIODS * self._half_period_s and not _SHORTEST < ratio < _LONGEST
 
     def _forget(self) -> None:
         # count from the samples searched and not from those received, so that the result does not depend on
@@ -173,8 +173,8 @@ class OnsetSearch:
         self._samples.forget_before(self._searched - self._samples.dropped - _STORED_SAMPLES)
 
     def _last_attempt(self) -> Onset | None:
-        if len(self._pivots) >= _FEWEST_PIVOTS and is_regular(self._pivots[-_FEWEST_PIVOTS:]):
-            self._pivots = self._pivots[-_FEWEST_PIVOTS:]
+        if len(self._pivots) >= _MIN_PIVOTS and is_regular(self._pivots[-_MIN_PIVOTS:]):
+            self._pivots = self._pivots[-_MIN_PIVOTS:]
             return self._attempt()
         return None
 

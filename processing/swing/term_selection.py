@@ -41,10 +41,10 @@ _GAIN_PER_TERM = 3.5
 _FAST_MODE_TOLL = 20.0
 """... and a further reduction required of a fast mode, because many frequencies are tried."""
 
-_PROMINENT = 15.0
+_MIN_LINE_PROMINENCE = 15.0
 """Smallest power of a fast mode's line, relative to the median power of the rates around it ..."""
 
-_NEIGHBOURHOOD = 1.6
+_NEIGHBOURHOOD_FACTOR = 1.6
 """... within this factor above and below."""
 
 _LARGEST_VARIANCE_LEFT = 0.25
@@ -210,15 +210,15 @@ def _prominent_line(rates: Vector, power: Vector) -> int | None:
     """Index of the strongest line if it is prominent, else of the most prominent one; None if none is."""
 
     def prominence(k: int) -> float:
-        near = (rates > rates[k] / _NEIGHBOURHOOD) & (rates < rates[k] * _NEIGHBOURHOOD)
+        near = (rates > rates[k] / _NEIGHBOURHOOD_FACTOR) & (rates < rates[k] * _NEIGHBOURHOOD_FACTOR)
         return float(power[k] / np.median(power[near]))
 
     strongest = int(np.argmax(power))
-    if prominence(strongest) > _PROMINENT:
+    if prominence(strongest) > _MIN_LINE_PROMINENCE:
         return strongest
     prominences = [prominence(k) for k in range(len(rates))]
     most = int(np.argmax(prominences))
-    return most if prominences[most] > _PROMINENT else None
+    return most if prominences[most] > _MIN_LINE_PROMINENCE else None
 
 
 def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float, float, float] | None:

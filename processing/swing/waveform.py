@@ -40,13 +40,13 @@ _NEAREST_SLOPE = 1e-2
 """Lower limits of |y| in logarithms and in slopes of the forces, which diverge at y = 0."""
 
 Table = Floats
-"""(2 + SHAPES, NODES, 2): y and dy/ds in row 0, their derivatives by the terms and by ln r in the rows
-after."""
+"""(2 + SHAPES, NODES, 2): y and dy/ds in row 0, their derivatives with respect to the terms and ln r in the
+rows after."""
 
 
 @kernel
 def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]:
-    """Box-Cox function ``(u^q - 1)/q`` and its derivative by q, from ln u and u^q; a series near q = 0."""
+    """Box-Cox function ``(u^q - 1)/q``, and its derivative with respect to q, from ln u and u^q."""
     if abs(exponent) < _SMALLEST_EXPONENT:
         square = logarithm * logarithm
         return logarithm + 0.5 * exponent * square, square * (0.5 + exponent * logarithm / 3.0)
@@ -56,11 +56,11 @@ def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]
 
 @kernel
 def _acceleration(y: float, v: float, sense: float, shape: Vector, by: Vector) -> float:
-    """Second derivative y''; its derivatives by the terms, by ln r, by y and by v are written into `by`.
+    """Second derivative y''; its derivatives with respect to the terms, ln r, y and v are written into `by`.
 
     `sense` is +1 after the turning point, and -1 before it, where the integration runs backwards in time.
-    v = dy/ds is negative after the turning point, so that friction adds to y''. The derivatives by ln r and
-    by y follow from d box(u, q)/d ln u = u^q with u = r |y|.
+    v = dy/ds is negative after the turning point, so that friction adds to y''. The derivatives with respect
+    to ln r and y follow from d box(u, q)/d ln u = u^q with u = r |y|.
     """
     by[DAMPING] = -2.0 * sense * v
     by[SHAPES + 1] = -1.0
@@ -106,7 +106,8 @@ def _add_weighted(motion: Matrix, rates: Floats, h: float, row: int) -> None:
 def _step(motion: Matrix, sense: float, shape: Vector, wanted: Ints, h: float, rates: Floats) -> None:
     """One step of the classical Runge-Kutta method of order four, for `motion` (2 + SHAPES, 2).
 
-    Row 0 holds y and v; row 1 + k holds their derivatives by term k, which obey the variational equation
+    Row 0 holds y and v; row 1 + k holds their derivatives with respect to term k, which obey the variational
+    equation
 
         dy_k'' = df/dp_k + (df/dy) dy_k + (df/dv) dv_k,   y'' = f(y, v, p).
 
@@ -160,7 +161,7 @@ def _step_on_grid(
 
 @kernel
 def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
-    """Tabulate the damped sinusoid and its derivative by the damping d, in closed form.
+    """Tabulate the damped sinusoid and its derivative with respect to the damping d, in closed form.
 
     With w = sqrt(1 - d^2): y = exp(-d s) [cos(w s) + (d/w) sin(w s)], which has y = 1 and y' = 0 at s = 0.
     The next turning point is at s = pi/w with the amplitude exp(-d pi/w).
@@ -184,7 +185,7 @@ def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
 
 @kernel
 def tabulate(shape: Vector, wanted: Ints, table: Table, turn: Matrix) -> None:
-    """Tabulate the waveform and its derivatives by the wanted terms.
+    """Tabulate the waveform and its derivatives with respect to the wanted terms.
 
     Parameters
     ----------

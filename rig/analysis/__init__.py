@@ -78,7 +78,7 @@ if TYPE_CHECKING:
         refuse_unread,
         session_results,
     )
-    from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
+    from rig.analysis.table_fit import AnalysedTable, analyse_trajectory
     from rig.analysis.turning_plane import PlaneBalances, follow_plane
 else:
     _LAZY = {
@@ -95,7 +95,7 @@ else:
             "seismometer": "sample_times",
             "seismometer_file": "SeismometerSource",
             "series": "AnalysedRun combined_series refuse_copies refuse_unread session_results",
-            "table_fit": "AnalysedTable analyse_table analyse_trajectory",
+            "table_fit": "AnalysedTable analyse_trajectory",
             "turning_plane": "PlaneBalances follow_plane",
         }.items()
         for name in names.split()

@@ -22,7 +22,7 @@ from rig.terminal import percent, quantity
 
 _AIR_KEYS = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL_AIR = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
-_FEWEST_READINGS = 4
+_MIN_READINGS = 4
 """Fewest readings that show a change."""
 _HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
 
@@ -63,7 +63,7 @@ def _air_readings(reader: RecordReader, stated: Mapping[str, float]) -> dict[str
         readings = table[name] if len(table) else np.empty(0)
         read = readings[np.isfinite(readings)]
         found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
-        if name == "temperature_c" and len(read) >= _FEWEST_READINGS:
+        if name == "temperature_c" and len(read) >= _MIN_READINGS:
             at = np.linspace(-0.5, 0.5, len(read))
             # less the first reading, so that equal readings give a change of exactly 0
             found["temperature_change_k"] = float(np.polyfit(at, read - read[0], 1)[0])

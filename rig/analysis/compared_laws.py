@@ -48,7 +48,7 @@ from rig.analysis.results import (
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"
-_DISTINCT_U, _MOST_RUNS = 3.0, 100
+_DISTINCT_LAWS_U, _MAX_PROPOSED_RUNS = 3.0, 100
 """Standard uncertainties by which two laws have to differ, and the most runs that are proposed for it."""
 
 
@@ -110,9 +110,9 @@ def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
     }
     name, apart = max(by_moment.items(), key=lambda item: float(item[1].max()))
     most = float(apart.max())
-    runs = np.ceil((_DISTINCT_U / most) ** 2)
+    runs = np.ceil((_DISTINCT_LAWS_U / most) ** 2)
     where = f"they differ most in {name} at {free.phi_rad[int(apart.argmax())] / ARCSEC_RAD:.2g} arcsec"
-    if not 2 <= runs <= _MOST_RUNS:
+    if not 2 <= runs <= _MAX_PROPOSED_RUNS:
         return f"{where}; a larger first amplitude or more runs may decide"
     return (
         f"{where}, by {most:.1f} u of one run: {runs:.0f} such runs, or a larger first amplitude, may decide"
@@ -186,9 +186,9 @@ def _harmonics(values: NDArray[np.complex128]) -> Harmonics:
     return Harmonics(values.real.copy(), -values.imag)
 
 
-_FEWEST = 8
+_MIN_PERIODS = 8
 """Fewest periods for a smooth curve."""
-_FEWEST_POINTS = 3
+_MIN_POINTS = 3
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class Curves:
 def curves_of(run: RunResults) -> Curves | None:
     """The curves of one run; None where it was not fitted."""
     pendulum, fits, points = run.pendulum, run.fits, run.points
-    if pendulum is None or not set(FitMethod) <= set(fits) or len(points) < _FEWEST_POINTS:
+    if pendulum is None or not set(FitMethod) <= set(fits) or len(points) < _MIN_POINTS:
         return None
     exact_rad, exact_time_s = _exact(points, fits[FitMethod.EXACT], pendulum)
     periods = full_periods(points)
@@ -241,7 +241,7 @@ def _smooth(amplitude: Floats, periods: Periods) -> Floats:
     from scipy.interpolate import make_smoothing_spline
 
     x, first = np.unique(np.log(amplitude), return_index=True)
-    if len(x) < _FEWEST:
+    if len(x) < _MIN_PERIODS:
         return np.full(len(amplitude), np.nan)
     spline = make_smoothing_spline(x, periods.period_s[first], 1.0 / periods.u_period_s[first] ** 2)
     return np.asarray(spline(np.log(amplitude)))

@@ -19,10 +19,10 @@ from processing.swing import TurningPoints
 from rig.analysis.encoding import Floats
 from rig.analysis.result_rows import ResultRow, plain_row
 
-_SHOWN = 9
+_STORED_AMPLITUDES = 9
 """Number of amplitudes at which the curve is stored, which is smooth."""
-_SURE = 3.0
-"""Standard uncertainties below zero from which on a part is surely negative."""
+_SURELY_NEGATIVE_U = 3.0
+"""Minimum distance below zero, in standard uncertainties, of a part that is surely negative."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,28 +54,28 @@ class AmplitudeDamping:
     def lines(self, unit: str) -> list[str]:
         """Lines on the parts with their probabilities, and on the time constants at both ends."""
         units = {"constant": f" {unit}/s", "linear": " /s", "quadratic": f" /({unit} s)"}
-        said = []
+        lines = []
         for name, probability in zip(PARTS, self.probabilities, strict=True):
             value, u = getattr(self, name)
             part = f"{with_uncertainty(value, u)}{units[name]}"
-            said.append(f"damping, {name} part {part}, needed with probability {probability:.2g}")
-            if value < -_SURE * u:
-                said.append(
+            lines.append(f"damping, {name} part {part}, needed with probability {probability:.2g}")
+            if value < -_SURELY_NEGATIVE_U * u:
+                lines.append(
                     f"a negative {name} part fits the decay but is not friction: something else changes"
                 )
-        for where in (self.curve[0], self.curve[-1]) if self.curve else ():
-            quality = where.quality_factor
+        for point in (self.curve[0], self.curve[-1]) if self.curve else ():
+            quality = point.quality_factor
             more = "" if quality is None else f", quality factor {with_uncertainty(*quality)}"
-            tau = with_uncertainty(*where.time_constant_s)
-            said.append(f"time constant {tau} s at {where.amplitude:.4g} {unit}{more}")
-        return said
+            tau = with_uncertainty(*point.time_constant_s)
+            lines.append(f"time constant {tau} s at {point.amplitude:.4g} {unit}{more}")
+        return lines
 
 
 def amplitude_damping(
     damping: DampingTerms, frequency_hz: float | None, shown: Callable[[float], float] = float
 ) -> AmplitudeDamping:
     """The parts and the curve of a damping; `shown` converts amplitudes to the unit in which it is stored."""
-    amplitudes = damping.amplitudes(_SHOWN)
+    amplitudes = damping.amplitudes(_STORED_AMPLITUDES)
     tau_s, u_tau_s = damping.time_constant_s(amplitudes)
     parts = {name: Estimate(*getattr(damping, name)[:2]) for name in PARTS}
     return AmplitudeDamping(
@@ -141,8 +141,8 @@ def decay_values(
     if not u_common > 0:
         return found
     lag_s = u_common * period_s / (2.0 * pi * points.amplitude)
-    moved = replace(points, amplitude=points.amplitude + u_common, time_s=points.time_s + lag_s)
-    return DecayValues(*map(_with_change, found, _decay_values(moved, unit_size)))
+    shifted = replace(points, amplitude=points.amplitude + u_common, time_s=points.time_s + lag_s)
+    return DecayValues(*map(_with_change, found, _decay_values(shifted, unit_size)))
 
 
 def _decay_values(points: TurningPoints, unit_size: float) -> DecayValues:

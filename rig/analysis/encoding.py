@@ -21,10 +21,6 @@ LARGEST_NUMBER = 1e100
 """Largest number of a file; a larger one is not determined, and null."""
 
 
-def _null_to_nan(value: object) -> object:
-    return math.nan if value is None else value
-
-
 def _nan_to_null(value: float) -> float | None:
     return float(value) if abs(value) <= LARGEST_NUMBER else None
 
@@ -57,7 +53,9 @@ def _as_stored(schema: Any) -> Any:
         return schema
     if schema.get("type") == "float":
         written = core_schema.plain_serializer_function_ser_schema(_nan_to_null)
-        return core_schema.no_info_before_validator_function(_null_to_nan, schema, serialization=written)
+        return core_schema.no_info_before_validator_function(
+            lambda value: math.nan if value is None else value, schema, serialization=written
+        )
     found = {key: _as_stored(value) for key, value in schema.items()}
     if schema.get("type") == "dataclass-field" and schema["schema"].get("default", "") is None:
         found["serialization_exclude_if"] = lambda value: value is None

@@ -53,12 +53,12 @@ _COLUMNS = ("parameter", "value", "u", "u_total", "lower_95", "upper_95", "verdi
 
 def _whole_result_text(run: RunResults) -> str:
     whole = any(has_apparatus(item) for item in run.budget.values())
-    of = (
+    covered = (
         "swings and apparatus together"
         if whole
         else "the swings alone, since none is stated of the apparatus"
     )
-    return f"Value ± standard uncertainty of {of}; 95 % where an interval or a bound."
+    return f"Value ± standard uncertainty of {covered}; 95 % where an interval or a bound."
 
 
 def combined_table(results: SessionResults) -> Table | None:
@@ -120,7 +120,7 @@ def _listed(items: Sequence[int]) -> str:
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
 
 
-_OF_A_LAW = (
+_LAW_NUMBERS = (
     "bic_above_best", "aic_above_best", "log_odds_against", "ground_rad_per_s2_rthz", "waveform_chance",
 )  # fmt: skip
 
@@ -129,19 +129,19 @@ def law_table(compared: ComparedLaws) -> Table:
     """The laws, with the distance of each from the best one and the drive of the ground that it needs."""
     lines = []
     for name, law in compared.laws.items():
-        numbers = [getattr(law, key) for key in _OF_A_LAW]
+        numbers = [getattr(law, key) for key in _LAW_NUMBERS]
         cells: list[Cell] = [name, *numbers, law.problem]
         if law.problem:
             lines.append(TableRow(cells, [name, law.title, *[""] * 5, law.problem.partition(";")[0]]))
             continue
         texts = [*(decimals(one, 1) for one in numbers[:3]), *(plain(one, 2) for one in numbers[3:])]
-        left = "as noise" if law.residuals_are_noise else "more than noise"
-        verdict = f"{left}; {'excluded' if law.excluded else 'remains'}"
+        residuals = "as noise" if law.residuals_are_noise else "more than noise"
+        verdict = f"{residuals}; {'excluded' if law.excluded else 'remains'}"
         lines.append(TableRow(cells, [name, law.title, *texts, verdict]))
     return Table(
         "laws",
         "Laws of the contact",
-        ("law", *_OF_A_LAW, "problem"),
+        ("law", *_LAW_NUMBERS, "problem"),
         ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
         lines,
         "BIC and AIC: distance from the best law; ln odds against the law, by the evidence. BIC above 10 "

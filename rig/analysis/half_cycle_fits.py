@@ -29,11 +29,11 @@ from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import pendulum_on_ball
 from rig.settings import Configuration
 
-_ACROSS: Final = 3.0
+_MAX_FAST_RATIO: Final = 3.0
 """Fast over slow motion above which the pendulum did hardly swing along the stated slow mode."""
-_MUCH: Final = 100.0
+_MAX_SHOWN_RATIO: Final = 100.0
 """Largest ratio that is shown as a number."""
-_FEWEST: Final = 4
+_MIN_HALF_CYCLES: Final = 4
 """Fewest half-cycles that have a period and a decrement (`processing/decay_summary.py`)."""
 
 
@@ -206,12 +206,12 @@ def why_no_half_cycles(record: str, fast_over_slow: float, half_cycles: int, axe
     It is empty where there are enough half-cycles, or the motion is not across. Half-cycles are those along
     the slow mode, which is the sensor's y where `axes` do not state another direction.
     """
-    if half_cycles >= _FEWEST or not fast_over_slow > _ACROSS:
+    if half_cycles >= _MIN_HALF_CYCLES or not fast_over_slow > _MAX_FAST_RATIO:
         return ""
     stated_rad = 0.0 if axes is None else axes.slow_angle_rad
     # both directions across would do; this one is within the limits of the key
     across_rad = stated_rad + math.copysign(0.5 * math.pi, -stated_rad or 1.0)
-    much = f"{fast_over_slow:.2g}" if fast_over_slow < _MUCH else f"more than {_MUCH:g}"
+    much = f"{fast_over_slow:.2g}" if fast_over_slow < _MAX_SHOWN_RATIO else f"more than {_MAX_SHOWN_RATIO:g}"
     along, looked = ("x", "y") if axes is None else ("the fast axis of [axes]", "the slow one")
     return (
         f"the swing is along {along}, {much} times as far as along {looked}, where half-cycles "

@@ -231,7 +231,7 @@ def _range_and_period(report: Reduction) -> None:
     report.add(mean_period_s=mean_period(points))
 
 
-_NEGLIGIBLE: Final = 0.01
+_MAX_NEGLIGIBLE_ERROR_U: Final = 0.01
 """Error of an amplitude, in its uncertainties, below which it changes no reported value."""
 
 
@@ -315,7 +315,7 @@ def _errors_of_plane(followed: FollowedPlane, points: TurningPoints) -> list[Sha
     columns = followed.amplitude_errors(points)
     if columns is None:
         return []
-    felt = np.max(np.abs(columns) / points.u_amplitude[:, None], axis=0) > _NEGLIGIBLE
+    felt = np.max(np.abs(columns) / points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_ERROR_U
     return [SharedError("", amplitude_rad=column) for column in columns.T[felt]]
 
 

@@ -25,7 +25,7 @@ from rig.instrument import NO_STRAY_LIGHT, optics_of, sensor_model
 from rig.settings import Configuration
 from rig.terminal import Verdict, percent, with_uncertainty
 
-_MOST_IN_MEMORY = 300_000
+_MAX_FRAMES_IN_MEMORY = 300_000
 """Most frames whose deflections stay in memory: some twenty megabytes, fifty minutes at 100 frames/s."""
 
 
@@ -79,7 +79,7 @@ class PassingDeflections:
             self.lost_spots += len(block) - int(np.count_nonzero(block.found))
             self._x.append(block.x)
             self._y.append(block.y)
-            if self.frames > _MOST_IN_MEMORY:
+            if self.frames > _MAX_FRAMES_IN_MEMORY:
                 self._kept = None
             if self._kept is not None:
                 self._kept.append(block)
@@ -120,7 +120,7 @@ def _finite(blocks: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return values[:count]
 
 
-_GAIN_SEEN = 4.0
+_MIN_GAIN_U = 4.0
 """Standard uncertainties by which a fitted gain has to differ from zero."""
 _PLACES = ("x_px", "y_px", "u_x_px", "u_y_px")
 _FIELDS = ("sequence", "flags", *_PLACES)
@@ -161,7 +161,7 @@ class BeamMotionCorrection:
             common = common_motion(spots["time_ns"], place, u)
             ours_px, u_ours_px = spots[name], spots[f"u_{name}"]
             stated = self._stated or _fitted_gain(spots["time_ns"], ours_px, u_ours_px, place, u)
-            if stated is None or not stated.value > _GAIN_SEEN * stated.standard_uncertainty:
+            if stated is None or not stated.value > _MIN_GAIN_U * stated.standard_uncertainty:
                 unknown = stated or Estimate(np.nan, np.inf)
                 less = uncorrected(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
             else:
@@ -227,11 +227,11 @@ class ChangedDeflections:
         return map(self._change, self._blocks)
 
 
-_PICTURES = 48
+_LIGHT_PICTURES = 48
 """Whole frames of a record in which fixed light is sought."""
 _STEPS_PER_DN = 16
 """Steps a DN in which the light is subtracted from a picture."""
-_MOST_LOST = 0.1
+_MAX_LOST_SHARE = 0.1
 """Largest share of the affected frames that may have no spot without the light."""
 _LARGEST_FULL_SCALE_DN = 4095
 """Largest full scale in DN at which `_STEPS_PER_DN` steps a DN fit into 16 bits."""
@@ -261,7 +261,7 @@ class FixedLightCorrection:
         for name in _PLACES:
             moved[name][rows] = [np.nan if spot is None else getattr(spot, name) for spot in kept]
         lost = np.flatnonzero(pulled & ~np.isfinite(moved["x_px"]))
-        self.used = len(lost) < _MOST_LOST * max(len(rows), 1)
+        self.used = len(lost) < _MAX_LOST_SHARE * max(len(rows), 1)
         # a lost spot stays in its place with an uncertainty of 1 px, so that it has hardly any weight
         for name in _PLACES:
             moved[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
@@ -277,7 +277,7 @@ class FixedLightCorrection:
 
 def without_fixed_light(reader: RecordReader, config: Configuration) -> FixedLightCorrection | None:
     """The correction for fixed light in the whole frames of a record; None where there is none."""
-    every = max(1, reader.counts.get(IMAGE.topic, 0) // _PICTURES)
+    every = max(1, reader.counts.get(IMAGE.topic, 0) // _LIGHT_PICTURES)
     images = {one.sequence: one.image for one in reader.images(every=every)}
     pictures = []
     for block in reader.spot_blocks(fields=("sequence", *Spot._fields)) if images else ():

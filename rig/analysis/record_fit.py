@@ -174,14 +174,14 @@ def analyse_run(
     return replace(run, conditions=conditions)
 
 
-_MOST_FRAMES = 20_000
+_MAX_CLOCK_FRAMES = 20_000
 """Number of frames from twice which on only every second, third, ... one is fitted for the rate of the clock:
 more would not make it better known."""
 _U_UNKNOWN = 100e-6 / math.sqrt(3.0)
 """Relative standard uncertainty of an unknown rate: a quartz within its usual tolerance, 100 ppm."""
-_MOST_STEP_S = 1e-3
+_MAX_U_STEP_S = 1e-3
 """Largest uncertainty of a step that is no fault: turning points are timed to some 0.1 ms."""
-_LIMIT = f"steps known to {_MOST_STEP_S:g} s"
+_CLOCK_LIMIT_TEXT = f"steps known to {_MAX_U_STEP_S:g} s"
 _FIELDS = ("sequence", "device_time_ns", "host_time_ns")
 
 
@@ -199,7 +199,7 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
     sequence, device_ns, host_ns = (table[name].astype(np.int64) for name in _FIELDS)
     steps = reader.values(RecordedClockStep)
     u_steps_s = seconds(math.sqrt(sum(float(step.u_step_ns) ** 2 for step in steps)))
-    every = max(1, len(sequence) // _MOST_FRAMES)
+    every = max(1, len(sequence) // _MAX_CLOCK_FRAMES)
     try:
         relation = relate_clocks(device_ns[::every], host_ns[::every], sequence[::every])
         rate, u_rate, drift_ppm, u_drift_ppm = (
@@ -233,10 +233,10 @@ def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float)
     return math.hypot(deviation, u_measured) if contradicted else u_known
 
 
-_MOST_KELVIN = 1.0
+_MAX_TEMPERATURE_CHANGE_K = 1.0
 """Largest change of the air's temperature in a run: the paper's arm, 1 m of steel, grows by 12 um, 2 arcsec,
 with each kelvin."""
-_MOST_LEFT_OUT = 0.2
+_MAX_LEFT_OUT_SHARE = 0.2
 """Largest share of half-cycles that the ground moves too much to be fitted."""
 _FORBIDDEN_EVENTS = {
     EventKind.LASER_DARK: (
@@ -346,13 +346,13 @@ def _forbidden_events(events: Sequence[Event]) -> list[Verdict]:
 
 
 def _clock(clock: RunClock) -> Verdict:
-    """Verdict on the steps that were taken off: a warning if known to `_MOST_STEP_S`, else a fault."""
+    """Verdict on the steps that were taken off: a warning if known to `_MAX_U_STEP_S`, else a fault."""
     if not clock.steps:
-        return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
+        return Verdict("camera's clock", True, measured=clock.text, limit=_CLOCK_LIMIT_TEXT)
     known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
     remedy = "network clock, supply, cable of the camera; rig calibrate clock"
-    ok = clock.u_steps_s <= _MOST_STEP_S
-    return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_LIMIT)
+    ok = clock.u_steps_s <= _MAX_U_STEP_S
+    return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_CLOCK_LIMIT_TEXT)
 
 
 def _watcher_failures(events: Sequence[Event]) -> list[Verdict]:
@@ -371,8 +371,10 @@ def _temperature(reader: RecordReader) -> list[Verdict]:
         return []
     measured = f"{np.min(read_c):.2f} to {np.max(read_c):.2f} °C"
     reason, remedy = "it changed during the run", "wait until the room is steady; shield the rig"
-    ok = float(np.ptp(read_c)) <= _MOST_KELVIN
-    return [_condition("temperature", ok, reason, remedy, measured, f"within {_MOST_KELVIN:g} K")]
+    ok = float(np.ptp(read_c)) <= _MAX_TEMPERATURE_CHANGE_K
+    return [
+        _condition("temperature", ok, reason, remedy, measured, f"within {_MAX_TEMPERATURE_CHANGE_K:g} K")
+    ]
 
 
 def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
@@ -384,5 +386,5 @@ def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
     reason = "it drove the pendulum more than friction braked it"
     remedy = "measure at a quieter time or place; end at a larger amplitude"
     measured = f"{percent(part)} of the half-cycles left out, uncertainties × {widest:.2g}"
-    limit = f"{100 * _MOST_LEFT_OUT:g} % left out"
-    return [_condition("ground", part <= _MOST_LEFT_OUT, reason, remedy, measured, limit)]
+    limit = f"{100 * _MAX_LEFT_OUT_SHARE:g} % left out"
+    return [_condition("ground", part <= _MAX_LEFT_OUT_SHARE, reason, remedy, measured, limit)]

@@ -22,7 +22,7 @@ _SHORT_NAMES: Final = {
     "drag": DRAG.key,
     "a": "contact_radius_m",
 }
-_MOST_LOGARITHMIC: Final = 3.0
+_MAX_LOGARITHMIC_U: Final = 3.0
 """Relative uncertainty by the apparatus up to which it is added in the logarithm of a parameter: near zero it
 could be any number."""
 _QUANTITY_UNIT = Quantity("", "", unit=OF + "quantity")
@@ -221,7 +221,7 @@ def _wider_ends(row: ResultRow, expanded: float) -> tuple[float, float]:
     parameter = law_parameters().get(row.quantity)
     logarithmic = parameter is not None and parameter.logarithmic and ends[0] > 0
     relative = expanded / value if value > 0 else inf
-    if logarithmic and relative < _MOST_LOGARITHMIC:
+    if logarithmic and relative < _MAX_LOGARITHMIC_U:
         # the unit contains an exponent, so that the interval is symmetric in the logarithm
         low, high = (_wider(side, relative) for side in (log(value / ends[0]), log(ends[1] / value)))
         return value * exp(-low), value * exp(high)

@@ -31,8 +31,8 @@ SCHEMA = 1
 _RECORD_NAME = re.compile(r"run-(\d+)(-recovered)?\.mcap")
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
-_STRONG = 0.99
-"""Correlation from which on the data hardly distinguish two parameters."""
+_MIN_STRONG_CORRELATION = 0.99
+"""Minimum correlation of two parameters that the data hardly distinguish."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Correlation:
             (self.names[i], self.names[j], self.matrix[i][j])
             for i in range(len(self.matrix))
             for j in range(i)
-            if abs(self.matrix[i][j]) >= _STRONG
+            if abs(self.matrix[i][j]) >= _MIN_STRONG_CORRELATION
         ]
         return sorted(pairs, key=lambda pair: -abs(pair[2]))
 

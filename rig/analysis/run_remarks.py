@@ -24,7 +24,7 @@ from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import Correlation, RunResults, Series
 from rig.terminal import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
 
-_LARGE = 0.25
+_MIN_NAMED_VARIANCE_SHARE = 0.25
 """Share of the variance above which a source is named; the largest one always is."""
 
 
@@ -42,7 +42,7 @@ def main_sources(row: ResultRow, budget: Mapping[str, Budget]) -> str:
     if item is None or not row.determined or not has_apparatus(item):
         return ""
     lines = sorted(item.sources, key=lambda line: -line.share)
-    named = [line for line in lines if line.share >= _LARGE] or lines[:1]
+    named = [line for line in lines if line.share >= _MIN_NAMED_VARIANCE_SHARE] or lines[:1]
     return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)
 
 
@@ -72,7 +72,7 @@ def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
     }
 
 
-_SHOWN_SHARE = 0.02
+_MIN_SHOWN_SHARE = 0.02
 _LIMITS_FROM = 0.25
 _STEPS: Final[Mapping[str, str]] = {
     "swings": "measure longer, or make more runs",
@@ -145,7 +145,7 @@ def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
     if item is None or not has_apparatus(item):
         return WholeResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
     sources = sorted(item.sources, key=lambda line: -line.share)
-    limits = [Limit(one.source, one.share) for one in sources if one.share >= _SHOWN_SHARE]
+    limits = [Limit(one.source, one.share) for one in sources if one.share >= _MIN_SHOWN_SHARE]
     exact = run.fits.get(FitMethod.EXACT)
     ground_seen = exact is None or exact.ground is None or exact.ground.seen
     return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)
@@ -157,7 +157,7 @@ _FINDINGS = {
     DragFinding.UNSEEN: "No linear drag is seen",
     DragFinding.OPEN: "This decay cannot distinguish a drag from friction",
 }
-_MUCH = 1.5
+_MIN_NAMED_FACTOR = 1.5
 """Factor on an uncertainty, by the ground or without the waveform, above which it is named."""
 
 
@@ -291,7 +291,7 @@ def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
 
 def _ground_cost(ground: Ground) -> str:
     """Sentence on the ground's part of the uncertainties, with remedies; empty where it is small."""
-    widened = {name: factor for name, factor in ground.widening.items() if factor > _MUCH}
+    widened = {name: factor for name, factor in ground.widening.items() if factor > _MIN_NAMED_FACTOR}
     if not widened or not ground.seen:
         return ""
     listed = ", ".join(
@@ -367,7 +367,7 @@ def _response_text(response: Response) -> str:
 
 def _waveform_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
     """Sentence on the information gain by the waveform; empty where it is small."""
-    gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MUCH}
+    gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MIN_NAMED_FACTOR}
     if not gained:
         return ""
     ordered = sorted(gained.items(), key=lambda item: -item[1])

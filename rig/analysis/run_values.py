@@ -119,18 +119,13 @@ class PositionErrors:
         )
 
     @property
-    def rms(self) -> float:
-        """Rms of the error about its mean, in `unit`."""
-        return float(np.std(self.error))
-
-    @property
     def text(self) -> str:
         """One line for the notes."""
         size, unit = self.unit.shown_size, self.unit.shown
         return (
-            f"errors of position that are fixed on the sensor, {self.rms / size:.2g} {unit} r.m.s. over "
-            f"{self.correlation_length / size:.2g} {unit}, were found in {self.cycles} cycles and subtracted "
-            "before the fits; the budget has a line for what remains"
+            f"errors of position that are fixed on the sensor, {float(np.std(self.error)) / size:.2g} {unit} "
+            f"r.m.s. over {self.correlation_length / size:.2g} {unit}, were found in {self.cycles} cycles "
+            "and subtracted before the fits; the budget has a line for what remains"
         )
 
 

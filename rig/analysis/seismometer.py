@@ -1,7 +1,6 @@
 """The auxiliary seismometer in a record, and the times of its samples."""
 
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,10 +12,10 @@ from rig.analysis.seismometer_file import SeismometerRecord
 from rig.settings import Configuration
 
 _VALUES = ("first", "second", "third")
-_FEWEST = 3
+_MIN_ARRIVALS = 3
 _PAUSE_S, _PAUSE_STEPS = 0.5, 4.0
 """Longest pause between arrivals that is no gap, in s and in median steps: a gap is longer than both."""
-_LINE = 20
+_MIN_LINE_SAMPLES = 20
 """Fewest samples of a stretch to whose arrivals a line is fitted."""
 _STEP_S = 0.3
 """Lasting change of lateness, in s, above which a clock was set."""
@@ -33,7 +32,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> Seismometer
     if config.witness.kind == "none":
         return None
     table = reader.table(WITNESS.topic)
-    if len(table) < _FEWEST:
+    if len(table) < _MIN_ARRIVALS:
         return None
     names = config.witness.components
     times_ns, steps_s = sample_times(table["time_ns"], table["own_time_s"])
@@ -57,14 +56,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> Seismometer
     )
 
 
-class SampleTimes(NamedTuple):
-    """Times of samples on the frames' clock, and the steps in s by which one of the clocks was set."""
-
-    times_ns: Ints
-    steps_s: tuple[float, ...]
-
-
-def sample_times(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
+def sample_times(arrived_ns: Ints, own_s: Floats) -> tuple[Ints, tuple[float, ...]]:
     """Times at which samples were taken, from those of their arrival: in bursts, late by parts of a second.
 
     They are those of a line through the arrivals over the instrument's own time or, without one, over the
@@ -86,11 +78,11 @@ def sample_times(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
         begins = [0, *paused.tolist(), len(since_s)]
     taken_s = since_s.copy()
     for begin, end in pairwise(begins):
-        if end - begin >= _LINE:
+        if end - begin >= _MIN_LINE_SAMPLES:
             part = slice(begin, end)
             taken_s[part] = _arrival_line(over[part], since_s[part])
     times_ns = np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
-    return SampleTimes(times_ns, tuple(steps_s.values()))
+    return times_ns, tuple(steps_s.values())
 
 
 def _arrival_line(over: Floats, since_s: Floats) -> Floats:
@@ -104,7 +96,7 @@ def _arrival_line(over: Floats, since_s: Floats) -> Floats:
         late_s = since_s - line
         low, usual = np.quantile(late_s, (0.05, 0.25))
         now = late_s <= usual + max(_STEP_S, _WAITED * (usual - low))
-        if np.count_nonzero(now) < _LINE or np.array_equal(now, kept):
+        if np.count_nonzero(now) < _MIN_LINE_SAMPLES or np.array_equal(now, kept):
             break
         kept = now
         line = np.polyval(np.polyfit(over[kept], since_s[kept], 1), over)
@@ -118,23 +110,23 @@ def _clock_steps(late_s: Floats, own_s: Floats) -> dict[int, float]:
     takes: a backlog arrives faster than it was taken.
     """
     late_s, found = late_s.copy(), dict[int, float]()
-    if len(late_s) < 2 * _LINE:
+    if len(late_s) < 2 * _MIN_LINE_SAMPLES:
         return found
-    medians = np.median(np.lib.stride_tricks.sliding_window_view(late_s, _LINE), axis=1)
-    rise = np.abs(medians[_LINE:] - medians[:-_LINE])
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(late_s, _MIN_LINE_SAMPLES), axis=1)
+    rise = np.abs(medians[_MIN_LINE_SAMPLES:] - medians[:-_MIN_LINE_SAMPLES])
     for _ in range(_MOST_LOOKS):
         peak = int(np.argmax(rise))
         if not rise[peak] > _STEP_S:
             break
         # the windows meet at the sample after the first one's end
-        low, high = max(1, peak + 1), min(len(late_s), peak + 2 * _LINE)
+        low, high = max(1, peak + 1), min(len(late_s), peak + 2 * _MIN_LINE_SAMPLES)
         place = low + int(np.argmax(np.abs(np.diff(late_s[low - 1 : high]))))
-        rise[max(0, place - 2 * _LINE) : place + 1] = 0.0
-        if not _LINE <= place <= len(late_s) - _LINE:
+        rise[max(0, place - 2 * _MIN_LINE_SAMPLES) : place + 1] = 0.0
+        if not _MIN_LINE_SAMPLES <= place <= len(late_s) - _MIN_LINE_SAMPLES:
             continue
         near, far = (
             float(np.median(late_s[place : place + reach]) - np.median(late_s[max(0, place - reach) : place]))
-            for reach in (_LINE, _FAR)
+            for reach in (_MIN_LINE_SAMPLES, _FAR)
         )
         if (
             abs(near) > _STEP_S

@@ -22,11 +22,11 @@ from rig.intake import read_columns
 _SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
 FIRST_UTC_S = 1e9
 """Time in s above which those of a table count from 1970: this was in 2001, and no run lasts so long."""
-_SAME_TICK = 0.5
+_MAX_TICK_ERROR_STEPS = 0.5
 """Sampling steps by which a record may begin early or late without an overlap or a gap before it."""
-_DRIFT = 0.05
+_MAX_RATE_DIFFERENCE = 0.05
 """Largest relative difference of the rate by the beginnings of records from the stated one."""
-_FEWEST_RECORDS = 3
+_MIN_RECORDS = 3
 _SEED, _DATA_RECORD = pattern(rb"[0-9 \0]{6}[ A-Z]"), pattern(rb"[0-9 \0]{6}[DRQM]")
 _HEAD, _LEAST_RECORD, _USUAL_RECORD, _LONGEST_RECORD = 64, 128, 4096, 1 << 16
 _EMPTY, _DAMAGED = "records without samples", "records that cannot be decoded"
@@ -271,11 +271,11 @@ def _runs(pieces: Sequence[_Piece], left_out: Counter[str]) -> list[_GaplessSamp
     end_ns = -math.inf
     for piece in pieces:
         late = (piece.start_ns - end_ns) / piece.step_ns
-        skipped = math.ceil(-late - _SAME_TICK) if late < -_SAME_TICK else 0
+        skipped = math.ceil(-late - _MAX_TICK_ERROR_STEPS) if late < -_MAX_TICK_ERROR_STEPS else 0
         left_out[_TWICE] += min(skipped, piece.count)
         if skipped >= piece.count:
             continue
-        if abs(late) > _SAME_TICK or groups[-1][-1].step_ns != piece.step_ns:
+        if abs(late) > _MAX_TICK_ERROR_STEPS or groups[-1][-1].step_ns != piece.step_ns:
             groups.append([])
         groups[-1].append(replace(piece, skipped=skipped))
         end_ns = piece.start_ns + piece.count * piece.step_ns
@@ -284,13 +284,13 @@ def _runs(pieces: Sequence[_Piece], left_out: Counter[str]) -> list[_GaplessSamp
 
 def _at_measured_rate(pieces: list[_Piece]) -> list[_Piece]:
     """Records with the sampling step by the beginnings of most of them, where it is near the stated one."""
-    if len(pieces) < _FEWEST_RECORDS:
+    if len(pieces) < _MIN_RECORDS:
         return pieces
     starts_ns = np.array([one.start_ns for one in pieces], dtype=np.int64)
     own = np.diff(starts_ns) / [one.count * one.step_ns for one in pieces[:-1]]
     low, middle, high = np.quantile(own, (0.25, 0.5, 0.75)).tolist()
     # beginnings that scatter by more than the deviation show no rate
-    if not high - low < abs(middle - 1) < _DRIFT:
+    if not high - low < abs(middle - 1) < _MAX_RATE_DIFFERENCE:
         return pieces
     return [replace(one, step_ns=middle * one.step_ns) for one in pieces]
 
@@ -359,7 +359,7 @@ def _at_times(times_ns: Ints, runs: Sequence[_GaplessSamples]) -> Floats:
     """A channel's samples at the common times; NaN where it has none."""
     out = np.full(len(times_ns), np.nan)
     for run in runs:
-        near_ns = _SAME_TICK * run.step_ns
+        near_ns = _MAX_TICK_ERROR_STEPS * run.step_ns
         inside = (times_ns >= run.times_ns[0] - near_ns) & (times_ns <= run.times_ns[-1] + near_ns)
         origin_ns = run.times_ns[0]
         out[inside] = np.interp(times_ns[inside] - origin_ns, run.times_ns - origin_ns, run.value)

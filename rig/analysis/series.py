@@ -111,8 +111,8 @@ def _with_run_sources(
     by_inputs = dict(measured.by_inputs)
     for source in ("row_time_s", "common_amplitude_rad"):
         if (u := rig.inputs()[source].u) > 0:
-            by_inputs[source] = _moved(of_runs, measured.names, source).mean(axis=0) / u
-    moved = _moved(of_runs, measured.names, _PLANE)
+            by_inputs[source] = _source_changes(of_runs, measured.names, source).mean(axis=0) / u
+    moved = _source_changes(of_runs, measured.names, _PLANE)
     size = np.linalg.norm(moved, axis=0) / len(moved)
     if rig.non_orthogonality_rad.u > 0:
         size = np.abs(moved).mean(axis=0)
@@ -124,7 +124,7 @@ def _with_run_sources(
     return replace(measured, by_inputs=by_inputs), rig
 
 
-def _moved(of_runs: Sequence[Mapping[str, Budget]], names: Sequence[str], source: str) -> Floats:
+def _source_changes(of_runs: Sequence[Mapping[str, Budget]], names: Sequence[str], source: str) -> Floats:
     """Changes (runs, parameters) by one standard uncertainty of a source; 0 where a run has no such line."""
     return np.array(
         [

@@ -51,19 +51,19 @@ from rig.intake import (
     judge_sign,
     judge_time_unit,
     missing_for_laws,
-    second_frequency,
     strange_amplitudes,
+    two_oscillations_message,
 )
 from rig.settings import Configuration
 
 _STATED = ("sample", "operator", "contact_history", "notes")
-_USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
-_EDGE = 0.75
+_MIN_USABLE_HALF_CYCLES = 4  # what the summary of a decay needs (processing/decay_summary.py)
+_EDGE_HALF_PERIODS = 0.75
 """Half periods before the first and after the last turning point of a decay whose samples belong to it."""
-_PUSHED_RATIO = 1.2
+_MIN_PUSHED_RATIO = 1.2
 """Ratio of neighbouring amplitudes above which the pendulum was pushed again: 20 % of its amplitude are
 nearly half of its energy."""
-_PUSHED_U = 6.0
+_MIN_PUSHED_U = 6.0
 """Standard uncertainties by which such an amplitude has to be larger: faint amplitudes grow by noise, by so
 much once in 10^9 half-cycles."""
 
@@ -96,22 +96,6 @@ class AnalysedTable:
         return max(self.decays, key=lambda decay: decay.summary.half_cycles)
 
 
-def analyse_table(
-    path: Path,
-    config: Configuration | None,
-    columns: TableColumns,
-    witness: SeismometerRecord | None = None,
-    laws: Sequence[Law | StatedLaw] = (),
-) -> AnalysedTable:
-    """Results of a table: its half-cycles are detected, its decays separated, each analysed as a run is.
-
-    Two positions are first turned onto the direction of the larger motion. The contact's law is fitted where
-    unit and pendulum allow, with the auxiliary seismometer `witness` if there is one, and compared with
-    further `laws`. Raises DataError with the reason where there is no decay.
-    """
-    return analyse_trajectory(path, columns.read(path), config, laws, witness)
-
-
 def analyse_trajectory(
     path: Path,
     trajectory: Trajectory,
@@ -119,7 +103,13 @@ def analyse_trajectory(
     laws: Sequence[Law | StatedLaw] = (),
     witness: SeismometerRecord | None = None,
 ) -> AnalysedTable:
-    """Results of positions that were read from a table or a film, as of `analyse_table`."""
+    """Results of positions that were read from a table or a film.
+
+    Its half-cycles are detected, its decays separated, each analysed as a run is. Two positions are first
+    turned onto the direction of the larger motion. The contact's law is fitted where unit and pendulum allow,
+    with the auxiliary seismometer `witness` if there is one, and compared with further `laws`. Raises
+    DataError with the reason where there is no decay.
+    """
     judge_sign(path, trajectory)
     scale = trajectory.scale_rad or 1.0
     deflection, across = (one * scale for one in along_and_across(trajectory.positions))
@@ -127,11 +117,11 @@ def analyse_trajectory(
     noise = scatter.noise
     swings = swings_of(trajectory.times_ns, deflection, scatter.u_deflection)
     parts = separate_decays(swings)
-    usable = [part for part in parts if len(turning_points(part)) >= _USABLE]
+    usable = [part for part in parts if len(turning_points(part)) >= _MIN_USABLE_HALF_CYCLES]
     if not usable:
         judge_time_unit(path, trajectory)
         most = max((len(turning_points(part)) for part in parts), default=0)
-        reason = second_frequency(trajectory.times_ns, deflection) or (
+        reason = two_oscillations_message(trajectory.times_ns, deflection) or (
             "the samples hold no free decay, or too little of one. "
             + (
                 trajectory.remedy
@@ -141,7 +131,7 @@ def analyse_trajectory(
         )
         raise DataError(
             f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "
-            f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
+            f"flagged or of other decays), at least {_MIN_USABLE_HALF_CYCLES} are needed: {reason}"
         )
     judge_time_unit(path, trajectory, usable)
     both = _both_deflections(trajectory.times_ns, across, deflection, scatter)
@@ -232,7 +222,7 @@ def _analyse(
 ) -> AnalysedDecay:
     """Results of one decay, by the same steps as those of a record."""
     u_common = trajectory.u_common_in_noises * scatter.noise
-    edge_ns = _EDGE * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
+    edge_ns = _EDGE_HALF_PERIODS * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
     inside = (trajectory.times_ns > swings[0].turn_time_ns - edge_ns) & (
         trajectory.times_ns < swings[-1].turn_time_ns + edge_ns
     )
@@ -394,6 +384,6 @@ def _pushed(before: HalfCycle, swing: HalfCycle) -> bool:
     grown = swing.amplitude - before.amplitude
     return (
         not swing.flags
-        and swing.amplitude > _PUSHED_RATIO * before.amplitude
-        and grown > _PUSHED_U * hypot(swing.u_amplitude, before.u_amplitude)
+        and swing.amplitude > _MIN_PUSHED_RATIO * before.amplitude
+        and grown > _MIN_PUSHED_U * hypot(swing.u_amplitude, before.u_amplitude)
     )

@@ -19,10 +19,10 @@ from processing.units import seconds
 from rig.analysis.passing_deflections import ChangedDeflections, PassingDeflections
 from rig.terminal import with_uncertainty
 
-_SQUARE: Final = Axes()
-MATTERS: Final = 0.05
+_ORTHOGONAL_AXES: Final = Axes()
+MAX_NEGLECTED_CHANGE_U: Final = 0.05
 """Largest change of any parameter of a fit, in standard uncertainties, by a rotation that is neglected."""
-_FIRST: Final = 10
+_FIRST_BALANCES: Final = 10
 """Number of balances at the beginning, where the fast mode is largest."""
 _SAMPLES_PER_PERIOD: Final = 100
 """Least number of samples of a slow period, where there are as many, that make its balance."""
@@ -45,7 +45,7 @@ class FollowedPlane:
     plane: PlaneOfSwing | None = None
     is_turned: bool = False
     along_line: bool = False
-    axes: Axes = _SQUARE
+    axes: Axes = _ORTHOGONAL_AXES
     problem: str = ""
 
     def amplitude_errors(self, points: TurningPoints) -> Floats | None:
@@ -61,7 +61,7 @@ class FollowedPlane:
         """Standard uncertainty of the angle by which the last half-cycles were turned."""
         if self.plane is None or not self.is_turned:
             return 0.0
-        last = self.plane.u_turned(np.array([self.plane.last_ns], dtype=np.int64))
+        last = self.plane.u_turned_rad(np.array([self.plane.last_ns], dtype=np.int64))
         return math.hypot(float(np.linalg.norm(last)), self.axes.u_non_orthogonality_rad)
 
     @property
@@ -83,7 +83,8 @@ class FollowedPlane:
         ).replace("-", "−")
 
     def matters(self, plane: PlaneOfSwing) -> bool:
-        """Whether half-cycles in this plane, with their uncertainties, change a fit by more than `MATTERS`.
+        """Whether half-cycles in this plane, with their uncertainties, change a fit by more than
+        `MAX_NEGLECTED_CHANGE_U`.
 
         If amplitudes change by e_i, no parameter of a least-squares fit changes by more than
         sqrt(sum (e_i/u_i)^2) of its standard uncertainties.
@@ -93,8 +94,8 @@ class FollowedPlane:
         amplitude, u = np.array([(swing.amplitude, swing.u_amplitude) for swing in good]).T
         angle = self.angle_rad(plane, times_ns)
         shifts = amplitude * (1.0 - np.cos(angle) + self._motion_across(plane) * np.abs(np.sin(angle)))
-        moved2 = shifts**2 + np.sum(self._errors(plane, times_ns, amplitude) ** 2, axis=1)
-        return bool(math.sqrt(float(np.sum(moved2 / u**2))) > MATTERS)
+        shifts2 = shifts**2 + np.sum(self._errors(plane, times_ns, amplitude) ** 2, axis=1)
+        return bool(math.sqrt(float(np.sum(shifts2 / u**2))) > MAX_NEGLECTED_CHANGE_U)
 
     def angle_rad(self, plane: PlaneOfSwing, times_ns: NDArray[np.int64]) -> Floats:
         """Angles (n,) by which deflections in this plane are turned back."""
@@ -106,7 +107,7 @@ class FollowedPlane:
         An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where
         the angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta).
         """
-        of_curve = plane.u_direction(times_ns) if self.along_line else plane.u_turned(times_ns)
+        of_curve = plane.u_direction_rad(times_ns) if self.along_line else plane.u_turned_rad(times_ns)
         half = 0.5 * np.linalg.norm(of_curve, axis=1)
         angle = self.angle_rad(plane, times_ns)
         of_axes = self.axes.u_non_orthogonality_rad * np.sin(angle) * np.cos(angle)
@@ -117,7 +118,9 @@ class FollowedPlane:
         """Motion across the target axis over that along it: by the tilt of the line, and by the fast mode."""
         start = np.array([plane.start_ns], dtype=np.int64)
         tilt = 0.0 if self.along_line else math.remainder(float(plane.direction_rad(start)[0]), math.pi)
-        first = [one.transverse_ratio for one in self.balances if one.time_ns >= plane.first_ns][:_FIRST]
+        first = [one.transverse_ratio for one in self.balances if one.time_ns >= plane.first_ns][
+            :_FIRST_BALANCES
+        ]
         fast = float(np.median(first)) if first else 0.0
         return math.hypot(min(abs(tilt), 1.0), min(fast, 1.0))
 
@@ -133,7 +136,7 @@ class PlaneBalances:
     """
 
     def __init__(self, axes: Axes | None, period_s: float) -> None:
-        self._oblique_rad = _oblique_rad(axes or _SQUARE)
+        self._oblique_rad = _oblique_rad(axes or _ORTHOGONAL_AXES)
         self._period_s = period_s
         self._estimator = BalanceEstimator()
         self._stride = self._passed = 0
@@ -144,9 +147,9 @@ class PlaneBalances:
             step_s = float(seconds(block.times_ns[-1] - block.times_ns[0])) / (len(block) - 1)
             self._stride = max(1, int(self._period_s / step_s / _SAMPLES_PER_PERIOD))
         stride = max(self._stride, 1)
-        few = block[-self._passed % stride :: stride]
+        sampled = block[-self._passed % stride :: stride]
         self._passed += len(block)
-        return list(self._estimator.update(square_axes(few, self._oblique_rad)))
+        return list(self._estimator.update(square_axes(sampled, self._oblique_rad)))
 
 
 def _oblique_rad(axes: Axes) -> float:
@@ -179,13 +182,13 @@ def follow_plane(
     -----
     A rotation that does not matter (`FollowedPlane.matters`) is neglected.
     """
-    axes = axes or _SQUARE
+    axes = axes or _ORTHOGONAL_AXES
     good = [swing for swing in swings if not swing.flags]
     if len(good) < 2:
         return FollowedPlane(swings, deflections, along_line=along_line, axes=axes)
     if balances is None:
-        making = PlaneBalances(axes, mean_period(turning_points(good)))
-        balances = [one for block in deflections for one in making.of(block)]
+        estimator = PlaneBalances(axes, mean_period(turning_points(good)))
+        balances = [one for block in deflections for one in estimator.of(block)]
     balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
     found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
     plane = plane_of_swing(balances, good[0].turn_time_ns, good[-1].turn_time_ns)
@@ -199,8 +202,8 @@ def follow_plane(
         )
         return replace(found, plane=plane, problem=problem.replace("-", "−"))
 
-    def turned(block: Deflections) -> Deflections:
+    def turned_back(block: Deflections) -> Deflections:
         return rotate(block, found.angle_rad(plane, block.times_ns), _oblique_rad(axes))
 
-    back = PassingDeflections(ChangedDeflections(deflections, turned), deflections.unit)
+    back = PassingDeflections(ChangedDeflections(deflections, turned_back), deflections.unit)
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)

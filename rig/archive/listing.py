@@ -205,7 +205,7 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
         row = dict(zip(columns, values, strict=True))
         title = f"{_SIMULATED if row.pop('simulated') else ''}{Path(row['folder']) / row['record']}"
         texts = [
-            (name, _shown(name, row))
+            (name, _cell_text(name, row))
             for name, value in row.items()
             if (value not in (None, "") or row.get(f"verdict_{name}")) and name not in _NUMBERS
         ]
@@ -311,7 +311,7 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
     found = [dict(zip(names, row, strict=True)) for row in rows]
     head = [name for name in names if name not in _NUMBERS or _PREFIX.sub("", name, count=1) not in names]
     lines = [
-        TableRow([_cell(value) for value in row.values()], [_shown(name, row) for name in head])
+        TableRow([_cell(value) for value in row.values()], [_cell_text(name, row) for name in head])
         for row in found
     ]
     return Table("runs", "", names, head, lines, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
@@ -322,7 +322,7 @@ _NUMBERS = [name for name in COLUMNS if _PREFIX.match(name)]
 """Columns that are shown in the cell of their quantity."""
 
 
-def _shown(name: str, row: Mapping[str, Any]) -> str:
+def _cell_text(name: str, row: Mapping[str, Any]) -> str:
     value = row[name]
     if value is None:
         verdict, ends = row.get(f"verdict_{name}"), [row.get(f"{end}_{name}") for end in ("lower", "upper")]

@@ -245,7 +245,6 @@ def refit_runs(
     settings: Sequence[str] = (),
     cluster: str = "",
     processes: int | None = None,
-    work: Work = refit,
 ) -> int:
     """Fit the sessions again whose runs are named or meet a condition (neither: all sessions with records).
 
@@ -269,7 +268,7 @@ def refit_runs(
     fitted, failed_count = list[Path](), 0
     try:
         for task, problem in (
-            _on_cluster(work, tasks, cluster) if cluster else _in_processes(work, tasks, processes)
+            _on_cluster(refit, tasks, cluster) if cluster else _in_processes(refit, tasks, processes)
         ):
             if problem:
                 failed_count += 1

@@ -16,16 +16,16 @@ from processing.errors import ConfigurationError
 if TYPE_CHECKING:
     from rig.settings import Configuration
 
-_Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
+_Paths = TypeVar("_Paths", Path, list[Path], Path | None, list[Path] | None)
 _KINDS = {"": "file or folder", ".mcap": "record", ".toml": "file", ".rrd": "Rerun file"}
 _MAX_LISTED = 5
 PAGES = (".html", ".htm")
 """Suffixes of a page."""
 
 
-def there(given: _Given) -> _Given:
+def existing(paths: _Paths) -> _Paths:
     """Check that files and folders exist; their readers check the contents."""
-    for path in _paths(given):
+    for path in _path_list(paths):
         try:
             path.stat()
         except (FileNotFoundError, NotADirectoryError):
@@ -37,49 +37,49 @@ def there(given: _Given) -> _Given:
             raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path)}") from None
         except (OSError, ValueError):
             continue  # inaccessible, or not a valid name: the reader's message is better
-    return given
+    return paths
 
 
-_INSTEAD = {
+_OTHER_COMMANDS = {
     "balance": "rig view {} --layout balancing shows its balance",
     "run": "rig replay {0} processes it again, rig fit {0} fits it",
     "desk": "rig view {} shows it",
 }
 
 
-def configuration(ctx: typer.Context, given: _Given) -> _Given:
+def configuration(ctx: typer.Context, paths: _Paths) -> _Paths:
     """Check that a configuration exists; refuse a record or its folder, naming the command for it."""
-    for path in _paths(there(given)):
+    for path in _path_list(existing(paths)):
         if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
             kind = "is a folder with records" if path.is_dir() else "is a record"
-            instead = _INSTEAD.get(ctx.command.name or "", "rig record info {} says how it was made")
+            instead = _OTHER_COMMANDS.get(ctx.command.name or "", "rig record info {} says how it was made")
             if path.is_dir() and ctx.command.name == "run":
                 instead = "rig run --resume {} continues its session"
             raise ConfigurationError(
                 f"{path}: {kind}, and a configuration (TOML file) is wanted; {instead.format(path)}"
             )
-    return given
+    return paths
 
 
-def _each(check: Callable[[Path], object], *, is_read: bool = True) -> Callable[[_Given], _Given]:
+def _each(check: Callable[[Path], object], *, is_read: bool = True) -> Callable[[_Paths], _Paths]:
     """A check of every path of a parameter; of one that is read after the check that it exists."""
 
-    def checked(given: _Given) -> _Given:
-        for path in _paths(there(given) if is_read else given):
+    def checked(paths: _Paths) -> _Paths:
+        for path in _path_list(existing(paths) if is_read else paths):
             check(path)
-        return given
+        return paths
 
     return checked
 
 
 @_each
-def recorded(path: Path) -> None:
+def record_input(path: Path) -> None:
     """Check that records exist; a folder must hold one."""
     records_in(path)
 
 
 @_each
-def to_be_fitted(path: Path) -> None:
+def fit_input(path: Path) -> None:
     """Check the input of `rig fit`: records, a table, a film, or folders of them exist."""
     if kind_of(path) == "records":
         records_in(path)
@@ -104,7 +104,7 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
 
 
 @_each
-def recorded_or_fitted(path: Path) -> None:
+def record_or_results(path: Path) -> None:
     """Check that records exist, or results that rig fit made of a table or a film."""
     if not is_of_table(path):
         records_in(path)
@@ -121,7 +121,7 @@ def is_of_table(path: Path) -> bool:
 
 
 @_each
-def with_results(path: Path) -> None:
+def results_folder(path: Path) -> None:
     """Check that files exist, and that folders of sessions, or of several sessions, hold results."""
     # the folder of a list of sessions has results in its subfolders
     if path.is_dir() and not (any(path.glob("results*.json")) or any(path.glob("*/results*.json"))):
@@ -145,8 +145,8 @@ def one_record(path: Path) -> Path:
     return records[0]
 
 
-def _paths(given: Path | list[Path] | None) -> Sequence[Path]:
-    return given if isinstance(given, list) else [] if given is None else [given]
+def _path_list(paths: Path | list[Path] | None) -> Sequence[Path]:
+    return paths if isinstance(paths, list) else [] if paths is None else [paths]
 
 
 def _instead_of(path: Path) -> str:
@@ -294,14 +294,14 @@ def _refuse_unwritable(path: Path) -> None:
         )
 
 
-def input_argument(help_: str, check: Callable[..., object] = there, **stated: Any) -> Any:
+def input_argument(help_: str, check: Callable[..., object] = existing, **stated: Any) -> Any:
     """The argument for a path that a command reads."""
     return typer.Argument(help=help_, show_default=False, callback=check, **stated)
 
 
 def input_option(help_: str, *names: str, **stated: Any) -> Any:
     """The option for a path that a command reads."""
-    return typer.Option(*names, help=help_, show_default=False, callback=there, **stated)
+    return typer.Option(*names, help=help_, show_default=False, callback=existing, **stated)
 
 
 def output_option(
@@ -312,7 +312,7 @@ def output_option(
 
 
 Config = Annotated[Path, input_argument("Configuration (TOML file).", configuration)]
-Record = Annotated[Path, input_argument("Record (MCAP file), or a folder with one.", recorded)]
+Record = Annotated[Path, input_argument("Record (MCAP file), or a folder with one.", record_input)]
 Set = Annotated[
     list[str] | None,
     typer.Option(
@@ -375,8 +375,8 @@ def in_json(command: Callable[..., None]) -> Callable[..., None]:
 class ListingCommand(TyperCommand):
     """A command whose help names what each of several values is, not Python's list of them."""
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(*given, **named)
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
         for parameter in self.params:
             annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
             if get_origin(annotation) is list:

@@ -140,7 +140,7 @@ def snap(
     """
     from acquisition import atomic_write
     from processing.errors import RecordError
-    from rig.devices import SeenReference
+    from rig.devices import ReferencePart
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
     from rig.terminal import answer, print_line
@@ -170,7 +170,7 @@ def snap(
         if reference is not None and row < len(image):
             other = reference[0].track(image[row:])
             other = other._replace(y_px=other.y_px + row)
-            print_line(SeenReference.in_image(other, row, image, info.full_scale_dn).lamp.line)
+            print_line(ReferencePart.in_image(other, row, image, info.full_scale_dn).lamp.line)
         answer(picture=figures, beam=beam)
         print_written(output)
 

@@ -12,12 +12,12 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import (
     ResultsFolder,
     Set,
+    fit_input,
     in_json,
     input_argument,
     input_option,
     kind_of,
     refuse_stated,
-    to_be_fitted,
 )
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def fit(
         input_argument(
             "Records (.mcap), their folders; or one table of positions (CSV), one film, one folder of "
             "images or films.",
-            to_be_fitted,
+            fit_input,
         ),
     ],
     output: ResultsFolder = None,
@@ -255,7 +255,7 @@ def fit_film(
     """
     from rig.analysis import TableOptions, fit_several
     from rig.intake import film_trajectory, films_in
-    from rig.terminal import TimeLeft, print_line
+    from rig.terminal import ProgressLine, print_line
 
     if overrides and config is None:
         raise ConfigurationError(f"--set {overrides[0]}: has no effect without --config")
@@ -267,7 +267,7 @@ def fit_film(
     if len(films) > 1:
         print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
     inputs = [
-        (one.stem, one, partial(film_trajectory, one, asked, TimeLeft(f"{one}: frames"))) for one in films
+        (one.stem, one, partial(film_trajectory, one, asked, ProgressLine(f"{one}: frames"))) for one in films
     ]
     return fit_several(inputs, output, TableOptions(config, overrides, table_report, laws))
 

@@ -25,7 +25,7 @@ from rig.commands.arguments import (
     new_file,
     one_record,
     output_option,
-    recorded,
+    record_input,
 )
 
 Rrd = Annotated[Path | None, output_option("Write a Rerun file.", new_file(".rrd"), names=("--rrd",))]
@@ -234,7 +234,7 @@ def view(
         )
     if not follow:
         # a followed record may not exist yet
-        recorded(records)
+        record_input(records)
     found = [record for path in records for record in ([path] if follow else records_in(path))]
     mode: Literal["spawn", "web"] = "web" if view == "web" else "spawn"
     show_records(found, mode=mode, rrd=rrd, layout=layout, follow=follow, ports=ports)

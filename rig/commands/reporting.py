@@ -11,6 +11,7 @@ from rig.commands.arguments import (
     PAGES,
     Set,
     Where,
+    existing,
     folder_without,
     in_json,
     input_argument,
@@ -22,16 +23,15 @@ from rig.commands.arguments import (
     output_option,
     page_or_campaign,
     print_written,
-    recorded_or_fitted,
+    record_or_results,
     refuse_stated,
-    there,
-    with_results,
+    results_folder,
 )
 
 
 @in_json
 def report(
-    folder: Annotated[Path, input_argument("Folder of a session, or a results file.", with_results)],
+    folder: Annotated[Path, input_argument("Folder of a session, or a results file.", results_folder)],
     output: Annotated[
         Path | None,
         output_option("HTML file to write; default: report.html in the folder, overwritten.", new_page),
@@ -67,7 +67,7 @@ def paper(
 
 @in_json
 def export(
-    source: Annotated[Path, input_argument("Folder of a session, or one record (.mcap).", with_results)],
+    source: Annotated[Path, input_argument("Folder of a session, or one record (.mcap).", results_folder)],
     output: Annotated[Path, output_option("Folder to write; with hdf5: file.", show_default=False)],
     format_: Annotated[
         Literal["csv", "parquet", "hdf5", "latex"],
@@ -88,7 +88,7 @@ def export(
 
 @in_json
 def compare(
-    folders: Annotated[list[Path] | None, input_argument("Folders of sessions.", with_results)] = None,
+    folders: Annotated[list[Path] | None, input_argument("Folders of sessions.", results_folder)] = None,
     output: Annotated[
         Path | None,
         output_option("HTML file to write, with a figure; with --model: folder.", page_or_campaign),
@@ -192,7 +192,7 @@ def model_runs(
     )
     from rig.terminal import answer, print_tables, say
 
-    stated = StatedCampaign() if model == DEFAULT else read_campaign(there(Path(model)))
+    stated = StatedCampaign() if model == DEFAULT else read_campaign(existing(Path(model)))
     if archive is None:
         runs = runs_of_folders(folders, by_sample=by_sample)
     else:
@@ -216,7 +216,7 @@ def plan(
         Path,
         input_argument(
             "A run of this rig (.mcap) or its folder, a fitted table's, or a configuration (TOML).",
-            recorded_or_fitted,
+            record_or_results,
         ),
     ],
     first: Annotated[

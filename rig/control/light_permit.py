@@ -21,14 +21,14 @@ _MAX_PIXELS = 500_000
 _NOISE_STEP = 8
 """Every so many pixels, one is used for background and noise."""
 _HOT_PIXELS = 3
-_SETTLED_S: Final = 1.0
+_MAX_FRAME_DELAY_S: Final = 1.0
 """Time for which frames under way still show the earlier state of the laser."""
 _MAX_SEEN_BEFORE_S: Final = 1.5
 """Longest time before the laser was switched off at which the spot must have been seen; a spot that was last
 seen earlier may have left the sensor instead."""
 
 
-class SpotSeen:
+class SpotWatch:
     """Detects the laser's spot in frames, by comparison with frames that were taken while the laser was lit.
 
     The code that reads the camera calls `frame`, the code that knows the laser's state calls the other
@@ -100,7 +100,7 @@ class SpotSeen:
 
     @property
     def _is_settled(self) -> bool:
-        return self._sampled_s - self._since_s > _SETTLED_S + 2.0 * self.exposure_s
+        return self._sampled_s - self._since_s > _MAX_FRAME_DELAY_S + 2.0 * self.exposure_s
 
 
 _log = logging.getLogger(__name__)
@@ -171,7 +171,7 @@ class LightPermit:
         self._refused_for_good = ""
         self._needs_request = False
         self._examined_s: float | None = None
-        self.spot = SpotSeen(clock_s)
+        self.spot = SpotWatch(clock_s)
 
     def begin(self) -> None:
         """Note that a laser is about to be lit: from now on camera and processing must make progress."""
@@ -183,13 +183,13 @@ class LightPermit:
         """Note that the lasers go dark: no stage needs to make progress, and waiting requests are refused."""
         self._begun, self._ended = False, True
 
-    def moved(self, stage: Stage) -> None:
+    def note_progress(self, stage: Stage) -> None:
         """Note that a stage has made progress."""
         self._progress_s[stage] = self._clock_s()
 
     def frame_read(self, image: Image) -> None:
         """Note that the camera has delivered a frame, and examine it for the laser's spot."""
-        self.moved(Stage.CAMERA)
+        self.note_progress(Stage.CAMERA)
         self.spot.frame(image)
 
     def ended(self, stage: Stage) -> None:
@@ -273,13 +273,13 @@ class LightPermit:
     def refusal(self) -> str:
         """The reason why no laser may be lit; empty while lasers may be lit."""
         trip = self.latched
-        return self._refused_for_good or ("" if trip is None else trip.text) or self.stalled or self._deaf
+        return self._refused_for_good or ("" if trip is None else trip.text) or self.stalled or self._unheard
 
     @property
-    def _deaf(self) -> str:
+    def _unheard(self) -> str:
         looked_s = self._examined_s
-        deaf = looked_s is not None and self._clock_s() - looked_s > _MAX_UNHEARD_S
-        return "nobody hears of LIGHT OFF: the disk of the rig's state hangs" if deaf else ""
+        unheard = looked_s is not None and self._clock_s() - looked_s > _MAX_UNHEARD_S
+        return "nobody hears of LIGHT OFF: the disk of the rig's state hangs" if unheard else ""
 
     @property
     def refusal_to_light(self) -> str:
@@ -302,7 +302,7 @@ class LightPermit:
         if not self._begun:
             return ""
         now_s = self._clock_s()
-        for stage, moved_s in tuple(self._progress_s.items()):
-            if now_s - moved_s > LONGEST_PAUSE_S[stage]:
+        for stage, progress_s in tuple(self._progress_s.items()):
+            if now_s - progress_s > LONGEST_PAUSE_S[stage]:
                 return f"{stage} has stalled"
         return ""

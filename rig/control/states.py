@@ -14,7 +14,7 @@ from rig.control.safety_state import LatchedTrip
 from rig.control.service import ControlState
 
 STALE_S: Final = 2.0
-"""Age from which on a state counts as unknown."""
+"""Minimum age of a state that counts as unknown."""
 
 
 class Light(StrEnum):

@@ -131,9 +131,9 @@ def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
         yield from _of_frames(news)
     if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
         yield AlarmKey.ENVIRONMENT, "the sensor of the environment does not answer"
-    against = (news.get("balance") or {}).get("against") or ()
-    if against and state.get("phase") == Phase.MEASURING:
-        yield AlarmKey.BALANCE, "; ".join(map(str, against))
+    failed_checks = (news.get("balance") or {}).get("failed_checks") or ()
+    if failed_checks and state.get("phase") == Phase.MEASURING:
+        yield AlarmKey.BALANCE, "; ".join(map(str, failed_checks))
     failed = [str(row["name"]) for row in news.get("preflight") or () if not row.get("ok", True)]
     if failed and state.get("phase") == Phase.PREFLIGHT:
         yield AlarmKey.PREFLIGHT, ", ".join(failed)

@@ -146,7 +146,7 @@ class Aligner:
         if (devices := self._devices) is not None:
             devices.permit.frame_read(frame.image)
             # the reader looks at once
-            devices.permit.moved(Stage.PROCESSING)
+            devices.permit.note_progress(Stage.PROCESSING)
 
     def _say(self, text: str) -> None:
         self.note = text

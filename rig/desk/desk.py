@@ -19,10 +19,10 @@ from rig.desk.calibrating import KINDS, Calibration
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
 from rig.desk.lighting import Lighting, Safety
-from rig.desk.sessions import SessionIndex, last_hand_over, last_state
+from rig.desk.sessions import SessionIndex, last_state, last_summary
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
-from rig.measure import HandOver, RunState, session_folder
+from rig.measure import RunState, SessionSummary, session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
@@ -234,10 +234,10 @@ class Desk:
             return None
         return folder if last_state(folder) == RunState.INTERRUPTED else None
 
-    def hand_over(self) -> HandOver | None:
+    def last_summary(self) -> SessionSummary | None:
         """Results that the last session hands over to a person; None without a session. May take a moment."""
         folder = self.session_folder
-        return None if folder is None else last_hand_over(folder)
+        return None if folder is None else last_summary(folder)
 
     def last_words(self) -> list[str]:
         """Last lines that the last session has printed."""

@@ -161,7 +161,7 @@ def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, li
 def _balance_values(config: Configuration, balance: Balance) -> dict[str, Any]:
     return {
         "next_step": advice_for(config, balance).next_step or None,
-        "against": balance_failures(balance, config.balance),
+        "failed_checks": balance_failures(balance, config.balance),
     }
 
 

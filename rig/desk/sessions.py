@@ -13,7 +13,7 @@ from typing import Any
 from processing.errors import RigError
 from processing.fit import FitMethod
 from rig.instrument import BALANCE_CONDITIONS
-from rig.measure import STATE_NAME, HandOver, RunState, hand_over, read_session, state_of
+from rig.measure import STATE_NAME, RunState, SessionSummary, read_session, session_summary, state_of
 from rig.terminal import quantity, with_uncertainty
 
 SERVED = "/sessions"
@@ -179,13 +179,13 @@ def last_state(folder: Path) -> str:
     return str(_read(_ended, folder, _changed_ns(f"{folder}/{STATE_NAME}")) or "")
 
 
-def last_hand_over(folder: Path) -> HandOver | None:
+def last_summary(folder: Path) -> SessionSummary | None:
     """What the last run of a session hands over to a person; None without one.
 
     It is read again only when the files of the session have changed.
     """
     changed_ns = (_changed_ns(f"{folder}/{name}") for name in (STATE_NAME, RESULTS_NAME, "report.html"))
-    found: HandOver | None = _read(hand_over, folder, *changed_ns)
+    found: SessionSummary | None = _read(session_summary, folder, *changed_ns)
     return found
 
 

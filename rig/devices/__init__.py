@@ -5,7 +5,7 @@ from rig.devices.acknowledgement import LightWatch, TypedAcknowledgement, ask_le
 from rig.devices.aligning import align_camera
 from rig.devices.alignment_look import (
     AlignmentFrame,
-    SeenReference,
+    ReferencePart,
     annotated_picture,
     middle_of,
     take_look,
@@ -31,7 +31,7 @@ from rig.devices.order_socket import (
     OrderSocket,
     SessionNews,
     SessionPicture,
-    light_told,
+    light_shown_to_desk,
     safety_values,
     thinned_path,
 )

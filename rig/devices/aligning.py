@@ -135,7 +135,7 @@ def align_camera(
                         saved.append(_save(look, folder, _ZOOMS[zoom]))
                         note = f"{saved[-1]} saved"
                     else:
-                        wanted = _wanted(key, applied) or wanted
+                        wanted = _requested_settings(key, applied) or wanted
                 _show(console, live, look, _ZOOMS[zoom], note, keys_help)
                 answer(picture=tuple(look.lines()), beam=look.beam_line)  # the last one stays
                 if wanted is not None:
@@ -147,7 +147,7 @@ def align_camera(
     return saved
 
 
-def _wanted(key: str, applied: CameraSettings) -> CameraSettings | None:
+def _requested_settings(key: str, applied: CameraSettings) -> CameraSettings | None:
     """The setting that a key requests; None for another key, and for one that the camera does not have."""
     if key in "eE" and applied.exposure_us is not None:
         factor = _EXPOSURE_STEP if key == "E" else 1 / _EXPOSURE_STEP

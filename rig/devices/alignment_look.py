@@ -16,12 +16,12 @@ from rig.instrument import beam_quality
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict, decimals, palette
 
-_CENTRED = 0.1
+_MAX_CENTRE_DISTANCE = 0.1
 """Largest distance of a centred spot from the crosshair, over the frame's shorter side."""
-_ROOM = 0.15
+_MIN_EDGE_DISTANCE = 0.15
 """Distance from all edges, in its shorter side, from which a spot off the centre may swing."""
 _OFF_MIDDLE = "at rest it belongs to the crosshair; a swing passes there"
-_SHARP = 0.95
+_MIN_SHARPNESS = 0.95
 """Smallest sharpness of a good focus, over the best so far."""
 
 _LINES = (
@@ -33,7 +33,7 @@ _LINES = (
 """Names of the figures in each line of a terminal."""
 
 
-class SeenReference(NamedTuple):
+class ReferencePart(NamedTuple):
     """The spot in the reference's part of a frame, and the number of saturated pixels there.
 
     `spot` is in px of the whole frame; its fields are NaN if none was found.
@@ -44,7 +44,7 @@ class SeenReference(NamedTuple):
     saturated_px: int
 
     @classmethod
-    def in_image(cls, spot: Spot, from_row_px: int, image: Image, full_scale_dn: int) -> "SeenReference":
+    def in_image(cls, spot: Spot, from_row_px: int, image: Image, full_scale_dn: int) -> "ReferencePart":
         """A spot that was found in an image."""
         below = image[from_row_px:]
         return cls(spot, from_row_px, int(np.count_nonzero(below >= full_scale_dn)))
@@ -93,7 +93,7 @@ class AlignmentFrame(NamedTuple):
     middle_px: tuple[float, float]
     applied: CameraSettings
     beam: Verdict | None = None
-    reference: SeenReference | None = None
+    reference: ReferencePart | None = None
 
     @property
     def found(self) -> bool:
@@ -134,18 +134,18 @@ class AlignmentFrame(NamedTuple):
             gone = Verdict("spot", False, remedy="let the beam fall on the sensor", measured="none found")
             return [*lamps, gone, *of_reference]
         off_px, shortest_px = max(map(abs, self._off_px)), min(self.image.shape)
-        centred = off_px <= _CENTRED * shortest_px
-        off_middle = "" if centred or self._edge_px >= _ROOM * shortest_px else _OFF_MIDDLE
+        centred = off_px <= _MAX_CENTRE_DISTANCE * shortest_px
+        off_middle = "" if centred or self._edge_px >= _MIN_EDGE_DISTANCE * shortest_px else _OFF_MIDDLE
         lamps.append(
             Verdict(
                 "centring",
                 True,
                 remedy=off_middle,
                 measured=f"{_offset(self._off_px, 0)} px",
-                limit=f"{_CENTRED * shortest_px:.0f} px",
+                limit=f"{_MAX_CENTRE_DISTANCE * shortest_px:.0f} px",
             )
         )
-        sharp = seen.sharpness_per_px >= _SHARP * sharpest_per_px
+        sharp = seen.sharpness_per_px >= _MIN_SHARPNESS * sharpest_per_px
         focus = "" if sharp else f"was {sharpest_per_px:.4f} /px: turn the focus back"
         measured = f"{seen.sharpness_per_px:.4f} /px"
         lamps.append(Verdict("focus", True, remedy=focus, measured=measured, limit="the best so far"))
@@ -183,7 +183,7 @@ class AlignmentFrame(NamedTuple):
             ("region", f"{width_px} × {height_px} px{begins}"),
             ("exposure", f"{exposed}, gain {'unknown' if gain is None else f'{gain:.3g} dB'}"),
         ]
-        return rows if self.beam is None else [*rows, ("beam", self.beam.said)]
+        return rows if self.beam is None else [*rows, ("beam", self.beam.judgement_text)]
 
     @property
     def _off_px(self) -> tuple[float, float]:
@@ -241,7 +241,7 @@ def take_look(
     if reference is not None and reference[1] < len(image):
         follower, row = reference
         part, found = image[:row], follower.track(image[row:])
-        other = SeenReference.in_image(found._replace(y_px=found.y_px + row), row, image, full_scale_dn)
+        other = ReferencePart.in_image(found._replace(y_px=found.y_px + row), row, image, full_scale_dn)
     spot = tracker.track(part)
     beam = beam_quality([part], [spot], tracker.model, full_scale_dn, PreflightSettings())
     seen = picture.figures(part, full_scale_dn)

@@ -27,7 +27,7 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 AUDIT_NAME = "audit.jsonl"
-_NAMED = 5
+_MAX_NAMED_FOLDERS = 5
 """Largest number of other folders with a log that a message names."""
 _IDLE_S = 1.0
 _PATIENCE_S = 5.0
@@ -134,7 +134,9 @@ def check_log(folder: Path, state: SafetyState) -> list[str]:
     try:
         lines = path.read_bytes().splitlines()
     except FileNotFoundError:
-        there = ", ".join(sorted(str(one.parent) for one in path.parent.glob(f"*/{AUDIT_NAME}"))[:_NAMED])
+        there = ", ".join(
+            sorted(str(one.parent) for one in path.parent.glob(f"*/{AUDIT_NAME}"))[:_MAX_NAMED_FOLDERS]
+        )
         raise RecordError(
             f"{path}: there is no log: no program that controls a laser wrote into this folder; "
             + (f"there is one in {there}" if there else "name the folder of a session")

@@ -196,9 +196,9 @@ class ClockAnchors:
         return ClockAnchor(time_ns, now.host_time_ns, now.utc_ns, u_utc_s, synchronised), events
 
 
-_MOST_FRAMES = 800
+_MAX_PAIRS = 800
 """Largest number of pairs; at this number every second one is removed, also of later ones."""
-_LOOKED_AT = 8
+_FRAMES_OF_BLOCK = 8
 """Number of frames of a block that are used; more would not improve the rate."""
 _FIRST_NS, _BETWEEN_NS = 3_000_000_000, 10_000_000_000
 """Time to the first fit, which is early so that a user sees a value, and between fits."""
@@ -224,7 +224,7 @@ class ClockRate:
     def take(self, frames: Sequence[Frame], steps: Iterable[RecordedClockStep] = ()) -> CameraClock:
         """Take frames, and the clock's steps before them, into account; returns the present estimate."""
         self._steps_s += [seconds(step.step_ns) for step in steps]
-        for frame in frames[:: max(1, len(frames) // _LOOKED_AT)]:
+        for frame in frames[:: max(1, len(frames) // _FRAMES_OF_BLOCK)]:
             # the time is negative if the camera has no clock
             if frame.device_time_ns >= 0:
                 self._pair(frame)
@@ -239,7 +239,7 @@ class ClockRate:
         self._passed += 1
         if self._passed % self._every == 0:
             self._pairs.append((frame.device_time_ns, host_ns, frame.sequence))
-            if len(self._pairs) >= _MOST_FRAMES:
+            if len(self._pairs) >= _MAX_PAIRS:
                 del self._pairs[1::2]
                 self._every *= 2
         if not self._due_ns:

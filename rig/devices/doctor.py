@@ -36,8 +36,8 @@ from rig.instrument import check_materials, complete
 from rig.settings import Configuration
 from rig.terminal import Verdict, print_json_line, print_verdicts
 
-_FRAMES = 60
-_MOST_RATE_ERROR = 0.1
+_RATE_FRAMES = 60
+_MAX_RATE_ERROR = 0.1
 """Largest relative error of the frame rate, which the host's clock measures over few frames; preflight checks
 the rate by the camera's own clock with a narrower limit."""
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
@@ -114,22 +114,14 @@ def check_settings(config: Configuration, stated: Configuration) -> Iterator[Ver
     """Check that the configuration contains what a fit needs; `stated` is the one before it was completed."""
     try:
         check_materials(config)
-        pendulum = _origin("pendulum", config, stated)
-        yield Verdict(
-            "pendulum",
-            bool(pendulum),
-            pendulum or "not stated: nothing can be fitted",
-            "" if pendulum else "state mass_kg and ball_radius_m under [pendulum]",
-        )
+        lacking = "not stated: nothing can be fitted", "state mass_kg and ball_radius_m under [pendulum]"
+        origin = _origin("pendulum", config, stated)
+        yield Verdict("pendulum", bool(origin), *((origin, "") if origin else lacking))
     except RigError as error:
         yield Verdict.failed("pendulum", error, "correct the material")
-    lever = _origin("lever", config, stated)
-    yield Verdict(
-        "light lever",
-        bool(lever),
-        lever or "no calibration: amplitudes will be in px",
-        "" if lever else "state arm_m and pixel_pitch_m under [lever]",
-    )
+    lacking = "no calibration: amplitudes will be in px", "state arm_m and pixel_pitch_m under [lever]"
+    origin = _origin("lever", config, stated)
+    yield Verdict("light lever", bool(origin), *((origin, "") if origin else lacking))
     noise = _origin("sensor", config, stated)
     yield Verdict("sensor's noise", True, noise or "not stated: a typical sensor is assumed")
 
@@ -159,7 +151,7 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
             )
             camera.camera.start()
             arrivals, frame_bytes = [], 0
-            for _ in range(_FRAMES):
+            for _ in range(_RATE_FRAMES):
                 frame = camera.camera.read(config.camera.patience_s)
                 if frame is None:
                     break
@@ -194,7 +186,7 @@ def check_frames(
         Frames are made when they are read, and have no rate.
     """
     lost = f"lost: {FrameLosses.from_status(status)}"
-    enough = len(arrivals) == _FRAMES and status.dropped == 0
+    enough = len(arrivals) == _RATE_FRAMES and status.dropped == 0
     remedy = "" if enough else "another port or cable; a lower frame_rate_hz; a smaller region"
     if on_demand:
         return Verdict("frames", enough, f"{len(arrivals)}, made on demand: no rate to judge, {lost}", remedy)
@@ -202,7 +194,7 @@ def check_frames(
     span_s = seconds(times_ns[-1] - times_ns[0])
     rate_hz = (numbers[-1] - numbers[0]) / span_s if span_s > 0 else 0.0
     found = f"{len(arrivals)} at {rate_hz:.3g} frames/s, {lost}"
-    if enough and asked_hz is not None and abs(rate_hz / asked_hz - 1) > _MOST_RATE_ERROR:
+    if enough and asked_hz is not None and abs(rate_hz / asked_hz - 1) > _MAX_RATE_ERROR:
         slow = "exposure too long, or the bus too slow: a shorter exposure, a smaller region, another port"
         fast = "the camera does not keep the rate: check it with rig camera show"
         found += f"; {asked_hz:g} were asked for"

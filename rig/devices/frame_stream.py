@@ -23,10 +23,10 @@ from rig.devices.clocks import wait_for_network_clock
 from rig.instrument import setting_differences, with_read_back
 
 _EVERY_S = 0.25
-_STOOD_NS = 2_000_000_000
+_MIN_STANDSTILL_NS = 2_000_000_000
 """Shortest standstill that is reported; a busy computer delays a thread by less."""
 _SLEPT_NS = 1_000_000_000
-_APART_NS = 10_000_000
+_MAX_CLOCK_READING_NS = 10_000_000
 """Largest time between the readings of two clocks; it is longer if the program was stopped there."""
 
 
@@ -43,7 +43,7 @@ def read_awake() -> AwakeTime:
     while True:
         before_ns = time.monotonic_ns()
         with_sleep_ns = before_ns if clock is None else time.clock_gettime_ns(clock)
-        if time.monotonic_ns() - before_ns < _APART_NS:
+        if time.monotonic_ns() - before_ns < _MAX_CLOCK_READING_NS:
             return AwakeTime(before_ns, with_sleep_ns)
 
 
@@ -57,11 +57,11 @@ def _clock_with_sleep() -> int | None:
 class Standstill:
     """Detects that the program stood still, by a thread that wakes often and measures its delay.
 
-    `told` is called with the message.
+    `report` is called with the message.
     """
 
-    def __init__(self, told: Callable[[str], None], read: Callable[[], AwakeTime] = read_awake) -> None:
-        self._told, self._read = told, read
+    def __init__(self, report: Callable[[str], None], read: Callable[[], AwakeTime] = read_awake) -> None:
+        self._report, self._read = report, read
         self._ended = threading.Event()
         self._last = self._first = read()
 
@@ -78,8 +78,8 @@ class Standstill:
         """Measure the delay of this call, which is due every quarter of a second."""
         before, self._last = self._last, self._read()
         late_ns = self._last.awake_ns - before.awake_ns - round(_EVERY_S * 1e9)
-        if late_ns > _STOOD_NS:
-            self._told(
+        if late_ns > _MIN_STANDSTILL_NS:
+            self._report(
                 f"the program stood still for {seconds(late_ns):.1f} s (Ctrl-Z, or a busy computer); "
                 "frames that came meanwhile may be missing, times are right"
             )
@@ -178,7 +178,7 @@ class FrameStream:
 
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
         """Up to `at_most` frames in order; empty after the timeout, and if drained."""
-        self.permit.moved(Stage.PROCESSING)
+        self.permit.note_progress(Stage.PROCESSING)
         if remark := self._queue.remark():
             self._events.append((EventKind.BACKLOG, remark))
         frames = self._queue.take(at_most, timeout_s)
@@ -191,7 +191,7 @@ class FrameStream:
     def waits_on_purpose(self) -> None:
         """Note that camera and processing have not stalled, but wait for a fit, as frames on demand may."""
         for stage in (Stage.CAMERA, Stage.PROCESSING):
-            self.permit.moved(stage)
+            self.permit.note_progress(stage)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""

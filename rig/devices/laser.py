@@ -98,10 +98,10 @@ def laser_report(
             return LaserReport(Light.ON, status.laser_power_w, age_s=old_s)
         at_odds = status.readback or status.light_seen or status.trip is Trip.OUTPUT
         return LaserReport(Light.DISAGREES if at_odds else Light.OFF, age_s=old_s)
-    told = laser.snapshot if laser is not None else None
-    if told is None or told.state is None:
+    snapshot = laser.snapshot if laser is not None else None
+    if snapshot is None or snapshot.state is None:
         return LaserReport(Light.SILENT)
-    state, old_s = told.state, age_s(told.state_time_ns)
+    state, old_s = snapshot.state, age_s(snapshot.state_time_ns)
     if old_s > STALE_S:
         return LaserReport(Light.UNKNOWN, age_s=old_s)
     if state.on:

@@ -122,8 +122,10 @@ class OrderConnection:
         made.settimeout(None)
         if os.name == "posix":
             # a session may be stopped in the middle of an answer
+            # whole seconds, and microseconds
+            timeval = struct.pack("ll", int(_ANSWER_S), int(1e6 * (_ANSWER_S % 1.0)))
             for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
-                made.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", *_timeval(_ANSWER_S)))
+                made.setsockopt(socket.SOL_SOCKET, option, timeval)
         connection = Connection(made.detach())
         try:
             # the client challenges first, because another program at this port may wait for a request
@@ -143,11 +145,6 @@ class OrderConnection:
     def _unanswered(self, error: Exception) -> NoSession:
         why = f"{self.folder}: its session does not answer: {error or 'it has hung up'}"
         return SessionBusy(why) if isinstance(error, (TimeoutError, BlockingIOError)) else NoSession(why)
-
-
-def _timeval(time_s: float) -> tuple[int, int]:
-    """Whole seconds, and microseconds, as in the system's struct timeval."""
-    return int(time_s), int(1e6 * (time_s % 1.0))
 
 
 def _lives(pid: int) -> bool:

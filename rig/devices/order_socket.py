@@ -270,7 +270,9 @@ def safety_values(devices: Devices) -> dict[str, Any]:
 
 
 @contextmanager
-def light_told(devices: Devices, folder: Path, session_news: SessionNews | None = None) -> Iterator[None]:
+def light_shown_to_desk(
+    devices: Devices, folder: Path, session_news: SessionNews | None = None
+) -> Iterator[None]:
     """Context in which a command that is no session lets the desk show its light, and darken it.
 
     `folder` is the one that the devices were opened with, which the rig's lock names. A simulated rig has no

@@ -124,12 +124,12 @@ def read_frames(
     return frames
 
 
-_FRAMES = 9
+_MEDIAN_FRAMES = 9
 """Number of frames; it is odd, so that a flash or a late change of the exposure does not move the median."""
-_STEPS = 16
+_MAX_EXPOSURE_STEPS = 16
 """Largest number of steps, by factors of 0.4 to 8: from 10 us to 1 s are 6 steps, back 13."""
 _TIMEOUT_S = 5.0
-_TOLERANCE = 0.03
+_PEAK_TOLERANCE = 0.03
 """Relative tolerance of the peak; with a target of 0.7 of full scale, saturation is still far."""
 
 
@@ -170,9 +170,9 @@ def find_exposure(
     # a longer exposure would slow the camera down
     longest_us = 0.95e6 / applied.frame_rate_hz if applied.frame_rate_hz else 1e6
     seen: PictureFigures | None = None
-    for _ in range(_STEPS):
+    for _ in range(_MAX_EXPOSURE_STEPS):
         seen = _look(camera, info, on_frame)
-        if not seen.saturated_px and abs(seen.peak - target) <= _TOLERANCE * target:
+        if not seen.saturated_px and abs(seen.peak - target) <= _PEAK_TOLERANCE * target:
             return Exposure(applied, exposure_us, seen.peak)
         light = seen.peak - seen.background
         if seen.saturated_px:
@@ -196,7 +196,7 @@ def find_exposure(
 
 
 def _look(camera: Camera, info: CameraInfo, on_frame: Callable[[Frame], object]) -> PictureFigures:
-    frames = read_frames(camera, _FRAMES, _TIMEOUT_S, on_frame)
+    frames = read_frames(camera, _MEDIAN_FRAMES, _TIMEOUT_S, on_frame)
     seen = [figures(frame.image, info.full_scale_dn) for frame in frames]
     return PictureFigures(
         statistics.median(one.peak for one in seen),

@@ -30,7 +30,6 @@ from rig.devices.lit_devices import LitDevices
 from rig.instrument import (
     camera_settings,
     check_full_scale,
-    frame_policy,
     make_camera,
     pulse_faults,
     setting_differences,
@@ -212,7 +211,8 @@ class Devices(LitDevices):
         return FrameStream(
             camera.camera,
             camera_settings(config),
-            policy=frame_policy(config),
+            # sources on demand wait and lose no frame, which a real camera cannot
+            policy="wait" if config.on_demand else "every",
             timeout_s=config.camera.patience_s,
             permit=self.permit,
             time_shift_ns=camera.time_shift_ns,
@@ -229,7 +229,7 @@ class Devices(LitDevices):
         if config.laser.kind != "controller":
             # a laser that this program does not control is always on
             inputs.laser(config.simulation.optics.laser_w)
-        wired = inputs.laser if config.laser.kind == "controller" else _unwired
+        wired = inputs.laser if config.laser.kind == "controller" else lambda _: None
         interlock = SimulatedInterlock(
             config.faults.interlock_opens_at_s, config.faults.interlock_open_for_s, wired
         )
@@ -265,10 +265,6 @@ class Devices(LitDevices):
         else:
             return math.nan, math.nan, math.nan
         return air.temperature_c, air.humidity_percent, air.pressure_pa
-
-
-def _unwired(_: float) -> None:
-    """Laser output of the controller if the laser is not connected to it."""
 
 
 class SimulatedInterlock:

@@ -25,7 +25,6 @@ from rig.instrument.configured_camera import (
     camera_settings,
     check_full_scale,
     complete,
-    frame_policy,
     make_camera,
     pulse_faults,
     setting_differences,

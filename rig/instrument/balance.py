@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from calibration import Axes, deflections
 from processing.balance import (
     Balance,
+    BalanceCheck,
     BalanceLimits,
-    Fault,
     Room,
     Turn,
     Unreachable,
     WeightResponses,
-    find_faults,
+    balance_checks,
     mass_centre_height_m,
 )
 from processing.contact import Material, PendulumOnBall, frequency_drop, stiffness_ratio
@@ -73,7 +73,7 @@ def check_materials(config: Configuration) -> None:
 PLANE_OF_SWING: Final = "plane of swing"
 """Name of the condition that the plane of swing must not turn."""
 _MIN_EXCESS_U: Final = 2.0
-"""Excess over a limit, in standard uncertainties, from which on a single period fails its condition."""
+"""Minimum excess over a limit, in standard uncertainties, with which a single period fails its condition."""
 
 
 class _Condition(NamedTuple):
@@ -84,7 +84,7 @@ class _Condition(NamedTuple):
     remedy: str
 
 
-_CONDITION_OF_FAULT: Final[Mapping[str, _Condition]] = {
+_CONDITION_OF_CHECK: Final[Mapping[str, _Condition]] = {
     "transverse motion": _Condition(
         "transverse motion", "the start pushed it sideways", "release along Y; rig balance"
     ),
@@ -101,7 +101,7 @@ _CONDITION_OF_FAULT: Final[Mapping[str, _Condition]] = {
 }
 """Faults of a balance that are conditions of a run; not the direction of the line, which is the camera's."""
 
-BALANCE_CONDITIONS: Final = frozenset(one.name for one in _CONDITION_OF_FAULT.values())
+BALANCE_CONDITIONS: Final = frozenset(one.name for one in _CONDITION_OF_CHECK.values())
 """Names of the conditions of a run that its balance decides."""
 
 
@@ -133,19 +133,19 @@ def _verdicts(balance: Balance, limits: BalanceLimits, beyond_u: float) -> list[
         # ratios and angles need no lever; the limits of the rest position are in arcsec
         balance = replace(balance, unit=DeflectionUnit.RAD, rest_x=math.nan, rest_y=math.nan)
     return [
-        _verdict(_CONDITION_OF_FAULT[fault.name], fault, beyond_u)
-        for fault in find_faults(balance, (math.nan, math.nan), limits)
-        if fault.is_known and fault.name in _CONDITION_OF_FAULT
+        _verdict(_CONDITION_OF_CHECK[check.name], check, beyond_u)
+        for check in balance_checks(balance, (math.nan, math.nan), limits)
+        if check.is_known and check.name in _CONDITION_OF_CHECK
     ]
 
 
-def _verdict(condition: _Condition, fault: Fault, beyond_u: float) -> Verdict:
-    ok = fault.ok or not abs(fault.value) - beyond_u * fault.u_value > fault.limit
-    if fault.unit:
-        measured = f"{judged_number(fault.value, fault.u_value, fault.limit)} {fault.unit}"
-        limit = f"{fault.limit:g} {fault.unit}"
+def _verdict(condition: _Condition, check: BalanceCheck, beyond_u: float) -> Verdict:
+    ok = check.ok or not abs(check.value) - beyond_u * check.u_value > check.limit
+    if check.unit:
+        measured = f"{judged_number(check.value, check.u_value, check.limit)} {check.unit}"
+        limit = f"{check.limit:g} {check.unit}"
     else:
-        measured, limit = percent(abs(fault.value)), f"{100 * fault.limit:g} %"
+        measured, limit = percent(abs(check.value)), f"{100 * check.limit:g} %"
     return Verdict(
         condition.name,
         ok,
@@ -237,7 +237,7 @@ def sensor_room(config: Configuration, sensor_shape: tuple[int, int]) -> Room | 
     )
 
 
-def turn_text(turn: Turn | Unreachable | None, faults: Sequence[Fault]) -> str:
+def turn_text(turn: Turn | Unreachable | None, checks: Sequence[BalanceCheck]) -> str:
     """One line that says which weight to turn, by how much and in which direction."""
     if isinstance(turn, Unreachable):
         return f"out of reach: {turn.why}"
@@ -251,13 +251,13 @@ def turn_text(turn: Turn | Unreachable | None, faults: Sequence[Fault]) -> str:
             else ""
         )
         return f"turn weight {turn.weight}: {parts} ({turn.why}){swing}"
-    verdict = _faults_line(faults)
-    return verdict if all(fault.ok for fault in faults) else f"the weights are right; still {verdict}"
+    verdict = _checks_line(checks)
+    return verdict if all(check.ok for check in checks) else f"the weights are right; still {verdict}"
 
 
-def _faults_line(faults: Sequence[Fault]) -> str:
-    rest = ", ".join(fault.name for fault in faults if not fault.ok)
-    unknown = ", ".join(fault.name for fault in faults if not fault.is_known)
+def _checks_line(checks: Sequence[BalanceCheck]) -> str:
+    rest = ", ".join(check.name for check in checks if not check.ok)
+    unknown = ", ".join(check.name for check in checks if not check.is_known)
     verdict = f"out of limits: {rest}" if rest else "balanced: within all limits"
     return f"{verdict} that are known; unknown: {unknown}" if unknown and not rest else verdict
 
@@ -289,15 +289,15 @@ def advice_for(
     if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
         return Advice()
     height_m = mass_centre_height(config, balance)
-    faults = find_faults(balance, height_m, config.balance)
-    state = np.array([faults[0].value, faults[1].value, height_m[0]])
+    checks = balance_checks(balance, height_m, config.balance)
+    state = np.array([checks[0].value, checks[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}
     responses = learned or (WeightResponses(effects, config.balance) if effects else None)
-    head = _faults_line(faults) if responses is None else turn_text(responses.advise(state, room), faults)
+    head = _checks_line(checks) if responses is None else turn_text(responses.advise(state, room), checks)
     lines = [
-        f"{fault.name} {judged_number(fault.value, fault.u_value, fault.limit)} {fault.unit} "
-        f"(limit {fault.limit:g}): {fault.meaning}"
-        for fault in faults
-        if not fault.ok
+        f"{check.name} {judged_number(check.value, check.u_value, check.limit)} {check.unit} "
+        f"(limit {check.limit:g}): {check.meaning}"
+        for check in checks
+        if not check.ok
     ]
     return Advice(head, tuple(lines))

@@ -10,7 +10,6 @@ from typing import ParamSpec, TypeVar
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras import drivers
-from acquisition.frames.queue import Policy
 from acquisition.simulation.settings import SimulationSettings
 from calibration import GLOBAL, Axes, Lever, Shutter
 from processing.contact import Material
@@ -40,20 +39,20 @@ _IMAGE_SETTINGS = (
 )  # fmt: skip
 
 
-def with_read_back(asked: CameraSettings, applied: CameraSettings) -> CameraSettings:
+def with_read_back(requested: CameraSettings, applied: CameraSettings) -> CameraSettings:
     """The settings that reproduce the images: as requested, or else as read back from the camera."""
-    unasked = [name for name in _IMAGE_SETTINGS if getattr(asked, name) is None]
-    return asked.model_copy(update={name: getattr(applied, name) for name in unasked})
+    unrequested = [name for name in _IMAGE_SETTINGS if getattr(requested, name) is None]
+    return requested.model_copy(update={name: getattr(applied, name) for name in unrequested})
 
 
-def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[str]:
+def setting_differences(requested: CameraSettings, applied: CameraSettings) -> list[str]:
     """One line for each setting in which the camera differs from the request."""
     lines = []
-    plain = asked.model_dump(exclude_none=True, exclude={"features"})
+    plain = requested.model_dump(exclude_none=True, exclude={"features"})
     pairs = [(name, wanted, getattr(applied, name)) for name, wanted in plain.items()]
     pairs += [
         (f"features.{name}", wanted, applied.features.get(name, "nothing"))
-        for name, wanted in asked.features.items()
+        for name, wanted in requested.features.items()
     ]
     for name, wanted, got in pairs:
         near = (
@@ -63,11 +62,11 @@ def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[
         )
         if got != wanted and not near:
             lines.append(f"camera.{name} = {wanted} was requested, the camera reports {got}")
-    if applied.exposure_us is not None and asked.frame_rate_hz is not None:
+    if applied.exposure_us is not None and requested.frame_rate_hz is not None:
         possible_hz = 1e6 / applied.exposure_us
-        if min(asked.frame_rate_hz, applied.frame_rate_hz or math.inf) > 1.001 * possible_hz:
+        if min(requested.frame_rate_hz, applied.frame_rate_hz or math.inf) > 1.001 * possible_hz:
             lines.append(
-                f"camera.frame_rate_hz = {asked.frame_rate_hz:g} was requested, "
+                f"camera.frame_rate_hz = {requested.frame_rate_hz:g} was requested, "
                 f"an exposure of {applied.exposure_us:g} µs leaves at most {possible_hz:g} Hz"
             )
     return lines
@@ -83,11 +82,6 @@ def check_full_scale(config: Configuration, info: CameraInfo, applied: CameraSet
             f"sensor.full_scale_dn = {config.sensor.full_scale_dn:g}: the camera ends at {most_dn} DN; "
             "state that, or ask for more bits with camera.pixel_format"
         )
-
-
-def frame_policy(config: Configuration) -> Policy:
-    """Policy for a full queue: sources on demand wait and lose no frame, which a real camera cannot."""
-    return "wait" if config.on_demand else "every"
 
 
 def shutter_of(config: Configuration) -> Shutter:

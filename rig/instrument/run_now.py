@@ -74,7 +74,7 @@ class CameraClock:
 
 
 _Value = TypeVar("_Value")
-_STATES: Final[tuple[type[TimedMessage], ...]] = (
+_STATE_KINDS: Final[tuple[type[TimedMessage], ...]] = (
     *(RecordedPhase, RecordedLight, RecordedClockStep, RecordedLosses, Environment),
     *(RecordedHealth, RecordedEstimate),
 )
@@ -130,7 +130,7 @@ def piece_contents(reader: RecordReader, piece: Piece, start_ns: int, last_ns: i
         reader.swings(piece),
         reader.balances(piece),
         [*reader.events(piece), *(note.event for note in notes)],
-        [value for value_class in _STATES for value in reader.values(value_class, piece)],
+        [value for value_class in _STATE_KINDS for value in reader.values(value_class, piece)],
     )
 
 
@@ -193,9 +193,9 @@ class RunNow:
 
     def for_new_record(self) -> "RunNow":
         """The state at the beginning of a record, without values of the record of a rejected start."""
-        of_rig = ("phase", "temperature_c", "humidity_percent", "pressure_pa")
-        of_light = ("light", "interlock", "trip", "darkness", "controller", "alarm")
-        return RunNow(**{name: getattr(self, name) for name in (*of_rig, *of_light)})
+        rig_fields = ("phase", "temperature_c", "humidity_percent", "pressure_pa")
+        light_fields = ("light", "interlock", "trip", "darkness", "controller", "alarm")
+        return RunNow(**{name: getattr(self, name) for name in (*rig_fields, *light_fields)})
 
     def after(self, contents: RecordContents, unit: DeflectionUnit) -> "RunNow":
         """The state after a piece of the record; deflections are in `unit`."""

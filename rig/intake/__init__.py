@@ -10,7 +10,7 @@ from rig.intake.doubts import (
 )
 from rig.intake.film import FilmOptions, film_trajectory, films_in, is_filmed
 from rig.intake.table import TableColumns, read_columns
-from rig.intake.times import fast_mode_ratio, fast_oscillation, second_frequency
+from rig.intake.times import fast_mode_ratio, fast_oscillation, two_oscillations_message
 from rig.intake.trajectory import (
     Trajectory,
     along_and_across,

@@ -58,10 +58,10 @@ def read_cells(path: Path, decimal: str = "") -> Cells:
         The numbers fit two formats.
     """
     raw = read_bytes_of(path)
-    given = binary_rows(path, raw)
-    if given is not None:
-        filled = [(number, cells) for number, cells in enumerate(given.rows, 1) if any(cells)]
-        return replace(_cells(path, filled, [], "", decimal), remarks=given.remarks)
+    binary = binary_rows(path, raw)
+    if binary is not None:
+        filled = [(number, cells) for number, cells in enumerate(binary.rows, 1) if any(cells)]
+        return replace(_cells(path, filled, [], "", decimal), remarks=binary.remarks)
     numbered = [
         (number, line) for number, line in enumerate(decode(raw).splitlines(), 1) if line.strip(" \t;,|")
     ]
@@ -77,23 +77,26 @@ def _separator(lines: Sequence[str]) -> tuple[str, Callable[[str], list[str]]]:
     """The separator, by name and as a function: the one that splits most lines into equally many numbers."""
     step = max(len(lines) // _MAX_SAMPLED_LINES, 1)
     sample = lines[::step]
-    ways: dict[str, Callable[[str], list[str]]] = {
+    splitters: dict[str, Callable[[str], list[str]]] = {
         name: _splitter(mark) for name, mark in _SEPARATORS.items()
     }
-    ways |= {"blanks": lambda line: _BLANKS.split(line.strip()), "mixed marks": _split_at_any_mark}
+    splitters |= {
+        "blanks": lambda line: _BLANKS.split(line.strip()),
+        "mixed marks": lambda line: [cell.strip('"') for cell in _ANY_MARK.split(line.strip()) if cell],
+    }
     found: tuple[str, Callable[[str], list[str]]] = ("", lambda line: [line.strip().strip('"')])
     best = (0, 0)
-    for name, split in ways.items():
-        whole: Counter[int] = Counter()
+    for name, split in splitters.items():
+        all_numbers: Counter[int] = Counter()
         # lines that also contain words
-        partly: Counter[int] = Counter()
+        with_words: Counter[int] = Counter()
         for line in sample:
             cells = split(line)
             values = sum(map(is_value, cells)) if len(cells) > 1 else 0
             if values > 1:
-                partly[len(cells)] += 1
-                whole[len(cells)] += values == len(cells)
-        rank = (max(whole.values(), default=0), max(partly.values(), default=0))
+                with_words[len(cells)] += 1
+                all_numbers[len(cells)] += values == len(cells)
+        rank = (max(all_numbers.values(), default=0), max(with_words.values(), default=0))
         if rank > best:
             best, found = rank, (name, split)
     return found
@@ -111,10 +114,6 @@ def _splitter(mark: str) -> Callable[[str], list[str]]:
         return [cell.strip() for cell in line.split(mark)]
 
     return split
-
-
-def _split_at_any_mark(line: str) -> list[str]:
-    return [cell.strip('"') for cell in _ANY_MARK.split(line.strip()) if cell]
 
 
 def _cells(
@@ -153,13 +152,13 @@ def _cells(
     columns = [list(column) for column in zip(*(cells for _, cells in body), strict=True)]
     names, units = _header(header or comments, columns, separator)
     # drop empty columns: a separator at the end of every line makes one
-    kept = [k for k in range(width) if any(columns[k])]
-    columns, names = [columns[k] for k in kept], [names[k] for k in kept] if names else []
-    units = [units[k] for k in kept] if units else [""] * len(kept)
+    used = [k for k in range(width) if any(columns[k])]
+    columns, names = [columns[k] for k in used], [names[k] for k in used] if names else []
+    units = [units[k] for k in used] if units else [""] * len(used)
     columns, names, units = _joined_moments(columns, names, units)
     for k, column in enumerate(columns):
-        behind, columns[k] = split_unit(column)
-        units[k] = units[k] or behind
+        unit_in_cells, columns[k] = split_unit(column)
+        units[k] = units[k] or unit_in_cells
     numbers = (cell for column in columns for cell in column if not is_moment(cell))
     form = number_format(numbers, decimal, str(path))
     columns = [[cell if is_moment(cell) else form.python_text(cell) for cell in column] for column in columns]
@@ -169,10 +168,10 @@ def _cells(
 
 
 def _blocks(lines: Sequence[int], left_out: Sequence[int]) -> list[int]:
-    """The block of each row: a new one begins after lines that hold neither a row nor a spoilt row."""
-    spoilt, block, found = set(left_out), 0, [0]
+    """The block of each row: a new one begins after lines that hold no row, whole or left out."""
+    unread, block, found = set(left_out), 0, [0]
     for before, line in pairwise(lines):
-        block += any(between not in spoilt for between in range(before + 1, line))
+        block += any(between not in unread for between in range(before + 1, line))
         found.append(block)
     return found
 
@@ -251,10 +250,10 @@ def _joined_moments(
         if all(is_moment(cell) and ":" not in cell for cell in date) and all(
             is_moment(cell) and ":" in cell for cell in clock
         ):
-            both = [f"{day} {time}" for day, time in zip(date, clock, strict=True)]
+            moments = [f"{day} {time}" for day, time in zip(date, clock, strict=True)]
             title = [f"{names[k]} {names[k + 1]}"] if names else []
             return (
-                [*columns[:k], both, *columns[k + 2 :]],
+                [*columns[:k], moments, *columns[k + 2 :]],
                 [*names[:k], *title, *names[k + 2 :]],
                 [*units[:k], "", *units[k + 2 :]],
             )

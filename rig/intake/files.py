@@ -16,7 +16,7 @@ from processing.errors import DataError, MissingPackage
 from rig.intake.cell_text import is_missing, is_moment, is_number
 
 _MAX_BYTES: Final = 1024 * 1024 * 1024
-_BINARY: Final = (
+_BINARY_BEGINNINGS: Final = (
     (b"PAR1", "a Parquet file"),
     (b"ARROW1", "a Feather or Arrow file"),
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
@@ -28,9 +28,9 @@ _BINARY: Final = (
     (b"%PDF", "a PDF"),
     (b"\x89MCAP0\r\n", "a record, which rig fit takes by its name *.mcap"),
 )
-_COMPLEX: Final = (np.complex64, np.complex128)
-_JSON: Final = re.compile(rb"\s*(?:\[\s*)?\{\s*\"")
-_MARKS: Final = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
+_COMPLEX_TYPES: Final = (np.complex64, np.complex128)
+_JSON_BEGINNING: Final = re.compile(rb"\s*(?:\[\s*)?\{\s*\"")
+_ENCODING_MARKS: Final = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
 
 
 class Sheet(NamedTuple):
@@ -59,7 +59,7 @@ def read_bytes_of(path: Path) -> bytes:
 def refuse_binary(path: Path, raw: bytes) -> None:
     """Raise DataError for a file that is no text, by its first bytes."""
     remedy = "save the table as text (CSV), or as .xlsx, .npy or .mat"
-    for mark, what in _BINARY:
+    for mark, what in _BINARY_BEGINNINGS:
         if raw.startswith(mark):
             raise DataError(f"{path}: is {what}{'' if ';' in what else ', which is not read'}; {remedy}")
     if raw.startswith(b"PK\x03\x04"):
@@ -74,13 +74,13 @@ def refuse_binary(path: Path, raw: bytes) -> None:
         raise DataError(f"{path}: is {what}, which is not read; {remedy}")
     if raw.startswith((b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff")):
         raise DataError(f"{path}: is text in UTF-32, which is not read; save it in UTF-8")
-    if _JSON.match(raw[:1000]):
+    if _JSON_BEGINNING.match(raw[:1000]):
         raise DataError(f"{path}: is JSON, which is not read; {remedy}")
 
 
 def decode(raw: bytes) -> str:
     """Text from UTF-8, from UTF-16 with or without its mark, or from Windows-1252."""
-    for mark, encoding in _MARKS:
+    for mark, encoding in _ENCODING_MARKS:
         if raw.startswith(mark):
             return raw.decode(encoding, errors="replace")
     head = raw[:4000]
@@ -144,7 +144,7 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
     matrices = {name: value for name, value in numbers.items() if value.ndim == 2}
     if len(matrices) == 1 and not vectors:
         return _rows_of_matrix(path, *next(iter(matrices.items())))
-    if complex_ := [name for name, value in found.items() if getattr(value, "dtype", None) in _COMPLEX]:
+    if complex_ := [name for name, value in found.items() if getattr(value, "dtype", None) in _COMPLEX_TYPES]:
         raise DataError(
             f"{path}: {complex_[0]} is complex; save its real part, or its modulus as an envelope"
         )
@@ -221,9 +221,10 @@ def _texts(column: Any) -> list[str]:
 _FIRST_DAY: Final = datetime(1899, 12, 30)
 _FIRST_DAY_1904: Final = datetime(1904, 1, 1)
 """Day 0 of workbooks made on a Mac."""
-_BETWEEN: Final = datetime(1902, 1, 1)
-_HIDDEN: Final = re.compile(rb'<(?:row|col)\b[^>]*\bhidden="(?:1|true)"')
-_FAR: Final = re.compile(rb'<c\b[^>]*\br="([A-Z]{3,}\d+)"[^>]*(?<!/)>')
+_DAY_0_BOUNDARY: Final = datetime(1902, 1, 1)
+"""A date between the two first days: a workbook whose day 0 is later counts from 1904."""
+_HIDDEN_CELLS: Final = re.compile(rb'<(?:row|col)\b[^>]*\bhidden="(?:1|true)"')
+_FAR_CELL: Final = re.compile(rb'<c\b[^>]*\br="([A-Z]{3,}\d+)"[^>]*(?<!/)>')
 """A cell with a value in column AAA, the 703rd, or beyond, which needs memory for all cells before it."""
 _MIN_SHEET_FRACTION: Final = 0.25
 """Fewest rows of a sheet with a table, as a fraction of the rows of the longest table."""
@@ -244,38 +245,38 @@ def workbook_rows(raw: bytes, path: Path) -> Sheet:
     try:
         plain, hides = _without_styles(raw)
         book, unstyled = load_workbook(io.BytesIO(raw)), load_workbook(plain)
-        seen = {
+        is_visible = {
             about.name: about.visible == SheetVisibleEnum.Visible
             for about in book.sheets_metadata
             if about.typ == SheetTypeEnum.WorkSheet
         }
-        read = {
+        sheets = {
             title: _rows(
                 book.get_sheet_by_name(title).to_python(skip_empty_area=False),
                 unstyled.get_sheet_by_name(title).to_python(skip_empty_area=False),
             )
-            for title in seen
+            for title in is_visible
         }
     except CalamineError as error:
         raise ValueError(str(error)) from None
-    counts = {title: _numeric_rows(rows) for title, rows in read.items()}
+    counts = {title: _numeric_rows(rows) for title, rows in sheets.items()}
     # a sheet with a few constants is not the table
     least = max(2, math.ceil(_MIN_SHEET_FRACTION * max(counts.values(), default=0)))
-    holding = [title for title, count in counts.items() if count >= least]
-    holding = [title for title in holding if seen[title]] or holding
-    if not holding:
+    with_table = [title for title, count in counts.items() if count >= least]
+    with_table = [title for title in with_table if is_visible[title]] or with_table
+    if not with_table:
         raise ValueError(
             "no sheet holds numbers; the values of formulas are in it once a spreadsheet program saves it"
         )
-    title, remarks = holding[0], []
-    if len(holding) > 1:
-        others = ", ".join(repr(other) for other in holding[1:])
+    title, remarks = with_table[0], []
+    if len(with_table) > 1:
+        others = ", ".join(repr(other) for other in with_table[1:])
         remarks.append(f"sheet {title!r}, the first that holds a table; {others} not read: save it as a file")
-    elif len(read) > 1:
-        remarks.append(f"sheet {title!r}" + ("" if seen[title] else ", which is hidden"))
+    elif len(sheets) > 1:
+        remarks.append(f"sheet {title!r}" + ("" if is_visible[title] else ", which is hidden"))
     if hides:
         remarks.append("rows or columns that the workbook hides are read, too")
-    return Sheet(read[title], tuple(remarks))
+    return Sheet(sheets[title], tuple(remarks))
 
 
 def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
@@ -289,8 +290,8 @@ def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
         for entry in before.infolist():
             part = before.read(entry)
             if entry.filename.startswith("xl/worksheets/"):
-                hides = hides or _HIDDEN.search(part) is not None
-                if far := _FAR.search(part):
+                hides = hides or _HIDDEN_CELLS.search(part) is not None
+                if far := _FAR_CELL.search(part):
                     raise ValueError(f"cell {far[1].decode()} is too far from a table; clear it")
             if entry.filename != "xl/styles.xml":
                 after.writestr(entry, part)
@@ -311,7 +312,7 @@ def _rows(shown: list[list[Any]], stored: list[list[Any]]) -> list[list[str]]:
     """Cells as text from shown and stored values; dates and times are computed from the stored days."""
     cells = [list(zip(*rows, strict=True)) for rows in zip(shown, stored, strict=True)]
     since_1904 = any(
-        isinstance(moment, datetime) and _is_number(days) and moment - timedelta(days=days) > _BETWEEN
+        isinstance(moment, datetime) and _is_number(days) and moment - timedelta(days=days) > _DAY_0_BOUNDARY
         for row in cells
         for moment, days in row
     )

@@ -41,7 +41,7 @@ _WHITE = "GROUND_SATURATED"
 """Flag of frames in which the ground of a dark object is saturated, which distorts the shape of its edges."""
 _MIN_FOUND_FRACTION = 0.5
 """Fraction of frames with a position below which the followed object is hardly the pendulum."""
-_NEAR: Final = 3
+_PREDICTING_NEIGHBOURS: Final = 3
 """Neighbours on each side that predict a position."""
 _COMPARED_NEIGHBOURS: Final = 100
 """Neighbours on each side that give the usual error of a prediction."""
@@ -76,7 +76,6 @@ class FilmOptions:
 
     rate_hz: float | None = None
     force: bool = False
-    colour: str = "brightness"
     dark: bool | None = None
     size: str = ""
     begin_s: float | None = None
@@ -103,7 +102,7 @@ def film_trajectory(
             "path": path,
             "frame_rate_hz": options.rate_hz,
             "force_frame_rate": options.force,
-            "colour": options.colour,
+            "colour": "brightness",
         }
     )
     camera = FilesCamera(settings)
@@ -349,10 +348,12 @@ def broken_positions(time_s: Floats, positions: Floats) -> list[int]:
     Positions with a lost neighbour are not judged.
     """
     count = len(time_s)
-    if count < 4 * _NEAR:
+    if count < 4 * _PREDICTING_NEIGHBOURS:
         return []
-    middle = np.arange(_NEAR, count - _NEAR)
-    beside = middle[:, None] + np.array([k for k in range(-_NEAR, _NEAR + 1) if k])
+    middle = np.arange(_PREDICTING_NEIGHBOURS, count - _PREDICTING_NEIGHBOURS)
+    beside = middle[:, None] + np.array(
+        [k for k in range(-_PREDICTING_NEIGHBOURS, _PREDICTING_NEIGHBOURS + 1) if k]
+    )
     since = time_s[beside] - time_s[middle][:, None]
     since /= np.abs(since).max(axis=1, keepdims=True)
     weights = np.linalg.pinv(since[:, :, None] ** np.arange(4))[:, 0, :]
@@ -370,4 +371,6 @@ def broken_positions(time_s: Floats, positions: Floats) -> list[int]:
             broken[middle] |= off > np.maximum(_MAX_RATIO * usual, _MIN_BREAK_PX)
     places = np.flatnonzero(broken)
     # one break also spoils the predictions of its neighbours
-    return [int(one) for k, one in enumerate(places) if k == 0 or one > places[k - 1] + 2 * _NEAR]
+    return [
+        int(one) for k, one in enumerate(places) if k == 0 or one > places[k - 1] + 2 * _PREDICTING_NEIGHBOURS
+    ]

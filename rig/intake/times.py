@@ -180,9 +180,9 @@ def clock_form(
     late = next((cell for cell in two if int(cell.split(":")[0]) >= _HOURS_OF_DAY), "")
     if late:
         return M_SS, f"{late} is not a time of day"
-    check_increasing = [form for form in (M_SS, H_MM) if _is_increasing(cells, form)]
-    if len(two) < len(cells) and len(check_increasing) == 1:
-        return check_increasing[0], "the others have hours, minutes and seconds"
+    increasing_forms = [form for form in (M_SS, H_MM) if _is_increasing(cells, form)]
+    if len(two) < len(cells) and len(increasing_forms) == 1:
+        return increasing_forms[0], "the others have hours, minutes and seconds"
     raise ConfigurationError(
         f"{path}: {two[0]!r} in {title!r} may be minutes and seconds or hours and minutes; state --time-unit "
         f"{M_SS} or --time-unit {H_MM}, or write it in the header: t [{M_SS}]"
@@ -212,13 +212,13 @@ _MIN_SAMPLES: Final = 64
 _RELATIVE_HALF_WIDTH: Final = 0.1
 """Half width of a spectral line relative to its frequency, including the width by decay."""
 _MIN_HALF_WIDTH_BINS: Final = 4
-_MIN_BOTH: Final = 0.8
-"""Fraction of the variance in two lines from which on samples count as two oscillations."""
-_MIN_WEAKER: Final = 0.1
-"""Fraction of the variance from which on the weaker line is nearly as large as a swing."""
+_MIN_TWO_LINES_SHARE: Final = 0.8
+"""Minimum fraction of the variance in two lines of samples that count as two oscillations."""
+_MIN_WEAKER_LINE_SHARE: Final = 0.1
+"""Minimum fraction of the variance in a weaker line that is nearly as large as a swing."""
 _OVERTONES: Final = (2, 3)
 """Frequency ratios of overtones by stops or steps of one motion; higher ones are smaller than required."""
-_TOLERANCE: Final = 0.1
+_OVERTONE_TOLERANCE: Final = 0.1
 _MIN_GAP_STEPS: Final = 3.0
 """Shortest gap, in steps between samples."""
 _MIN_FAST_RATIO: Final = 1.5
@@ -240,7 +240,7 @@ _MIN_RELATIVE_SIZE: Final = 3e-4
 """Smallest second oscillation relative to the swing; below are rounding of the table and side lobes."""
 
 
-def second_frequency(times_ns: NDArray[np.int64], deflection: NDArray[np.float64]) -> str:
+def two_oscillations_message(times_ns: NDArray[np.int64], deflection: NDArray[np.float64]) -> str:
     """A message with the two frequencies in the samples and the remedy; empty without two oscillations."""
     good = np.isfinite(deflection)
     if np.count_nonzero(good) < _MIN_SAMPLES:
@@ -261,8 +261,12 @@ def second_frequency(times_ns: NDArray[np.int64], deflection: NDArray[np.float64
         power[near] = 0.0
     (first_hz, first), (second_hz, second) = sorted(lines)
     ratio = second_hz / first_hz if first_hz > 0 else 0.0
-    harmonic = any(abs(ratio - overtone) < _TOLERANCE for overtone in _OVERTONES)
-    if not first + second > _MIN_BOTH * total or min(first, second) < _MIN_WEAKER * total or harmonic:
+    harmonic = any(abs(ratio - overtone) < _OVERTONE_TOLERANCE for overtone in _OVERTONES)
+    if (
+        not first + second > _MIN_TWO_LINES_SHARE * total
+        or min(first, second) < _MIN_WEAKER_LINE_SHARE * total
+        or harmonic
+    ):
         return ""
     size = (second / first) ** 0.5
     return (

@@ -57,7 +57,7 @@ _ITERATIONS = 3
 _DRIFT_DEGREE = 3
 """Degree of the polynomial drift of the rest position that is subtracted."""
 _MIN_SHORTENING = 1e-3
-"""Relative loss of amplitude from which on another direction is reported."""
+"""Minimum relative loss of amplitude with which another direction is reported."""
 _MIN_DEVIATION_U = 5.0
 """Least deviation of a direction that counts, in standard uncertainties."""
 

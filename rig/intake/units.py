@@ -173,7 +173,7 @@ def _without_brackets(text: str) -> tuple[str, str] | None:
 
 def refuse_contradiction(path: Path, title: str, by_header: str, option: str, by_option: str) -> None:
     """Raise ConfigurationError if a header and an option state two units."""
-    if by_header and by_option and not _same(by_header, by_option):
+    if by_header and by_option and not _are_same_unit(by_header, by_option):
         raise ConfigurationError(
             f"{path}: {title!r} says {by_header}, {option} says {by_option}; leave the option out, or "
             "correct the header"
@@ -229,7 +229,7 @@ def unit_of_positions(
     return stated or units[0] or NOT_STATED, source
 
 
-def _same(unit: str, other: str) -> bool:
+def _are_same_unit(unit: str, other: str) -> bool:
     try:
         return size(unit) == size(other)
     except ConfigurationError:

@@ -1,6 +1,6 @@
 """A measurement session: preflight checks, runs, recording, end of a run, display on the terminal."""
 
-from rig.measure.end_of_run import HandOver, hand_over, state_of
+from rig.measure.end_of_run import SessionSummary, session_summary, state_of
 from rig.measure.plain_record import (
     acknowledge_trip,
     check_audit,

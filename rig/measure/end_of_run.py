@@ -21,7 +21,8 @@ from rig.measure.session_file import RunState, SessionState, read_session
 from rig.settings import StopCondition
 
 _log = logging.getLogger(__name__)
-BELOW_IN_A_ROW = 3  # one disturbed half-cycle, or two, do not end a long measurement
+CONSECUTIVE_BELOW = 3
+"""Half-cycles in a row below the final amplitude that end a run: one disturbed one, or two, do not."""
 CONSECUTIVE_FITS = 4
 """Number of fits in a row, each of 4 % more half-cycles, in which the stop conditions must hold. An estimated
 uncertainty dips below a limit by chance; after a run that ended there it would be above it again."""
@@ -53,7 +54,7 @@ class EndOfRun:
         """
         for swing in swings:
             self._below = self._below + 1 if swing.amplitude < self._final_amplitude else 0
-            if self._below >= BELOW_IN_A_ROW:
+            if self._below >= CONSECUTIVE_BELOW:
                 return "final amplitude reached"
         if elapsed_s >= self._max_duration_s:
             return f"time limit of {self._max_duration_s:g} s reached"
@@ -86,7 +87,7 @@ class StopRequest:
     def __bool__(self) -> bool:
         return self._asked.is_set()
 
-    def because(self, reason: str, early: EventKind | None = None) -> bool:
+    def request(self, reason: str, early: EventKind | None = None) -> bool:
         """End the run soon; returns whether this reason is the first."""
         if self._asked.is_set():
             return False
@@ -101,7 +102,7 @@ class StopRequest:
             self.failure = error
         if not isinstance(error, RigError):
             _log.error("%s", in_one_line(error), exc_info=error)
-        self.because(in_one_line(error), EventKind.FAILED)
+        self.request(in_one_line(error), EventKind.FAILED)
 
     def close_stream(self) -> None:
         """Close the camera's stream; an error of the camera is kept if there was no other."""
@@ -113,7 +114,7 @@ class StopRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class HandOver:
+class SessionSummary:
     """Summary of an ended session for the person who takes it over.
 
     Texts on results are empty if there are none.
@@ -122,7 +123,7 @@ class HandOver:
     folder: Path
     ended: RunState | None
     """State of the session; None while no run was made."""
-    went: str
+    progress_text: str
     """Number of complete runs, and why the last run ended, in words."""
     headline: str = ""
     """The result with its uncertainty."""
@@ -155,7 +156,7 @@ def state_of(session: SessionState) -> RunState | None:
     return states[-1] if ended else RunState.INTERRUPTED
 
 
-def hand_over(folder: Path) -> HandOver:
+def session_summary(folder: Path) -> SessionSummary:
     """The summary of the session in a folder; it reads the results, which takes a moment.
 
     Raises RigError if the folder holds no session.
@@ -164,10 +165,14 @@ def hand_over(folder: Path) -> HandOver:
     ended = state_of(session)
     reports = sorted(folder.glob("report*.html"), key=lambda path: path.stat().st_mtime)
     report = reports[-1] if reports else None
-    steps = _steps_of_end(ended)
+    steps = []
+    if ended is RunState.INTERRUPTED:
+        steps.append("measure the missing runs: Runs, Resume")
+    elif ended is RunState.FAILED:
+        steps.append("see why it failed, then start again")
     if not results_path(folder).exists() and session.entries and report is None:
         steps.append("fit it again: there are no results yet (rig fit)")
-    summary = HandOver(folder, ended, _went(session, ended), next_steps=steps, report=report)
+    summary = SessionSummary(folder, ended, _progress_text(session, ended), next_steps=steps, report=report)
     if not results_path(folder).exists():
         return summary
     try:
@@ -176,7 +181,7 @@ def hand_over(folder: Path) -> HandOver:
         return replace(summary, next_steps=[*steps, str(error)])
     run = results.runs[-1]
     whole = whole_result(run, results.series)
-    unmet = [f"{one.name}: {one.said}" for one in run.conditions if not one.ok or one.remedy]
+    unmet = [f"{one.name}: {one.judgement_text}" for one in run.conditions if not one.ok or one.remedy]
     no_fit = [f"no fit: {run.problem}"] if run.problem else []
     return replace(
         summary,
@@ -189,13 +194,7 @@ def hand_over(folder: Path) -> HandOver:
     )
 
 
-def _went(session: SessionState, ended: RunState | None) -> str:
+def _progress_text(session: SessionState, ended: RunState | None) -> str:
     made = f"{len(session.complete)} of {session.runs_wanted} runs complete"
     reason = next((entry.reason for entry in reversed(session.entries) if entry.reason), "")
     return f"{made}; {reason}" if reason and ended is not None else made
-
-
-def _steps_of_end(ended: RunState | None) -> list[str]:
-    if ended is RunState.INTERRUPTED:
-        return ["measure the missing runs: Runs, Resume"]
-    return ["see why it failed, then start again"] if ended is RunState.FAILED else []

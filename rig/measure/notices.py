@@ -65,9 +65,9 @@ class Notices:
                 error=True,
             )
 
-    def take(self, told: RecordContents) -> None:
+    def take(self, recorded: RecordContents) -> None:
         """Send the events of a run whose level is an alarm or a trip."""
-        for event in told.events:
+        for event in recorded.events:
             if event.level in (Severity.TRIP, Severity.ALARM) and self._alarms < _MAX_ALARMS:
                 self._alarms += 1
                 self.tell("alarm", event.line)
@@ -99,16 +99,16 @@ def announced(settings: SessionSettings, file: SessionFile, make: Callable[[Noti
     A resumed session without a missing run ends as it ended before: that notice is not sent twice, unless the
     first was not delivered.
     """
-    notices, told = Notices(settings, file.folder), ""
+    notices, end_notice = Notices(settings, file.folder), ""
     try:
         status = make(notices)
         text = "end: every run was measured and fitted"
         if status:
             text = "failure: not every run was measured and fitted under its conditions"
             text = ": ".join([text, *filter(None, ["; ".join(notices.failures)])])
-        told = text
-        if file.state.told != told:
-            notices.tell("failure" if status else "end", told.partition(": ")[2])
+        end_notice = text
+        if file.state.end_notice_sent != end_notice:
+            notices.tell("failure" if status else "end", end_notice.partition(": ")[2])
         return status
     except BaseException as error:
         why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
@@ -116,9 +116,13 @@ def announced(settings: SessionSettings, file: SessionFile, make: Callable[[Noti
         raise
     finally:
         notices.wait()
-        if notices.calls and file.state.told != told and (notices.last_was_delivered or not told):
+        if (
+            notices.calls
+            and file.state.end_notice_sent != end_notice
+            and (notices.last_was_delivered or not end_notice)
+        ):
             with suppress(RigError):
-                file.note_reported_end(told)
+                file.note_end_notice(end_notice)
 
 
 Sleep = Callable[[float], None]

@@ -23,7 +23,7 @@ from rig.measure.recent_frames import PhaseWait, RecentFrames, WaitStopped, Watc
 from rig.settings import Configuration
 from rig.terminal import Verdict, failures
 
-_AT_ONCE_FRAMES = 100
+_PREFLIGHT_FRAMES = 100
 """Number of frames that the preflight of a run without a rest phase looks at."""
 _RESTING_FRAMES = 110
 """Number of frames that the preflight at rest looks at, at least; a few more than noise and spectrum need."""
@@ -196,7 +196,7 @@ class PhasesBeforeRecord:
 
     def _preflight_at_once(self) -> None:
         frames = self._wait.frames
-        self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _AT_ONCE_FRAMES)
+        self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _PREFLIGHT_FRAMES)
         self._check(resting=False)
 
     def _preflight_at_rest(self) -> None:

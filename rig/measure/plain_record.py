@@ -22,7 +22,7 @@ from rig.devices import (
     SessionNews,
     ask_leave,
     check_log,
-    light_told,
+    light_shown_to_desk,
     png_of,
     read_frames,
     running_sessions,
@@ -46,7 +46,7 @@ _TERMINAL = "a terminal"
 _CONFIRMED_WITHIN_S, _LOOK_S = 3.0, 0.05
 """Longest wait until a session has heard from its devices that they are dark, and between two looks at it."""
 _DARK = (Light.OFF, Light.INTERLOCK_OPEN)
-_NEVER_ARCSEC = 1e-9
+_UNREACHED_ARCSEC = 1e-9
 """Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""
 
 
@@ -59,7 +59,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     """
     updates = {
         "session": config.session.model_copy(
-            update={"max_duration_s": seconds, "final_amplitude_arcsec": _NEVER_ARCSEC, "stop_when": ()}
+            update={"max_duration_s": seconds, "final_amplitude_arcsec": _UNREACHED_ARCSEC, "stop_when": ()}
         ),
         "view": config.view.model_copy(update={"mode": "none", "file": False}),
         "preflight": config.preflight.model_copy(update={"when": "never"}),
@@ -72,7 +72,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     folder, session_news = record.parent, SessionNews()
     with (
         Devices(config, folder, "a recording for a calibration") as devices,
-        light_told(devices, folder, session_news),
+        light_shown_to_desk(devices, folder, session_news),
     ):
         ask_leave(devices)
         plan = RunPlan(config, source, record, record.stem, fitted=False, session_news=session_news)
@@ -112,7 +112,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     config = complete(config.model_copy(update={"preflight": preflight, "view": quiet}))
     check_materials(config)
     folder, verdicts = config.session.output, list[Verdict]()
-    with Devices(config, folder, "rig doctor --preflight") as devices, light_told(devices, folder):
+    with Devices(config, folder, "rig doctor --preflight") as devices, light_shown_to_desk(devices, folder):
         ask_leave(devices)
         plan = RunPlan(
             config,

@@ -58,7 +58,7 @@ from rig.settings import Configuration
 
 FIRST_HALF_CYCLES = 40
 """Half-cycles before the first fit. With fewer, b and c are less than their u for every pair of the paper."""
-_GROWTH = 1.04
+_HALF_CYCLE_GROWTH = 1.04
 """Growth of the number of half-cycles from fit to fit; an uncertainty then falls by a tenth at most."""
 _MAX_CORE_FRACTION = 0.02
 """Largest fraction of the time of a core that fits may take."""
@@ -69,7 +69,7 @@ _EARLY_NS = 120_000_000_000
 
 def next_fit_half_cycles(half_cycles: int) -> int:
     """Number of half-cycles of the fit that follows a fit of `half_cycles`."""
-    return max(half_cycles + 1, round(_GROWTH * half_cycles))
+    return max(half_cycles + 1, round(_HALF_CYCLE_GROWTH * half_cycles))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ def fitted_points(
 
 MOST_SAMPLES = 1 << 22
 """Largest number of deflections that are kept, 160 MB: 2.3 hours of 500 frames/s."""
-_KEPT_BEFORE = 4
+_EARLIER_HALF_CYCLES = 4
 """Half-cycles kept before the first one that is refined: neighbours are fitted together."""
 
 
@@ -185,9 +185,9 @@ class MeasuredRun:
 
     def _fix_older_half(self, half_cycles: Sequence[HalfCycle]) -> None:
         half = len(self._refinable) // 2
-        if half < _KEPT_BEFORE:
+        if half < _EARLIER_HALF_CYCLES:
             return
-        from_ns = self._refinable[half - _KEPT_BEFORE].turn_time_ns
+        from_ns = self._refinable[half - _EARLIER_HALF_CYCLES].turn_time_ns
         self._refinable = self._refinable[half:]
         self._fixed = [one for one in half_cycles if one.index < self._refinable[0].index]
         self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]

@@ -126,7 +126,7 @@ class Recorder:
     def _work(self) -> None:
         try:
             while not self._entries.drained:
-                self._permit.moved(Stage.RECORDER)
+                self._permit.note_progress(Stage.RECORDER)
                 # an empty entry is written, too, because a flush of earlier entries may be due
                 (entry,) = self._entries.take(1, _IDLE_S) or [RecordEntry()]
                 if self.error is None:

@@ -203,7 +203,9 @@ class Recording:
         while begun or not (stream.drained or (self._stop and not self._on_demand)):
             waiting = begun or stream.take(_BLOCK_FRAMES, 0.1)
             taken_ns = time.monotonic_ns()
-            taken, begun = _block_and_rest(waiting)
+            late = (n for n, one in enumerate(waiting) if one.time_ns - waiting[0].time_ns > _MAX_BLOCK_NS)
+            count = min(_BLOCK_FRAMES, next(late, len(waiting)))
+            taken, begun = waiting[:count], waiting[count:]
             shown = None
             if taken:
                 shown = self._take(taken, taken_ns)
@@ -221,11 +223,11 @@ class Recording:
                     return rejected
             reason = self._end.reason(shown.swings, elapsed_s, self._posterior.estimates)
             if reason is not None:
-                self._stop.because(reason)
+                self._stop.request(reason)
             if reason is not None or (self._stop and self._stop.skip_waiting):
                 break
         if stream.ended:
-            self._stop.because(stream.ended, None if stream.failure is None else EventKind.FAILED)
+            self._stop.request(stream.ended, None if stream.failure is None else EventKind.FAILED)
         return ""
 
     def _take_nothing(self) -> None:
@@ -381,10 +383,3 @@ class Recording:
         )
         recorded_phase = RecordedPhase(now_ns, counts.elapsed_s, phase.value, "", lost, self._stop.reason)
         return self._status.messages(recorded_phase, health, self._posterior, on_demand=self._on_demand)
-
-
-def _block_and_rest(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
-    """The frames to be processed together, at least one, and the frames that come after them."""
-    late = (n for n, frame in enumerate(frames) if frame.time_ns - frames[0].time_ns > _MAX_BLOCK_NS)
-    count = min(_BLOCK_FRAMES, next(late, len(frames)))
-    return frames[:count], frames[count:]

@@ -92,10 +92,10 @@ class MeasurementRun:
             interrupt = error
             self._stop.skip_waiting = True
             self._darken(reason_of(error))
-            stopped = self._stop.because(reason_of(error), EventKind.ENDED_EARLY)
+            stopped = self._stop.request(reason_of(error), EventKind.ENDED_EARLY)
         finally:
             # also after an interrupt or an error, so that the record is complete
-            self._stop.because("the program has failed", EventKind.FAILED)
+            self._stop.request("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
         return RunOutcome(self.now, self._stop.failure, interrupt, stopped, hangs)
 
@@ -172,7 +172,7 @@ class MeasurementRun:
                 self._parts.phases.check_alone(self._stream, self._prepare, self._stop)
         finally:
             self._parts.devices.darken()
-        self._stop.because("the checks are made")
+        self._stop.request("the checks are made")
 
     def _attempt(self, number: int, at_first_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""

@@ -37,7 +37,7 @@ class Watcher(Protocol):
     It is called in the processing thread, must return immediately and must not raise.
     """
 
-    def take(self, told: RecordContents) -> None:
+    def take(self, recorded: RecordContents) -> None:
         """Receive what has just been recorded."""
 
 
@@ -100,11 +100,11 @@ class RunStatus:
         if phase.instruction and phase.instruction != instruction_before:
             self._instructions.append(self.now)
 
-    def tell(self, told: RecordContents) -> None:
+    def tell(self, recorded: RecordContents) -> None:
         """Update the state by what was recorded, and pass that on to the watchers."""
-        self.now = self._guard.call("the state of the run", self.now, self.now.after, told, self._unit)
+        self.now = self._guard.call("the state of the run", self.now, self.now.after, recorded, self._unit)
         for watcher in self._watchers:
-            self._guard.call(f"watcher {type(watcher).__name__}", None, watcher.take, told)
+            self._guard.call(f"watcher {type(watcher).__name__}", None, watcher.take, recorded)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
@@ -258,7 +258,7 @@ class Rates:
 
 
 _MAX_SHOWN_U_RELATIVE = 1.0
-"""Relative uncertainty from which on a value is not shown."""
+"""Minimum relative uncertainty of a value that is not shown."""
 
 
 def estimate_rows(now: RunNow, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:

@@ -22,7 +22,7 @@ from processing.decay_summary import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from processing.units import seconds
 from rig.instrument import Phase, RecordContents, RunNow
-from rig.measure.end_of_run import BELOW_IN_A_ROW
+from rig.measure.end_of_run import CONSECUTIVE_BELOW
 from rig.measure.run_status import Rates, estimate_rows, run_panel
 from rig.settings import StopCondition
 from rig.terminal import Verdict, loud, print_json_line, print_verdicts, say
@@ -264,11 +264,11 @@ class RunDisplay:
         table = np.array(list(self._swings))
         final = self._final * self.unit.shown_size
         crossing = forecast(table[:, 0], table[:, 1], table[:, 2], final)
-        # the run ends at the last of `BELOW_IN_A_ROW` turning points below the limit, and the first of them
+        # the run ends at the last of `CONSECUTIVE_BELOW` turning points below the limit, the first of which
         # may come up to one half-cycle after the amplitude has passed the limit
         half_period_s = float(np.median(np.diff(table[:, 0])))
         return Forecast(
-            crossing.remaining_s + (BELOW_IN_A_ROW - 0.5) * half_period_s,
+            crossing.remaining_s + (CONSECUTIVE_BELOW - 0.5) * half_period_s,
             math.hypot(crossing.u_remaining_s, half_period_s / math.sqrt(12.0)),
         )
 

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
 from rig.analysis import (
-    AnalysedRun,
     SessionResults,
     analyse_record,
     free_path,
@@ -63,7 +62,7 @@ def measure_session(
     folder, made = session_folder(config, source, output)
     try:
         stored = stored_configuration(config)
-        with closing(SessionFile.made(folder, source, config.session.runs, stored)) as file:
+        with closing(SessionFile.create(folder, source, config.session.runs, stored)) as file:
             return finish_session(file, config, "rig run", waiting, force=force, json_lines=json_lines)
     finally:
         withdraw_unrecorded(folder, made)
@@ -272,7 +271,11 @@ def report(config: Configuration, folder: Path, outcome: SessionOutcome, options
     failed = failed or bool(faults)
     options.notices.failures.extend(faults)
     write_results(path, results)
-    paths = _written_paths(folder, runs, path)
+    paths = []
+    for run in runs:
+        paths.append(("record", run.path))
+        paths += [("Rerun file", rrd) for rrd in sorted(folder.glob(f"{run.path.stem}*.rrd"))]
+    paths.append(("results", path))
     try:
         paths.append(("report", make_report(path)))
     except RigError as error:
@@ -390,11 +393,3 @@ def _wants_fit() -> bool:
     except (EOFError, KeyboardInterrupt):
         return False
     return answer.strip().lower() in {"", "y", "yes"}
-
-
-def _written_paths(folder: Path, runs: list[AnalysedRun], path: Path) -> list[tuple[str, Path]]:
-    paths = []
-    for run in runs:
-        paths.append(("record", run.path))
-        paths += [("Rerun file", rrd) for rrd in sorted(folder.glob(f"{run.path.stem}*.rrd"))]
-    return [*paths, ("results", path)]

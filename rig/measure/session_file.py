@@ -67,7 +67,7 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     configuration: dict[str, Any]
     """The complete configuration, so that the session can be resumed without other files."""
     entries: tuple[RunEntry, ...] = ()
-    told: str = ""
+    end_notice_sent: str = ""
     """The last notice sent of the session's end; empty if a run was made since."""
 
     @property
@@ -83,7 +83,7 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     def with_entry(self, entry: RunEntry) -> Self:
         """A copy in which this entry replaces the one of the same record, or is added."""
         kept = [old for old in self.entries if old.record != entry.record]
-        return self.model_copy(update={"entries": (*kept, entry), "told": ""})
+        return self.model_copy(update={"entries": (*kept, entry), "end_notice_sent": ""})
 
 
 def read_session(folder: Path) -> SessionState:
@@ -129,7 +129,7 @@ class SessionFile:
         self._begun_s: dict[str, float] = {}
 
     @classmethod
-    def made(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
+    def create(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
         """Create the file of a new session; raises ConfigurationError if the folder holds one already."""
         if os.path.lexists(folder / STATE_NAME):
             raise ConfigurationError(
@@ -178,9 +178,9 @@ class SessionFile:
         kept = tuple(entry for entry in self.state.entries if entry.record != record)
         self.save(self.state.model_copy(update={"entries": kept}))
 
-    def note_reported_end(self, words: str) -> None:
+    def note_end_notice(self, words: str) -> None:
         """Save the notice that was sent of the session's end."""
-        self.save(self.state.model_copy(update={"told": words}))
+        self.save(self.state.model_copy(update={"end_notice_sent": words}))
 
     def reconfigure(self, source: Path, configuration: dict[str, Any]) -> str:
         """Give the missing runs another configuration; returns what it changes, in words.

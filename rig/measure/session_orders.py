@@ -142,7 +142,7 @@ def await_acknowledgement(devices: Devices, session_news: SessionNews, *, resuma
 
 
 _MIN_EXCESS_U = 2.0
-"""Excess over the limit of the rotation, in standard uncertainties, from which on a start is rejected."""
+"""Minimum excess of a rejected start's rotation over its limit, in standard uncertainties."""
 
 
 class StartJudge:

@@ -10,12 +10,12 @@ from acquisition.camera import CameraInfo, Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import TrimmedPendulum, TrimWeight, imperfect_weights
-from processing.balance import Balance, Turn, find_faults
+from processing.balance import Balance, Turn, balance_checks
 from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from processing.units import nanoseconds, seconds
-from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_told, wait_for_command
+from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_shown_to_desk, wait_for_command
 from rig.instrument import (
     DIRECTIONS,
     WEIGHTS,
@@ -259,15 +259,15 @@ def balance_rig(
         return advice_for(stated, balance, session.responses, session.room).markdown
 
     def show(balance: Balance) -> None:
-        reporter.live(find_faults(balance, mass_centre_height(config, balance), config.balance))
+        reporter.report_live(balance_checks(balance, mass_centre_height(config, balance), config.balance))
 
     turns = measurements = 0
     swing_arcsec = math.inf
     folder = history_path(config, path).parent
     with (
         Devices(config, folder, "rig balance") as devices,
-        light_told(devices, folder),
-        BalanceView(config, rrd, advise, reporter.way) as view,
+        light_shown_to_desk(devices, folder),
+        BalanceView(config, rrd, advise, reporter.report_trajectory) as view,
     ):
         while True:
             if operator is not None:
@@ -285,7 +285,7 @@ def balance_rig(
                 swing_arcsec = max(smaller, _MIN_SWING_ARCSEC)
             else:
                 advice = session.advice()
-                reporter.found(session.faults, session.before, advice)
+                reporter.report_measurement(session.checks, session.before, advice)
                 ended, turn = advice is None, advice if isinstance(advice, Turn) else None
                 swing_arcsec = math.inf if turn is None else turn.swing_arcsec
             if operator is None or not follow:
@@ -300,7 +300,7 @@ def balance_rig(
                 return 0 if ended else 1
             else:
                 operator.follow(turn)
-                session.turned(turn.weight, turn.parts)
+                session.note_turns(turn.weight, turn.parts)
                 devices.audit(AuditEntry.WEIGHT, "as advised", weight=turn.weight, turns=turn.parts)
                 turns += 1
 
@@ -312,7 +312,7 @@ def _after_rejection(session: LearnedTurns, why: str, reporter: Reporter) -> Tur
     if not session.spot_is_gone:
         hint = "let it swing by half as much, and measure again"
         hint += "; if that does not help:" if turn else ""
-    reporter.rejected(why, hint, turn)
+    reporter.report_rejection(why, hint, turn)
     return turn
 
 
@@ -340,11 +340,11 @@ def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | 
             if weight not in WEIGHTS or not parts or not all(abs(part) <= _MAX_TURNS for part in parts):
                 raise ValueError
         except ValueError:
-            reporter.wrong(
+            reporter.report_invalid(
                 f"{' '.join(answer)!r}: should be a weight ({', '.join(WEIGHTS)}) and its turns, up to "
                 f"{_MAX_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
             )
             continue
-        session.turned(weight, parts)
+        session.note_turns(weight, parts)
         devices.audit(AuditEntry.WEIGHT, "stated by the operator", weight=weight, turns=parts)
         return Turn(weight, parts[0], "", sum(parts[1:]))

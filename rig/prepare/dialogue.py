@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from processing.balance import Fault, Turn, Unreachable
+from processing.balance import BalanceCheck, Turn, Unreachable
 from processing.deflections import Deflections
 from rig.instrument import turn_text
 from rig.terminal import (
@@ -130,29 +130,29 @@ def _trajectory(
     if whole:
         ends = [k for k, one in enumerate(lines) if one["kind"] in ("found", "rejected")]
         since = ends[-2] if len(ends) > 1 else 0
-    pieces = [one for one in lines[since:] if one["kind"] == "way"]
+    pieces = [one for one in lines[since:] if one["kind"] == "trajectory"]
     pieces = pieces if whole else pieces[-_MAX_LIVE_PIECES:]
     x, y = ([value for piece in pieces for value in piece[axis]] for axis in ("x", "y"))
     step = max(1, len(x) // _MAX_TRAJECTORY_POINTS)
     return x[::step], y[::step]
 
 
-def print_faults(faults: Sequence[Fault], before: Sequence[Fault]) -> None:
+def print_checks(checks: Sequence[BalanceCheck], before: Sequence[BalanceCheck]) -> None:
     """Print a table of the balance."""
     head = ("", "number", "now", *(["before"] if before else []), "limit", "what it means")
     rows: list[list[str]] = []
-    for k, fault in enumerate(faults):
-        row = [("go" if fault.ok else "NO") if fault.is_known else "?", fault.name, _number(fault)]
+    for k, check in enumerate(checks):
+        row = [("go" if check.ok else "NO") if check.is_known else "?", check.name, _number(check)]
         if before:
             row.append(_number(before[k]))
-        rows.append([*row, f"{fault.limit:g} {fault.unit}".rstrip(), "" if fault.ok else fault.meaning])
+        rows.append([*row, f"{check.limit:g} {check.unit}".rstrip(), "" if check.ok else check.meaning])
     print_tables([Table("balance", "", head, head, [TableRow(row, row) for row in rows])])
 
 
-def _number(fault: Fault) -> str:
-    if math.isnan(fault.value):
+def _number(check: BalanceCheck) -> str:
+    if math.isnan(check.value):
         return NOT_KNOWN
-    return f"{judged_number(fault.value, fault.u_value, fault.limit)} {fault.unit}".rstrip()
+    return f"{judged_number(check.value, check.u_value, check.limit)} {check.unit}".rstrip()
 
 
 QUESTION = (
@@ -165,22 +165,25 @@ _POINTS_PER_LINE = 12
 class Reporter:
     """Reports the measurements of the balance to a person at the terminal, and asks for the turn made."""
 
-    def way(self, at: Deflections) -> None:
+    def report_trajectory(self, at: Deflections) -> None:
         """Report the deflections of some frames: nothing here, because the live view shows them."""
 
-    def live(self, faults: Sequence[Fault]) -> None:
+    def report_live(self, checks: Sequence[BalanceCheck]) -> None:
         """Report the balance while it is measured."""
-        parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in faults[:2] if math.isfinite(f.value)]
+        parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in checks[:2] if math.isfinite(f.value)]
         say("  ".join(parts))
 
-    def found(
-        self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
+    def report_measurement(
+        self,
+        checks: Sequence[BalanceCheck],
+        before: Sequence[BalanceCheck],
+        advice: Turn | Unreachable | None,
     ) -> None:
-        """Report a sound measurement, the faults before the last turn (or empty), and the advised turn."""
-        print_faults(faults, before)
-        print_line(turn_text(advice, faults))
+        """Report a sound measurement, the checks before the last turn (or empty), and the advised turn."""
+        print_checks(checks, before)
+        print_line(turn_text(advice, checks))
 
-    def rejected(self, why: str, hint: str, back: Turn | None) -> None:
+    def report_rejection(self, why: str, hint: str, back: Turn | None) -> None:
         """Report a rejected measurement; the turn `back` may help."""
         say(f"this measurement is not used: {why}")
         if hint:
@@ -195,7 +198,7 @@ class Reporter:
             say("nothing done: m and Enter measures again, which lights the laser")
         return answer
 
-    def wrong(self, problem: str) -> None:
+    def report_invalid(self, problem: str) -> None:
         """Report an invalid answer."""
         say(problem)
 
@@ -203,21 +206,27 @@ class Reporter:
 class InJsonLines(Reporter):
     """Reports to a program: a JSON object on each line of stdout, answers line by line on stdin."""
 
-    def way(self, at: Deflections) -> None:
+    def report_trajectory(self, at: Deflections) -> None:
         step = max(1, len(at) // _POINTS_PER_LINE)
-        print_json_line("way", {"x": at.shown_x[::step].tolist(), "y": at.shown_y[::step].tolist()})
+        print_json_line("trajectory", {"x": at.shown_x[::step].tolist(), "y": at.shown_y[::step].tolist()})
 
-    def live(self, faults: Sequence[Fault]) -> None:
-        print_json_line("live", {"faults": [_fault(one) for one in faults]})
+    def report_live(self, checks: Sequence[BalanceCheck]) -> None:
+        print_json_line("live", {"faults": [_check_values(one) for one in checks]})
 
-    def found(
-        self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
+    def report_measurement(
+        self,
+        checks: Sequence[BalanceCheck],
+        before: Sequence[BalanceCheck],
+        advice: Turn | Unreachable | None,
     ) -> None:
         turn = advice if isinstance(advice, Turn) else None
-        stated = {"faults": [_fault(one) for one in faults], "before": [_fault(one) for one in before]}
-        print_json_line("found", {**stated, "text": turn_text(advice, faults), "turn": _turn(turn)})
+        stated = {
+            "faults": [_check_values(one) for one in checks],
+            "before": [_check_values(one) for one in before],
+        }
+        print_json_line("found", {**stated, "text": turn_text(advice, checks), "turn": _turn(turn)})
 
-    def rejected(self, why: str, hint: str, back: Turn | None) -> None:
+    def report_rejection(self, why: str, hint: str, back: Turn | None) -> None:
         text = turn_text(back, []) if back is not None else ""
         print_json_line("rejected", {"why": why, "hint": hint, "text": text, "turn": _turn(back)})
 
@@ -228,11 +237,11 @@ class InJsonLines(Reporter):
             raise EOFError
         return answer
 
-    def wrong(self, problem: str) -> None:
+    def report_invalid(self, problem: str) -> None:
         print_json_line("wrong", {"problem": problem})
 
 
-def _fault(one: Fault) -> dict[str, Any]:
+def _check_values(one: BalanceCheck) -> dict[str, Any]:
     return {**one._asdict(), "ok": one.ok if one.is_known else None}
 
 

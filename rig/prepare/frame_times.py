@@ -326,7 +326,11 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
         is_global = is_global and row_time_s < _MIN_ROW_TIME_S
         rolls = row_time_s > _MIN_SIGNIFICANCE_U * found.u_row_time_s and not is_global
         if rolls:
-            notes = [_harmonic_text(found)]
+            unequal = (
+                f"half-periods differed by {4e3 * abs(found.row_time_s) * found.amplitude_px:.3g} ms at "
+                f"{found.amplitude_px:.4g} px; with the slow axis along the rows they would not"
+            )
+            notes = [unequal]
         elif is_global:
             notes = ["the camera reports a global shutter: the fitted value is not a row time"]
         else:
@@ -347,13 +351,6 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
         [record],
         notes,
         began,
-    )
-
-
-def _harmonic_text(found: ShutterFit) -> str:
-    return (
-        f"half-periods differed by {4e3 * abs(found.row_time_s) * found.amplitude_px:.3g} ms at "
-        f"{found.amplitude_px:.4g} px; with the slow axis along the rows they would not"
     )
 
 

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from processing.balance import (
     Balance,
+    BalanceCheck,
     Doubt,
-    Fault,
     Room,
     Turn,
     Unreachable,
     WeightResponses,
-    find_faults,
+    balance_checks,
     implausible,
     names_with_units,
 )
@@ -121,7 +121,7 @@ def show_turns(config: Configuration, path: Path) -> None:
         rows.append([pair.utc, pair.weight, _turns(pair.parts), *numbers, why or "yes"])
         if not why:
             responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
-    for name, count in responses.pairs.items():
+    for name, count in responses.learned_turns.items():
         if count:
             (x, y, height), (u_x, u_y, u_height) = responses.effect(name)
             learned.append(
@@ -178,10 +178,10 @@ class LearnedTurns:
         self._path = path
         self.limits = config.balance
         self.room: Room | None = None
-        self.faults: list[Fault] = []
-        self.before: list[Fault] = []
+        self.checks: list[BalanceCheck] = []
+        self.before: list[BalanceCheck] = []
         self._lost_fraction = 0.0
-        self._turned: list[tuple[str, tuple[float, ...]]] = []
+        self._noted_turns: list[tuple[str, tuple[float, ...]]] = []
         self._state: Floats | None = None
         self._doubts: dict[str, list[Doubt]] = {}
         self._pairs: dict[str, TurnEffect] = {}
@@ -191,7 +191,7 @@ class LearnedTurns:
     def take(self, look: BalanceMeasurement) -> str:
         """Take a measurement; returns why it is rejected, empty if it is sound.
 
-        A sound measurement sets `faults`, and `before` to the faults before the last turn (empty at first).
+        A sound measurement sets `checks`, and `before` to those before the last turn (empty at first).
         After a rejected one the turns made are stored until the next sound one.
         """
         self._lost_fraction = look.lost_fraction
@@ -205,15 +205,15 @@ class LearnedTurns:
                 " or something covers it"
             )
         height_m, u_height_m = mass_centre_height(self._config, balance)
-        faults = find_faults(balance, (height_m, u_height_m), self.limits)
-        state = np.array([faults[0].value, faults[1].value, height_m])
-        u_state = np.array([faults[0].u_value, faults[1].u_value, u_height_m])
+        checks = balance_checks(balance, (height_m, u_height_m), self.limits)
+        state = np.array([checks[0].value, checks[1].value, height_m])
+        u_state = np.array([checks[0].u_value, checks[1].u_value, u_height_m])
         radius_m = np.nan if self._config.pendulum is None else self._config.pendulum.ball_radius_m
         if why := implausible(state, np.nan_to_num(u_state), self.limits, radius_m, self.room):
             return why
-        self.before, self.faults = self.faults, faults
+        self.before, self.checks = self.checks, checks
         self._learn(balance, state, u_state)
-        self._turned, self._state = [], state
+        self._noted_turns, self._state = [], state
         self._searched = 0
         return ""
 
@@ -249,10 +249,10 @@ class LearnedTurns:
         While the spot is off the sensor it is a search: half of the turn back, all of it, then as far the
         other way, in case the turn was made in the wrong direction, and so on in widening steps.
         """
-        if not self._turned:
+        if not self._noted_turns:
             return None
-        weight = self._turned[-1][0]
-        net = sum(sum(parts) for name, parts in self._turned if name == weight)
+        weight = self._noted_turns[-1][0]
+        net = sum(sum(parts) for name, parts in self._noted_turns if name == weight)
         why = "half of the last turn back, to see the spot again"
         back = round(-0.5 * net, 2)
         if self.spot_is_gone or self._searched:
@@ -268,11 +268,11 @@ class LearnedTurns:
     @property
     def spot_is_gone(self) -> bool:
         """Whether nearly all spots are lost after a turn, when a smaller swing would not help."""
-        return bool(self._turned) and self._lost_fraction > _MIN_GONE_FRACTION
+        return bool(self._noted_turns) and self._lost_fraction > _MIN_GONE_FRACTION
 
-    def turned(self, weight: str, parts: Sequence[float]) -> None:
+    def note_turns(self, weight: str, parts: Sequence[float]) -> None:
         """Store the turns made, in sequence; their effect is learned from the next sound measurement."""
-        self._turned.append((weight, tuple(parts)))
+        self._noted_turns.append((weight, tuple(parts)))
 
     def forget(self) -> None:
         """Discard the last learned turn."""
@@ -280,12 +280,12 @@ class LearnedTurns:
         self._relearn()
 
     def _learn(self, balance: Balance, state: Floats, u_state: Floats) -> None:
-        weights = {name for name, _ in self._turned}
+        weights = {name for name, _ in self._noted_turns}
         if not weights or self._state is None:
             numbers = {key: getattr(balance, name) for name, key in names_with_units(balance.unit).items()}
             _append(self._path, state=state, balance=numbers)
             return
-        parts = tuple(part for _, turns in self._turned for part in turns)
+        parts = tuple(part for _, turns in self._noted_turns for part in turns)
         weight = next(iter(weights))
         pair = TurnEffect("", weight, parts, self._state, state, np.nan_to_num(u_state))
         why = (
@@ -295,8 +295,8 @@ class LearnedTurns:
         )
         if why:
             say(f"nothing is learned from this turn: {why}")
-            for name, turns in self._turned:
-                self.responses.turned(name, turns)
+            for name, turns in self._noted_turns:
+                self.responses.follow_turns(name, turns)
             return
         if self._doubts_turn(pair):
             return
@@ -318,18 +318,18 @@ class LearnedTurns:
         if doubt is None or (doubt is Doubt.OPEN and not doubts):
             return False
         if doubt is Doubt.OPEN:
-            responses.turned(weight, pair.parts)
+            responses.follow_turns(weight, pair.parts)
             return True
         say(f"nothing is learned from this turn: it looks as if weight {weight} {doubt}")
         known_pairs = [each for each in (self._pairs.get(weight), pair) if each is not None]
-        if doubt is Doubt.REVERSED and (doubts[-1:] == [doubt] or responses.pairs[weight] == 1):
+        if doubt is Doubt.REVERSED and (doubts[-1:] == [doubt] or responses.learned_turns[weight] == 1):
             # either this turn or the earlier learning is wrong
             say(f"weight {weight} may do the opposite of what was learned; what was learned is discarded")
             seen = [(each.parts, each.before, each.after, np.nan_to_num(each.u)) for each in known_pairs]
-            responses.relearn(weight, seen if responses.pairs[weight] == 1 else seen[-1:])
+            responses.relearn(weight, seen if responses.learned_turns[weight] == 1 else seen[-1:])
             doubts.clear()
         else:
-            responses.turned(weight, pair.parts)
+            responses.follow_turns(weight, pair.parts)
         doubts.append(doubt)
         return True
 

@@ -154,14 +154,10 @@ def vanes_to_cut(config: Configuration, period_s: float) -> VanesToCut | None:
     found = stated_surroundings(config)
     bar = expected_drag(found, pendulum, period_s, config)
     distance_m = 0.5 * bar.length_m
-    air = humid_air(**_with_defaults(found))
+    usual = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+    air = humid_air(**{name: found.known().get(name, value) for name, value in usual.items()})
     per_area = vane_drag_s_per_m2(air, distance_m, pendulum, period_s)
     return VanesToCut(_VANE_DRAG_RATIO * bar.drag_s / per_area, distance_m, bar.drag_s)
-
-
-def _with_defaults(found: AmbientConditions) -> dict[str, float]:
-    usual = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
-    return {name: found.known().get(name, value) for name, value in usual.items()}
 
 
 def calibrate_air(vanes: Path, filing: Filing) -> Path:

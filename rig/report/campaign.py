@@ -110,9 +110,9 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     if sampled is not None:
         worst = max(sampled.r_hat.values())
         sampler = SamplerFindings(
-            worst_r_hat=worst, fewest_draws=min(sampled.effective.values()), settled=sampled.settled
+            worst_r_hat=worst, fewest_draws=min(sampled.effective.values()), settled=sampled.converged
         )
-        if not sampled.settled:
+        if not sampled.converged:
             warnings.append(f"the sampler's chains differ (R-hat {worst:.2f}): do not trust its answer")
     results = CampaignResults(
         parameters=model.names,

@@ -45,8 +45,8 @@ _OTHER_COVARIATES: Final = {
 
 def _scaled(name: str) -> tuple[str, float]:
     """Label and display factor of a coordinate's changes; those of b, c and gamma are relative."""
-    of = quantity(name)
-    return (f"ln {of.symbol}", 1.0) if name in POSITIVE else (of.label, of.factor)
+    form = quantity(name)
+    return (f"ln {form.symbol}", 1.0) if name in POSITIVE else (form.label, form.factor)
 
 
 def _text(found: Estimate, factor: float = 1.0) -> str:
@@ -58,14 +58,14 @@ def _contacts_table(results: CampaignResults) -> Table:
     rows = []
     for contact, values in results.contacts.items():
         for place, (name, found) in enumerate(values.items()):
-            of, ends = quantity(name), (found.lower_95, found.upper_95)
-            band = " … ".join(plain(end * of.factor, 4) for end in ends)
+            form, ends = quantity(name), (found.lower_95, found.upper_95)
+            band = " … ".join(plain(end * form.factor, 4) for end in ends)
             rows.append(
                 TableRow(
                     [contact, name, *found.estimate, *ends, *found.without_priors],
                     [
-                        contact if not place else "", of.label, of.text(*found.estimate), band,
-                        of.text(*found.without_priors),
+                        contact if not place else "", form.label, form.text(*found.estimate), band,
+                        form.text(*found.without_priors),
                     ],
                 )
             )  # fmt: skip
@@ -108,8 +108,8 @@ def _differences_table(results: CampaignResults) -> Table | None:
 
 def effects_table(results: CampaignResults) -> Table | None:
     """Table with a row for each effect and each tried form; None without any."""
-    both = [*((one, "model") for one in results.effects), *((one, "tried") for one in results.candidates)]
-    if not both:
+    labelled = [*((one, "model") for one in results.effects), *((one, "tried") for one in results.candidates)]
+    if not labelled:
         return None
     rows = [
         TableRow(
@@ -124,11 +124,11 @@ def effects_table(results: CampaignResults) -> Table | None:
                 _verdict_text(one), plain(one.probability, 2), _text(one.slope_without_priors),
             ],
         )
-        for one, kind in both
+        for one, kind in labelled
     ]  # fmt: skip
     note = (
         f"Change over the campaign's span; of b, c and γ relative. Chance: the probability of an effect this "
-        f"large if there is none; the 5 % level is shared by the {len(both)} that were tried."
+        f"large if there is none; the 5 % level is shared by the {len(labelled)} that were tried."
     )
     if results.candidates:
         note += (
@@ -164,8 +164,8 @@ def _covariate_words(name: str) -> tuple[str, str, float]:
     """Name of a covariate, label of its axis, and factor from stored to shown values."""
     if name in _OTHER_COVARIATES:
         return _OTHER_COVARIATES[name]
-    of = quantity(name)
-    return of.name, of.label, of.factor
+    form = quantity(name)
+    return form.name, form.label, form.factor
 
 
 def _runs_table(results: CampaignResults) -> Table:
@@ -176,11 +176,11 @@ def _runs_table(results: CampaignResults) -> Table:
         columns += [name, f"u_{name}", f"together_{name}", f"u_together_{name}", f"residual_{name}"]
     for run in results.runs:
         cells: list[Cell] = [run.label, run.contact, run.sha256, run.results_sha256, run.bad]
-        off = [run.residuals.get(name, nan) for name in names]
-        for name, one in zip(names, off, strict=True):
+        residuals = [run.residuals.get(name, nan) for name in names]
+        for name, one in zip(names, residuals, strict=True):
             cells += [*run.alone.get(name, none), *run.together.get(name, none), one]
         bad = f"{100 * run.bad:.0f} %" if run.bad > 0.05 else ""
-        rows.append(TableRow(cells, [run.label, run.contact, *(plain(one, 2) for one in off), bad]))
+        rows.append(TableRow(cells, [run.label, run.contact, *(plain(one, 2) for one in residuals), bad]))
     return Table(
         "runs", "Residuals by run", columns,
         ("run", "contact", *(quantity(name).symbol for name in names), "bad"), rows,
@@ -268,32 +268,32 @@ def campaign_tables(campaign: Campaign) -> list[Table]:
     return [one for one in found if one is not None]
 
 
-_POINTS = 60
+_CURVE_POINTS = 60
 _MIN_BAD_PROBABILITY = 0.5
 _BANDS = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 
-def _shown(name: str, values: Floats, middle: float) -> Floats:
+def _in_shown_unit(name: str, values: Floats, middle: float) -> Floats:
     return values - middle if name in POSITIVE else values * quantity(name).factor
 
 
 def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     """Figure of each coordinate with an effect against its covariate: runs, and 68 and 95 % bands."""
     found, results = campaign.posterior, campaign.results
-    wanted = [
+    shown_effects = [
         (effect, name)
         for effect in found.model.effects
         if effect.form is not Form.DURING
         for name in effect.moves()
         if name in found.model.names
     ]
-    if not wanted:
+    if not shown_effects:
         return []
     margins = {"left": 0.1, "wspace": 0.42, "hspace": 0.5}
-    figure, panels = three_columns(len(wanted), lambda rows: 0.6 + 2.3 * rows, **margins)
+    figure, panels = three_columns(len(shown_effects), lambda rows: 0.6 + 2.3 * rows, **margins)
     contacts = list(results.contacts)
     colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
-    for axes, (effect, name) in zip(panels, wanted, strict=True):
+    for axes, (effect, name) in zip(panels, shown_effects, strict=True):
         place = found.model.names.index(name)
         label, factor = _covariate_words(effect.covariate)[1:]
         known = [
@@ -301,14 +301,14 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
         ]
         at = np.array([_covariate(run, found.runs, effect) for run in known])
         middle = float(np.median([run.values[run.names.index(name)] for run in known]))
-        grid = np.linspace(float(at.min()), float(at.max()), _POINTS)
+        grid = np.linspace(float(at.min()), float(at.max()), _CURVE_POINTS)
         for contact in contacts:
             if effect.contact not in ("", contact):
                 continue
             slope = found.draws(LatentNumber("effect", effect.label))
             lines = found.level_draws(contact)[:, place, None] + slope[:, None] * effect.value(grid)
             bands = np.array([found.quantiles(line, _BANDS) for line in lines.T])
-            shown = _shown(name, bands, middle)
+            shown = _in_shown_unit(name, bands, middle)
             colour = colours[contact]
             axes.fill_between(grid * factor, shown[:, 0], shown[:, 4], color=colour, alpha=0.15, lw=0)
             axes.fill_between(grid * factor, shown[:, 1], shown[:, 3], color=colour, alpha=0.3, lw=0)
@@ -317,7 +317,7 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
             values = np.array([known[i].values[known[i].names.index(name)] for i in own])
             u = _scaled(name)[1] * np.array([known[i].u(name) for i in own])
             axes.errorbar(
-                at[own] * factor, _shown(name, values, middle), u, fmt="o", ms=3, color=colour,
+                at[own] * factor, _in_shown_unit(name, values, middle), u, fmt="o", ms=3, color=colour,
                 elinewidth=0.7, mec=INK, mew=0.3,
             )  # fmt: skip
         if effect.form is Form.LOGARITHM:

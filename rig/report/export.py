@@ -301,13 +301,13 @@ def _write_nexus(path: Path, exported: Sequence[ExportData]) -> None:
         raise MissingPackage("--format hdf5", "h5py", "data") from None
     # made in memory, where it is small beside the runs' arrays: on a full disk HDF5 reports an error for
     # every object that it closes, and may end the process
-    image = io.BytesIO()
-    with h5py.File(image, "w") as file:
+    file_buffer = io.BytesIO()
+    with h5py.File(file_buffer, "w") as file:
         file.attrs["NX_class"] = "NXroot"
         file.attrs["default"] = _item_name(exported[0].name)
         for one in exported:
             _entry(file, one)
-    write_new(path, image.getvalue())
+    write_new(path, file_buffer.getvalue())
 
 
 def _item_name(text: str) -> str:

@@ -137,7 +137,7 @@ def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, Re
 
 
 _MIN_VISIBLE_BAR = 0.01
-"""Length of a bar, as a fraction of the drawn range, from which on it is longer than its point."""
+"""Minimum length of a bar, as a fraction of the drawn range, that shows beyond its point."""
 
 
 def instrument_figures(results: RunResults, points: TurningPoints) -> list[ReportFigure]:

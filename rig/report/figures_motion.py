@@ -29,7 +29,8 @@ from rig.report.drawing import (
 from rig.report.source import RecordedPicture, ShownTrajectory, ShownUnit
 from rig.terminal import palette
 
-_WIDE = 0.11
+_LEFT_MARGIN = 0.11
+"""Left edge of a wide figure's axes, as a fraction of its width."""
 
 
 def position_error_figure(found: PositionErrors) -> ReportFigure:
@@ -197,7 +198,7 @@ def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
     amplitude, u_amplitude = points.amplitude / unit.shown_size, points.u_amplitude / unit.shown_size
     figure = canvas(4.6)
     ((top, tau), (below, period)) = figure.subplots(2, 2, height_ratios=[1.5, 1.0])
-    figure.subplots_adjust(left=_WIDE, right=0.985, bottom=0.1, top=0.98, hspace=0.28, wspace=0.32)
+    figure.subplots_adjust(left=_LEFT_MARGIN, right=0.985, bottom=0.1, top=0.98, hspace=0.28, wspace=0.32)
     bars: dict[str, Any] = {"color": DATA, "ecolor": DATA, "elinewidth": 0.7}
     top.errorbar(
         points.time_s, amplitude, u_amplitude, fmt="o", mfc="none", mec=DATA, ecolor=DATA, ms=3.5, lw=0.7

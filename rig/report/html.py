@@ -131,12 +131,6 @@ def folded_section(title: str, body: Sequence[str]) -> str:
     return f"<details><summary>{escape(title)}</summary>{''.join(body)}</details>"
 
 
-def side_by_side(tables: Sequence[str]) -> str:
-    """Small tables next to each other where the page is wide enough."""
-    inside = "".join(f"<div>{content}</div>" for content in tables if content)
-    return f'<div class="side">{inside}</div>' if inside else ""
-
-
 def facts(rows: Sequence[tuple[str, str]]) -> str:
     """Two columns of text."""
     lines = "".join(f"<tr><td>{escape(key)}</td><td>{escape(value)}</td></tr>" for key, value in rows)

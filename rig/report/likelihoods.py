@@ -32,7 +32,7 @@ from rig.report.campaign_input import SURROUNDING_COVARIATES, FoundRun
 from rig.terminal import plain_values
 
 _AIR, _MISFIT = "air", "misfit"
-_OWN = ("period_drift", "drag_drift", "plane_of_swing_rad")
+_RUN_SOURCES = ("period_drift", "drag_drift", "plane_of_swing_rad")
 """Sources of uncertainty that are independent from run to run."""
 _MAX_SHARED = 0.9999
 """Largest fraction of a variance that is shared; the rest is the run's own."""
@@ -41,7 +41,7 @@ _MAX_U = 0.5
 _MIN_ASYMMETRY = 0.1
 """Asymmetry of a profile below which it is ignored."""
 _MAX_ASYMMETRY = 0.8
-_SOFT = 0.3
+_BOUND_SOFTNESS = 0.3
 """Softness of a bound: width of its edge in the coordinate."""
 
 
@@ -71,10 +71,12 @@ def compress(
         names, np.array([fit.estimate(name).value for name in names]), reference_rad
     )
     covariance = _covariance(fit, names)
-    moved, u_of = _sources(run, names, jacobian)
+    shifts, u_of = _sources(run, names, jacobian)
     # the budget gives corrections of the values; the observed values move the other way
-    shared = {source: -by for source, by in moved.items() if source not in GROWTH + _OWN and np.any(by)}
-    grown = {source: moved[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
+    shared = {
+        source: -by for source, by in shifts.items() if source not in GROWTH + _RUN_SOURCES and np.any(by)
+    }
+    grown = {source: shifts[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
     shared |= grown
     own, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
     u_air = _u_air(run, fit)
@@ -86,9 +88,9 @@ def compress(
         shared[_AIR] = part = part * min(1.0, (_MAX_SHARED / share) ** 0.5) if share > 0 else part
         own = own - np.outer(part, part)
     shared |= law_shared
-    for source in _OWN:
-        if source in moved:
-            own = own + np.outer(moved[source], moved[source])
+    for source in _RUN_SOURCES:
+        if source in shifts:
+            own = own + np.outer(shifts[source], shifts[source])
     time_s = run.stored.time_s
     duration_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     return (
@@ -120,13 +122,13 @@ def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | 
     if name != "c":
         return None
     if row is not None and row.verdict is Determinacy.LOWER_BOUND and row.lower > 0:
-        return Bound(log(row.lower), EndSide.LOWER, _SOFT)
+        return Bound(log(row.lower), EndSide.LOWER, _BOUND_SOFTNESS)
     upper = row.upper if row is not None and isfinite(row.upper) else value + 2 * u
     bounded = not _is_determined(row) or value <= 0 or (row is None and u > _MAX_U * value)
     if not bounded or not 0 < upper < inf:
         return None
     # the likelihood falls from one u below the limit on, and is half at the value plus one u
-    return Bound(log(upper) - _SOFT, EndSide.UPPER, _SOFT)
+    return Bound(log(upper) - _BOUND_SOFTNESS, EndSide.UPPER, _BOUND_SOFTNESS)
 
 
 def _covariance(fit: Fit, names: Sequence[str]) -> Floats:
@@ -154,15 +156,15 @@ def _sources(
     run: RunResults, names: Sequence[str], jacobian: Floats
 ) -> tuple[dict[str, Floats], dict[str, float]]:
     """By source: the shift of the coordinates by one standard uncertainty, and that uncertainty."""
-    moved: dict[str, Floats] = {}
+    shifts: dict[str, Floats] = {}
     u: dict[str, float] = {}
     for place, name in enumerate(names):
         for one in _budget_sources(run, name):
             if isfinite(one.sensitivity):
-                by = moved.setdefault(one.source, np.zeros(len(names)))
+                by = shifts.setdefault(one.source, np.zeros(len(names)))
                 by += jacobian[:, place] * (one.sensitivity * one.u_source)
                 u[one.source] = one.u_source
-    return moved, u
+    return shifts, u
 
 
 def _u_air(run: RunResults, fit: Fit) -> float:

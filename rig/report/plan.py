@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -66,7 +66,7 @@ def make_plan(
     if ground_rad_per_s2_rthz is not None:
         conditions = conditions.on_ground(ground_rad_per_s2_rthz)
     if seismometer_noise is not None:
-        conditions = conditions.with_seismometer(seismometer_noise)
+        conditions = replace(conditions, seismometer_noise=seismometer_noise)
     runs, problem = [], "every last amplitude must lie below every first one"
     for first, last in product(first_arcsec, last_arcsec):
         if last < first:

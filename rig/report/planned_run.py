@@ -21,7 +21,7 @@ from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
 _HALF_CYCLES = 100
-_FRAMES = 9
+_TRIAL_FRAMES = 9
 _AMPLITUDE_RAD = 3e-4
 _FULL_SCALE_DN = 255.0
 
@@ -170,7 +170,7 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
     tracker = SpotTracker(sensor)
     kind = np.uint8 if sensor.full_scale_dn <= 255 else np.uint16
     found = []
-    for _ in range(_FRAMES):
+    for _ in range(_TRIAL_FRAMES):
         seen = np.clip(
             np.rint(mean_dn + sigma_dn * rng.standard_normal(mean_dn.shape)), 0, sensor.full_scale_dn
         )
@@ -281,5 +281,5 @@ def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:
     height_m = truth.mass_centre_height_m
     if config.pendulum is not None and config.pendulum.mass_centre_height_m is not None:
         height_m = config.pendulum.mass_centre_height_m
-    turned = level * height_m / (pendulum.gravity_m_per_s2 * pendulum.ball_radius_m)
-    return (2 * math.pi * at_hz) ** 2 * math.hypot(turned, truth.tilt_rad_per_sqrt_hz)
+    tilt = level * height_m / (pendulum.gravity_m_per_s2 * pendulum.ball_radius_m)
+    return (2 * math.pi * at_hz) ** 2 * math.hypot(tilt, truth.tilt_rad_per_sqrt_hz)

@@ -133,7 +133,10 @@ def _run(run: RunData, files: Path, *, single: bool) -> dict[str, str]:
         body["instrument-said"] = html.notes(run.results.instrument.text)
     for part in _ORDER:
         if isinstance(part, tuple):
-            body["+".join(part)] = html.side_by_side([_pop(name, tables_shown, figures) for name in part])
+            # small tables next to each other where the page is wide enough
+            popped = (_pop(name, tables_shown, figures) for name in part)
+            inside = "".join(f"<div>{content}</div>" for content in popped if content)
+            body["+".join(part)] = f'<div class="side">{inside}</div>' if inside else ""
         else:
             body[part] = _pop(part, tables_shown, figures)
     return {name: text for name, text in {**body, **tables_shown, **figures}.items() if text}

@@ -96,7 +96,7 @@ class ReportSource:
 
 
 _MAX_LISTED = 20
-_MARGIN = 0.05
+_MARGIN_LENGTHS = 0.05
 """Time before and after a decay that is drawn with it, as a fraction of its length."""
 
 
@@ -244,7 +244,7 @@ def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, numbe
 def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: ShownUnit) -> ShownTrajectory:
     """The motion of a table: Y along it, X across it, NaN if only one position was measured."""
     time_s, positions = read_positions(folder)
-    edge_s = _MARGIN * (decay.ended_s - decay.began_s)
+    edge_s = _MARGIN_LENGTHS * (decay.ended_s - decay.began_s)
     inside = (time_s >= decay.began_s - edge_s) & (time_s <= decay.ended_s + edge_s)
     along, across = along_and_across(positions)
     return ShownTrajectory(time_s[inside] - zero_s, across[inside], along[inside], unit)

@@ -12,7 +12,6 @@ from rig.analysis import (
     SeismometerSource,
     SessionResults,
     analyse_record,
-    analyse_table,
     analyse_trajectory,
     model_curves,
     refuse_copies,
@@ -224,7 +223,7 @@ def fit_table(
         text_of(time_unit, "time_unit", "ms"),
         run=run,
     )
-    return analyse_table(table, config, columns, ground, _laws(law, elastic)).results
+    return analyse_trajectory(table, columns.read(table), config, _laws(law, elastic), ground).results
 
 
 def campaign(

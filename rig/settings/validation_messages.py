@@ -59,7 +59,7 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     if is_value and isinstance(fault["input"], Mapping):
         # the fault is of a whole section, whose message names keys and values itself
         return f"{path}: {expected.removeprefix(f'{path}: ')}"
-    return f"{path} = {_shown(fault['input'])}: {expected}"
+    return f"{path} = {_value_text(fault['input'])}: {expected}"
 
 
 def _without_unit(text: str, key: str) -> str:
@@ -92,7 +92,7 @@ def expected_text(fault: ErrorDetails) -> str:
     return text
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     text = value.isoformat() if isinstance(value, datetime.datetime) else repr(value)
     return text if len(text) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."
 

@@ -16,9 +16,9 @@ from rig.terminal import palette
 from rig.terminal.latex import latex_rows, latex_table
 from rig.terminal.printing import (
     Cell,
+    ProgressLine,
     Table,
     TableRow,
-    TimeLeft,
     answer,
     harmless_text,
     loud,

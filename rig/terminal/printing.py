@@ -106,7 +106,7 @@ def loud(text: str) -> str:
     return head.upper() + colon + rest
 
 
-class TimeLeft:
+class ProgressLine:
     """Reports the progress of long work on stderr: at a terminal in one line, else a line at intervals."""
 
     def __init__(self, what: str, *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -286,7 +286,7 @@ def print_tables(tables: Sequence[Table]) -> None:
     for content in tables:
         title = content.title
         for places in _parts(content, width):
-            console.print(_drawn(content, title, places, width))
+            console.print(_rich_table(content, title, places, width))
             title = ""
         if content.note:
             print_line(content.note)
@@ -307,7 +307,7 @@ def _parts(content: Table, width: int) -> list[list[int]]:
     return parts
 
 
-def _drawn(content: Table, title: str, places: Sequence[int], width: int) -> RichTable:
+def _rich_table(content: Table, title: str, places: Sequence[int], width: int) -> RichTable:
     least, widths = _least_widths(content), _natural_widths(content)
     while sum(widths[place] + _GAP for place in places) > width:
         can = [place for place in places if widths[place] > least[place]]

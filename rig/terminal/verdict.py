@@ -45,7 +45,7 @@ class Verdict:
     @property
     def line(self) -> str:
         """The verdict in one line: `beam quality: go, one Gaussian, ...`, with reason and remedy."""
-        return f"{self.name}: {self.said}"
+        return f"{self.name}: {self.judgement_text}"
 
     @property
     def found(self) -> str:
@@ -54,7 +54,7 @@ class Verdict:
         return "; ".join(text for text in (value, self.reason) if text)
 
     @property
-    def said(self) -> str:
+    def judgement_text(self) -> str:
         """The line without its name."""
         judged = (
             "NO-GO" if not self.ok else "caution" if self.remedy else "go" if self.made else "not checked"

@@ -28,17 +28,17 @@ from rig.view import layout
 from rig.view.graticule import Graticule, faded, graticule_marks
 
 Panel = Literal["decay", "residuals", "period", "period_residuals"]
-TITLES: Final[dict[Panel, tuple[str, str]]] = {
+PANEL_TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "decay": ("time / s", "amplitude / {unit}"),
     "residuals": ("time / s", "residual / {unit}"),
     "period": ("amplitude / {unit}", "period / s"),
     "period_residuals": ("amplitude / {unit}", "residual / ms"),
 }
-TRIMMED: Final = frozenset({"period", "period_residuals"})
+TRIMMED_PANELS: Final = frozenset({"period", "period_residuals"})
 """Panels whose values become very uncertain at small amplitudes, so that the axes ignore a few points."""
-RISING: Final = "period"
+LOWER_LEGEND_PANEL: Final = "period"
 """The panel whose curves rise to the right: its legend is in the lower right corner, others' in the upper."""
-COINCIDING: Final = frozenset({"decay", "period"})
+COVERED_PANELS: Final = frozenset({"decay", "period"})
 """Panels in which a good fit covers its data: curves drawn first are wider, so that they remain visible."""
 MAX_BARS: Final = 400
 """Largest number of error bars of one curve."""
@@ -154,7 +154,7 @@ def draw_fits(
 
     They are static entities (without a time), because they hold for the whole run.
     """
-    for panel, (x_title, y_title) in TITLES.items():
+    for panel, (x_title, y_title) in PANEL_TITLES.items():
         curves = [curve for curve in all_curves if curve.panel == panel]
         if not curves:
             continue
@@ -163,7 +163,7 @@ def draw_fits(
             np.concatenate([curve.y for curve in curves]),
             x_title.format(unit=unit),
             y_title.format(unit=unit),
-            trimmed=panel in TRIMMED,
+            trimmed=panel in TRIMMED_PANELS,
         )
         root = layout.entity(run, f"{layout.ANALYSIS_ROOT}/{panel}")
         for name, archetype in graticule_marks(graticule).items():
@@ -171,11 +171,11 @@ def draw_fits(
         entries = []
         for number, curve in enumerate(curves):
             colour = palette.curve_colour(curve.name, number)
-            later = curves[number + 1 :] if panel in COINCIDING else []
+            later = curves[number + 1 :] if panel in COVERED_PANELS else []
             lines_above = sum(other.style == "line" for other in later)
             outside = _draw_curve(stream, root, curve, graticule, colour, lines_above)
             entries.append((f"{curve.name} ({outside} outside)" if outside else curve.name, colour))
-        legend = _legend(entries, graticule, below=panel == RISING)
+        legend = _legend(entries, graticule, below=panel == LOWER_LEGEND_PANEL)
         stream.log(f"{root}/legend", legend, static=True)
     if text:
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)

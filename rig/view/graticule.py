@@ -98,18 +98,18 @@ class Graticule:
 
     def lines(self) -> tuple[list[Floats], list[Floats]]:
         """Grid lines, and the frame with the lines through zero where zero is inside."""
-        grid = [self._across(y) for y in ticks(self.y_low, self.y_high)]
-        grid += [self._up(x) for x in ticks(self.x_low, self.x_high)]
+        grid = [self._horizontal(y) for y in ticks(self.y_low, self.y_high)]
+        grid += [self._vertical(x) for x in ticks(self.x_low, self.x_high)]
         axes = [
-            self._across(self.y_low),
-            self._across(self.y_high),
-            self._up(self.x_low),
-            self._up(self.x_high),
+            self._horizontal(self.y_low),
+            self._horizontal(self.y_high),
+            self._vertical(self.x_low),
+            self._vertical(self.x_high),
         ]
         if self.y_low < 0 < self.y_high:
-            axes.append(self._across(0.0))
+            axes.append(self._horizontal(0.0))
         if self.x_low < 0 < self.x_high:
-            axes.append(self._up(0.0))
+            axes.append(self._vertical(0.0))
         return grid, axes
 
     def labels(self) -> list[tuple[float, float, str]]:
@@ -134,10 +134,10 @@ class Graticule:
         across, along = self.place(np.array([x]), np.array([y]))[0]
         return across + right, along + down, text
 
-    def _across(self, y: float) -> Floats:
+    def _horizontal(self, y: float) -> Floats:
         return self.place(np.array([self.x_low, self.x_high]), np.array([y, y]))
 
-    def _up(self, x: float) -> Floats:
+    def _vertical(self, x: float) -> Floats:
         return self.place(np.array([x, x]), np.array([self.y_low, self.y_high]))
 
 

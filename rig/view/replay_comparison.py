@@ -77,7 +77,7 @@ class ReplayComparison:
         """Add recorded spots (rows of the record's table) and the replayed spots of the same frames."""
         x_px = np.array([spot.x_px for spot in spots])
         y_px = np.array([spot.y_px for spot in spots])
-        changed = ~(_same(rows["x_px"], x_px) & _same(rows["y_px"], y_px))
+        changed = ~(_are_same(rows["x_px"], x_px) & _are_same(rows["y_px"], y_px))
         recorded, replayed, before = np.isfinite(rows["x_px"]), np.isfinite(x_px), self._spots
         with np.errstate(invalid="ignore", divide="ignore"):
             x_u, y_u = (x_px - rows["x_px"]) / rows["u_x_px"], (y_px - rows["y_px"]) / rows["u_y_px"]
@@ -186,7 +186,7 @@ def _swing_change_u(old: HalfCycle, new: HalfCycle) -> float:
     )
 
 
-def _same(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _are_same(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
     same: NDArray[np.bool_] = (a == b) | (np.isnan(a) & np.isnan(b))
     return same
 

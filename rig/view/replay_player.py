@@ -27,7 +27,7 @@ MAX_FRAMES = {False: 10_000, True: 64}
 
 _PLAIN_INTERVAL_S = 5.0
 _LINE_INTERVAL_S = 0.1
-_ERASE = "\r\x1b[K"
+_ERASE_LINE = "\r\x1b[K"
 
 
 class ReplayLine:
@@ -82,7 +82,7 @@ class ReplayLine:
             self._stream.flush()
         elif text != self._shown:
             self._shown_s, self._shown = now_s, text
-            self._stream.write(_ERASE + text)
+            self._stream.write(_ERASE_LINE + text)
             self._stream.flush()
 
     def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
@@ -296,8 +296,8 @@ class Player:
     def _show(self) -> None:
         replay = self._replay
         position_s = replay.position_s
-        gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
-        known = gone_s > 0 and host_s > _MIN_TIMED_S and not self.paused
-        remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
+        replayed_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
+        known = replayed_s > 0 and host_s > _MIN_TIMED_S and not self.paused
+        remaining_s = (replay.length_s - position_s) * host_s / replayed_s if known else math.nan
         now = replace(self._now, elapsed_s=position_s)
         self._line.show(now, replay.length_s, remaining_s, self._typed, paused=self.paused)

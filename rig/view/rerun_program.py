@@ -51,8 +51,8 @@ def quiet_environment() -> dict[str, str]:
     if sys.platform.startswith("linux"):
         settings = Path(tempfile.gettempdir()) / f"rerun-settings-{os.getuid()}"
         settings.mkdir(mode=0o700, exist_ok=True)
-        made = settings.lstat()
-        if not stat.S_ISDIR(made.st_mode) or made.st_uid != os.getuid() or made.st_mode & 0o077:
+        status = settings.lstat()
+        if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
             # in the common temporary folder another user could have created it, to read or change the
             # settings
             settings = Path(tempfile.mkdtemp(prefix="rerun-settings-"))

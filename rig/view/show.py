@@ -33,7 +33,7 @@ _LOOK_INTERVAL_S = 0.05
 _MAX_FLUSH_S = 5.0
 _LIVE_GATHER_S, _LIVE_GATHER_ROWS = 0.2, 2000
 _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S = 10.0, 8000, 10.0
-_NICE = 5
+_ANALYSIS_NICENESS = 5
 _Identity = tuple[int, int]
 
 
@@ -84,7 +84,7 @@ def show_records(
     if follow:
         # the measuring program has precedence
         with suppress(AttributeError, OSError):
-            os.nice(_NICE)
+            os.nice(_ANALYSIS_NICENESS)
     if rrd is not None:
         _check_new(rrd)
     if not follow:
@@ -92,7 +92,7 @@ def show_records(
     shown, attempt = None, 0
     with _viewer(mode, ports) if rrd is None else nullcontext() as viewer:
         while not follow or _await_record(paths[0], shown, viewer):
-            with _whole(rrd):
+            with _written_whole(rrd):
                 shown, rejected = _draw(paths, layout, rrd, viewer)
             if not (follow and rejected):
                 break
@@ -111,7 +111,7 @@ def _viewer(mode: ShowMode, ports: tuple[int, int] | None, files: Sequence[str] 
 
 
 @contextmanager
-def _whole(rrd: Path | None) -> Iterator[None]:
+def _written_whole(rrd: Path | None) -> Iterator[None]:
     """Raises RecordError if a Rerun file could not be written whole."""
     try:
         yield

@@ -214,7 +214,7 @@ class Program(Devices):
         """What its threads do as far as it is due, or `now`."""
         if not self.stalled:
             for stage in (Stage.CAMERA, Stage.PROCESSING):
-                self.permit.moved(stage)
+                self.permit.note_progress(stage)
         self.hear_presses()
         now_s = self.world.clock.monotonic()
         for place, service in enumerate((self.control, self.laser)):

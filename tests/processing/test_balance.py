@@ -13,7 +13,7 @@ from processing.balance import (
     Balance,
     BalanceEstimator,
     BalanceLimits,
-    find_faults,
+    balance_checks,
     mass_centre_height_m,
     names_with_units,
 )
@@ -177,7 +177,7 @@ def test_px_are_never_called_rad_and_have_no_limits_in_arcsec() -> None:
         "line_angle_rad", "u_line_angle_rad", "rotation_rad_per_s", "u_rotation_rad_per_s",
     ]  # fmt: skip
     with pytest.raises(ValueError, match="a balance in px has no limits"):
-        find_faults(balance, (math.nan, math.nan), BalanceLimits())
+        balance_checks(balance, (math.nan, math.nan), BalanceLimits())
 
 
 def test_bad_input() -> None:

@@ -67,7 +67,7 @@ def test_the_curve_is_the_plane_within_its_uncertainty(
         true = np.array([angle(t * 1e-9) - angle(start_s) for t in TIMES_NS])
         off = plane.turned_rad(TIMES_NS) - true
         assert np.max(np.abs(off)) < 2e-4
-        pulls.append(off[-40] / np.linalg.norm(plane.u_turned(TIMES_NS), axis=1)[-40])
+        pulls.append(off[-40] / np.linalg.norm(plane.u_turned_rad(TIMES_NS), axis=1)[-40])
     if most_terms == 2:
         assert 0.3 < np.sqrt(np.mean(np.square(pulls))) < 1.5
 

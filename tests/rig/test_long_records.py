@@ -61,7 +61,7 @@ def test_a_fit_keeps_the_coordinates_and_one_copy_of_one_of_them(
     monkeypatch.setattr(DecayFit, "of", remembered(DecayFit.of))
     monkeypatch.setattr("rig.analysis.half_cycle_fits.fit_decay", remembered(fit_decay))
     # both are long
-    monkeypatch.setattr("rig.analysis.passing_deflections._MOST_IN_MEMORY", 0)
+    monkeypatch.setattr("rig.analysis.passing_deflections._MAX_FRAMES_IN_MEMORY", 0)
     assert bytes_per_spot(analyse_record, records) < 48
 
 

@@ -74,7 +74,7 @@ class FilesCamera(DeviceCamera["RecordedFrames"]):
             if not self._was_lost:
                 self._next_index = 0
             numbers, index = self._begin(), self._next_index
-            # the frame before the first, from which on gaps are counted
+            # the frame before the first, at which the count of gaps begins
             numbers.number(frames.times.sequence[index - 1] if index else -1, "dropped_by_camera")
             self._run = CameraRun(lambda _: self._next(frames), lambda: None)
 

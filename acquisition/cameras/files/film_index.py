@@ -149,12 +149,12 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         numbers = numbers_by_steps(ticks)
         time_ns = [round((tick - ticks[0]) * tick_s * _SECOND_NS) for tick in ticks]
     warnings += missing_frames(time_ns, numbers, "the container's times")
-    cut_off = _cut_off(container, stream, ticks, total, tick_s, last_duration)
-    if cut_off:
-        warnings.append(f"ends {cut_off} frames early: it is cut off, copy it again")
+    missing = _missing_at_end(container, stream, ticks, total, tick_s, last_duration)
+    if missing:
+        warnings.append(f"ends {missing} frames early: it is cut off, copy it again")
         step_ns = time_ns[-1] // numbers[-1] if numbers[-1] else _SECOND_NS
-        time_ns += [time_ns[-1] + step_ns * (k + 1) for k in range(cut_off)]
-        numbers += [numbers[-1] + k + 1 for k in range(cut_off)]
+        time_ns += [time_ns[-1] + step_ns * (k + 1) for k in range(missing)]
+        numbers += [numbers[-1] + k + 1 for k in range(missing)]
     context, aspect = stream.codec_context, stream.sample_aspect_ratio or Fraction(1)
     shown_nx = round(context.width * aspect)
     if shown_nx != context.width:
@@ -200,7 +200,7 @@ def _median(values: Sequence[int]) -> int:
     return sorted(values)[len(values) // 2]
 
 
-def _cut_off(
+def _missing_at_end(
     container: Any, stream: "VideoStream", ticks: Sequence[int], total: int, tick_s: Fraction, last_ticks: int
 ) -> int:
     """Number of frames announced beyond the last packet; 0 for containers that do not state it exactly."""

@@ -73,7 +73,7 @@ _MAX_OFF_TICKS = 1.5
 _MAX_OFF_FRACTION = 2e-5
 """The same as a fraction of the elapsed time, because a rate may be stated to six digits only."""
 _MIN_GAP_STEPS = 1.75
-"""Length of a step of time, in usual steps, from which on frames are missing in it."""
+"""Minimum length of a step of time, in usual steps, in which frames are missing."""
 _MAX_LISTED = 5
 """Largest number of gaps that a message lists one by one."""
 
@@ -95,7 +95,9 @@ def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
     """
     if settings.frame_rate_hz is not None:
         return _times_at_rate(settings, settings.frame_rate_hz, source)
-    path = settings.timestamps_csv or timestamps_beside(settings.path)
+    frames = settings.path
+    beside = frames / "timestamps.csv" if frames.is_dir() else frames.with_suffix(".csv")
+    path = settings.timestamps_csv or beside
     if settings.timestamps_csv is None and not path.is_file():
         if source.times is not None:
             return source.times
@@ -128,11 +130,6 @@ def _times_at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource
                 "out, or state camera.files.force_frame_rate = true where the film is wrong"
             )
     return FrameTimes(times_ns, numbers)
-
-
-def timestamps_beside(path: Path) -> Path:
-    """Path of the CSV file of times beside the frames, which is used if no times are stated."""
-    return path / "timestamps.csv" if path.is_dir() else path.with_suffix(".csv")
 
 
 def _times_from_csv(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
@@ -221,11 +218,11 @@ def missing_frames(time_ns: Sequence[int], numbers: Sequence[int], source: str) 
     ]
     if not gaps:
         return []
-    places = some_of([f"{count} after {time_s:.3f} s" for time_s, count in gaps])
+    places = first_places_text([f"{count} after {time_s:.3f} s" for time_s, count in gaps])
     return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {places}"]
 
 
-def some_of(places: Sequence[str]) -> str:
+def first_places_text(places: Sequence[str]) -> str:
     """The first places of a list in words, and the number of the others."""
     more = f" and {len(places) - _MAX_LISTED} more places" if len(places) > _MAX_LISTED else ""
     return ", ".join(places[:_MAX_LISTED]) + more

@@ -27,7 +27,7 @@ from acquisition.cameras.files.formats import (
     read_portable,
     tiff_head,
 )
-from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage, some_of
+from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage, first_places_text
 from acquisition.cameras.files.frame_source import UnreadableFrame as UnreadableFrame
 from processing.errors import DeviceError
 
@@ -284,7 +284,7 @@ class ImageSource(FrameSource):
         self.numbers = [numbers[k] * counts[0] + page for k, page in self._places]
         gaps = [i for i, (before, after) in enumerate(pairwise(numbers)) if after - before > 1]
         count = counts[0] * sum(numbers[i + 1] - numbers[i] - 1 for i in gaps)
-        places = some_of([f"{files[i]} to {files[i + 1]}" for i in gaps])
+        places = first_places_text([f"{files[i]} to {files[i + 1]}" for i in gaps])
         return [f"{count} images are missing by the numbers in their names: between {places}"] if gaps else []
 
 

@@ -199,7 +199,7 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
         assert self._channel is not None
         for step in steps:
             try:
-                with nullcontext() if limit_s is None else self._channel.within(limit_s):
+                with nullcontext() if limit_s is None else self._channel.time_limit(limit_s):
                     step()
             except CameraLost:
                 raise

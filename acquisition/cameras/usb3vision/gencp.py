@@ -109,7 +109,7 @@ class GenCpChannel:
         self._timeout_s = max(self._timeout_s, min(2.0 * response_time_s, _LONGEST_WAIT_S))
 
     @contextmanager
-    def within(self, seconds: float) -> Iterator[None]:
+    def time_limit(self, seconds: float) -> Iterator[None]:
         """Context whose accesses may together take at most this time, after which they raise `NoAnswer`."""
         give_up_at_s = self._clock() + seconds
         if not self._lock.acquire(timeout=seconds):

@@ -42,7 +42,7 @@ _FRAMES_TO_LEARN: Final = 2
 """Consecutive frames with other parts than planned, after which these parts are expected."""
 _LOSSES_TO_UNLEARN: Final = 6
 """Consecutive lost frames after which the planned parts are expected again."""
-_MAX_MISFITS: Final = 10
+_MAX_MISMATCHES: Final = 10
 """This many consecutive frames of a wrong size or format are a wrong setting, not an error of the bus."""
 
 
@@ -123,7 +123,7 @@ class UsbFrameStream:
         self._leader: Leader | None = None
         self._payload = _Payload()
         self._deviations, self._deviated = 0, False
-        self._misfits = 0
+        self._mismatches = 0
         self._halted_since_s: float | None = None
         self._numbers = numbers
         self._disturbed = False
@@ -155,7 +155,7 @@ class UsbFrameStream:
                 self._resume_at(0)
             return frame
         else:
-            self._take_leader(data, in_rhythm=part is _Part.LEADER)
+            self._take_leader(data, in_sequence=part is _Part.LEADER)
         return None
 
     def _fill(self) -> None:
@@ -236,21 +236,21 @@ class UsbFrameStream:
         if self._next_part < 0:
             self._lose_frame()
 
-    def _take_leader(self, data: NDArray[np.uint8], *, in_rhythm: bool) -> None:
+    def _take_leader(self, data: NDArray[np.uint8], *, in_sequence: bool) -> None:
         self._lose_frame()
         leader = parse_leader(data[:256].tobytes()) if data.size <= self._plan.leader else None
         self._payload = _Payload()
         if leader is None:
             self._refuse_other_payload(data[:256].tobytes())
             self._disturbed = True
-            if in_rhythm:
+            if in_sequence:
                 self._numbers.lost_parts += 1
             # A trailer is followed by a leader; after any other data the next part is unknown.
             self._resume_at(0 if data[:4].tobytes() == TRAILER_START else -1)
             return
         self._leader = leader
         self._deviated = False
-        if not in_rhythm:
+        if not in_sequence:
             self._resume_at(1)
             if self._next_part != 1:
                 self._lose_frame()
@@ -260,8 +260,8 @@ class UsbFrameStream:
         kind = announced_type(leader)
         if kind is None:
             return
-        self._misfits += 1
-        if self._misfits >= _MAX_MISFITS:
+        self._mismatches += 1
+        if self._mismatches >= _MAX_MISMATCHES:
             raise DeviceError(
                 f"{self._link.name}: sends payload of type 0x{kind:04X}, no image; switch chunks and "
                 "compression off (rig camera set CONFIGURATION ChunkModeActive=0)"
@@ -299,7 +299,7 @@ class UsbFrameStream:
                 self._resume_at(0)
                 return None
             if is_short and parse_leader(head) is not None:
-                self._take_leader(data, in_rhythm=False)
+                self._take_leader(data, in_sequence=False)
                 return None
         self._payload.append(data)
         return None
@@ -311,13 +311,13 @@ class UsbFrameStream:
         if trailer is None:
             self._disturbed = True
             if parse_leader(data[:256].tobytes()) is not None:
-                self._take_leader(data, in_rhythm=False)
+                self._take_leader(data, in_sequence=False)
             else:
                 self._lose_frame()
                 self._resume_at(-1)
             return None
-        wanted = self._expected
-        image_bytes = wanted.image_bytes(leader.x_padding)
+        expected = self._expected
+        image_bytes = expected.image_bytes(leader.x_padding)
         is_complete = (
             trailer.status == 0
             and trailer.valid_bytes >= image_bytes
@@ -327,7 +327,7 @@ class UsbFrameStream:
             self._numbers.faulty += trailer.block == leader.block and trailer.status != 0
             self._lose_frame()
             return None
-        self._misfits = 0
+        self._mismatches = 0
         self._leader = None
         lost: LossCause = "dropped_by_bus" if self._disturbed else "dropped_by_camera"
         number = self._numbers.number(leader.block, lost, leader.timestamp)
@@ -336,22 +336,22 @@ class UsbFrameStream:
         self._disturbed = False
         self._halted_since_s = None
         self._deviations, self._deviated = self._deviations * self._deviated, False
-        image = wanted.image(self._payload.as_array(), leader.x_padding)
-        return Frame(image, number, leader.timestamp if wanted.has_clock else -1, host_time_ns)
+        image = expected.image(self._payload.as_array(), leader.x_padding)
+        return Frame(image, number, leader.timestamp if expected.has_clock else -1, host_time_ns)
 
     def _fits(self, leader: Leader) -> bool:
-        wanted = self._expected
+        expected = self._expected
         size = (leader.width_px, leader.height_px, leader.pixel_format)
-        if wanted.may_have_padding(leader.x_padding) and size == (
-            wanted.width_px,
-            wanted.height_px,
-            wanted.pixel_format.code,
+        if expected.may_have_padding(leader.x_padding) and size == (
+            expected.width_px,
+            expected.height_px,
+            expected.pixel_format.code,
         ):
             return True
-        self._misfits += 1
-        if self._misfits >= _MAX_MISFITS:
+        self._mismatches += 1
+        if self._mismatches >= _MAX_MISMATCHES:
             sent = f"{leader.width_px} x {leader.height_px}, format 0x{leader.pixel_format:08X}"
-            stated = f"{wanted.width_px} x {wanted.height_px} in {wanted.pixel_format.name}"
+            stated = f"{expected.width_px} x {expected.height_px} in {expected.pixel_format.name}"
             raise DeviceError(
                 f"{self._link.name}: sends frames of {sent}, padding {leader.x_padding}; "
                 f"its features say {stated}. Stop it and set size and format again"

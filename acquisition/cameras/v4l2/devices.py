@@ -185,7 +185,12 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
             "camera.driver = 'v4l2': no video device (/dev/video*) was found; is the camera plugged in, and "
             "does lsusb show it? rig doctor lists the cameras of all drivers"
         )
-    usable = [device for device in chosen if _is_readable(list(device.formats))] or chosen
+    readable = [
+        device
+        for device in chosen
+        if any(pixel_formats_of(list(device.formats), mosaic=mosaic) for mosaic in (False, True))
+    ]
+    usable = readable or chosen
     if len(usable) > 1:
         raise DeviceError(f"several video devices: {listed}; set camera.v4l2.device to one of them")
     if usable[0].problem:
@@ -209,10 +214,6 @@ def find_again(known: VideoDevice) -> VideoDevice:
     if same[0].problem:
         raise DeviceError(same[0].problem)
     return same[0]
-
-
-def _is_readable(formats: list[str]) -> bool:
-    return bool(pixel_formats_of(formats) or pixel_formats_of(formats, mosaic=True))
 
 
 def refusal(path: str, error: OSError) -> str:

@@ -13,7 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.asymptotic import PeriodStart, StartValues, cosine_moment, from_straight, to_straight
+from processing.contact.asymptotic import (
+    PeriodStart,
+    StartValues,
+    cosine_moment,
+    from_valley_coordinates,
+    to_valley_coordinates,
+)
 from processing.contact.coordinates import ComplexOrReal, Scaling, ValleyCoordinates
 from processing.contact.law import (
     DRAG,
@@ -32,7 +38,7 @@ STIFFNESS = Scaling(0.0, -1.0, "n", lambda pendulum: stiffness_ratio(1.0, pendul
 """Scaling of gamma, which is fitted as kappa."""
 _P_RANGE, _N_RANGE = (-0.5, 5.0), (0.002, 5.0)
 """Below the lower limit of n adhesion cancels nearly all of the stiffness, and n cannot be told from 0."""
-_STIFFEST = 20.0
+_MAX_STIFFNESS_RATIO = 20.0
 """Largest factor, in either direction, between the stiffness with adhesion and that of gravity alone for
 which parameters are tried."""
 
@@ -73,7 +79,7 @@ def _moments(parameters: Floats, _: float, __: float) -> Moments | None:
     return Moments(friction_moment(b, p, c), elastic_moment(n, kappa, rho, (3, 4, 7)))
 
 
-def _straight(drag: bool) -> ValleyCoordinates:
+def _valley_coordinates(drag: bool) -> ValleyCoordinates:
     """Coordinates that differ from the parameters where these are strongly correlated.
 
     - Adhesion. By harmonic balance it leaves the fraction ``q = 1 - 2 kappa J`` of the stiffness at the
@@ -81,7 +87,8 @@ def _straight(drag: bool) -> ValleyCoordinates:
       ``T0/sqrt(q)``, its slope against ln x, ``s = n kappa J/q``, and the losses relative to this
       stiffness, ``b/q``, ``c/q``, ``drag/sqrt(q)``. Only n varies along the valley.
     - b is searched as its logarithm, which keeps it positive; at b = 0, p would be undefined.
-    - Drag. If it is fitted, b, p and drag are replaced by the coordinates of `to_straight`; a drag of 1
+    - Drag. If it is fitted, b, p and drag are replaced by the coordinates of
+      `to_valley_coordinates`; a drag of 1
       corresponds to a linear loss of pi/4.
     """
 
@@ -89,13 +96,13 @@ def _straight(drag: bool) -> ValleyCoordinates:
         log_b, p, c, n, s, air, period_s = values
         b = np.exp(log_b)
         if drag:
-            p, air = from_straight(b, p, air)
+            p, air = from_valley_coordinates(b, p, air)
         # q = n/(n + 2 s) from s = n kappa J/q and q = 1 - 2 kappa J
         whole = n + 2 * s
         q = n / whole
         kappa = s / (whole * cosine_moment(n + 2))
         out = np.array([q * b, p, q * c, n, kappa, 4 / pi * np.sqrt(q) * air, np.sqrt(q) * period_s])
-        inside = np.abs(np.log(q.real)) < np.log(_STIFFEST)
+        inside = np.abs(np.log(q.real)) < np.log(_MAX_STIFFNESS_RATIO)
         return np.where(inside, out, np.nan)
 
     def coordinates(values: Floats) -> Floats:
@@ -104,7 +111,7 @@ def _straight(drag: bool) -> ValleyCoordinates:
         q = 1 - 2 * share
         air *= 0.25 * pi / np.sqrt(q)
         if drag:
-            p, air = to_straight(b / q, p, air)
+            p, air = to_valley_coordinates(b / q, p, air)
         with np.errstate(divide="ignore"):
             return np.array([np.log(b / q), p, c / q, n, n * share / q, air, period_s / np.sqrt(q)])
 
@@ -118,7 +125,7 @@ def _straight(drag: bool) -> ValleyCoordinates:
 
     def at_limit(values: Floats) -> list[int]:
         stiffness = 1 - 2 * values[4] * cosine_moment(values[3] + 2)
-        return [] if np.abs(np.log(stiffness)) < np.log(0.9 * _STIFFEST) - 1e-4 else [4]
+        return [] if np.abs(np.log(stiffness)) < np.log(0.9 * _MAX_STIFFNESS_RATIO) - 1e-4 else [4]
 
     # the valley of a drag runs along ln b, so that b is held by means of p's column; the column of adhesion
     # has the sign of gamma, which a Newton step must not change
@@ -126,7 +133,7 @@ def _straight(drag: bool) -> ValleyCoordinates:
     return ValleyCoordinates(scaled, coordinates, held, limits, 0 if drag else None, at_limit)
 
 
-def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
+def _propose_starts(found: StartValues, _: float) -> list[dict[str, float]]:
     """Start values by Eqs. 5 and 6: for each exponent n that fits the periods, then without adhesion.
 
     Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
@@ -172,8 +179,8 @@ PAPER = memoryless_law(
         "n": Scaling(),
         "gamma_pa": STIFFNESS,
     },
-    _straight,
-    _likely,
+    _valley_coordinates,
+    _propose_starts,
     {
         "gamma_pa": Parameter("kappa", "κ", "1", "2 gamma a²/(m g), per unit of amplitude to the power n",
                               "Eq. 3", lower=0.0, logarithmic=True)

@@ -18,8 +18,8 @@ Maxwell slip: springs in parallel, each of which slips beyond an angle of its ow
 
 Any backbone whose slope falls is such a sum; this one has no shape but that of its four stiffnesses.
 Where a slider begins to slip, the loss of a half-swing has a kink over the amplitude. The table of
-half-swings rounds it, by 2e-5 of amplitude and time; the derivatives by the stiffnesses are off by 3 to 5 %
-there, and so may be uncertainties that hang on these amplitudes.
+half-swings rounds it, by 2e-5 of amplitude and time; the derivatives with respect to the stiffnesses are off
+by 3 to 5 % there, and so may be uncertainties that hang on these amplitudes.
 """
 
 import numpy as np
@@ -148,7 +148,7 @@ def _coordinates(values: Floats) -> Floats:
     )
 
 
-def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
+def _propose_starts(found: StartValues, _: float) -> list[dict[str, float]]:
     decay = found.decay
     out = []
     for exponent in (float(np.clip(decay.p, 0.1, 0.96)), 0.5, 0.9):
@@ -178,7 +178,7 @@ MASING = branch_law(
     ValleyCoordinates(
         _scaled, _coordinates, (HeldColumn(1), HeldColumn(0), HeldColumn(2)), lambda _: {1: (1e-4, 0.6)}
     ),
-    _likely,
+    _propose_starts,
 )  # fmt: skip
 
 
@@ -202,7 +202,7 @@ def _slip_work(x: Floats, q: Arrays) -> Floats:
     return np.asarray(total)
 
 
-def _slip_likely(found: StartValues, reference_rad: float) -> list[dict[str, float]]:
+def _propose_slip_starts(found: StartValues, reference_rad: float) -> list[dict[str, float]]:
     from scipy.optimize import nnls
 
     decay = found.decay
@@ -235,6 +235,6 @@ MAXWELL_SLIP = branch_law(
     masing(_slip_backbone, _slip_work, constant=CONSTANT.key),
     {**{key: Scaling() for key in _KEYS}, "c": Scaling(1.0)},
     logarithms_of(),
-    _slip_likely,
+    _propose_slip_starts,
     in_angles=True,
 )  # fmt: skip

@@ -12,7 +12,7 @@ from rig.desk.desk import Desk
 from rig.desk.dialogs import Question
 from rig.desk.panels.runs import fit_again, open_in_browser_tab
 from rig.desk.tab import Tab, at_once, box
-from rig.measure import HandOver, RunState
+from rig.measure import RunState, SessionSummary
 
 
 def setting_field(desk: Desk, key: str, label: str, value: object, *, is_number: bool = False) -> ui.input:
@@ -110,14 +110,14 @@ NEXT_RUN = "next-run"
 
 def build_result(desk: Desk, tab: Tab) -> None:
     """Add what the last session hands over; nothing without one."""
-    over: HandOver | None = None
+    over: SessionSummary | None = None
 
     async def look() -> None:
         nonlocal over
         if not desk.following.running:
-            over = await run.io_bound(desk.hand_over)
+            over = await run.io_bound(desk.last_summary)
 
-    def draw(drawn: HandOver | None) -> None:
+    def draw(drawn: SessionSummary | None) -> None:
         if drawn is not None:
             _result(desk, tab, drawn)
 
@@ -125,7 +125,7 @@ def build_result(desk: Desk, tab: Tab) -> None:
     tab.drawn(lambda: over, draw)
 
 
-def _result(desk: Desk, tab: Tab, over: HandOver) -> None:
+def _result(desk: Desk, tab: Tab, over: SessionSummary) -> None:
     def fit() -> None:
         fit_again(desk, over.folder)
         ui.notify(f"rig fit {over.folder.name} runs; what it says is below the list of sessions")
@@ -141,7 +141,7 @@ def _result(desk: Desk, tab: Tab, over: HandOver) -> None:
         with box("the last session"):
             _html(
                 f"<span role='status'>{tables.span(ended, f'advice {kind}')}</span> "
-                + tables.span(f"{over.folder.name}: {over.went}", "dim")
+                + tables.span(f"{over.folder.name}: {over.progress_text}", "dim")
                 + tables.span(over.headline or "no result", "advice", "div")
                 + tables.span(over.of and f"the uncertainty is of {over.of}", "dim", "div")
                 + (f"<ul>{''.join(steps)}</ul>" if steps else "<div>nothing can be done about it</div>")

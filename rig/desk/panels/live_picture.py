@@ -12,7 +12,7 @@ from acquisition.camera import CameraSettings
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.tab import Tab
-from rig.devices import AlignmentFrame, SeenReference, annotated_picture, middle_of, picture
+from rig.devices import AlignmentFrame, ReferencePart, annotated_picture, middle_of, picture
 
 INTERVAL_S = 0.1
 _NUMBER = count()
@@ -94,7 +94,7 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
     own, reference = seen.image, None
     if config is not None and config.reference is not None and seen.reference is not None:
         row = config.reference.from_row_px
-        reference = SeenReference.in_image(seen.reference, row, seen.image, full_scale_dn)
+        reference = ReferencePart.in_image(seen.reference, row, seen.image, full_scale_dn)
         own = seen.image[:row]
     figures = picture.figures(own, full_scale_dn)
     middle_px = middle_of(seen.image, None if config is None else config.lever_reference_px)

@@ -225,7 +225,7 @@ def witness(
         order = np.concatenate([[True], np.diff(np.maximum.accumulate(arrived_ns)) > 0])
         arrived_ns, value = arrived_ns[order], value[order]
         samples = [one for one, kept in zip(samples, order.tolist(), strict=True) if kept]
-    times_ns = sample_times(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
+    times_ns, _ = sample_times(arrived_ns, np.array([one.own_time_s for one in samples]))
     record = Seismogram(seconds(times_ns - at.times_ns[0]), value, tuple(names))
     try:
         found = witness_at_rest(at.times_s, _without_beam_motion(look, stated), record)

@@ -45,7 +45,7 @@ def test_between_turning_points_it_does_what_an_integration_shows() -> None:
 
 
 def measured(offset: Floats, theta: Floats, *, rest: bool) -> Floats:
-    """Amplitude, time times amplitude (s) and point of rest that least squares find in samples."""
+    """Amplitude, time times amplitude (s) and equilibrium position that least squares find in samples."""
     columns = [np.cos(theta), np.sin(theta) * RATE] + ([np.ones_like(theta)] if rest else [])
     return np.asarray(np.linalg.lstsq(np.column_stack(columns), offset, rcond=None)[0])
 
@@ -77,7 +77,7 @@ def test_within_its_window_it_adds_to_a_measured_turning_point_what_a_fit_to_sam
     signals = Signals(clock, drive[:, None], 2 * STEP_S)
     both = [known_drive(points, signals, averaged=averaged).steps[:, :, 0] for averaged in (True, False)]
     found = np.cumsum(both[0] - both[1], axis=1)[:, point]
-    # a detector takes the point of rest from earlier half-cycles, by two thirds, and else from this one
+    # a detector takes two thirds of the equilibrium from earlier half-cycles, the rest from this one
     rest = 0.0
     for k in range(point + 1):
         before = rest

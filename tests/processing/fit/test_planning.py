@@ -1,5 +1,7 @@
 """What a planned run is said to tell, against what such runs tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,7 +80,7 @@ def test_other_laws_are_planned_too() -> None:
 def test_a_witness_leaves_of_the_ground_what_its_own_noise_hides(noise: float, left: float) -> None:
     ground = conditions(1e-7)
     amplitudes = (124 * ARCSEC, 30 * ARCSEC)
-    with_seismometer = planned_run(VALUES, PENDULUM, ground.with_seismometer(noise), *amplitudes)
+    with_seismometer = planned_run(VALUES, PENDULUM, replace(ground, seismometer_noise=noise), *amplitudes)
     assert with_seismometer.u == pytest.approx(
         planned_run(VALUES, PENDULUM, ground.on_ground(left * 1e-7), *amplitudes).u, rel=0.01
     )

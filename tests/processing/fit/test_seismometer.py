@@ -229,7 +229,7 @@ def delay_found(seed: int, late_s: float) -> Estimate:
 
 @pytest.mark.slow
 def test_a_delay_beside_turning_points_that_were_measured_is_not_biased() -> None:
-    """A detector knows the point of rest from earlier half-cycles: what looks back only is like a delay."""
+    """A detector knows the equilibrium from earlier half-cycles: what looks back only is like a delay."""
     found = [delay_found(seed, 0.05) for seed in (1, 2)]
     mean = np.mean([one.value for one in found])
     u_mean = np.mean([one.standard_uncertainty for one in found]) / np.sqrt(len(found))

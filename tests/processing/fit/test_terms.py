@@ -15,7 +15,7 @@ PRIOR = np.array([0.3, 2.0, 0.01])
 
 @pytest.fixture
 def linear() -> tuple[Floats, Floats, Floats]:
-    """Residuals, derivatives by the coordinates of a law of very different sizes, and by those of terms."""
+    """Residuals, their Jacobian of a law's coordinates of very different sizes, and that of terms."""
     rng = np.random.default_rng(5)
     jacobian = rng.standard_normal((ROWS, LAW)) * [1.0, 1e6, 1e-4, 1.0]
     return 1.3 * rng.standard_normal(ROWS), jacobian, rng.standard_normal((ROWS, 3))

@@ -244,7 +244,7 @@ def test_a_sampler_agrees() -> None:
     runs = made(world(), 8, np.random.default_rng(10), names=("c",)).runs
     model = SeriesModel(names=("c",))
     quick, sampled = fit_series(runs, model, draws=4000), sample_series(runs, model, steps=400)
-    assert sampled.settled
+    assert sampled.converged
     assert min(sampled.effective.values()) > 130
     for level in (C, LatentNumber("between runs", "c")):
         one, other = quick.estimate(level), sampled.posterior.estimate(level)

@@ -18,11 +18,11 @@ from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults
 from rig.analysis.series import AnalysedRun
-from rig.analysis.table_fit import analyse_table
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import complete
 from rig.intake.table import TableColumns
 from rig.settings import Configuration, load_configuration
+from tests.rig.intake.table_cases import analyse_table
 
 FRAMES_PER_S, NOISE_ARCSEC, DURATION_S = 25.0, 0.005, 600.0
 DEG_PER_MIN = math.pi / 180.0 / 60.0

@@ -10,10 +10,11 @@ import pytest
 
 from processing.envelope import fit_envelope, unsigned_period_s
 from processing.errors import ConfigurationError, DataError
-from rig.analysis.table_fit import analyse_envelope, analyse_table
+from rig.analysis.table_fit import analyse_envelope
 from rig.intake.table import TableColumns
 from rig.settings import Configuration
 from tests.rig.command_line import rig
+from tests.rig.intake.table_cases import analyse_table
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "other-data.md"
 

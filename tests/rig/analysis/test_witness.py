@@ -23,12 +23,13 @@ from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_resu
 from rig.analysis.run_remarks import witness_sentences
 from rig.analysis.seismometer import sample_times
 from rig.analysis.seismometer_file import SeismometerSource
-from rig.analysis.table_fit import TableColumns, analyse_table
+from rig.analysis.table_fit import TableColumns
 from rig.archive.session_rows import results_row
 from rig.report import make_table_report
 from rig.settings import load_configuration
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
+from tests.rig.intake.table_cases import analyse_table
 
 STEP_S = 0.1
 FRAMES_PER_S = 10.0
@@ -385,8 +386,8 @@ def arrived(
 def off(late_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[float, ...]]:
     """Errors of the times that are found, in s, and the steps that are said."""
     arrived_ns, own_s, true_s = arrived(late_s)
-    found = sample_times(arrived_ns, own_s)
-    return found.times_ns * 1e-9 - true_s, found.steps_s
+    times_ns, steps_s = sample_times(arrived_ns, own_s)
+    return times_ns * 1e-9 - true_s, steps_s
 
 
 @pytest.mark.parametrize("step_s", [-10.0, 0.7, 40.0])

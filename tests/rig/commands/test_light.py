@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, rig_state_path
-from rig.devices import Devices, light_told
+from rig.devices import Devices, light_shown_to_desk
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, rig, set_words
 from tests.rig.control.instruments import FakeCobolt
@@ -113,7 +113,7 @@ def test_light_off_darkens_whoever_has_lit_it_until_it_is_acknowledged(
         else:
             config = load_configuration(live, words[1::2])
             devices = stack.enter_context(Devices(config, tmp_path / "elsewhere", "a test"))
-            stack.enter_context(light_told(devices, tmp_path / "elsewhere"))
+            stack.enter_context(light_shown_to_desk(devices, tmp_path / "elsewhere"))
             devices.light()
         assert instrument.on
         off = rig("light", "off", live, *words)

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from processing.errors import DeviceError
-from rig.control.light_permit import LONGEST_PAUSE_S, Interlock, LightPermit, SpotSeen, Stage
+from rig.control.light_permit import LONGEST_PAUSE_S, Interlock, LightPermit, SpotWatch, Stage
 from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
 from tests.rig.control.stepped import Clock
 
@@ -34,23 +34,23 @@ def test_a_stage_that_stalls_is_named(permit: LightPermit, clock: Clock, stage: 
     for _ in range(20):
         clock.sleep(1.0)
         for moving in {Stage.CAMERA, Stage.PROCESSING} - {stage}:
-            permit.moved(moving)
+            permit.note_progress(moving)
         lit = clock.monotonic() - began_s <= LONGEST_PAUSE_S[stage]
         assert permit.refusal == ("" if lit else f"{stage} has stalled")
-    permit.moved(stage)
+    permit.note_progress(stage)
     assert permit.refusal == ""
 
 
 def test_a_recorder_is_watched_only_while_there_is_one(permit: LightPermit, clock: Clock) -> None:
     def others_move_for(time_s: float) -> None:
         clock.sleep(time_s)
-        permit.moved(Stage.CAMERA)
-        permit.moved(Stage.PROCESSING)
+        permit.note_progress(Stage.CAMERA)
+        permit.note_progress(Stage.PROCESSING)
 
     permit.begin()
     others_move_for(100.0)
     assert permit.refusal == ""
-    permit.moved(Stage.RECORDER)
+    permit.note_progress(Stage.RECORDER)
     others_move_for(LONGEST_PAUSE_S[Stage.RECORDER] - 1.0)
     assert permit.refusal == ""
     others_move_for(2.0)
@@ -101,9 +101,9 @@ def test_what_is_found_on_opening_is_latched_once(clock: Clock) -> None:
 
 
 @pytest.fixture
-def spot(clock: Clock) -> SpotSeen:
+def spot(clock: Clock) -> SpotWatch:
     """Judges frames by those that were seen while the laser was lit."""
-    return SpotSeen(clock.monotonic)
+    return SpotWatch(clock.monotonic)
 
 
 @cache
@@ -126,7 +126,7 @@ def frame(peak_dn: float, lamp_dn: float = 0.0, number: int = 0) -> NDArray[np.u
     return np.asarray(np.clip(ground(number) + light_dn(peak_dn, lamp_dn), 0, 255), np.uint8)
 
 
-def watched(clock: Clock, spot: SpotSeen, told: bool, peak_dn: float, lamp_dn: float = 0.0) -> None:
+def watched(clock: Clock, spot: SpotWatch, told: bool, peak_dn: float, lamp_dn: float = 0.0) -> None:
     """Three seconds of frames while the laser says of itself that it is lit, or not."""
     for number in range(60):
         clock.sleep(0.05)
@@ -138,7 +138,7 @@ def watched(clock: Clock, spot: SpotSeen, told: bool, peak_dn: float, lamp_dn: f
 @pytest.mark.parametrize("lit_dn", [40.0, 200.0, 400.0])
 @pytest.mark.parametrize("left", [0.0, 0.5, 1.0])
 def test_a_spot_that_stays_disagrees_and_one_that_goes_agrees(
-    clock: Clock, spot: SpotSeen, lit_dn: float, left: float
+    clock: Clock, spot: SpotWatch, lit_dn: float, left: float
 ) -> None:
     assert (spot.seen, spot.disagrees, spot.agrees) == (None, False, False)
     watched(clock, spot, True, lit_dn, lamp_dn=4.0)
@@ -149,7 +149,7 @@ def test_a_spot_that_stays_disagrees_and_one_that_goes_agrees(
 
 
 def test_a_spot_that_left_the_sensor_while_it_was_lit_confirms_no_darkness(
-    clock: Clock, spot: SpotSeen
+    clock: Clock, spot: SpotWatch
 ) -> None:
     """A pendulum that was knocked: what the camera did not see before, it does not see go out."""
     watched(clock, spot, True, 200.0)
@@ -172,7 +172,7 @@ def test_a_spot_that_left_the_sensor_while_it_was_lit_confirms_no_darkness(
     assert spot.agrees
 
 
-def test_frames_on_their_way_do_not_disagree(clock: Clock, spot: SpotSeen) -> None:
+def test_frames_on_their_way_do_not_disagree(clock: Clock, spot: SpotWatch) -> None:
     spot.exposure_s = 1.0
     watched(clock, spot, True, 200.0)
     watched(clock, spot, True, 200.0)
@@ -183,13 +183,13 @@ def test_frames_on_their_way_do_not_disagree(clock: Clock, spot: SpotSeen) -> No
     assert spot.disagrees
 
 
-def test_where_no_spot_was_ever_seen_nothing_is_judged(clock: Clock, spot: SpotSeen) -> None:
+def test_where_no_spot_was_ever_seen_nothing_is_judged(clock: Clock, spot: SpotWatch) -> None:
     watched(clock, spot, True, 0.0)
     watched(clock, spot, False, 0.0)
     assert (spot.seen, spot.disagrees, spot.agrees) == (None, False, False)
 
 
-def test_an_old_frame_has_its_age(clock: Clock, spot: SpotSeen) -> None:
+def test_an_old_frame_has_its_age(clock: Clock, spot: SpotWatch) -> None:
     assert spot.age_s == np.inf
     spot.frame(frame(0.0))
     clock.sleep(5.0)

@@ -238,7 +238,7 @@ def test_without_a_permit_the_laser_goes_dark(
         permit.withdraw("stopped by the user")
     else:
         while not permit.refusal:
-            permit.moved(Stage.PROCESSING)
+            permit.note_progress(Stage.PROCESSING)
             board.turn(turn(service))
     turn(service)
     assert board.outputs()["laser"][0] == 0

@@ -147,7 +147,7 @@ def test_a_session_that_ends_as_it_should_is_no_alarm_and_one_that_has_failed_sa
     assert not found & {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED}
     with OrderSocket(folder, SessionNews(), {}):
         until(lambda: desk.following.running)
-        file = SessionFile.made(folder, config, 1, stored_configuration(stored))
+        file = SessionFile.create(folder, config, 1, stored_configuration(stored))
         file.note(1, "run-1.mcap", RunState.FAILED, "no space left on device")
         file.close()
     assert wait_for(desk, AlarmKey.SESSION_FAILED) == "session: no space left on device"

@@ -57,7 +57,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = load_configuration(place / "rig.toml").model_dump(mode="json")
     broken = place / "runs" / "broken"
     broken.mkdir()
-    killed = SessionFile.made(broken, place / "rig.toml", 1, config)
+    killed = SessionFile.create(broken, place / "rig.toml", 1, config)
     killed.note(1, "run-1.mcap", RunState.RECORDING)
     killed.close()
     return place
@@ -189,7 +189,7 @@ def test_only_what_was_killed_is_called_interrupted_and_whatever_lacks_runs_is_r
 ) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
-    file = SessionFile.made(folder, tmp_path / "rig.toml", 2, {})
+    file = SessionFile.create(folder, tmp_path / "rig.toml", 2, {})
     for number, state in enumerate(states, 1):
         file.note(number, f"run-{number}.mcap", state)
     file.close()
@@ -210,7 +210,7 @@ def test_sessions_are_found_by_words(tmp_path: Path) -> None:
         stated = {
             "session": {"sample": "Steel" if number % 2 else "ruby", "operator": f"Person-{number:02d}-x"}
         }
-        file = SessionFile.made(folder, tmp_path / "rig.toml", 1, stated)
+        file = SessionFile.create(folder, tmp_path / "rig.toml", 1, stated)
         file.note(1, "run-1.mcap", RunState.COMPLETE)
         file.close()
         os.utime(folder / "session.json", (number, number))

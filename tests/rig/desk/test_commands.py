@@ -50,7 +50,7 @@ def test_balance_in_json_lines_tells_way_faults_and_advice_and_takes_answers(tmp
     done = _balance_with(answers, words, str(tmp_path / "history.jsonl"))
     told = lines(done)
     kinds = [line["kind"] for line in told]
-    assert {"way", "live"} <= set(kinds)
+    assert {"trajectory", "live"} <= set(kinds)
     assert kinds[-2 * len(wrong) - 2 :] == ["found", "ask", *(["wrong", "ask"] * len(wrong))]
     for line, typed in zip((line for line in told if line["kind"] == "wrong"), wrong, strict=True):
         assert line["problem"].startswith(f"{typed!r}: should be a weight (")

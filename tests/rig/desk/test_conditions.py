@@ -80,9 +80,12 @@ def dark(trip: LatchedTrip) -> Seen:
             told({"phase": Phase.PREFLIGHT}, preflight=[{"name": "saturation", "ok": False}]),
             {AlarmKey.PREFLIGHT},
         ),
-        (told(balance={"against": ["plane of swing +1.719 deg/min, limit 0.2 deg/min"]}), {AlarmKey.BALANCE}),
-        (told(balance={"against": []}), set()),
-        (told({"phase": Phase.RELEASE}, balance={"against": ["plane of swing"]}), set()),
+        (
+            told(balance={"failed_checks": ["plane of swing +1.719 deg/min, limit 0.2 deg/min"]}),
+            {AlarmKey.BALANCE},
+        ),
+        (told(balance={"failed_checks": []}), set()),
+        (told({"phase": Phase.RELEASE}, balance={"failed_checks": ["plane of swing"]}), set()),
         (Seen(picture_late_s=2.1), {AlarmKey.CAMERA}),
     ],
 )

@@ -134,7 +134,7 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     folder = tmp_path / "runs" / "session"
     folder.mkdir(parents=True)
     config = Configuration(camera={"driver": "simulated"}, reference={"from_row_px": 40})  # type: ignore[arg-type]
-    SessionFile.made(folder, source, 1, stored_configuration(config)).close()
+    SessionFile.create(folder, source, 1, stored_configuration(config)).close()
     told = SessionNews()
     told.begin_run("run 1", 255, None)
     desk = Desk(source)
@@ -167,7 +167,7 @@ def test_the_configuration_is_the_sessions_until_its_record_has_one(tmp_path: Pa
     at_once = Configuration(camera={"driver": "simulated"}, start={"way": "at once"})  # type: ignore[arg-type]
     told, follower = SessionNews(), Following(tmp_path)
     assert (follower.config, follower.unit) == (None, "")
-    SessionFile.made(folder, tmp_path / "rig.toml", 1, stored_configuration(by_hand)).close()
+    SessionFile.create(folder, tmp_path / "rig.toml", 1, stored_configuration(by_hand)).close()
     with OrderSocket(folder, told, {}):
         told.begin_run("run 1", 255, None, record)
         follower.start()

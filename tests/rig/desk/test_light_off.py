@@ -193,7 +193,7 @@ def test_what_is_typed_and_what_is_heard_late_light_nothing_and_a_held_key_does(
     board, _, page, config = rig
     killed = config.parent / "runs" / "killed"
     killed.mkdir(parents=True)
-    file = SessionFile.made(killed, config, 1, stored_configuration(load_configuration(config)))
+    file = SessionFile.create(killed, config, 1, stored_configuration(load_configuration(config)))
     file.note(1, "run-1.mcap", RunState.RECORDING)
     file.close()
     page.key("3")

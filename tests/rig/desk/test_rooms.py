@@ -60,7 +60,7 @@ def test_a_turn_is_stated_between_two_measurements_only(desk: Desk, monkeypatch:
 
 ECHO = """
 import json, sys
-print(json.dumps({"kind": "way"}), flush=True)
+print(json.dumps({"kind": "trajectory"}), flush=True)
 for line in sys.stdin:
     print(json.dumps({"kind": "ask", "heard": line.rstrip()}), flush=True)
 """
@@ -150,7 +150,7 @@ def test_turns_in_two_parts_are_summed_in_words() -> None:
 def test_the_last_session_is_resumed_where_it_was_interrupted(desk: Desk, tmp_path: Path) -> None:
     folder = tmp_path / "killed"
     folder.mkdir()
-    file = SessionFile.made(folder, tmp_path / "rig.toml", 2, {})
+    file = SessionFile.create(folder, tmp_path / "rig.toml", 2, {})
     file.note(1, "run-1.mcap", RunState.RECORDING)
     file.close()
     assert desk.resumable() is None

@@ -203,7 +203,7 @@ with Devices(load_configuration(Path(sys.argv[1]))) as devices:
     print(devices.light(), flush=True)
     while True:
         for stage in (Stage.CAMERA, Stage.PROCESSING):
-            devices.permit.moved(stage)
+            devices.permit.note_progress(stage)
         time.sleep(0.1)
 """
 """A program that lights the laser of a configuration, as a run with frames does."""

@@ -15,7 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
+from rig.analysis.seismometer_file import SeismometerRecord
+from rig.analysis.table_fit import AnalysedTable, analyse_trajectory
 from rig.intake.table import TableColumns
+from rig.settings import Configuration
 
 MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
@@ -23,6 +26,16 @@ PACKAGE = "http://schemas.openxmlformats.org/package/2006/relationships"
 
 ROWS = 240
 STEP_MS = 50
+
+
+def analyse_table(
+    path: Path,
+    config: Configuration | None,
+    columns: TableColumns,
+    witness: SeismometerRecord | None = None,
+) -> AnalysedTable:
+    """Results of a table that is read by these columns."""
+    return analyse_trajectory(path, columns.read(path), config, witness=witness)
 
 
 @dataclass(frozen=True)

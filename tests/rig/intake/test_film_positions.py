@@ -17,7 +17,7 @@ from rig.analysis import read_results
 from rig.analysis.table_fit import analyse_trajectory
 from rig.intake import FilmOptions, film_trajectory
 from rig.intake.film import has_dark_object, inverted
-from rig.terminal import TimeLeft
+from rig.terminal import ProgressLine
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
@@ -211,7 +211,7 @@ def test_what_was_followed_is_named_where_there_is_no_decay(tmp_path: Path) -> N
 def test_the_time_that_is_left_of_a_film_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     film = write_film(tmp_path / "long.mkv", swing(count=40), Film())
     times_s = iter(np.arange(100.0) ** 2 / 10)
-    film_trajectory(film, FilmOptions(), TimeLeft("film: frames", clock=lambda: float(next(times_s))))
+    film_trajectory(film, FilmOptions(), ProgressLine("film: frames", clock=lambda: float(next(times_s))))
     said = capsys.readouterr().err.splitlines()
     assert said[0] == "film: frames: 11 of 40, about 0:29 min left"
     assert 2 < len(said) < 40

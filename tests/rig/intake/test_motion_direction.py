@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rig.analysis.results import SessionResults
-from rig.analysis.table_fit import analyse_table
 from rig.intake.table import TableColumns
 from rig.intake.trajectory import along_and_across
+from tests.rig.intake.table_cases import analyse_table
 
 T_S = np.arange(0.0, 200.0, 0.05)
 PERIOD_S, DECREMENT = 2.5, 0.025

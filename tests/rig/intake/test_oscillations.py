@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from rig.analysis.table_fit import analyse_table
 from rig.intake.table import TableColumns
-from rig.intake.times import second_frequency
+from rig.intake.times import two_oscillations_message
+from tests.rig.intake.table_cases import analyse_table
 
 T_S = np.arange(0.0, 100.0, 0.05)
 T_NS = np.round(T_S * 1e9).astype(np.int64)
@@ -46,13 +46,13 @@ def test_two_columns_with_a_fast_mode_as_large_as_the_swing_are_refused_with_bot
     ids=["swing", "small", "noise", "steps", "bounces", "drift", "nothing", "missing"],
 )
 def test_what_is_not_two_oscillations_is_not_called_so(deflection: np.ndarray) -> None:
-    assert second_frequency(T_NS, deflection) == ""
+    assert two_oscillations_message(T_NS, deflection) == ""
 
 
 def test_gaps_change_nothing() -> None:
     both = SWING + FAST
     both[400:420] = np.nan
-    assert "1.7 Hz" in second_frequency(T_NS, both)
+    assert "1.7 Hz" in two_oscillations_message(T_NS, both)
 
 
 def _warnings(path: Path, x: np.ndarray, y: np.ndarray, positions: tuple[str, ...] = ("x", "y")) -> list[str]:

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.measure import RunState, hand_over
+from rig.measure import RunState, session_summary
 from rig.measure.session_file import SessionFile
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
 def test_a_result_with_what_limits_it_and_what_to_do() -> None:
-    found = hand_over(SAMPLES / "first")
+    found = session_summary(SAMPLES / "first")
     assert found.ended is RunState.COMPLETE
     assert found.headline.startswith("b = 0.0300 ± 0.0042")
     assert found.of == "the whole budget, swings and apparatus"
@@ -23,10 +23,10 @@ def test_a_result_with_what_limits_it_and_what_to_do() -> None:
 
 
 def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:
-    file = SessionFile.made(tmp_path, tmp_path / "rig.toml", 2, {})
+    file = SessionFile.create(tmp_path, tmp_path / "rig.toml", 2, {})
     file.note(1, "run-1.mcap", RunState.RECORDING)
     file.close()
-    found = hand_over(tmp_path)
+    found = session_summary(tmp_path)
     assert found.ended is RunState.INTERRUPTED
     assert found.next_steps[0] == "measure the missing runs: Runs, Resume"
     assert (found.headline, found.report) == ("", None)
@@ -34,4 +34,4 @@ def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:
 
 def test_no_session_is_no_hand_over(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="no session"):
-        hand_over(tmp_path)
+        session_summary(tmp_path)

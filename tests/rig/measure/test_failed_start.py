@@ -48,7 +48,7 @@ def test_a_folder_that_was_there_stays_and_takes_the_corrected_call(tmp_path: Pa
     rig("run", wrong, "-o", out)
     assert [path.name for path in out.iterdir()] == ["notes.txt"]
     # one that was killed before its record began is in nobody's way either
-    file = SessionFile.made(out, CONFIGS / "demo.toml", 1, {})
+    file = SessionFile.create(out, CONFIGS / "demo.toml", 1, {})
     file.note(1, "run-1.mcap", RunState.RECORDING)
     file.close()
     done = rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT)
@@ -142,7 +142,7 @@ def test_results_that_are_missing_are_made_without_the_rig(tmp_path: Path) -> No
     assert simulate_record(config, CONFIGS / "demo.toml", tmp_path / "run-1.mcap") == 0
     stored = stored_configuration(config)
     stored["controller"] |= {"kind": "serial", "port": "/dev/none-is-here"}
-    with closing(SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, stored)) as file:
+    with closing(SessionFile.create(tmp_path, CONFIGS / "demo.toml", 1, stored)) as file:
         file.note(1, "run-1.mcap", RunState.COMPLETE)
     done = rig("run", "--resume", tmp_path)
     assert done.returncode == 0, done.stderr

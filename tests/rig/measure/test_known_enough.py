@@ -174,9 +174,9 @@ class Stream:
 def test_only_the_first_who_asks_ends_the_run() -> None:
     stream = Stream()
     stop = StopRequest(cast(FrameStream, stream))
-    assert stop.because("final amplitude reached")
+    assert stop.request("final amplitude reached")
     # Ctrl-C just after the end, and in the same words
-    assert not stop.because(BY_USER)
-    assert not stop.because("final amplitude reached")
+    assert not stop.request(BY_USER)
+    assert not stop.request("final amplitude reached")
     stop.failed(DataError("the record cannot be read"))
     assert (stop.reason, stream.stopped) == ("final amplitude reached", 1)

@@ -250,7 +250,7 @@ def test_a_clock_whose_rate_cannot_be_judged_is_unknown_and_not_go() -> None:
     assert not verdict.made
     assert "rate unknown" in verdict.measured
     assert verdict.reason.startswith("unknown: ")
-    assert "go" not in verdict.said.split(",")[0]
+    assert "go" not in verdict.judgement_text.split(",")[0]
 
 
 def test_frame_rate_and_losses() -> None:

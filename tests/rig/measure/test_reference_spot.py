@@ -22,7 +22,6 @@ from rig.instrument import (
     Block,
     camera_settings,
     complete,
-    frame_policy,
     make_camera,
     optics_of,
     recorded_configuration,
@@ -244,7 +243,7 @@ def test_before_the_record_each_spot_is_followed_in_its_own_part() -> None:
     camera.configure(camera_settings(config))
     optics = optics_of(config, info.full_scale_dn)
     shown: list[Sequence[Spot]] = []
-    stream = FrameStream(camera, camera_settings(config), policy=frame_policy(config), timeout_s=5.0)
+    stream = FrameStream(camera, camera_settings(config), policy="wait", timeout_s=5.0)
     stream.start_camera()
     assert stream.begin() is not None
     frames = RecentFrames(stream, optics, 1.0, 1.0, lambda _, block: shown.append(block.references))

@@ -26,9 +26,9 @@ def test_no_file_elsewhere_is_reached_through_a_symbolic_link(tmp_path: Path) ->
     folder.mkdir()
     (folder / ".session.lock").symlink_to(elsewhere)
     with pytest.raises(ConfigurationError, match=r"\.session\.lock: cannot be opened"):
-        SessionFile.made(folder, CONFIGS / "demo.toml", 1, {})
+        SessionFile.create(folder, CONFIGS / "demo.toml", 1, {})
     (folder / ".session.lock").unlink()
-    file = SessionFile.made(folder, CONFIGS / "demo.toml", 1, {})
+    file = SessionFile.create(folder, CONFIGS / "demo.toml", 1, {})
     (folder / "session.json").unlink()
     (folder / "session.json").symlink_to(elsewhere)
     file.note(1, "run-1.mcap", RunState.RECORDING)
@@ -38,9 +38,9 @@ def test_no_file_elsewhere_is_reached_through_a_symbolic_link(tmp_path: Path) ->
 
 
 def test_a_session_that_is_there_is_not_written_over(tmp_path: Path) -> None:
-    SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {}).close()
+    SessionFile.create(tmp_path, CONFIGS / "demo.toml", 1, {}).close()
     with pytest.raises(ConfigurationError, match="already holds a session; rig run --resume"):
-        SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
+        SessionFile.create(tmp_path, CONFIGS / "demo.toml", 1, {})
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def test_a_clock_that_was_set_back_ends_no_run_before_it_began(
         def now(cls, tz: datetime.tzinfo | None = None) -> Self:
             return super().now(tz) - datetime.timedelta(hours=1)
 
-    file = SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
+    file = SessionFile.create(tmp_path, CONFIGS / "demo.toml", 1, {})
     file.note(1, "run-1.mcap", RunState.RECORDING)
     file.note(2, "run-2.mcap", RunState.RECORDING)
     monkeypatch.setattr(datetime, "datetime", SetBack)
@@ -163,4 +163,4 @@ def test_a_disk_without_locks_is_not_called_a_running_session(
     without_locks(monkeypatch)
     said = rf"\.session\.lock: cannot be locked: {NO_LOCKS}; .*another disk"
     with pytest.raises(ConfigurationError, match=said):
-        SessionFile.made(tmp_path, CONFIGS / "demo.toml", 1, {})
+        SessionFile.create(tmp_path, CONFIGS / "demo.toml", 1, {})

@@ -136,7 +136,7 @@ def follow(
         if not isinstance(advice, Turn) or turns >= most_turns:
             break
         operator.follow(hand(turns, advice))
-        session.turned(advice.weight, advice.parts)
+        session.note_turns(advice.weight, advice.parts)
         turns += 1
         off += bool(np.max(np.abs(true_state(operator.simulation)[:2])) > 155.0)
     *rest, height_m = map(float, true_state(operator.simulation))

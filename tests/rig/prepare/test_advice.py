@@ -46,7 +46,7 @@ def test_the_effect_of_a_turn_is_learned_to_the_error_of_the_hand() -> None:
     # the hand's error is 0.01 turn in 3 turns, the tilt's curvature 1e-5: a hundredth covers both
     assert effect[0] * 3.0 == pytest.approx(after[0] - before[0], rel=0.02)
     assert u_effect[0] < 0.05 * abs(effect[0])
-    assert responses.pairs == {"x": 2, "y": 0, "height": 0}
+    assert responses.learned_turns == {"x": 2, "y": 0, "height": 0}
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_a_history_that_was_cut_short_is_read_as_far_as_it_goes(tmp_path: Path) 
     turn = {"weight": "x", "turns": 3.0, "before": [30.0, 0, 0], "after": [0.0, 0, 0], "u": [0.01] * 3}
     history.write_text(json.dumps(turn) + "\n" + json.dumps(turn)[:40] + "\n[]\n")
     session = LearnedTurns(CONFIG, history)
-    assert session.responses.pairs == {"x": 1, "y": 0, "height": 0}
+    assert session.responses.learned_turns == {"x": 1, "y": 0, "height": 0}
 
 
 def fault(ok: bool | None) -> dict[str, Any]:
@@ -168,7 +168,7 @@ def test_the_advice_is_short_and_says_why_beside() -> None:
 
 
 def test_stages_and_answers_that_are_none() -> None:
-    way = {"kind": "way", "x": [1.0, None], "y": [2.0, None]}
+    way = {"kind": "trajectory", "x": [1.0, None], "y": [2.0, None]}
     measuring = balance_dialogue([found(False), ASK, way], [], running=True, failed=False)
     assert (measuring.stage, measuring.turn) == (BalanceStage.MEASURING, None)
     assert (measuring.x, measuring.y) == ([1.0, None], [2.0, None])
@@ -181,8 +181,8 @@ def test_stages_and_answers_that_are_none() -> None:
 
 
 def test_once_it_is_measured_the_whole_measurement_is_drawn_and_no_earlier_one() -> None:
-    earlier = [{"kind": "way", "x": [9.0], "y": [9.0]}, found(False), ASK]
-    now = [{"kind": "way", "x": [float(k)], "y": [0.0]} for k in range(90)]
+    earlier = [{"kind": "trajectory", "x": [9.0], "y": [9.0]}, found(False), ASK]
+    now = [{"kind": "trajectory", "x": [float(k)], "y": [0.0]} for k in range(90)]
     measuring = balance_dialogue([*earlier, *now], [], running=True, failed=False)
     assert (measuring.x[0], measuring.x[-1]) == (50.0, 89.0)
     measured = balance_dialogue([*earlier, *now, found(True), ASK], [], running=True, failed=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.balance import Balance, Turn, find_faults
+from processing.balance import Balance, Turn, balance_checks
 from rig.prepare.dialogue import Reporter
 from rig.prepare.learned_turns import (
     BalanceMeasurement,
@@ -86,7 +86,7 @@ def test_looks_that_cannot_be_believed_are_rejected_and_the_turn_is_kept(
 ) -> None:
     session = LearnedTurns(random_start(1).config, tmp_path / "history.jsonl")
     assert session.take(BalanceMeasurement(sound, 0.0, SHAPE)) == ""
-    session.turned("x", [0.2])
+    session.note_turns("x", [0.2])
     assert "30 % of the spots were lost" in session.take(BalanceMeasurement(sound, 0.3, SHAPE))
     assert "no swing was seen" in session.take(BalanceMeasurement(None, 0.0, SHAPE))
     # half the period: a harmonic was taken for the swing
@@ -108,10 +108,10 @@ def test_a_change_that_the_turn_cannot_have_made_is_not_learned(
 ) -> None:
     session = LearnedTurns(random_start(1).config, tmp_path / "history.jsonl")
     session.take(BalanceMeasurement(sound, 0.0, SHAPE))
-    session.turned("height", [0.05])
+    session.note_turns("height", [0.05])
     session.take(BalanceMeasurement(replace(sound, rest_x=sound.rest_x - 4e-4), 0.0, SHAPE))
     assert "nothing is learned from this turn" in capsys.readouterr().err
-    assert session.responses.pairs["height"] == 0
+    assert session.responses.learned_turns["height"] == 0
     assert not read_turns(tmp_path / "history.jsonl")
 
 
@@ -128,7 +128,7 @@ def test_a_false_pair_of_an_earlier_session_is_not_used(
     }
     path.write_text(json.dumps(good) + "\n" + json.dumps({**good, "after": [0.0, 8.0, -18010e-6]}) + "\n")
     session = LearnedTurns(random_start(0).config, path)
-    assert session.responses.pairs["y"] == 1
+    assert session.responses.learned_turns["y"] == 1
     assert "cannot be: the period that was found is not the pendulum's" in capsys.readouterr().err
 
 
@@ -161,8 +161,8 @@ def test_no_turn_is_larger_than_a_weak_weight_needs(tmp_path: Path, sound: Balan
 def test_what_was_not_determined_is_unknown_and_no_go(
     sound: Balance, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    faults = find_faults(replace(sound, rotation_rad_per_s=math.nan), (0.0, 1e-6), LIMITS)
-    Reporter().found(faults, [], None)
+    faults = balance_checks(replace(sound, rotation_rad_per_s=math.nan), (0.0, 1e-6), LIMITS)
+    Reporter().report_measurement(faults, [], None)
     lines = capsys.readouterr().out.splitlines()
     (spin,) = [line for line in lines if " spin" in line]
     assert spin.startswith("?")

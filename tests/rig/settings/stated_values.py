@@ -7,7 +7,7 @@ import numpy as np
 
 from acquisition.camera import CameraInfo, Frame
 from processing.ambient import AmbientConditions
-from processing.balance import Balance, find_faults
+from processing.balance import Balance, balance_checks
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.instruments import DEGREE_RAD, SharedError
@@ -85,7 +85,7 @@ def balance(config: Configuration) -> Any:
     effects = {
         name: None if e is None else [v.tolist() for v in e] for name, e in nominal_effects(config).items()
     }
-    return repr((find_faults(seen, (1.0, 0.0), config.balance), mass_centre_height(config, seen), effects))
+    return repr((balance_checks(seen, (1.0, 0.0), config.balance), mass_centre_height(config, seen), effects))
 
 
 def instrument(config: Configuration) -> Any:
