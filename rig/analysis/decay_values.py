@@ -63,10 +63,10 @@ class AmplitudeDamping:
             part = f"{with_uncertainty(value, u)}{units[name]}"
             said.append(f"damping, {name} part {part}, needed with probability {probability:.2g}")
             if value < -_SURE * u:
-                noise = ", or noise lifts the last amplitudes" if name == "constant" else ""
-                said.append(
-                    f"a negative {name} part fits the decay but is not friction: something else changes{noise}"
-                )
+                cause = "something else changes"
+                if name == "constant":
+                    cause += ", or noise lifts the last amplitudes"
+                said.append(f"a negative {name} part fits the decay but is not friction: {cause}")
         for where in (self.curve[0], self.curve[-1]) if self.curve else ():
             quality = where.quality_factor
             more = "" if quality is None else f", quality factor {with_uncertainty(*quality)}"
