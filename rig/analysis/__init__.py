@@ -17,6 +17,7 @@ from rig.analysis.results import (
     Correlation,
     Fit,
     ModelFreeMoments,
+    RunIdentity,
     RunResults,
     Series,
     SessionResults,

@@ -51,8 +51,11 @@ class AmplitudeDamping:
     chi2_per_dof: float = float("nan")
     curve: Annotated[tuple[DampingAt, ...], PART] = ()
 
-    def lines(self, unit: str) -> list[str]:
-        """Lines on the parts with their probabilities, and on the time constants at both ends."""
+    def lines(self, unit: str, unit_of_curve: str = "") -> list[str]:
+        """Lines on the parts with their probabilities, and on the time constants at both ends.
+
+        `unit` is that of the amplitude in the parts; `unit_of_curve` that of the curve, if it differs.
+        """
         units = {"constant": f" {unit}/s", "linear": " /s", "quadratic": f" /({unit} s)"}
         lines = []
         for name, probability in zip(PARTS, self.probabilities, strict=True):
@@ -60,14 +63,15 @@ class AmplitudeDamping:
             part = f"{with_uncertainty(value, u)}{units[name]}"
             lines.append(f"damping, {name} part {part}, needed with probability {probability:.2g}")
             if value < -_SURELY_NEGATIVE_U * u:
-                lines.append(
-                    f"a negative {name} part fits the decay but is not friction: something else changes"
-                )
+                cause = "something else changes"
+                if name == "constant":
+                    cause += ", or noise lifts the last amplitudes"
+                lines.append(f"a negative {name} part fits the decay but is not friction: {cause}")
         for point in (self.curve[0], self.curve[-1]) if self.curve else ():
             quality = point.quality_factor
             more = "" if quality is None else f", quality factor {with_uncertainty(*quality)}"
             tau = with_uncertainty(*point.time_constant_s)
-            lines.append(f"time constant {tau} s at {point.amplitude:.4g} {unit}{more}")
+            lines.append(f"time constant {tau} s at {point.amplitude:.4g} {unit_of_curve or unit}{more}")
         return lines
 
 

@@ -3,12 +3,13 @@
 `rig.analysis.encoding` defines how estimates, arrays and "not determined" are written in the file.
 """
 
+import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from math import inf, isfinite, nan
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -251,6 +252,12 @@ class RunResults(RowsByName):
         run = "" if self.decay is None else self.decay.run
         return f"{Path(self.record).stem}{f'-run-{run}' if run else ''}"
 
+    def is_of_same_motion(self, other: "RunResults") -> bool:
+        """Whether both are results of one record, or of one stretch of a table."""
+        if not self.sha256 or self.sha256 != other.sha256:
+            return False
+        return self.decay is None or other.decay is None or self.decay.overlaps(other.decay)
+
     def __repr__(self) -> str:
         unit = self.amplitude_unit or ""
         return self._summary(
@@ -290,6 +297,17 @@ class Series(RowsByName):
         return [runs[number - 1] for number in self.combined_runs] or runs
 
 
+class RunIdentity(NamedTuple):
+    """Name and hash of a run.
+
+    They are those of its record. A later decay of a table, and a run of a table of several, has both derived
+    from the table's.
+    """
+
+    name: str
+    sha256: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SessionResults(RowsByName):
     """results.json of one or more records, or of the decays of a table of positions of any instrument.
@@ -313,6 +331,20 @@ class SessionResults(RowsByName):
         numbers = tuple(int(found[1]) for found in named if found is not None)
         is_whole = len(set(numbers)) == len(self.runs)
         return numbers if is_whole else tuple(range(1, len(self.runs) + 1))
+
+    @property
+    def identities(self) -> tuple[RunIdentity, ...]:
+        """Name and hash of each run, which differ from those of all other runs."""
+        found, decays = [], 0
+        for run in self.runs:
+            decays += run.decay is not None
+            later = f"decay-{decays}" if decays > 1 and run.decay is not None else ""
+            of_run = f"run {run.decay.run}" if run.decay is not None and run.decay.run else ""
+            suffix = "".join(f" {part}" for part in (of_run, later.replace("-", " ")) if part)
+            derived = hashlib.sha256(f"{run.sha256}{suffix}".encode()).hexdigest()
+            name = "-".join(filter(None, (run.source_name, later)))
+            found.append(RunIdentity(name, derived if suffix else run.sha256))
+        return tuple(found)
 
     @property
     def table(self) -> Sequence[ResultRow]:

@@ -133,14 +133,21 @@ class PositionErrors:
 class TableDecay:
     """Place of a decay in a table: times of its first and last turning point, from the table's first row.
 
-    `run` is the name of its run, if the file contains several. `session` are sample, its history, operator
-    and notes by the configuration.
+    `run` is the name of its run, if the file contains several. `columns` are those of its positions.
+    `session` are sample, its history, operator and notes by the configuration.
     """
 
     began_s: float = nan
     ended_s: float = nan
     run: str = ""
+    columns: tuple[str, ...] = ()
     session: Mapping[str, str] = field(default_factory=dict)
+
+    def overlaps(self, other: "TableDecay") -> bool:
+        """Whether both decays of one file have a stretch of one run and a column in common."""
+        together = self.began_s < other.ended_s and other.began_s < self.ended_s
+        are_other_columns = self.columns and other.columns and set(self.columns).isdisjoint(other.columns)
+        return together and self.run == other.run and not are_other_columns
 
 
 _EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED

@@ -210,14 +210,15 @@ def fit_envelope_table(
     for line in results.understood:
         print_line(f"  {line}")
     floor = (
-        f"noise floor {found.floor:.3g}{unit}" if math.isfinite(found.floor) else "no noise floor to be seen"
+        f"noise floor {found.floor:.3g}{unit}" if math.isfinite(found.floor) else "no noise floor is reached"
     )
     print_line(f"  {found.initial:.4g}{unit} at the start, {floor}")
     of_power = with_uncertainty(0.5 * found.tau_s, 0.5 * found.u_tau_s)
     print_line(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
     print_line(f"  time constant of the power {of_power} s")
     if results.damping is not None:
-        for line in results.damping.lines(unit.strip() if kind != "power" else "sqrt(power)"):
+        of_parts = "sqrt(power)" if kind == "power" else results.unit
+        for line in results.damping.lines(of_parts, results.unit):
             print_line(f"  {line}")
     if results.quality_factor is not None:
         print_line(f"  quality factor {with_uncertainty(*results.quality_factor)}")

@@ -298,6 +298,7 @@ def _analyse(
             began_s=seconds(unflagged[0]),
             ended_s=seconds(unflagged[-1]),
             run=trajectory.run,
+            columns=trajectory.names,
             session=session,
         ),
     )

@@ -16,7 +16,14 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.quantity import DerivedQuantity, quantities_of
 from processing.units import seconds
-from rig.analysis import RunResults, TableDecay, read_results, recorded_surroundings, results_path
+from rig.analysis import (
+    RunIdentity,
+    RunResults,
+    TableDecay,
+    read_results,
+    recorded_surroundings,
+    results_path,
+)
 
 PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
 """Parameters of the contact's laws, as far as results hold them."""
@@ -85,11 +92,12 @@ def session_rows(folder: Path) -> tuple[list[Row], list[str]]:
     Raises RecordError if a file cannot be read.
     """
     rows, flaws = list[Row](), list[str]()
-    source, results = results_path(folder), list[RunResults]()
+    source, results, identities = results_path(folder), tuple[RunResults, ...](), tuple[RunIdentity, ...]()
     source_columns: Row = {"results_sha256": sha256_of(source) if source.is_file() else ""}
     if source.is_file():
         try:
-            results = list(read_results(source).runs)
+            session_results = read_results(source)
+            results, identities = session_results.runs, session_results.identities
         except RecordError as error:
             flaws.append(str(error))
     by_record = {folder / run.record: run for run in results if run.decay is None}
@@ -111,26 +119,21 @@ def session_rows(folder: Path) -> tuple[list[Row], list[str]]:
         elif run is not None:
             row |= results_row(run)
         rows.append(row | source_columns | {"results": source.name if run is not None else None})
-    decays = [run for run in results if run.decay is not None]
-    for number, decay in enumerate(decays, start=1):
-        rows.append(_table_row(folder, decay, number) | source_columns | {"results": source.name})
+    for decay, identity in zip(results, identities, strict=True):
+        if decay.decay is not None:
+            rows.append(_table_row(folder, decay, identity) | source_columns | {"results": source.name})
     flaws += [f"{folder / row['record']}: {row['state']}: {row['flaw']}" for row in rows if row["flaw"]]
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
     return [row | {"session": session} for row in rows], flaws
 
 
-def _table_row(folder: Path, decay: RunResults, number: int) -> Row:
-    """The row of a decay, counted from 1, of a table or a film.
-
-    Its identifier is the table's hash; for later decays, and tables of several runs, a hash derived from it.
-    """
-    path, name, place = folder / decay.record, decay.source_name, decay.decay or TableDecay()
-    suffix = (f" run {place.run}" if place.run else "") + (f" decay {number}" if number > 1 else "")
-    derived_sha256 = hashlib.sha256(f"{decay.sha256}{suffix}".encode()).hexdigest()
+def _table_row(folder: Path, decay: RunResults, identity: RunIdentity) -> Row:
+    """The row of a decay of a table or a film."""
+    path, place = folder / decay.record, decay.decay or TableDecay()
     row: Row = {
-        "run": name if number == 1 else f"{name}-decay-{number}",
+        "run": identity.name,
         "record": decay.record,
-        "sha256": derived_sha256 if suffix else decay.sha256,
+        "sha256": identity.sha256,
         "record_bytes": path.stat().st_size if path.is_file() else None,
         "duration_s": _number(place.ended_s - place.began_s),
         "state": "whole",

@@ -89,6 +89,8 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
 def read_session(folder: Path) -> SessionState:
     """The session in a folder, running or ended; raises ConfigurationError if there is none."""
     path = folder / STATE_NAME
+    if folder.is_file():
+        raise ConfigurationError(f"{folder}: is a file; name the folder of a session")
     try:
         tree = json.loads(path.read_bytes())
         if isinstance(tree, dict):

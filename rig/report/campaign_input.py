@@ -170,10 +170,11 @@ def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[Co
 
 @dataclass(frozen=True, kw_only=True)
 class FoundRun:
-    """The results of a run that may enter a campaign, with its label, its contact and the results' hash."""
+    """The results of a run that may enter a campaign, with its label, its contact and both hashes."""
 
     label: str
     contact: str
+    sha256: str = ""
     results_sha256: str
     run: RunResults
 
@@ -226,7 +227,7 @@ def runs_of_archive(listed: Sequence[Sequence[str]]) -> list[FoundRun]:
     found: list[FoundRun] = []
     for sha256, run, sample, folder, results in listed:
         path = Path(folder) / results
-        own = [one for one in _runs(path, "", sample or path.parent.name) if one.run.sha256 == sha256]
+        own = [one for one in _runs(path, "", sample or path.parent.name) if one.sha256 == sha256]
         if not own:
             raise RecordError(f"{path}: knows no run {sha256[:8]}; rig archive update reads it again")
         found.append(replace(own[0], label=f"{path.parent.name}/{run}"))
@@ -237,22 +238,22 @@ def _runs(path: Path, folder: str, contact: str) -> list[FoundRun]:
     results, sha256 = read_results(path), sha256_of(path)
     return [
         FoundRun(
-            label="/".join(filter(None, (folder, Path(run.record).stem or f"run-{number}"))),
-            contact=contact, results_sha256=sha256, run=run,
+            label="/".join(filter(None, (folder, identity.name or f"run-{number}"))),
+            contact=contact, sha256=identity.sha256, results_sha256=sha256, run=run,
         )
-        for number, run in enumerate(results.runs, start=1)
+        for number, (run, identity) in enumerate(zip(results.runs, results.identities, strict=True), start=1)
     ]  # fmt: skip
 
 
 def _without_duplicates(runs: list[FoundRun]) -> list[FoundRun]:
     """The runs unchanged; raises ConfigurationError if a run occurs twice."""
-    seen: dict[str, str] = {}
+    of_file: dict[str, list[FoundRun]] = {}
     for one in runs:
-        before = seen.get(one.run.sha256)
+        earlier = of_file.setdefault(one.run.sha256, [])
+        before = next((other.label for other in earlier if one.run.is_of_same_motion(other.run)), None)
         if before == one.label:
             raise ConfigurationError(f"{one.label}: its folder is named twice, and counts once; name it once")
         if before is not None:
             raise ConfigurationError(f"{one.label}: is the run of {before} (same hash), which counts once")
-        if one.run.sha256:
-            seen[one.run.sha256] = one.label
+        earlier.append(one)
     return runs

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from itertools import combinations
 from math import isfinite, nan
 from pathlib import Path
 from typing import NamedTuple
@@ -209,10 +210,9 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
 
 def _refuse_shared_runs(sessions: Mapping[str, SessionResults]) -> None:
     """Raise ConfigurationError for a run of two sessions, whose difference is no difference of contacts."""
-    first: dict[str, str] = {}
-    for label, session in sessions.items():
-        for run in session.runs:
-            if run.sha256 and (other := first.setdefault(run.sha256, label)) != label:
+    for (other, earlier), (label, later) in combinations(sessions.items(), 2):
+        for run in later.runs:
+            if any(run.is_of_same_motion(one) for one in earlier.runs):
                 raise ConfigurationError(
                     f"{label}: its {run.record} is a run of {other} (same hash); a comparison needs "
                     "different runs"

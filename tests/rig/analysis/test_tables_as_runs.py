@@ -1,6 +1,7 @@
 """A table that was fitted is a run like any other: report, compare, archive and export take its results."""
 
 import json
+import re
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -162,6 +163,18 @@ def test_a_folder_of_images_is_analysed_and_known_again(tmp_path: Path) -> None:
     assert [row["state"] for row in session_rows(tmp_path / "out")[0]] == ["whole"]
     (frames / "f0100.png").unlink()
     assert [row["state"] for row in session_rows(tmp_path / "out")[0]] == ["damaged"]
+
+
+def test_amplitudes_of_a_power_have_its_unit(tmp_path: Path) -> None:
+    """The time constant stood "at -26.06 sqrt(power)": the amplitude is in dB, the parts are not."""
+    time_s = np.linspace(0.0, 30.0, 200)
+    noise = 0.05 * np.random.default_rng(1).standard_normal(200)
+    table = write(tmp_path / "power.txt", time_s, 10 * np.log10(np.exp(-time_s / 5.0)) + noise)
+    done = rig("fit", table, "--time-unit", "s", "--envelope", "power")
+    assert done.returncode == 0, done.stderr
+    told = [line.strip() for line in done.stdout.splitlines()]
+    assert any(re.fullmatch(r"time constant \S+ ± \S+ s at -26\.\d+ dB", line) for line in told)
+    assert any(re.match(r"damping, constant part .* sqrt\(power\)/s,", line) for line in told)
 
 
 def test_an_envelope_has_no_runs(tmp_path: Path) -> None:

@@ -167,6 +167,10 @@ def test_resume_wants_a_session(tmp_path: Path) -> None:
     done = rig("run", "--resume", tmp_path)
     assert done.returncode == 2
     assert "contains no session" in done.stderr
+    (tmp_path / "demo.toml").touch()
+    done = rig("run", "--resume", tmp_path / "demo.toml")
+    assert done.returncode == 2
+    assert "demo.toml: is a file; name the folder of a session" in done.stderr
 
 
 @pytest.mark.slow

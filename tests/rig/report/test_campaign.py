@@ -16,11 +16,12 @@ from processing.estimate import Estimate
 from processing.fit import AIR, LinearisedFit, drift_effects
 from processing.series import EndSide, to_coordinates
 from processing.units import ARCSEC_RAD
-from rig.analysis import analyse_record, read_results
+from rig.analysis import TableDecay, analyse_record, read_results
 from rig.archive import ordered_runs
 from rig.archive.listing import write_sessions, writing
+from rig.archive.session_rows import session_rows
 from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
-from rig.report.campaign_input import FoundRun
+from rig.report.campaign_input import FoundRun, runs_of_archive
 from rig.report.campaign_page import effects_table
 from rig.report.likelihoods import compress
 from tests.rig.command_line import SAMPLES, rig
@@ -284,6 +285,25 @@ def test_a_run_counts_once(tmp_path: Path) -> None:
     folder = session(tmp_path / "monday", [first, twice(first)])
     with pytest.raises(ConfigurationError, match=r"monday/run-9: is the run of monday/run-1 \(same hash\)"):
         runs_of_folders([folder])
+
+
+def test_decays_of_one_table_are_runs(tmp_path: Path) -> None:
+    """They share the table's hash; the archive lists each by its own, by which it is found again."""
+    rng = np.random.default_rng(1)
+    decays = [
+        replace(run(number, GLASS, rng), record="two.csv", sha256="ab" * 32, decay=place)
+        for number, place in enumerate(
+            [TableDecay(began_s=1.0, ended_s=50.0), TableDecay(began_s=60.0, ended_s=90.0)], start=1
+        )
+    ]
+    folder = session(tmp_path / "two", decays)
+    assert [one.label for one in runs_of_folders([folder])] == ["two/two", "two/two-decay-2"]
+    listed = [
+        (row["sha256"], row["run"], "glass", str(folder), row["results"]) for row in session_rows(folder)[0]
+    ]
+    found = runs_of_archive(listed)
+    began = {one.label: one.run.decay.began_s for one in found if one.run.decay is not None}
+    assert began == {"two/two": 1.0, "two/two-decay-2": 60.0}
 
 
 def test_a_campaign_of_nothing_is_refused(tmp_path: Path) -> None:

@@ -181,6 +181,29 @@ def test_a_run_is_not_compared_with_itself(tmp_path: Path) -> None:
         compare(folders, None)
 
 
+def test_decays_of_one_table_are_compared(tmp_path: Path) -> None:
+    """The runs, parts and columns of a file have its hash; only what has the same rows is the same run."""
+    places = {
+        "all": {"run": "1", "began_s": 1.0, "ended_s": 90.0, "columns": ["x"]},
+        "other-run": {"run": "2", "began_s": 1.0, "ended_s": 90.0, "columns": ["x"]},
+        "late": {"run": "1", "began_s": 95.0, "ended_s": 150.0, "columns": ["x"]},
+        "other-column": {"run": "1", "began_s": 1.0, "ended_s": 90.0, "columns": ["y"]},
+        "again": {"run": "1", "began_s": 30.0, "ended_s": 60.0, "columns": ["x"]},
+        "both-columns": {"run": "1", "began_s": 1.0, "ended_s": 90.0, "columns": ["x", "y"]},
+    }
+    for name, place in places.items():
+        folder = single(tmp_path / name, 1.9e-7)
+        tree = json.loads((folder / "results.json").read_text())
+        tree["runs"][0] |= {"record": "two.csv", "sha256": "ab" * 32, "decay": place}
+        (folder / "results.json").write_text(json.dumps(tree))
+    apart = [tmp_path / name for name in ("all", "other-run", "late", "other-column")]
+    values, _ = compare(apart, None)
+    assert len(values.head) == 1 + len(apart)
+    for name in ("again", "both-columns"):
+        with pytest.raises(ConfigurationError, match=rf"{name}: its two\.csv is a run of all \(same hash\)"):
+            compare([tmp_path / "all", tmp_path / name], None)
+
+
 def at_humidities(folder: Path, percent: list[float | None]) -> Path:
     """A session whose c rises by 2e-10 with each per cent, with a scatter of 1e-11."""
     made = session(folder)
