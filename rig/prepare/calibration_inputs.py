@@ -189,6 +189,11 @@ def read_input(path: Path, model: type[_Model]) -> _Model:
             f"{path}: is a configuration of the rig; a list of measured values is needed here, "
             "docs/calibrate.md shows one (rig calibrate air takes a configuration after --config)"
         )
+    if {"made_by", "values"} <= set(tree):
+        raise ConfigurationError(
+            f"{path}: is a calibration that rig calibrate made; the list of values measured for it is "
+            "needed here, docs/calibrate.md shows one"
+        )
     found, faults = validated(model, tree)
     if found is None:
         problem = "; ".join(fault.line for fault in faults)

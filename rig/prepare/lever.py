@@ -49,14 +49,42 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
     fit, sources, began = _fit_of_ladder(ladder, table)
     binning = _binning(ladder, table)
     if table.kind == "tilt":
-        lever = lever_from_tilts(fit, table.required_value("pixel_pitch_m", ladder) * binning)
+        pitch_m = table.required_value("pixel_pitch_m", ladder) * binning
+        odd = _odd_scale(ladder, table, "arm", fit.scale * pitch_m, _ARM_M)
+        lever = lever_from_tilts(fit, pitch_m)
     else:
+        odd = _odd_scale(ladder, table, "pixel pitch", 1.0 / fit.scale, _PITCH_M)
         lever = lever_from_shifts(fit, table.required_value("arm_m", ladder), table.u_arm_m)
     lever = lever.model_copy(update={"binning": binning})
     details = {**_ladder_details(fit, table), "u_scale_relative": lever.u_scale_relative}
     method = f"ladder of {len(table.step)} {table.kind}s"
     values = lever.model_dump(exclude_none=True)
-    return file_calibration("lever", filing, method, values, details, sources, fit.notes, began)
+    notes = [*fit.notes, *odd]
+    return file_calibration("lever", filing, method, values, details, sources, notes, began)
+
+
+_ARM_M = (0.1, 10.0)
+_PITCH_M = (0.5e-6, 50e-6)
+"""Arms, and pitches of image pixels, outside of which a wrong unit is more probable than such a rig."""
+
+
+def _odd_scale(
+    ladder: Path, table: LadderFile, name: str, value_m: float, usual_m: tuple[float, float]
+) -> list[str]:
+    """A note if the arm, or pixel pitch, that a ladder gives is not a usual one.
+
+    Raises ConfigurationError if it is ten times farther off, as with milliradians called arc seconds.
+    """
+    least_m, most_m = usual_m
+    if least_m <= value_m <= most_m:
+        return []
+    doubt = (
+        f"from these {table.kind}s the {name} is {value_m:.3g} m, which is hardly that of a rig: check "
+        f"unit = {table.unit!r}, {'pixel_pitch_m' if table.kind == 'tilt' else 'the numbers'}"
+    )
+    if not 0.1 * least_m < value_m < 10.0 * most_m:
+        raise ConfigurationError(f"{ladder}: {doubt}")
+    return [doubt]
 
 
 def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:

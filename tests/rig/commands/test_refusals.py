@@ -155,6 +155,12 @@ def test_every_fault_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     assert "is a configuration of the rig; a list of measured values is needed here" in said(
         "calibrate", "lever", DEMO, cwd=tmp_path
     )
+    (tmp_path / "g.toml").write_text("[geometry]\narm_m = 1.0\npixel_pitch_m = 4.8e-6\n")
+    rig("calibrate", "lever", "g.toml", cwd=tmp_path)
+    assert said("calibrate", "lever", "calibrations/lever-001.toml", cwd=tmp_path) == (
+        "rig: calibrations/lever-001.toml: is a calibration that rig calibrate made; the list of values "
+        "measured for it is needed here, docs/calibrate.md shows one\n"
+    )
     assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path) == (
         "rig: frames.toml: darks = 3: should be the name of a file, in quotes; level: is missing; "
         "state a value; docs/calibrate.md shows such a file\n"
