@@ -21,7 +21,7 @@ from processing.ambient import AmbientConditions, humid_air
 from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
-from rig.analysis import analyse_record, expected_drag, stated_surroundings
+from rig.analysis import analyse_record, expected_drag, refuse_copies, stated_surroundings
 from rig.instrument import pendulum_on_ball, recorded_configuration
 from rig.prepare.calibration_inputs import (
     Filing,
@@ -198,6 +198,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     for listed_run in table.run:
         if not (vanes.parent / listed_run.record).is_file():
             raise ConfigurationError(f"{vanes}: {vanes.parent / listed_run.record}: no such record")
+    refuse_copies([vanes.parent / listed_run.record for listed_run in table.run])
     runs, sources, rows, pendulums = [], [vanes], [], []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
@@ -236,6 +237,12 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
             f"{vanes}: its runs give a drag of {found.drag_s.value:.2g} ± "
             f"{found.drag_s.standard_uncertainty:.2g} s, which no air exerts: larger vanes, "
             "or longer runs, are needed"
+        )
+    slope, u_slope = found.per_exposure
+    if not by_ratio and slope < -2.0 * u_slope:
+        raise DataError(
+            f"{vanes}: its runs lose {-slope:.2g} ± {u_slope:.2g} s of drag per m² of vanes, and vanes add "
+            "some: see which record has which area"
         )
     values = {"drag_s": found.drag_s.value, "u_drag_s": found.drag_s.standard_uncertainty}
     method = f"{len(runs)} runs, {len(set(rows))} " + ("pressures" if by_ratio else "areas of vanes")
@@ -289,4 +296,10 @@ def _notes(found: MeasuredAir, table: VaneFile) -> list[str]:
         notes.append("two exposures do not show whether the drag follows the line: make runs at three")
     if not table.by_pressure and min(run.area_m2 or 0.0 for run in table.run) > 0:
         notes.append("no run is without vanes: the drag of the pendulum alone is extrapolated")
+    slope, u_slope = found.per_exposure
+    if not table.by_pressure and slope < 2.0 * u_slope:
+        notes.append(
+            f"the vanes add no drag that is seen ({slope:.2g} ± {u_slope:.2g} s per m²): see which record "
+            "has which area"
+        )
     return notes
