@@ -271,6 +271,16 @@ def test_a_sensor_from_stacks_of_frames_feeds_the_tracker(tmp_path: Path) -> Non
     assert sensor.pedestal_dn == pytest.approx(truth.black_level_dn, abs=6 * found.details["u_dark_level_dn"])
     assert truth.prnu > 4 * found.details["u_prnu"]
     assert sensor.prnu == pytest.approx(truth.prnu, abs=4 * found.details["u_prnu"])
+    assert not any("exposure_us" in note for note in found.notes)
+    reversed_lines = list(lines)
+    reversed_lines[4::3] = lines[4::3][::-1]
+    path = calibrate_sensor(write(tmp_path / "t.toml", "\n".join(reversed_lines)), Filing(tmp_path / "c"))
+    assert "see which level has which exposure" in read_calibration(path).notes[-1]
+    lines[1] = "full_scale_dn = 99999"
+    with pytest.raises(
+        ConfigurationError, match=r"full_scale_dn = 99999: the frames in dark\.npy end at \d+ DN"
+    ):
+        calibrate_sensor(write(tmp_path / "t.toml", "\n".join(lines)), Filing(tmp_path / "c"))
 
 
 @pytest.mark.slow
