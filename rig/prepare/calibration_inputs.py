@@ -58,7 +58,7 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
     kind: Literal["tilt", "shift"] = "tilt"
     unit: str = "arcsec"
     u_reference: float = Field(default=0.0, ge=0)
-    u_reference_relative: float = Field(default=0.0, ge=0)
+    u_reference_relative: float = Field(default=0.0, ge=0, lt=1)
     pixel_pitch_m: float | None = Field(default=None, gt=0, lt=1e-3)
     arm_m: float | None = Field(default=None, gt=0, lt=100)
     u_arm_m: float = Field(default=0.0, ge=0)

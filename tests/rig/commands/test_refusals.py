@@ -168,6 +168,10 @@ def test_every_fault_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     (tmp_path / "frames.toml").write_text("darks = 'd'\n[[level]]\nframes = 'a'\n[[level]]\nframe = 'b'\n")
     answer = said("calibrate", "sensor", "frames.toml", cwd=tmp_path)
     assert "level 2: frame: unknown key; did you mean frames?; level 2: frames: is missing" in answer
+    (tmp_path / "ladder.toml").write_text("u_reference_relative = 5\n")
+    assert "u_reference_relative = 5: should be less than 1" in said(
+        "calibrate", "lever", "ladder.toml", cwd=tmp_path
+    )
     (tmp_path / "ladder.toml").write_text("pixel_pitch_m = 4.8e-6\n[[step]]\nreference = 1\nu_px = 0.01\n")
     assert said("calibrate", "lever", "ladder.toml", cwd=tmp_path, status=1) == (
         "rig: ladder.toml: the ladder has 1 of the 5 steps that are needed at least\n"
