@@ -81,7 +81,8 @@ class LadderSolution:
     fitted. The others are the deviations of the steps' true settings from the stated ones in units of
     `u_reference`. `covariance` (fixed, fixed) is that of the first ones, enlarged along the motion by
     `birge`, across it by `birge_across`. `along_dof` are the degrees of freedom of `birge`, infinite if it is
-    1.
+    1. `residual_px` (n, 2) are the positions minus those of the fitted ladder at the stated settings, not at
+    the true ones, which the fit moves towards a wrong position until little of its error is left.
     """
 
     values: Floats
@@ -173,13 +174,18 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew
     values = found.values.copy()
     values[:fixed] *= unit
     _, _, along = parts(found.values)
-    residual_px = np.column_stack(
-        [steps.x_px - values[0] - values[2] * along, steps.y_px - values[1] - values[3] * along]
-    )
+
+    def off(along: Floats) -> Floats:
+        """Positions (n, 2) minus those of the fitted ladder with these displacements over the scale."""
+        return np.column_stack(
+            [steps.x_px - values[0] - values[2] * along, steps.y_px - values[1] - values[3] * along]
+        )
+
+    off_true_px = off(along)
     # rows: unit vectors along and across the motion
     turn = np.array([values[2:4], [-values[3], values[2]]]) / np.hypot(values[2], values[3])
     u_px = np.sqrt(turn**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
-    chi2_along, chi2_across = (((turn @ residual_px.T) / u_px) ** 2).sum(axis=1)
+    chi2_along, chi2_across = (((turn @ off_true_px.T) / u_px) ** 2).sum(axis=1)
     chi2_along += float(found.values[fixed:] @ found.values[fixed:])
     dof_along, dof_across = count - fixed + 2, count - 2
     birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
@@ -195,7 +201,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew
         birge,
         birge_across,
         dof_along if birge > 1.0 else math.inf,
-        residual_px,
+        off(parts(np.concatenate([found.values[:fixed], np.zeros(count)]))[2]),
     )
 
 

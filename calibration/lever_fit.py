@@ -23,6 +23,7 @@ from calibration.ladder import (
 from calibration.light_lever import Lever
 from processing.arrays import Floats
 from processing.errors import DataError
+from processing.units import ARCSEC_RAD
 
 _MIN_PROBABILITY = 0.01
 """Probability of a skew of this size for a linear ladder, below which the skew is taken as real."""
@@ -45,12 +46,12 @@ class LadderFit:
     large if the true value is 0. The fit of origin, direction and hysteresis includes a skew only if
     `nonlinear`, that of `scale` always, weighted by its probability. `cubic_probability` is the probability
     of a cubic part, `cubic` its probable size at the ladder's end, relative to the displacement there.
-    `hysteresis` is the difference between settings approached from below and from above, in the reference's
-    unit; NaN if all were approached from one side.
+    `hysteresis` is the difference between settings approached from below and from above, in rad
+    or m; NaN if all were approached from one side.
     `leave_one_out` (n,) is the change of the scale without each step, over its standard uncertainty.
-    `residual_px` (n, 2) are the residuals in x and y. `scale_dof` are the degrees of freedom of `u_scale`:
-    infinite where it follows from the stated uncertainties, those of the steps along the motion where their
-    scatter enlarged it. `notes` are remarks for the user.
+    `residual_px` (n, 2) are the residuals in x and y at the stated settings. `scale_dof` are the degrees of
+    freedom of `u_scale`: infinite where it follows from the stated uncertainties, those of the steps along
+    the motion where their scatter enlarged it. `notes` are remarks for the user.
     """
 
     kind: Literal["tilt", "shift"]
@@ -146,15 +147,16 @@ def fit_ladder(
     worst = int(np.nanargmax(np.abs(scale_changes)))
     if abs(scale_changes[worst]) > _MAX_SCALE_CHANGE:
         notes.append(
-            f"step {worst + 1} at {steps.reference[worst]:.6g} does not fit the others: without it the scale "
-            f"changes by {abs(scale_changes[worst]):.1f} standard uncertainties"
+            f"step {worst + 1} at {_setting(steps.reference[worst], kind, 6)} does not fit the others: "
+            f"without it the scale changes by {abs(scale_changes[worst]):.1f} standard uncertainties"
         )
     hysteresis, u_hysteresis = math.nan, math.nan
     if way is not None:
         hysteresis, u_hysteresis = float(best.values[best.fixed - 1]), best.u(best.fixed - 1)
         if abs(hysteresis) > 3.0 * u_hysteresis:
             notes.append(
-                f"hysteresis of {hysteresis:.3g} ± {u_hysteresis:.2g} between upward and downward steps"
+                f"hysteresis of {_setting(hysteresis, kind, 3)} ± {_setting(u_hysteresis, kind, 2)} between "
+                "upward and downward steps"
             )
     kx, ky = best.values[2], best.values[3]
     u_across = math.sqrt(
@@ -185,6 +187,12 @@ def fit_ladder(
         residual_px=best.residual_px,
         notes=tuple(notes),
     )
+
+
+def _setting(setting: float, kind: Literal["tilt", "shift"], digits: int) -> str:
+    """A tilt or shift with its unit, as the table of the steps shows it."""
+    unit, size = ("arcsec", ARCSEC_RAD) if kind == "tilt" else ("mm", 1e-3)
+    return f"{setting / size:.{digits}g} {unit}"
 
 
 _EXPLAINED = "the scale allows for what explains it"

@@ -352,7 +352,7 @@ def _prnu(
 
 
 def _linearity(points: Sequence[TransferPoint], exposures_us: Sequence[float]) -> float:
-    """Largest relative deviation of the signal from a straight line in the exposure."""
+    """Largest relative deviation of the signal from a straight line that does not fall with the exposure."""
     if len(exposures_us) < 3:
         return float("nan")
     x = np.array(exposures_us)
@@ -360,4 +360,7 @@ def _linearity(points: Sequence[TransferPoint], exposures_us: Sequence[float]) -
     # EMVA 1288 minimises relative deviations, so that small signals count as much as large ones
     design = np.column_stack([np.ones_like(x), x]) / y[:, None]
     values, *_ = np.linalg.lstsq(design, np.ones_like(y), rcond=None)
+    if values[1] < 0.0:
+        # exposures in the wrong order may lie on a line, too
+        values = np.array([np.sum(1.0 / y) / np.sum(1.0 / y**2), 0.0])
     return float(np.max(np.abs(design @ values - 1.0)))

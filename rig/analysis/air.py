@@ -24,7 +24,8 @@ _AIR_KEYS = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL_AIR = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
 _MIN_READINGS = 4
 """Fewest readings that show a change."""
-_HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
+HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
+"""Keys of [session] whose times begin the contact's history."""
 
 
 def stated_surroundings(config: Configuration) -> AmbientConditions:
@@ -38,7 +39,7 @@ def table_surroundings(config: Configuration, began_s: float | None) -> AmbientC
 
     `began_s` is that row's time in s since 1970, None where the table does not have it.
     """
-    since = {name: getattr(config.session, key) for name, key in _HISTORY_KEYS.items()}
+    since = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
     known = {} if began_s is None else {name: began_s - at.timestamp() for name, at in since.items() if at}
     return replace(stated_surroundings(config), **known)
 
@@ -48,10 +49,10 @@ def recorded_surroundings(reader: RecordReader, config: Configuration | None = N
     if config is None:
         air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
         session = reader.metadata.get("session", {})
-        times = {name: session.get(key, "") for name, key in _HISTORY_KEYS.items()}
+        times = {name: session.get(key, "") for name, key in HISTORY_KEYS.items()}
     else:
         air = asdict(stated_surroundings(config))
-        stated = {name: getattr(config.session, key) for name, key in _HISTORY_KEYS.items()}
+        stated = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
         times = {name: at.isoformat() if at is not None else "" for name, at in stated.items()}
     return AmbientConditions(**_air_readings(reader, air), **_contact_history(reader, times))
 
@@ -93,7 +94,7 @@ def ambient_warnings(ambient: AmbientConditions) -> list[str]:
     humidity = doubtful_humidity(ambient.humidity_percent)
     return [*filter(None, [humidity])] + [
         f"session.{key} lies {-getattr(ambient, name):.0f} s after the run began: correct its date or offset"
-        for name, key in _HISTORY_KEYS.items()
+        for name, key in HISTORY_KEYS.items()
         if getattr(ambient, name) < 0
     ]
 

@@ -58,7 +58,7 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
     kind: Literal["tilt", "shift"] = "tilt"
     unit: str = "arcsec"
     u_reference: float = Field(default=0.0, ge=0)
-    u_reference_relative: float = Field(default=0.0, ge=0)
+    u_reference_relative: float = Field(default=0.0, ge=0, lt=1)
     pixel_pitch_m: float | None = Field(default=None, gt=0, lt=1e-3)
     arm_m: float | None = Field(default=None, gt=0, lt=100)
     u_arm_m: float = Field(default=0.0, ge=0)
@@ -188,6 +188,11 @@ def read_input(path: Path, model: type[_Model]) -> _Model:
         raise ConfigurationError(
             f"{path}: is a configuration of the rig; a list of measured values is needed here, "
             "docs/calibrate.md shows one (rig calibrate air takes a configuration after --config)"
+        )
+    if {"made_by", "values"} <= set(tree):
+        raise ConfigurationError(
+            f"{path}: is a calibration that rig calibrate made; the list of values measured for it is "
+            "needed here, docs/calibrate.md shows one"
         )
     found, faults = validated(model, tree)
     if found is None:

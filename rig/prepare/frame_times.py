@@ -124,6 +124,10 @@ def calibrate_axes(record: Path, filing: Filing, slow_began: Sign | None, fast_b
     )
 
 
+_MAX_LINEARITY_ERROR = 0.05
+"""Departure of the light from the exposures above which a note is given; sensors depart by a per cent."""
+
+
 def calibrate_sensor(frames: Path, filing: Filing) -> Path:
     """Calibrate the sensor by photon transfer from dark and uniformly lit frames; returns the file."""
     table = read_input(frames, TransferFile)
@@ -137,6 +141,11 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
             "where this list lies"
         )
     darks, full_scale = frames_of(place / table.darks)
+    if table.full_scale_dn is not None and table.full_scale_dn > full_scale:
+        raise ConfigurationError(
+            f"{frames}: full_scale_dn = {table.full_scale_dn}: the frames in {table.darks} end at "
+            f"{full_scale} DN; state the sensor's own, or leave it out"
+        )
     pairs, sources = [], [frames, place / table.darks]
     for level in table.level:
         images, scale = frames_of(place / level.frames)
@@ -169,9 +178,13 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
     details["variance_dn2"] = [point.variance_dn2 for point in found.points]
     details["u_variance_dn2"] = [point.u_variance_dn2 for point in found.points]
     details["hot_pixels_xy"] = found.hot_pixels.tolist()
-    return file_calibration(
-        "sensor", filing, "photon transfer (EMVA 1288)", values, details, sources, found.rejected
-    )
+    notes = list(found.rejected)
+    if found.linearity_error > _MAX_LINEARITY_ERROR:
+        notes.append(
+            f"the light departs from exposure_us by {percent(found.linearity_error)}: see which level has "
+            "which exposure, and whether the lamp is steady"
+        )
+    return file_calibration("sensor", filing, "photon transfer (EMVA 1288)", values, details, sources, notes)
 
 
 def calibrate_pointing(record: Path, filing: Filing) -> Path:

@@ -21,7 +21,7 @@ from processing.ambient import AmbientConditions, humid_air
 from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
-from rig.analysis import analyse_record, expected_drag, stated_surroundings
+from rig.analysis import analyse_record, expected_drag, refuse_copies, stated_surroundings
 from rig.instrument import pendulum_on_ball, recorded_configuration
 from rig.prepare.calibration_inputs import (
     Filing,
@@ -49,14 +49,42 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
     fit, sources, began = _fit_of_ladder(ladder, table)
     binning = _binning(ladder, table)
     if table.kind == "tilt":
-        lever = lever_from_tilts(fit, table.required_value("pixel_pitch_m", ladder) * binning)
+        pitch_m = table.required_value("pixel_pitch_m", ladder) * binning
+        odd = _odd_scale(ladder, table, "arm", fit.scale * pitch_m, _ARM_M)
+        lever = lever_from_tilts(fit, pitch_m)
     else:
+        odd = _odd_scale(ladder, table, "pixel pitch", 1.0 / fit.scale, _PITCH_M)
         lever = lever_from_shifts(fit, table.required_value("arm_m", ladder), table.u_arm_m)
     lever = lever.model_copy(update={"binning": binning})
     details = {**_ladder_details(fit, table), "u_scale_relative": lever.u_scale_relative}
     method = f"ladder of {len(table.step)} {table.kind}s"
     values = lever.model_dump(exclude_none=True)
-    return file_calibration("lever", filing, method, values, details, sources, fit.notes, began)
+    notes = [*fit.notes, *odd]
+    return file_calibration("lever", filing, method, values, details, sources, notes, began)
+
+
+_ARM_M = (0.1, 10.0)
+_PITCH_M = (0.5e-6, 50e-6)
+"""Arms, and pitches of image pixels, outside of which a wrong unit is more probable than such a rig."""
+
+
+def _odd_scale(
+    ladder: Path, table: LadderFile, name: str, value_m: float, usual_m: tuple[float, float]
+) -> list[str]:
+    """A note if the arm, or pixel pitch, that a ladder gives is not a usual one.
+
+    Raises ConfigurationError if it is ten times farther off, as with milliradians called arc seconds.
+    """
+    least_m, most_m = usual_m
+    if least_m <= value_m <= most_m:
+        return []
+    doubt = (
+        f"from these {table.kind}s the {name} is {value_m:.3g} m, which is hardly that of a rig: check "
+        f"unit = {table.unit!r}, {'pixel_pitch_m' if table.kind == 'tilt' else 'the numbers'}"
+    )
+    if not 0.1 * least_m < value_m < 10.0 * most_m:
+        raise ConfigurationError(f"{ladder}: {doubt}")
+    return [doubt]
 
 
 def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
@@ -166,6 +194,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     for listed_run in table.run:
         if not (vanes.parent / listed_run.record).is_file():
             raise ConfigurationError(f"{vanes}: {vanes.parent / listed_run.record}: no such record")
+    refuse_copies([vanes.parent / listed_run.record for listed_run in table.run])
     runs, sources, rows, pendulums = [], [vanes], [], []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
@@ -204,6 +233,12 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
             f"{vanes}: its runs give a drag of {found.drag_s.value:.2g} ± "
             f"{found.drag_s.standard_uncertainty:.2g} s, which no air exerts: larger vanes, "
             "or longer runs, are needed"
+        )
+    slope, u_slope = found.per_exposure
+    if not by_ratio and slope < -2.0 * u_slope:
+        raise DataError(
+            f"{vanes}: its runs lose {-slope:.2g} ± {u_slope:.2g} s of drag per m² of vanes, and vanes add "
+            "some: see which record has which area"
         )
     values = {"drag_s": found.drag_s.value, "u_drag_s": found.drag_s.standard_uncertainty}
     method = f"{len(runs)} runs, {len(set(rows))} " + ("pressures" if by_ratio else "areas of vanes")
@@ -257,4 +292,10 @@ def _notes(found: MeasuredAir, table: VaneFile) -> list[str]:
         notes.append("two exposures do not show whether the drag follows the line: make runs at three")
     if not table.by_pressure and min(run.area_m2 or 0.0 for run in table.run) > 0:
         notes.append("no run is without vanes: the drag of the pendulum alone is extrapolated")
+    slope, u_slope = found.per_exposure
+    if not table.by_pressure and slope < 2.0 * u_slope:
+        notes.append(
+            f"the vanes add no drag that is seen ({slope:.2g} ± {u_slope:.2g} s per m²): see which record "
+            "has which area"
+        )
     return notes

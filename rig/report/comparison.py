@@ -16,7 +16,15 @@ from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.series import CombinedValue, Comparison, combine, compare_series
-from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, plain_row, read_results
+from rig.analysis import (
+    HISTORY_KEYS,
+    SURFACE_ENERGY,
+    ResultRow,
+    RunResults,
+    SessionResults,
+    plain_row,
+    read_results,
+)
 from rig.report import html
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, three_columns
 from rig.report.figures_contact import comparison_figure
@@ -69,9 +77,11 @@ def runs_with_condition(sessions: Mapping[str, SessionResults], name: str) -> li
     ]
     found = [run for run in fitted if isfinite(run.ambient_value)]
     if len(found) < 2:
+        history = HISTORY_KEYS.get(name)
+        remedy = f"session.{history}" if history else f"environment.{name}, or let a sensor read it"
         raise RecordError(
             f"--against {name}: known for {len(found)} of {len(fitted)} fitted runs, two are needed: state "
-            "it in the configuration or let a sensor read it"
+            f"{remedy}"
         )
     return found
 

@@ -29,7 +29,8 @@ _MAX_AGEING_FACTOR = 1.2
 class Plan:
     """Planned runs, and series of `counts` of each; `values` are the assumed parameters by key.
 
-    Runs that last longer than `longest_s` are still planned to their last amplitude.
+    Runs that last longer than `longest_s` are still planned to their last amplitude. `unknown` are the keys
+    of values that the source of the plan does not determine.
     """
 
     conditions: Conditions
@@ -37,6 +38,7 @@ class Plan:
     runs: tuple[PlannedRun, ...]
     counts: tuple[int, ...] = (1,)
     longest_s: float = math.inf
+    unknown: tuple[str, ...] = ()
 
     @property
     def scales(self) -> dict[str, float]:
@@ -62,7 +64,7 @@ def make_plan(
 
     Raises DataError: no pair of amplitudes makes a run.
     """
-    values, pendulum, conditions, longest_s = planned
+    values, pendulum, conditions, longest_s, unknown = planned
     if ground_rad_per_s2_rthz is not None:
         conditions = conditions.on_ground(ground_rad_per_s2_rthz)
     if seismometer_noise is not None:
@@ -76,12 +78,12 @@ def make_plan(
                 problem = str(error)
     if not runs:
         raise DataError(f"no such run: {problem}")
-    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s)
+    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s, unknown)
 
 
 def _share(u: float, value: float, unit: str) -> str:
     """Relative uncertainty in per cent; the uncertainty with its unit if the value is 0."""
-    return percent(u / abs(value)) if value else f"{plain(u, 2)} {unit}".rstrip()
+    return _percent_or_unknown(u / abs(value)) if value else f"{plain(u, 2)} {unit}".rstrip()
 
 
 def plan_table(plan: Plan) -> Table:
@@ -96,7 +98,14 @@ def plan_table(plan: Plan) -> Table:
         shares = [_share(one, scales[name], quantity(name).unit) for name, one in zip(names, u, strict=True)]
         texts = [f"{first:g} to {last:g}{remark}", f"{count}", f"{all_s / 60:.1f}", *shares]
         lines.append(TableRow([first, last, run.duration_s, run.half_cycles, count, all_s, *u], texts))
-    note = (
+    note = ""
+    if plan.unknown:
+        unknown = ", ".join(quantity(name).symbol for name in plan.unknown)
+        note = (
+            f"NOT RELIABLE: what this plan starts from does not determine {unknown}, so the contact may be "
+            "another; plan from a longer run, or from a configuration. "
+        )
+    note += (
         "Standard uncertainties from the swings alone, in per cent of the value where no unit is given; "
         "total time of all runs. One amplitude is measured to "
         f"{plain(conditions.u_amplitude_rad / ARCSEC_RAD, 2)} arcsec; the drive of the ground is "

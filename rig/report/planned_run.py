@@ -1,7 +1,7 @@
 """The assumptions of a plan: contact, scatter of turning points, motion of the ground."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from processing.contact import DEFAULT_LAW, DRAG, PendulumOnBall
 from processing.deflections import slow_deflections
 from processing.errors import ConfigurationError, DataError
+from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import LEAST_UNEXPLAINED, Conditions, FitMethod, waveform_of
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
@@ -27,12 +28,16 @@ _FULL_SCALE_DN = 255.0
 
 
 class PlannedContact(NamedTuple):
-    """Contact values by key, pendulum, conditions that make turning points scatter, and the time limit."""
+    """Contact values by key, pendulum, conditions that make turning points scatter, and the time limit.
+
+    `unknown` are the keys of values that the source of the plan does not determine.
+    """
 
     values: dict[str, float]
     pendulum: PendulumOnBall
     conditions: Conditions
     longest_s: float = math.inf
+    unknown: tuple[str, ...] = ()
 
 
 def planned_contact(config: Configuration, frame_noise_rad: float | None = None) -> PlannedContact:
@@ -79,7 +84,8 @@ def planned_contact_of_file(
         return planned
     known = _values_of(fitted[0][0])
     # the drag is planned as it will be fitted, whether or not the earlier fit had one
-    return planned._replace(values={name: known.get(name, own) for name, own in planned.values.items()})
+    values = {name: known.get(name, own) for name, own in planned.values.items()}
+    return planned._replace(values=values, unknown=_unknown(fitted[0][0].parameters))
 
 
 def planned_contact_of_run(run: AnalysedRun) -> PlannedContact:
@@ -88,7 +94,8 @@ def planned_contact_of_run(run: AnalysedRun) -> PlannedContact:
     if exact is None or pendulum is None:
         raise DataError(f"{run.path}: a plan needs a fitted run: {run.problem or 'it has no fit'}")
     values = {name: exact.estimate(name).value for name in exact.contact_names}
-    return PlannedContact(values, pendulum, Conditions.of(exact, run.points))
+    conditions = Conditions.of(exact, run.points)
+    return PlannedContact(values, pendulum, conditions, unknown=_unknown(exact.estimates()))
 
 
 def planned_contact_of_table(results: Path) -> PlannedContact:
@@ -105,7 +112,7 @@ def planned_contact_of_table(results: Path) -> PlannedContact:
         scale * float(np.median(points.u_time_s * points.amplitude)),
         0.0 if ground is None else ground.density_rad_per_s2_rthz.value,
     )
-    return PlannedContact(_values_of(exact), pendulum, conditions)
+    return PlannedContact(_values_of(exact), pendulum, conditions, unknown=_unknown(exact.parameters))
 
 
 def _fitted(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, TurningPoints]]:
@@ -121,6 +128,16 @@ def _fitted(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, Turni
     if not fitted:
         raise DataError(f"{results}: nothing in it has a fit of the contact; {remedy}")
     return fitted
+
+
+def _unknown(fitted: Mapping[str, Estimate]) -> tuple[str, ...]:
+    """Parameters of the contact that half-cycles do not determine; the drag is planned without its value."""
+    return tuple(
+        name
+        for name in DEFAULT_LAW.names()
+        if name in fitted
+        and not fitted[name].standard_uncertainty <= WELL_DETERMINED * abs(fitted[name].value)
+    )
 
 
 def _values_of(fit: Fit) -> dict[str, float]:

@@ -123,6 +123,18 @@ def test_a_cubic_part_and_a_wrong_step_are_named() -> None:
     assert abs(fit.scale * PITCH_M - 1.0) < 3.0 * fit.u_scale * PITCH_M < 1e-3
 
 
+def test_a_residual_is_the_whole_departure_from_the_stated_setting() -> None:
+    """Where the settings are less certain than the spot, the fit moves them; the residual showed a tenth."""
+    steps = ladder(np.linspace(-60, 60, 5).tolist())
+    u_reference = np.full(5, 0.1 * ARCSEC_RAD)
+    y_px = steps.y_px.copy()
+    y_px[3] += 4.0
+    fit = fit_ladder(replace(steps, y_px=y_px, u_reference=u_reference), "tilt")
+    # a straight line through five evenly spaced steps leaves 0.7 of an error of the fourth
+    assert fit.residual_px[3, 1] == pytest.approx(0.7 * 4.0, abs=5 * NOISE_PX)
+    assert any("step 4 at 30 arcsec does not fit" in note for note in fit.notes)
+
+
 def test_the_uncertainty_of_a_cubic_part_is_its_scatter() -> None:
     """Of 30 seeds, within four of its own standard deviations; also where a wrong step may be the cause."""
     bent = LADDERS["cubic 3.6e-3, 9 steps to 300 arcsec"]

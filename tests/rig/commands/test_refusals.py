@@ -155,6 +155,12 @@ def test_every_fault_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     assert "is a configuration of the rig; a list of measured values is needed here" in said(
         "calibrate", "lever", DEMO, cwd=tmp_path
     )
+    (tmp_path / "g.toml").write_text("[geometry]\narm_m = 1.0\npixel_pitch_m = 4.8e-6\n")
+    rig("calibrate", "lever", "g.toml", cwd=tmp_path)
+    assert said("calibrate", "lever", "calibrations/lever-001.toml", cwd=tmp_path) == (
+        "rig: calibrations/lever-001.toml: is a calibration that rig calibrate made; the list of values "
+        "measured for it is needed here, docs/calibrate.md shows one\n"
+    )
     assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path) == (
         "rig: frames.toml: darks = 3: should be the name of a file, in quotes; level: is missing; "
         "state a value; docs/calibrate.md shows such a file\n"
@@ -162,6 +168,10 @@ def test_every_fault_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     (tmp_path / "frames.toml").write_text("darks = 'd'\n[[level]]\nframes = 'a'\n[[level]]\nframe = 'b'\n")
     answer = said("calibrate", "sensor", "frames.toml", cwd=tmp_path)
     assert "level 2: frame: unknown key; did you mean frames?; level 2: frames: is missing" in answer
+    (tmp_path / "ladder.toml").write_text("u_reference_relative = 5\n")
+    assert "u_reference_relative = 5: should be less than 1" in said(
+        "calibrate", "lever", "ladder.toml", cwd=tmp_path
+    )
     (tmp_path / "ladder.toml").write_text("pixel_pitch_m = 4.8e-6\n[[step]]\nreference = 1\nu_px = 0.01\n")
     assert said("calibrate", "lever", "ladder.toml", cwd=tmp_path, status=1) == (
         "rig: ladder.toml: the ladder has 1 of the 5 steps that are needed at least\n"

@@ -93,6 +93,10 @@ def test_the_drag_is_measured_filed_and_used(
             "[[run]]\nrecord = '0.mcap'\narea_m2 = 0.1\n[[run]]\nrecord = 'no.mcap'\narea_m2 = 0",
             "no.mcap: no such record",
         ),
+        (
+            "[[run]]\nrecord = '0.mcap'\narea_m2 = 0.1\n[[run]]\nrecord = '0.mcap'\narea_m2 = 0",
+            "0.mcap: holds the run of",
+        ),
     ],
 )
 def test_what_cannot_serve_is_said_in_one_line(vanes: Path, tmp_path: Path, lines: str, said: str) -> None:
@@ -102,6 +106,21 @@ def test_what_cannot_serve_is_said_in_one_line(vanes: Path, tmp_path: Path, line
         calibrate_air(path, Filing(tmp_path / "c"))
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.slow
+def test_areas_that_were_swapped_are_refused(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The drag was that of the pendulum with its vanes, without a word."""
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    swapped = vanes.parent / "swapped.toml"
+    swapped.write_text(
+        vanes.read_text().replace("0.mcap", "x").replace("1.mcap", "0.mcap").replace("x", "1.mcap")
+    )
+    with pytest.raises(DataError, match="of drag per m² of vanes, and vanes add some: see which record"):
+        calibrate_air(swapped, Filing(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
 
 

@@ -127,6 +127,25 @@ def test_what_is_printed_is_what_is_used(tmp_path: Path) -> None:
     assert not found.values.keys() & found.details.keys()
 
 
+def test_a_ladder_in_another_unit_than_stated_is_doubted(tmp_path: Path) -> None:
+    """Arc seconds called milliradians made an arm of 5 mm without a word; the reverse was no message."""
+    ladder = tilts(tmp_path / "tilts.toml", [-120.0, -60.0, 0.0, 60.0, 120.0])
+    assert not read_calibration(calibrate_lever(ladder, Filing(tmp_path)), "lever").notes
+    right = ladder.read_text()
+    write(ladder, right.replace("'arcsec'", "'arcmin'"))
+    notes = read_calibration(calibrate_lever(ladder, Filing(tmp_path)), "lever").notes
+    assert notes[-1] == (
+        "from these tilts the arm is 0.0167 m, which is hardly that of a rig: "
+        "check unit = 'arcmin', pixel_pitch_m"
+    )
+    write(ladder, right.replace("'arcsec'", "'mrad'"))
+    with pytest.raises(ConfigurationError, match=r"arm is 0\.00485 m, which is hardly .* unit = 'mrad'"):
+        calibrate_lever(ladder, Filing(tmp_path))
+    write(ladder, tilts(ladder, [-1.0, -0.5, 0.0, 0.5, 1.0], factor=206.26).read_text())
+    with pytest.raises(ConfigurationError, match=r"arm is 206 m, which is hardly .* unit = 'arcsec'"):
+        calibrate_lever(ladder, Filing(tmp_path))
+
+
 def test_a_new_file_never_replaces_an_old_one(tmp_path: Path) -> None:
     ladder = write(tmp_path / "g.toml", GEOMETRY)
     names = [calibrate_lever(ladder, Filing(tmp_path / "c")).name for _ in range(3)]
@@ -253,6 +272,16 @@ def test_a_sensor_from_stacks_of_frames_feeds_the_tracker(tmp_path: Path) -> Non
     assert sensor.pedestal_dn == pytest.approx(truth.black_level_dn, abs=6 * found.details["u_dark_level_dn"])
     assert truth.prnu > 4 * found.details["u_prnu"]
     assert sensor.prnu == pytest.approx(truth.prnu, abs=4 * found.details["u_prnu"])
+    assert not any("exposure_us" in note for note in found.notes)
+    reversed_lines = list(lines)
+    reversed_lines[4::3] = lines[4::3][::-1]
+    path = calibrate_sensor(write(tmp_path / "t.toml", "\n".join(reversed_lines)), Filing(tmp_path / "c"))
+    assert "see which level has which exposure" in read_calibration(path).notes[-1]
+    lines[1] = "full_scale_dn = 99999"
+    with pytest.raises(
+        ConfigurationError, match=r"full_scale_dn = 99999: the frames in dark\.npy end at \d+ DN"
+    ):
+        calibrate_sensor(write(tmp_path / "t.toml", "\n".join(lines)), Filing(tmp_path / "c"))
 
 
 @pytest.mark.slow

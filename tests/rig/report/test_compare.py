@@ -260,3 +260,6 @@ def test_what_is_not_known_is_said(tmp_path: Path) -> None:
         compare([folder], None, "wind")
     with pytest.raises(RecordError, match="--against humidity_percent: known for 1 of 2 fitted runs"):
         compare([folder], None, "humidity")
+    # no sensor reads how old a surface is
+    with pytest.raises(RecordError, match=r"two are needed: state session\.surfaces_cleaned$"):
+        compare([folder], None, "age")

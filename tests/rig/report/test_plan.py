@@ -31,6 +31,7 @@ def test_a_run_is_planned_from_a_record(
     assert "u(γ)" in said
     assert "Runs that reveal ageing of the contact" in said
     assert said.count("<- proposed") == 1
+    assert "NOT RELIABLE: what this plan starts from does not determine" in said
     names, *series = (line.split(",") for line in (folder / "plan.ageing.csv").read_text().splitlines())
     alone, *pairs = (dict(zip(names, row, strict=True)) for row in series)
     assert [float(pair["waiting_s"]) for pair in pairs] == [0.0, 3600.0]
@@ -59,6 +60,7 @@ def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
     assert [line.get_label() for line in axes.get_lines()] == ["b"]
     air = Plan(conditions, {"b": 4e-3, "drag_s": 2e-3}, (run,))
     assert plan_table(air).shown[0][-1] == "0.1 %"
+    assert "NOT RELIABLE" not in plan_table(air).note
 
 
 def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
