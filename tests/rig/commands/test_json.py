@@ -120,7 +120,7 @@ def test_an_error_leaves_stdout_empty(tmp_path: Path) -> None:
 def _inputs(name: str, folder: Path) -> None:
     shutil.copytree(SAMPLES / "series", folder / "series")
     if name == "compare":
-        shutil.copytree(SAMPLES / "series", folder / "other")
+        shutil.copytree(SAMPLES / "first", folder / "other")
     if name == "calibrate lever":
         (folder / "geometry.toml").write_text(
             "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n"

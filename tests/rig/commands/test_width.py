@@ -48,7 +48,7 @@ def test_every_line_fits(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv("COLUMNS", raising=False)
     shutil.copytree(SAMPLES / "series", tmp_path / "series")
     if "other" in SCREENS[name]:
-        shutil.copytree(SAMPLES / "series", tmp_path / "other")
+        shutil.copytree(SAMPLES / "first", tmp_path / "other")
     (tmp_path / "turns.jsonl").write_text(TURN)
     (tmp_path / "geometry.toml").write_text(
         "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n"

@@ -125,7 +125,7 @@ def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path
         desk.lighting.off("one")
         desk.lighting.off("three")
         until(lambda: len(dark) == 3)
-        assert dark == [""] * 3
+        assert dark == ["the desk"] * 3
     desk.close()
 
 

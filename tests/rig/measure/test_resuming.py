@@ -199,8 +199,8 @@ def test_a_list_that_is_resumed_tells_no_end_twice(tmp_path: Path) -> None:
     assert resume_session(out / "one") == 0
     assert told.read_text() == "end "
     state = json.loads((out / "one" / "session.json").read_text())
-    assert state["told"].startswith("end: ")
-    (out / "one" / "session.json").write_text(json.dumps({**state, "told": ""}))
+    assert state["end_notice_sent"].startswith("end: ")
+    (out / "one" / "session.json").write_text(json.dumps({**state, "end_notice_sent": ""}))
     assert measure_sessions(sources, (), out) == 0
     assert told.read_text() == "end end "
 
