@@ -13,7 +13,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 from processing.errors import RigError
 from rig.devices import NoSession, OrderConnection
@@ -112,8 +111,7 @@ class Trial:
 
     def __init__(self, package: Path, folder: Path, path: str, fault: str, when_dark: str) -> None:
         self.path, self.fault, self.folder = path, fault, folder
-        with patch.dict(os.environ, XDG_STATE_HOME=str(folder / "state")):
-            self.board = FirmwareBoard(package, folder, through_wire=True)
+        self.board = FirmwareBoard(package, folder, through_wire=True, states=folder / "state")
         self.config = folder / "rig.toml"
         text = CONFIG.format(
             demo=(CONFIGS / "demo.toml").as_posix(), folder=folder, port=self.board.port, when_dark=when_dark

@@ -23,16 +23,19 @@ FIRMWARE = HERE.parents[2] / "rig" / "control" / "firmware"
 class FirmwareBoard:
     """The firmware's own files, run by node's MicroPython, at one end of a pseudo-terminal.
 
-    With ``through_wire`` its bytes pass a `Wire`, which can lose, spoil, delay and cut.
+    With ``through_wire`` its bytes pass a `Wire`, which can lose, spoil, delay and cut. `states` is where the
+    states of rigs are kept, if not where this process keeps them.
     """
 
-    def __init__(self, package: Path, folder: Path, through_wire: bool = False) -> None:
+    def __init__(
+        self, package: Path, folder: Path, through_wire: bool = False, states: Path | None = None
+    ) -> None:
         self._log_file = folder / "outputs.log"
         self._log_file.touch()
         master, slave = pty.openpty()
         tty.setraw(slave)
         self.port = os.ttyname(slave)
-        known(self.port)
+        known(self.port, states)
         # Held open, so that the terminal survives a host that opens and closes it.
         self._slave = slave
         self._wire: Wire | None = None
