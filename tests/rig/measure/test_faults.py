@@ -31,7 +31,9 @@ def test_a_camera_that_comes_back_and_a_laser_that_fades_cost_the_frames_between
     assert "LOST SPOTS: " in done.stdout
     kinds = [kind for kind, _ in events_of(tmp_path / "out" / "run-1.mcap")]
     assert kinds.index("camera lost") < kinds.index("camera back") < kinds.index("stop")
-    assert "gap" in kinds
+    (gap,) = [text for kind, text in events_of(tmp_path / "out" / "run-1.mcap") if kind == "gap"]
+    assert gap.startswith("frames missing before frame ")
+    assert gap.endswith(": 150")
     assert kinds.index("spot lost") < len(kinds) - 1 - kinds[::-1].index("spot found")
     run = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
     assert run["half_cycles"] >= 11

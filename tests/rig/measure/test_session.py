@@ -55,6 +55,7 @@ def test_a_session_leaves_records_and_results(measured_series: Path) -> None:
         kinds = [event.kind for event in reader.events()]
         assert kinds[0] == "start"
         assert kinds[-1] == "stop"
+        assert "gap" not in kinds
         assert "time limit" in reader.events()[-1].text
         assert "configuration.json" in reader.attachments
         assert reader.metadata["session"]["operator"] == "demonstration"
