@@ -145,31 +145,37 @@ def planned_run(
     step = step_of_density(conditions.unknown_rad_per_s2_rthz, float(np.diff(time).mean())) / model.reference
     noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
     all_known = {name: known[name] for name in model.names}
-    root = np.linalg.qr(relative_jacobian(model, columns, noise)).R
+    root = np.linalg.qr(relative_jacobian(model, columns, all_known, noise)).R
     rows = np.vstack([root[:, :-1], *_drag_prior_row(conditions.known_drag_s, all_known)])
-    size = np.array([abs(known[name]) or 1.0 for name in model.names])
-    u = np.sqrt(np.diag(covariance_of(rows))) * size
+    u = np.sqrt(np.diag(covariance_of(rows))) * _sizes(all_known)
     u_of = dict(zip(model.names[:-2], u.tolist(), strict=False))
     return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), u_of, complete, all_known, root)
 
 
-def relative_jacobian(model: ExactModel, columns: Floats, noise: Noise) -> Floats:
-    """Derivatives (n, k + 1) of a run's residuals by relative changes of the parameters, and by the growth of
-    the friction from its first turning point to its last."""
+def relative_jacobian(
+    model: ExactModel, columns: Floats, values: Mapping[str, float], noise: Noise
+) -> Floats:
+    """Derivatives (n, k + 1) of a run's residuals with respect to relative changes of the parameters, whose
+    `values` are at `columns` (absolute changes of a value of 0), and with respect to the growth of the
+    friction from its first turning point to its last."""
     rows = rows_with_drifts(model.linearised_at(columns), columns, noise)
-    physical, to_physical = model.columns.physical(columns)
-    size = np.where(physical == 0, 1.0, np.abs(physical))
-    by_value = rows.jacobian @ np.linalg.inv(to_physical / size[:, None])
+    # sizes by the stated values: by those of the columns a value of 0 is 1e-19, whose column would vanish
+    _, to_physical = model.columns.physical(columns)
+    by_value = rows.jacobian @ np.linalg.inv(to_physical / _sizes(values)[:, None])
     return np.column_stack([by_value, rows.by_errors[:, :2].sum(axis=1)])
+
+
+def _sizes(values: Mapping[str, float]) -> Floats:
+    """What one relative change of each value is: its size, and 1 of its unit for a value of 0."""
+    return np.array([abs(value) or 1.0 for value in values.values()])
 
 
 def _drag_prior_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
     """The prior of the drag as one further row; no row without a prior."""
     if known_drag_s is None or DRAG.key not in values:
         return []
-    size = abs(values[DRAG.key]) or 1.0
     row = np.array([name == DRAG.key for name in values], dtype=np.float64)
-    return [row * size / known_drag_s.standard_uncertainty]
+    return [row * _sizes(values) / known_drag_s.standard_uncertainty]
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +226,7 @@ def planned_series(
     stacked = np.vstack([stacked, prior_rows])
     u = np.sqrt(np.diag(covariance_of(stacked)))
     steady = np.sqrt(np.diag(covariance_of(np.delete(stacked, len(shared), axis=1))))
-    size = [abs(runs[0].values[name]) or 1.0 for name in shared]
+    size = _sizes({name: runs[0].values[name] for name in shared})
     u_growth = float(u[len(shared)]) if u[len(shared)] < _UNKNOWN_U else inf
     found = PlannedSeries(
         tuple(runs), waiting_s,

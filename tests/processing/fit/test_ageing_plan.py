@@ -80,9 +80,9 @@ def test_the_age_of_integrated_runs_is_found_within_its_uncertainty() -> None:
             rng = np.random.default_rng([seed, place, 34])
             points = with_noise(time, np.abs(turns), PARAMETERS.period0_s, 0.005, rng)
             model = ExactModel(points, PENDULUM)
-            columns = model.columns.from_physical({**VALUES, AMPLITUDE.key: first, TIME.key: 0.0})
-            noise = Noise(step=0.0)
-            rows = relative_jacobian(model, columns, noise)
+            values = {**VALUES, AMPLITUDE.key: first, TIME.key: 0.0}
+            columns, noise = model.columns.from_physical(values), Noise(step=0.0)
+            rows = relative_jacobian(model, columns, values, noise)
             runs.append((rows, float(points.time_s[-1] - points.time_s[0])))
             residuals.append(model.on_ground(columns, noise)(columns)[0])
         stacked = series_jacobian(list(series.runs[0].values), runs, wait_s)

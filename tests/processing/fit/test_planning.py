@@ -7,7 +7,8 @@ import pytest
 
 from processing.contact import LAWS
 from processing.errors import DataError
-from processing.fit import Conditions, fit_exact, planned_run
+from processing.estimate import Estimate
+from processing.fit import Conditions, fit_exact, planned_run, planned_series
 from processing.fit.ground import density_of_step, step_of_density
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair, truth
 from tests.processing.fit.driven import driven_decay
@@ -58,6 +59,20 @@ def test_a_higher_start_and_a_lower_end_tell_more() -> None:
     for run, percent, minutes in zip(runs[:2], (1.6, 0.37), (11.1, 17.1), strict=True):
         assert 100 * run.u["c"] / VALUES["c"] == pytest.approx(percent, rel=0.06)
         assert run.duration_s / 60 == pytest.approx(minutes, rel=0.02)
+
+
+@pytest.mark.parametrize("last_arcsec", [8, 4, 2])
+def test_a_run_in_vacuum_is_planned_as_one_in_hardly_any_air(last_arcsec: float) -> None:
+    drag_prior = replace(conditions(), known_drag_s=Estimate(1.7e-3, 1.2e-3))
+    vacuum, thin = (
+        planned_run({**VALUES, "drag_s": drag}, PENDULUM, drag_prior, 124 * ARCSEC, last_arcsec * ARCSEC)
+        for drag in (0.0, 1e-12)
+    )
+    assert vacuum.u == pytest.approx(thin.u, rel=1e-3)
+    # the decay tells more of the drag than its prior does
+    assert vacuum.u["drag_s"] < 0.5 * 1.2e-3
+    pairs = [planned_series([run, run], known_drag_s=drag_prior.known_drag_s) for run in (vacuum, thin)]
+    assert pairs[0].u == pytest.approx(pairs[1].u, rel=1e-3)
 
 
 def test_the_ground_ends_a_run() -> None:
