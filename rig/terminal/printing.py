@@ -278,14 +278,16 @@ def print_tables(tables: Sequence[Table]) -> None:
     """Print tables; columns that consist mostly of numbers are right-aligned.
 
     Numbers are never broken, texts only between words; columns that do not fit follow below, after the first
-    column again.
+    column again. A table without lines for the user is its title and its note.
     """
     answer(tables=list(tables))
     width = screen_width()
     console = Console(width=width, markup=False)
     for content in tables:
         title = content.title
-        for places in _parts(content, width):
+        if content.head and not content.shown:
+            print_line(title)
+        for places in _parts(content, width) if content.shown else ():
             console.print(_rich_table(content, title, places, width))
             title = ""
         if content.note:

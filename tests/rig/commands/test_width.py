@@ -80,6 +80,13 @@ def test_a_table_that_is_too_wide_goes_on_below(
     assert text.count("Too wide") == 1
 
 
+def test_a_table_without_a_line_for_the_user_is_its_note(capsys: pytest.CaptureFixture[str]) -> None:
+    print_tables(
+        [Table("d", "Differences", ("a", "b"), ("", "chance"), [TableRow([1, 2])], "None is large.")]
+    )
+    assert capsys.readouterr().out.split("\n")[:2] == ["Differences", "None is large."]
+
+
 LONG = "the friction b is (3.7333 ± 0.0030) × 10⁻³, drag moves it by 29 % of c ± 3 % in all"
 
 
