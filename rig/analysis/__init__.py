@@ -72,7 +72,6 @@ if TYPE_CHECKING:
         print_results,
     )
     from rig.analysis.seismometer import sample_times
-    from rig.analysis.seismometer_file import SeismometerSource
     from rig.analysis.series import (
         AnalysedRun,
         combined_series,
@@ -96,7 +95,6 @@ else:
             "record_fit": "analyse_record analyse_run",
             "screen": "TableOptions fit_envelope_table fit_several fit_trajectory print_results",
             "seismometer": "sample_times",
-            "seismometer_file": "SeismometerSource",
             "series": "AnalysedRun combined_series refuse_copies refuse_unread session_results",
             "table_fit": "AnalysedTable analyse_trajectory",
             "turning_plane": "PlaneBalances follow_plane",
