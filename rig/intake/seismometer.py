@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from processing.arrays import Floats, Ints
-from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
+from processing.errors import ConfigurationError, DataError, RigError, optional_module
 from processing.fit import Seismogram
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.intake.table import read_columns
@@ -118,12 +118,8 @@ def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> Seismomet
 
 
 def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
-    try:
-        import obspy
-    except ImportError:
-        raise MissingPackage(
-            f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)", "obspy", "seismic"
-        ) from None
+    what = f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)"
+    obspy = optional_module("obspy", what, "obspy", "seismic")
     try:
         data = path.read_bytes()
     except OSError as error:
