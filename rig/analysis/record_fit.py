@@ -144,9 +144,10 @@ def analyse_run(
     warnings = [*run.warnings, *doubts, *reader.doubts(), *ambient_warnings(surroundings)]
     end = end_of(reader.events())
     judged = Beam.of(beam, noise_is_known=config.sensor is not None)
-    if pulled is not None and judged.poor_fit_frames:
-        judged = replace(judged, likely_cause=pulled.verdict.reason, remedy=pulled.verdict.remedy)
-    verdicts = [] if pulled is None else [pulled.verdict]
+    light = None if pulled is None else pulled.verdict
+    if light is not None and judged.poor_fit_frames:
+        judged = replace(judged, likely_cause=light.reason, remedy=light.remedy)
+    verdicts = [] if light is None else [light]
     if kind.report == "contact":
         verdicts += run_balance_verdicts(balance_of_run(followed.balances, followed.plane), config.balance)
     points, values = run.points, None
@@ -163,7 +164,7 @@ def analyse_run(
         losses=reader.losses(),
         beam=judged,
         warnings=tuple(warnings),
-        notes=(*run.notes, *([] if less is None else [less.text])),
+        notes=(*run.notes, *([] if less is None else [less.note])),
         calibration=calibration,
         ended=None if end is None else end.text,
         inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
