@@ -68,7 +68,6 @@ if TYPE_CHECKING:
         TableOptions,
         fit_envelope_table,
         fit_several,
-        fit_trajectory,
         print_results,
     )
     from rig.analysis.seismometer import sample_times
@@ -93,7 +92,7 @@ else:
             "half_cycle_fits": "clock_rate_of",
             "passing_deflections": "PassingDeflections",
             "record_fit": "analyse_record analyse_run",
-            "screen": "TableOptions fit_envelope_table fit_several fit_trajectory print_results",
+            "screen": "TableOptions fit_envelope_table fit_several print_results",
             "seismometer": "sample_times",
             "series": "AnalysedRun combined_series refuse_copies refuse_unread session_results",
             "table_fit": "AnalysedTable analyse_trajectory",

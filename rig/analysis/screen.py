@@ -117,12 +117,6 @@ class TableOptions(NamedTuple):
     witness: SeismometerRecord | None = None
 
 
-def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableOptions) -> int:
-    """Analyse a table, print the results of every decay, write results.json. Returns the exit status."""
-    inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
-    return fit_several(inputs, output, wanted)
-
-
 def fit_several(
     inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableOptions
 ) -> int:

@@ -260,8 +260,7 @@ def _analyse(
     decay = decay_values(points, scale, u_common=u_common)
     warnings = [
         *run.warnings,
-        *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
-        *filter(None, [oscillation]),
+        *filter(None, [_direction_warning(trajectory, inside, run, followed), oscillation]),
         *decay_warnings(summary),
         *(
             line

@@ -167,7 +167,7 @@ def fit(
         raise ConfigurationError(
             f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
         )
-    from rig.analysis import TableOptions, fit_envelope_table, fit_trajectory
+    from rig.analysis import TableOptions, fit_envelope_table, fit_several
     from rig.intake import TableColumns
 
     refuse_stated("on a table; leave it out", of_films)
@@ -183,7 +183,8 @@ def fit(
     if envelope is not None:
         raise typer.Exit(fit_envelope_table(files[0], output, asked_of, envelope, frequency))
     wanted = TableOptions(config, set_ or [], table_report, law or [], seismometer())
-    raise typer.Exit(fit_trajectory(files[0], output, asked_of, wanted))
+    inputs = [(each.run, files[0], lambda each=each: each) for each in asked_of.read_runs(files[0])]
+    raise typer.Exit(fit_several(inputs, output, wanted))
 
 
 def _seismometer(
