@@ -64,7 +64,7 @@ def reading(archive: Path) -> Iterator[Any]:
     rows are fetched; RecordError for a file that cannot be read.
     """
     check_is_there(archive)
-    with _connected(archive, read_only=True, config=_READ_ONLY_SETTINGS) as connection:
+    with _connected(archive, read_only=True) as connection:
         if _is_of_another_version(connection):
             raise RecordError(f"{archive}: another version made it; rig archive update makes it again")
         yield connection
@@ -111,16 +111,14 @@ def _is_of_another_version(connection: Any) -> bool:
 
 
 @contextlib.contextmanager
-def _connected(
-    archive: Path, *, read_only: bool = False, config: Mapping[str, str] | None = None
-) -> Iterator[Any]:
+def _connected(archive: Path, *, read_only: bool = False) -> Iterator[Any]:
     """A connection; waits for another process that writes, and converts DuckDB's errors."""
     duckdb = optional_module(*_DUCKDB)
     given_up_s, connection = time.monotonic() + _MAX_WAIT_S, None
     try:
         while connection is None:
             try:
-                connection = duckdb.connect(str(archive), read_only=read_only, config=dict(config or {}))
+                connection = duckdb.connect(str(archive), read_only, _READ_ONLY_SETTINGS if read_only else {})
             except duckdb.IOException as error:
                 if "lock" not in str(error).lower():
                     raise

@@ -110,7 +110,7 @@ def test_a_missing_half_cycle_at_the_level_is_said() -> None:
 def test_places_and_ratio() -> None:
     mean, places = over_places([ValueWithSharedErrors(value, 0.1) for value in (100.0, 104.0, 102.0)])
     assert (places.places, mean.value, places.spread) == (3, 102.0, 2.0)
-    assert (places.value, places.standard_uncertainty) == mean.estimate
+    assert (places.value, places.standard_uncertainty) == tuple(mean.estimate)
     assert mean.own == pytest.approx(2 / math.sqrt(3))
     assert places.expanded_uncertainty_95 == pytest.approx(4.302653 * 2 / math.sqrt(3), rel=1e-6)
     relative = ratio(mean, ValueWithSharedErrors(250.0, 0.5))
