@@ -6,6 +6,8 @@ command line prints any `RigError` as one line and sets the exit status.
 
 import re
 import sys
+from importlib import import_module
+from typing import Any
 
 
 class RigError(Exception):
@@ -32,6 +34,14 @@ class MissingPackage(ConfigurationError, DeviceError):
     def __init__(self, what: str, package: str, extra: str, instead: str = "") -> None:
         brought = f"{what} needs {package}, of the extra {extra}: {sys.executable} -m pip install {package}"
         super().__init__(f"{brought}, or {instead}" if instead else brought)
+
+
+def optional_module(module: str, what: str, package: str, extra: str, instead: str = "") -> Any:
+    """A module of an optional package; raises MissingPackage, with the other arguments, without it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingPackage(what, package, extra, instead) from None
 
 
 class RecordError(RigError):

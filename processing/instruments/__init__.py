@@ -6,6 +6,7 @@ scipy.optimize would slow down the start of every command.
 
 from processing.instruments.crossings import circular_error, inferred_swings, joined_swings
 from processing.instruments.damping_fit import (
+    MeanOverPlaces,
     SharedError,
     ValueWithSharedErrors,
     damping,

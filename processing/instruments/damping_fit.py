@@ -7,7 +7,7 @@ the half-cycle linearly in ln(amplitude), the time linearly in the half-cycle.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, TypeVar
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.instruments.descriptions import DEGREE_RAD
+from processing.quantity import PART
 from processing.swing import TurningPoints
 
 Found = TypeVar("Found", bound=NamedTuple)
@@ -341,21 +342,27 @@ def ratio(measured: ValueWithSharedErrors, reference: ValueWithSharedErrors) -> 
     return Estimate(value, abs(value) * math.hypot(*own, *relative))
 
 
-class Places(NamedTuple):
-    """Values from several places of a sample: mean, standard deviation between them, 95 % interval."""
+@dataclass(frozen=True, slots=True)
+class MeanOverPlaces:
+    """Mean over the places of a sample; `u_shared` is the part of its uncertainty that all places share."""
 
-    number: int
-    mean: ValueWithSharedErrors
-    spread: float
-    expanded_95: float
+    value: Annotated[float, PART]
+    standard_uncertainty: Annotated[float, PART]
+    places: int
+    spread: Annotated[float, PART]
+    expanded_uncertainty_95: Annotated[float, PART]
+    u_shared: Annotated[float, PART] = 0.0
 
 
-def over_places(values: Sequence[ValueWithSharedErrors]) -> Places:
-    """Mean over places. Its own uncertainty is the larger of that from the scatter and that from the stated
-    ones; errors that the places share stay in the mean.
+def over_places(
+    values: Sequence[ValueWithSharedErrors],
+) -> tuple[ValueWithSharedErrors, MeanOverPlaces]:
+    """Mean over places, to be compared, and what is reported of it.
 
-    The spread is the standard deviation between places, NaN for a single one. If the scatter is larger, the
-    95 % interval uses Student's t with the number of places minus one. Raises DataError if there is no value.
+    Its own uncertainty is the larger of that from the scatter and that from the stated ones; errors that the
+    places share stay in the mean. The spread is the standard deviation between places, NaN for a single one.
+    If the scatter is larger, the 95 % interval uses Student's t with the number of places minus one. Raises
+    DataError if there is no value.
     """
     from scipy.special import stdtrit
 
@@ -370,4 +377,6 @@ def over_places(values: Sequence[ValueWithSharedErrors]) -> Places:
     names = dict.fromkeys(name for item in values for name in item.shared)
     shared = {name: sum(item.shared.get(name, 0.0) for item in values) / number for name in names}
     mean = ValueWithSharedErrors(float(np.mean(value)), own, shared)
-    return Places(number, mean, spread, math.hypot(factor * own, _NORMAL_95 * mean.u_shared))
+    expanded = math.hypot(factor * own, _NORMAL_95 * mean.u_shared)
+    u = mean.estimate.standard_uncertainty
+    return mean, MeanOverPlaces(mean.value, u, number, spread, expanded, mean.u_shared)

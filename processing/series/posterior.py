@@ -12,7 +12,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from processing.arrays import Floats
-from processing.errors import ConfigurationError, MissingPackage
+from processing.errors import ConfigurationError, optional_module
 from processing.estimate import Estimate
 from processing.series.density import (
     between_runs,
@@ -276,10 +276,7 @@ def sample_series(
 
     Raises ConfigurationError where emcee is not installed, or the model has no scatter.
     """
-    try:
-        import emcee
-    except ImportError:
-        raise MissingPackage("--sample", "emcee", "series", "leave it out") from None
+    emcee = optional_module("emcee", "--sample", "emcee", "series", "leave it out")
     design = design_of(runs, model)
     found, rng = likeliest(design), np.random.default_rng(seed)
     size = len(found.h)

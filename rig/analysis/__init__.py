@@ -68,11 +68,9 @@ if TYPE_CHECKING:
         TableOptions,
         fit_envelope_table,
         fit_several,
-        fit_trajectory,
         print_results,
     )
     from rig.analysis.seismometer import sample_times
-    from rig.analysis.seismometer_file import SeismometerSource
     from rig.analysis.series import (
         AnalysedRun,
         combined_series,
@@ -94,9 +92,8 @@ else:
             "half_cycle_fits": "clock_rate_of",
             "passing_deflections": "PassingDeflections",
             "record_fit": "analyse_record analyse_run",
-            "screen": "TableOptions fit_envelope_table fit_several fit_trajectory print_results",
+            "screen": "TableOptions fit_envelope_table fit_several print_results",
             "seismometer": "sample_times",
-            "seismometer_file": "SeismometerSource",
             "series": "AnalysedRun combined_series refuse_copies refuse_unread session_results",
             "table_fit": "AnalysedTable analyse_trajectory",
             "turning_plane": "PlaneBalances follow_plane",

@@ -79,16 +79,15 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     if free is not None and len(remaining) > 1 and set(remaining[:2]) <= set(free.laws):
         verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
     classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
-    if not classes:
-        return replace(run, laws=ComparedLaws(_law_fits(compared, {}), verdict, free))
     predicted = dict[str, Sequence[NDArray[np.complex128]]]()
-    for trial in compared.trials:
+    for trial in compared.trials if classes else ():
         if trial.fit is not None:
             # with the values of a law that does not fit, friction may hold the pendulum in a class
             with suppress(DataError):
                 predicted[trial.law.name] = predicted_harmonics(classes, trial.fit, pendulum)
     chances = waveform_chances(classes, predicted)
-    verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
+    if classes:
+        verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
     waveform = tuple(
         WaveformClass(
             amplitude_rad=one.amplitude,

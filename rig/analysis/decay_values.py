@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import hypot, pi
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -12,7 +12,7 @@ from processing.damping import PARTS, DampingTerms, fit_damping
 from processing.decay_summary import summarise_decay
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.instruments import Check
+from processing.instruments import Check, MeanOverPlaces
 from processing.number_text import with_uncertainty
 from processing.quantity import OWN, PART, PER, Quantity
 from processing.swing import TurningPoints
@@ -163,20 +163,16 @@ def _decay_values(points: TurningPoints, unit_size: float) -> DecayValues:
 
 
 def _with_change(found: Any, other: Any) -> Any:
-    """An estimate, or a damping with all of its estimates, whose u contains the difference from `other`."""
+    """An estimate, or parts with all of their estimates, whose u contains the difference from `other`."""
+    if other is None:
+        return found
     if isinstance(found, Estimate):
-        if other is None:
-            return found
         return Estimate(found.value, hypot(found.standard_uncertainty, other.value - found.value))
-    if isinstance(found, AmplitudeDamping | DampingAt) and other is not None:
-        names = [each.name for each in fields(found)]
-        changed = {
-            name: _with_change(getattr(found, name), getattr(other, name))
-            for name in names
-            if isinstance(getattr(found, name), Estimate)
-        }
-        if isinstance(found, AmplitudeDamping) and len(found.curve) == len(other.curve):
-            changed["curve"] = tuple(map(_with_change, found.curve, other.curve))
+    if isinstance(found, tuple) and len(found) == len(other):
+        return tuple(map(_with_change, found, other))
+    if is_dataclass(found) and not isinstance(found, type):
+        parts = [part.name for part in fields(found)]
+        changed = {name: _with_change(getattr(found, name), getattr(other, name)) for name in parts}
         return replace(found, **changed)
     return found
 
@@ -199,18 +195,6 @@ class InstrumentResults:
     curves: Mapping[str, Mapping[str, Floats]] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
     text: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class MeanOverPlaces:
-    """Mean over the places of a sample; `u_shared` is the part of its uncertainty that all places share."""
-
-    value: Annotated[float, PART]
-    standard_uncertainty: Annotated[float, PART]
-    places: int
-    spread: Annotated[float, PART]
-    expanded_uncertainty_95: Annotated[float, PART]
-    u_shared: Annotated[float, PART] = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,10 +23,10 @@ from rig.analysis.contact_fits import fit_decay, refined_half_cycles
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.run_values import PositionErrors, StoredTurningPoints
-from rig.analysis.seismometer_file import TimedSeismometer
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import pendulum_on_ball
+from rig.intake import SeismometerRecord
 from rig.settings import Configuration
 
 _MAX_FAST_RATIO: Final = 3.0
@@ -43,7 +43,7 @@ def analyse_swings(
     config: Configuration,
     air: AmbientConditions,
     u_clock: float = 0.0,
-    witness: TimedSeismometer | None = None,
+    witness: SeismometerRecord | None = None,
     *,
     u_common_rad: float = 0.0,
 ) -> AnalysedRun:
@@ -79,7 +79,7 @@ def analyse_swings(
                 drag=drag.fitted,
                 evidence=evidence_of(drag, refined.harmonics),
                 drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
-                witness=None if witness is None or first_ns is None else witness.beside(first_ns),
+                witness=None if witness is None or first_ns is None else witness.seismogram(first_ns),
             )
     except DataError as error:
         problem = str(error)
@@ -98,8 +98,7 @@ def analyse_swings(
         **({} if config.fit.drifts else believed),
     }
     if of_ground is not None and witness is not None:
-        record = witness.record
-        of_ground = replace(of_ground, source=record.name, understood=record.understood)
+        of_ground = replace(of_ground, source=witness.name, understood=witness.understood)
     run = AnalysedRun(
         **_head(path, points, unit),
         measured_again_on=refined.motion,

@@ -1,14 +1,15 @@
 """Deflections of a run as a stream of blocks, and their correction for beam motion and for fixed light."""
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import IMAGE, REFERENCE
-from processing.arrays import Floats, Ints
+from processing.arrays import Ints
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -126,69 +127,70 @@ _PLACES = ("x_px", "y_px", "u_x_px", "u_y_px")
 _FIELDS = ("sequence", "flags", *_PLACES)
 
 
-def without_beam_motion(reader: RecordReader, config: Configuration) -> "BeamMotionCorrection | None":
-    """The correction by the record's reference spot; None without one, or where it was hardly ever found."""
-    if config.reference is None or REFERENCE.topic not in reader.counts:
-        return None
-    try:
-        return BeamMotionCorrection(reader, config)
-    except DataError:
-        return None
+@dataclass(frozen=True)
+class DeflectionCorrection:
+    """Correction of a record's deflections.
 
-
-class BeamMotionCorrection:
-    """Correction of a record's deflections for the motion of the beam, by its reference spot.
-
-    `change` corrects deflections of any of the record's frames; `found` has the corrected positions by
-    coordinate. Raises DataError for a reference that was found in too few frames.
+    `change` corrects those of any of the record's frames. `used` is whether it makes them better, and is
+    therefore applied, `note` says so in one line, `verdict` judges the record's condition.
     """
 
-    def __init__(self, reader: RecordReader, config: Configuration) -> None:
-        assert config.reference is not None
-        reference, spots = reader.table(REFERENCE.topic), reader.spots()
-        gain = config.reference.gain
-        self._stated = None if gain is None else Estimate(gain, config.reference.u_gain)
-        _, ours, theirs = np.intersect1d(
-            spots["sequence"], reference["sequence"], assume_unique=True, return_indices=True
-        )
-        # no frames are known to be at rest, by which a stated gain could be checked
-        quiet = np.zeros(len(spots), dtype=np.bool_)
-        self.found: dict[str, CorrectedPositions] = {}
-        moved = spots[list(_FIELDS)].copy()
-        for name in ("x_px", "y_px"):
-            place, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
-            place[ours], u[ours] = reference[name][theirs], reference[f"u_{name}"][theirs]
+    change: Callable[[Deflections], Deflections]
+    used: bool
+    note: str = ""
+    verdict: Verdict | None = None
+
+
+def without_beam_motion(reader: RecordReader, config: Configuration) -> DeflectionCorrection | None:
+    """The correction for the motion of the beam, by the record's reference spot.
+
+    None without a reference spot, or where it was hardly ever found. It is used where it makes any axis
+    quieter.
+    """
+    if config.reference is None or REFERENCE.topic not in reader.counts:
+        return None
+    reference, spots, gain = reader.table(REFERENCE.topic), reader.spots(), config.reference.gain
+    _, ours, theirs = np.intersect1d(
+        spots["sequence"], reference["sequence"], assume_unique=True, return_indices=True
+    )
+    # no frames are known to be at rest, by which a stated gain could be checked
+    quiet = np.zeros(len(spots), dtype=np.bool_)
+    found, moved = dict[str, CorrectedPositions](), spots[list(_FIELDS)].copy()
+    for name in ("x_px", "y_px"):
+        place, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
+        place[ours], u[ours] = reference[name][theirs], reference[f"u_{name}"][theirs]
+        try:
             common = common_motion(spots["time_ns"], place, u)
-            ours_px, u_ours_px = spots[name], spots[f"u_{name}"]
-            stated = self._stated or _fitted_gain(spots["time_ns"], ours_px, u_ours_px, place, u)
-            if stated is None or not stated.value > _MIN_GAIN_U * stated.standard_uncertainty:
-                unknown = stated or Estimate(np.nan, np.inf)
-                less = uncorrected(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
-            else:
-                less = subtract_common_motion(ours_px, u_ours_px, common, stated, quiet)
-            self.found[name] = less
-            moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
-        self.change = deflection_change(config, spots, moved)
+        except DataError:
+            return None
+        of_spot = spots[name], spots[f"u_{name}"]
+        stated = None if gain is None else Estimate(gain, config.reference.u_gain)
+        if stated is None:
+            with suppress(DataError):
+                stated = gain_while_swinging(spots["time_ns"], *of_spot, place, u)
+        if stated is None or not stated.value > _MIN_GAIN_U * stated.standard_uncertainty:
+            unknown = stated or Estimate(np.nan, np.inf)
+            less = uncorrected(*of_spot, unknown, ReferenceVerdict.UNKNOWN_GAIN)
+        else:
+            less = subtract_common_motion(*of_spot, common, stated, quiet)
+        found[name] = less
+        moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
+    used = any(one.verdict is ReferenceVerdict.USED for one in found.values())
+    return DeflectionCorrection(
+        deflection_change(config, spots, moved), used, _reference_note(found, is_stated=gain is not None)
+    )
 
-    @property
-    def used(self) -> bool:
-        """Whether the correction makes any axis quieter, and is therefore used."""
-        return any(one.verdict is ReferenceVerdict.USED for one in self.found.values())
 
-    @property
-    def text(self) -> str:
-        """Verdict on the reference spot, in one line."""
-        lost = int(np.count_nonzero(next(iter(self.found.values())).fallen_back))
-        gains_text = ", ".join(
-            f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items()
-        )
-        fallen = f"; {lost} frames without it are unchanged" if lost else ""
-        return f"reference spot: {gains_text}{fallen}"
-
-    def _gain(self, one: CorrectedPositions) -> str:
-        if self._stated is not None or not np.isfinite(one.gain.value):
-            return ""
-        return f" with a gain of {with_uncertainty(*one.gain)} from the run itself"
+def _reference_note(found: Mapping[str, CorrectedPositions], *, is_stated: bool) -> str:
+    """Verdict on the reference spot, in one line; the gain where it `is_stated` by no configuration."""
+    lost = int(np.count_nonzero(next(iter(found.values())).fallen_back))
+    texts = []
+    for name, one in found.items():
+        own = not is_stated and np.isfinite(one.gain.value)
+        by_run = f" with a gain of {with_uncertainty(*one.gain)} from the run itself" if own else ""
+        texts.append(f"{name[0]} {one.verdict}{by_run}")
+    fallen = f"; {lost} frames without it are unchanged" if lost else ""
+    return f"reference spot: {', '.join(texts)}{fallen}"
 
 
 def deflection_change(
@@ -237,46 +239,12 @@ _LARGEST_FULL_SCALE_DN = 4095
 """Largest full scale in DN at which `_STEPS_PER_DN` steps a DN fit into 16 bits."""
 
 
-class FixedLightCorrection:
-    """Correction of a record's deflections for fixed light, by tracking the affected frames without it.
+def without_fixed_light(reader: RecordReader, config: Configuration) -> DeflectionCorrection | None:
+    """The correction for fixed light in the whole frames of a record; None where there is none.
 
-    Attributes
-    ----------
-    used
-        Whether it can be used: the record must have the pixels around the spot.
-    change
-        Function that corrects deflections of any of the record's frames.
+    The affected frames are tracked without it, which needs the pixels around the spot: without them it is
+    not used, and the condition is not met, else there is a warning.
     """
-
-    def __init__(self, reader: RecordReader, config: Configuration, light: FixedLight) -> None:
-        self._light = light
-        spots = np.concatenate(list(reader.spot_blocks(fields=_FIELDS)))
-        pulled = light.affects(spots["x_px"], spots["y_px"])
-        self._frames, self._pulled = len(spots), int(np.count_nonzero(pulled))
-        # a learned profile depends on all frames
-        again = pulled | bool(np.any(spots["flags"] & SpotFlag.LEARNED))
-        found = _tracked_again(reader, config, light, spots["sequence"][again])
-        moved, rows = spots.copy(), np.flatnonzero(pulled)
-        kept = [found.get(number) for number in spots["sequence"][rows].tolist()]
-        for name in _PLACES:
-            moved[name][rows] = [np.nan if spot is None else getattr(spot, name) for spot in kept]
-        lost = np.flatnonzero(pulled & ~np.isfinite(moved["x_px"]))
-        self.used = len(lost) < _MAX_LOST_SHARE * max(len(rows), 1)
-        # a lost spot stays in its place with an uncertainty of 1 px, so that it has hardly any weight
-        for name in _PLACES:
-            moved[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
-        self.change = deflection_change(config, spots, moved)
-
-    @property
-    def verdict(self) -> Verdict:
-        """A warning where the light is subtracted; where it cannot be, the condition is not met."""
-        part = f"pulls {self._pulled} of {self._frames} ({percent(self._pulled / self._frames)})"
-        done = "taken off" if self.used else "not taken off, as the record has no pixels of the spot"
-        return Verdict("fixed light", self.used, self._light.text, NO_STRAY_LIGHT, f"{part}, {done}", "none")
-
-
-def without_fixed_light(reader: RecordReader, config: Configuration) -> FixedLightCorrection | None:
-    """The correction for fixed light in the whole frames of a record; None where there is none."""
     every = max(1, reader.counts.get(IMAGE.topic, 0) // _LIGHT_PICTURES)
     images = {one.sequence: one.image for one in reader.images(every=every)}
     pictures = []
@@ -285,7 +253,26 @@ def without_fixed_light(reader: RecordReader, config: Configuration) -> FixedLig
             spot = Spot(*(block[name][row].item() for name in Spot._fields))
             pictures.append((images[int(block["sequence"][row])], spot))
     light = fixed_light(pictures)
-    return None if light is None else FixedLightCorrection(reader, config, light)
+    if light is None:
+        return None
+    spots = np.concatenate(list(reader.spot_blocks(fields=_FIELDS)))
+    pulled = light.affects(spots["x_px"], spots["y_px"])
+    # a learned profile depends on all frames
+    again = pulled | bool(np.any(spots["flags"] & SpotFlag.LEARNED))
+    found = _tracked_again(reader, config, light, spots["sequence"][again])
+    moved, rows = spots.copy(), np.flatnonzero(pulled)
+    kept = [found.get(number) for number in spots["sequence"][rows].tolist()]
+    for name in _PLACES:
+        moved[name][rows] = [np.nan if spot is None else getattr(spot, name) for spot in kept]
+    lost = np.flatnonzero(pulled & ~np.isfinite(moved["x_px"]))
+    used = len(lost) < _MAX_LOST_SHARE * max(len(rows), 1)
+    # a lost spot stays in its place with an uncertainty of 1 px, so that it has hardly any weight
+    for name in _PLACES:
+        moved[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
+    done = "taken off" if used else "not taken off, as the record has no pixels of the spot"
+    measured = f"pulls {len(rows)} of {len(spots)} ({percent(len(rows) / len(spots))}), {done}"
+    verdict = Verdict("fixed light", used, light.text, NO_STRAY_LIGHT, measured, "none")
+    return DeflectionCorrection(deflection_change(config, spots, moved), used, verdict=verdict)
 
 
 def _tracked_again(
@@ -314,15 +301,6 @@ def _tracked_again(
         if not spot.flags & SpotFlag.LOST:
             found[window.sequence] = spot
     return found
-
-
-def _fitted_gain(
-    times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
-) -> Estimate | None:
-    try:
-        return gain_while_swinging(times_ns, spot_px, u_spot_px, reference_px, u_px)
-    except DataError:
-        return None
 
 
 def _spots(table: np.ndarray) -> list[Spot]:

@@ -33,7 +33,6 @@ from rig.analysis.passing_deflections import (
 from rig.analysis.results import RunResults
 from rig.analysis.run_values import Beam, RunClock
 from rig.analysis.seismometer import recorded_witness
-from rig.analysis.seismometer_file import SeismometerRecord, TimedSeismometer
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import (
@@ -46,6 +45,7 @@ from rig.instrument import (
     recorded_configuration,
     run_balance_verdicts,
 )
+from rig.intake import SeismometerRecord
 from rig.settings import Configuration, KeyUseMonitor, PreflightSettings
 from rig.terminal import Verdict, percent
 
@@ -133,19 +133,21 @@ def analyse_run(
 
     kind = config.instrument.description()
     followed = follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
-    own = recorded_witness(reader, config) if witness is None else None
-    beside = None if own is None else TimedSeismometer(own)
-    if witness is not None:
-        beside = TimedSeismometer(witness, -deflections.first_ns, reader.epoch_offset_ns)
-    run = analyse_swings(reader.path, followed, config, surroundings, u_clock, beside)
+    if witness is None:
+        witness = recorded_witness(reader, config)
+    else:
+        utc_ns = reader.epoch_offset_ns
+        witness = replace(witness, to_file_ns=-deflections.first_ns, to_utc_ns=utc_ns)
+    run = analyse_swings(reader.path, followed, config, surroundings, u_clock, witness)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.warnings, *doubts, *reader.doubts(), *ambient_warnings(surroundings)]
     end = end_of(reader.events())
     judged = Beam.of(beam, noise_is_known=config.sensor is not None)
-    if pulled is not None and judged.poor_fit_frames:
-        judged = replace(judged, likely_cause=pulled.verdict.reason, remedy=pulled.verdict.remedy)
-    verdicts = [] if pulled is None else [pulled.verdict]
+    light = None if pulled is None else pulled.verdict
+    if light is not None and judged.poor_fit_frames:
+        judged = replace(judged, likely_cause=light.reason, remedy=light.remedy)
+    verdicts = [] if light is None else [light]
     if kind.report == "contact":
         verdicts += run_balance_verdicts(balance_of_run(followed.balances, followed.plane), config.balance)
     points, values = run.points, None
@@ -162,7 +164,7 @@ def analyse_run(
         losses=reader.losses(),
         beam=judged,
         warnings=tuple(warnings),
-        notes=(*run.notes, *([] if less is None else [less.text])),
+        notes=(*run.notes, *([] if less is None else [less.note])),
         calibration=calibration,
         ended=None if end is None else end.text,
         inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},

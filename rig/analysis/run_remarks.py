@@ -194,7 +194,7 @@ class Remark(NamedTuple):
 
 def remark_rows(run: RunResults, *levels: RemarkLevel) -> list[Remark]:
     """The table of remarks of a run in the order of reading; of some `levels`, or of all without any."""
-    rows = [row for row in (*_fit_remarks(run), *_run_remarks(run)) if row.text]
+    rows = [row for row in _remarks(run) if row.text]
     return [row for row in rows if not levels or row.level in levels]
 
 
@@ -203,8 +203,8 @@ def remarks(run: RunResults) -> list[str]:
     return [row.text for row in remark_rows(run, RemarkLevel.RESULT, RemarkLevel.DETAIL)]
 
 
-def _fit_remarks(run: RunResults) -> Iterator[Remark]:
-    """Remarks on the numbers of a run, without warnings."""
+def _remarks(run: RunResults) -> Iterator[Remark]:
+    """Remarks on the numbers of a run, on conditions not met or doubtful, and warnings."""
     exact, result, detail = run.fits.get(FitMethod.EXACT), RemarkLevel.RESULT, RemarkLevel.DETAIL
     parameters = {} if exact is None else exact.parameters
     is_fitted, ground = DRAG.key in parameters, None if exact is None else exact.ground
@@ -232,10 +232,6 @@ def _fit_remarks(run: RunResults) -> Iterator[Remark]:
             yield Remark("not determined", detail, f"{unknown}.")
     for note in run.notes:
         yield Remark("note", detail, note)
-
-
-def _run_remarks(run: RunResults) -> Iterator[Remark]:
-    """Remarks on conditions that were not met or are doubtful, and warnings."""
     for one in run.conditions:
         if not one.ok or one.remedy:
             yield Remark(one.name, RemarkLevel.CONDITION, f"{one.name.upper()}: {one.found}", one.remedy)

@@ -63,9 +63,8 @@ class StoredTurningPoints:
         clock_rate: float,
     ) -> "StoredTurningPoints":
         """The `points` of `swings`, and the half-cycles left out; `clock_rate` is true seconds a second."""
-        first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), None)
-        if first_ns is None:
-            first_ns = swings[0].turn_time_ns if swings else 0
+        fallback_ns = swings[0].turn_time_ns if swings else 0
+        first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), fallback_ns)
         left_out = [swing for swing in swings if swing.flags]
         return cls(
             first_ns=first_ns,

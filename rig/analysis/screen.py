@@ -21,7 +21,6 @@ from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionRes
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
 from rig.analysis.run_remarks import RemarkLevel, decay_lines, remark_rows
 from rig.analysis.run_values import TableDecay
-from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import (
     AnalysedDecay,
     AnalysedTable,
@@ -30,7 +29,7 @@ from rig.analysis.table_fit import (
     series_of_runs,
 )
 from rig.instrument import fill_from_files
-from rig.intake import TableColumns, Trajectory
+from rig.intake import SeismometerRecord, TableColumns, Trajectory
 from rig.settings import KeyUseMonitor, load_configuration
 from rig.terminal import answer, print_line, print_tables, with_uncertainty
 
@@ -115,13 +114,7 @@ class TableOptions(NamedTuple):
     overrides: Sequence[str] = ()
     report: ReportWriter | None = None
     laws: Sequence[str] = ()
-    witness: SeismometerSource | None = None
-
-
-def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableOptions) -> int:
-    """Analyse a table, print the results of every decay, write results.json. Returns the exit status."""
-    inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
-    return fit_several(inputs, output, wanted)
+    witness: SeismometerRecord | None = None
 
 
 def fit_several(
@@ -174,12 +167,13 @@ def _fit(
 ) -> AnalysedTable:
     """Analyse one run, print and write it; with the series of its decays if it is `alone`."""
     laws, report = wanted.laws, wanted.report
-    ground = None if wanted.witness is None else wanted.witness.read()
     compared = chosen_laws(laws) if laws else ()
     if wanted.config_path:
         stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
         watched = KeyUseMonitor(stated, wanted.overrides, "a table holds neither frames nor spots")
-        table = analyse_trajectory(path, trajectory, fill_from_files(watched.config), compared, ground)
+        table = analyse_trajectory(
+            path, trajectory, fill_from_files(watched.config), compared, wanted.witness
+        )
         if not table.longest.results.problem:
             watched.refuse_unread()
     else:

@@ -8,7 +8,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WITNESS
 from processing.arrays import Floats, Ints
 from rig.analysis.run_remarks import CLOCK_SET
-from rig.analysis.seismometer_file import SeismometerRecord
+from rig.intake import SeismometerRecord
 from rig.settings import Configuration
 
 _VALUES = ("first", "second", "third")

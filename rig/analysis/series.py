@@ -25,10 +25,18 @@ from processing.fit import (
     drift_effects,
     fit_asymptotic,
 )
-from processing.instruments import Check, Description, ValueWithSharedErrors, check, over_places, ratio
+from processing.instruments import (
+    Check,
+    Description,
+    MeanOverPlaces,
+    ValueWithSharedErrors,
+    check,
+    over_places,
+    ratio,
+)
 from processing.series import SeriesResult, average_curves, combine_runs
 from processing.swing import SwingHarmonics, TurningPoints
-from rig.analysis.decay_values import InstrumentSeries, MeanOverPlaces
+from rig.analysis.decay_values import InstrumentSeries
 from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import series_rows, withheld
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
@@ -140,65 +148,23 @@ def _lines(lines: Mapping[str, Budget], names: Sequence[str], source: str) -> li
 
 
 _Readings = Sequence[Mapping[str, ValueWithSharedErrors]]
-
-
-def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> InstrumentSeries | None:
-    """Comparison of places on the sample with the reference; None for a kind that has no such comparison.
-
-    `numbers` are those by which `reference_runs` names the runs, by default their places from 1. Several
-    decays of one run have its number.
-    """
-    if not runs or runs[0].settings.description().report not in ("damping", "decay"):
-        return None
-    settings, description = runs[0].settings, runs[0].settings.description()
-    numbers = numbers or range(1, len(runs) + 1)
-    numbered = list(zip(numbers, (run.readings for run in runs), strict=True))
-    places = [one for number, one in numbered if one and number not in settings.reference_runs]
-    glass = [one for number, one in numbered if one and number in settings.reference_runs]
-    lines: list[str] = []
-    values: dict[str, Any] = {"kind": description.kind}
-    if places:
-        values["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
-        values["swings"] = _over_places(places, "swings", "swings", "", lines)
-    reference, problem = _reference(settings, glass), _reference_fault(settings, numbered)
-    if reference is None:
-        problem += ": no ratio"
-        return InstrumentSeries(**values, problem=problem, text=(*lines, problem))
-    lines += [problem] if problem else []
-    values["reference_time_s"] = reference.estimate
-    if glass:
-        values["acceptance"] = _acceptance(description, glass, lines)
-    if places:
-        values["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
-        lines.append(f"ratio of damping times, sample to reference: {with_uncertainty(*relative)}")
-    if places and glass:
-        values["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
-        lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
-    return InstrumentSeries(**values, text=tuple(lines))
+_NumberedReadings = Sequence[tuple[int, Mapping[str, ValueWithSharedErrors]]]
 
 
 def _mean(readings: _Readings, name: str) -> ValueWithSharedErrors:
-    return over_places([one[name] for one in readings]).mean
+    return over_places([one[name] for one in readings])[0]
 
 
 def _over_places(readings: _Readings, name: str, what: str, unit: str, lines: list[str]) -> MeanOverPlaces:
-    places = over_places([one[name] for one in readings])
-    mean = places.mean.estimate
-    of = f"{places.number} place{'s' if places.number > 1 else ''}"
-    line = f"{what} over {of}: {with_uncertainty(*mean)}{unit}"
-    if places.number > 1:
-        line += f", spread {places.spread:.3g}{unit}"
-        if places.mean.u_shared > places.mean.own:
-            line += f"; {places.mean.u_shared:.2g}{unit} of the uncertainty is common to all (scale, clock)"
+    mean, found = over_places([one[name] for one in readings])
+    of = f"{found.places} place{'s' if found.places > 1 else ''}"
+    line = f"{what} over {of}: {with_uncertainty(*mean.estimate)}{unit}"
+    if found.places > 1:
+        line += f", spread {found.spread:.3g}{unit}"
+        if mean.u_shared > mean.own:
+            line += f"; {mean.u_shared:.2g}{unit} of the uncertainty is common to all (scale, clock)"
     lines.append(line)
-    return MeanOverPlaces(
-        mean.value,
-        mean.standard_uncertainty,
-        places.number,
-        places.spread,
-        places.expanded_95,
-        places.mean.u_shared,
-    )
+    return found
 
 
 def _reference(settings: InstrumentSettings, glass: _Readings) -> ValueWithSharedErrors | None:
@@ -209,9 +175,7 @@ def _reference(settings: InstrumentSettings, glass: _Readings) -> ValueWithShare
     return None
 
 
-def _reference_fault(
-    settings: InstrumentSettings, numbered: Sequence[tuple[int, Mapping[str, ValueWithSharedErrors]]]
-) -> str:
+def _reference_fault(settings: InstrumentSettings, numbered: _NumberedReadings) -> str:
     """Problem of the stated reference; empty if it has none."""
     stated = f"instrument.reference_runs = {list(settings.reference_runs)}"
     there = list(dict.fromkeys(number for number, _ in numbered))
@@ -273,14 +237,45 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
 
 
 def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) -> Series | None:
-    """The series of runs of another instrument, see `reduce_series`; None where there is none.
+    """The series of runs of another instrument: places on the sample compared with the reference.
 
-    `numbers` are those of all runs.
+    None where no run is of such an instrument, or its kind has no such comparison. `numbers` are those by
+    which `reference_runs` names the runs, by default their places from 1. Several decays of one run have its
+    number.
     """
-    reductions = [run.reduction for run in runs if run.reduction is not None]
+    reduced = [run.reduction for run in runs if run.reduction is not None]
+    if not reduced or reduced[0].description.report not in ("damping", "decay"):
+        return None
     kept = [number for number, run in zip(numbers, runs, strict=False) if run.reduction is not None]
-    found = reduce_series(reductions, kept)
-    return None if found is None else Series(runs=len(reductions), instrument=found)
+    numbered = list(zip(kept or range(1, len(reduced) + 1), (run.readings for run in reduced), strict=True))
+    compared = _compared_places(reduced[0].settings, numbered)
+    return Series(runs=len(reduced), instrument=compared)
+
+
+def _compared_places(settings: InstrumentSettings, numbered: _NumberedReadings) -> InstrumentSeries:
+    description = settings.description()
+    places = [one for number, one in numbered if one and number not in settings.reference_runs]
+    glass = [one for number, one in numbered if one and number in settings.reference_runs]
+    lines: list[str] = []
+    values: dict[str, Any] = {"kind": description.kind}
+    if places:
+        values["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
+        values["swings"] = _over_places(places, "swings", "swings", "", lines)
+    reference, problem = _reference(settings, glass), _reference_fault(settings, numbered)
+    if reference is None:
+        problem += ": no ratio"
+        return InstrumentSeries(**values, problem=problem, text=(*lines, problem))
+    lines += [problem] if problem else []
+    values["reference_time_s"] = reference.estimate
+    if glass:
+        values["acceptance"] = _acceptance(description, glass, lines)
+    if places:
+        values["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
+        lines.append(f"ratio of damping times, sample to reference: {with_uncertainty(*relative)}")
+    if places and glass:
+        values["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
+        lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
+    return InstrumentSeries(**values, text=tuple(lines))
 
 
 def refuse_unread(runs: Sequence[AnalysedRun]) -> None:

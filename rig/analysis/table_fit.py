@@ -36,10 +36,11 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import EnvelopeResults, RunResults, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_values import StoredTurningPoints, TableDecay, TableUnit
-from rig.analysis.seismometer_file import FIRST_UTC_S, SeismometerRecord, TimedSeismometer
 from rig.analysis.series import AnalysedRun, instrument_series
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.intake import (
+    FIRST_UTC_S,
+    SeismometerRecord,
     TableColumns,
     Trajectory,
     along_and_across,
@@ -236,16 +237,16 @@ def _analyse(
     sha256 = cached_sha256(path)
     run = AnalysedRun(path=path, record=relative_record(path, Path.cwd()), sha256=sha256, problem=problem)
     if config is not None and not problem:
-        zero_ns, beside = trajectory.first_ns, None
+        zero_ns = trajectory.first_ns
         if witness is not None:
             utc_ns = zero_ns if seconds(zero_ns) > FIRST_UTC_S else None
-            beside = TimedSeismometer(witness, zero_ns, utc_ns)
+            witness = replace(witness, to_file_ns=zero_ns, to_utc_ns=utc_ns)
         run = analyse_swings(
             path,
             followed,
             config,
             stated_surroundings(config),
-            witness=beside,
+            witness=witness,
             u_common_rad=u_common,
         )
         run = with_laws(run, laws) if laws else run
@@ -259,8 +260,7 @@ def _analyse(
     decay = decay_values(points, scale, u_common=u_common)
     warnings = [
         *run.warnings,
-        *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
-        *filter(None, [oscillation]),
+        *filter(None, [_direction_warning(trajectory, inside, run, followed), oscillation]),
         *decay_warnings(summary),
         *(
             line

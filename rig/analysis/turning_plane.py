@@ -72,15 +72,14 @@ class FollowedPlane:
         ends = np.array([self.plane.start_ns, self.plane.last_ns], dtype=np.int64)
         first, last = self.plane.direction_rad(ends) / DEGREE_RAD
         rate = f"({_rate_text(self.plane)} deg/min in the mean)"
-        if self.along_line:
-            return (
-                f"the swing lies {first:+.2f} degrees from the direction of all positions at first, and "
-                f"{last:+.2f} at last {rate}: amplitudes are those along the swing"
-            ).replace("-", "−")
-        return (
-            f"the plane of swing turned by {last - first:+.2f} degrees during the run "
+        text = (
+            f"the swing lies {first:+.2f} degrees from the direction of all positions at first, and "
+            f"{last:+.2f} at last {rate}: amplitudes are those along the swing"
+            if self.along_line
+            else f"the plane of swing turned by {last - first:+.2f} degrees during the run "
             f"{rate}: the deflections were turned back before the fit"
-        ).replace("-", "−")
+        )
+        return text.replace("-", "−")
 
     def matters(self, plane: PlaneOfSwing) -> bool:
         """Whether half-cycles in this plane, with their uncertainties, change a fit by more than

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from acquisition import atomic_write
-from processing.errors import ConfigurationError, MissingPackage, RecordError
+from processing.errors import ConfigurationError, RecordError, optional_module
 from processing.estimate import Determinacy
 from rig.analysis import ResultRow
 from rig.archive.session_rows import COLUMNS, IMPORTANT, IS_SIMULATED, SHORT_NAMES, SHOWN, row_columns
@@ -51,17 +51,9 @@ _READ_ONLY_SETTINGS: Final = {
     "python_enable_replacements": "false",
 }
 """Settings with which a condition can read only the archive: no file, no variable of this program."""
+_DUCKDB: Final = ("duckdb", "rig archive", "duckdb", "data")
 _MAX_WAIT_S = 20.0
 """Longest wait for another process that writes; a transaction takes a fraction of a second."""
-
-
-def duckdb_module() -> Any:
-    """The module of DuckDB; raises ConfigurationError if it is not installed."""
-    try:
-        import duckdb
-    except ImportError:
-        raise MissingPackage("rig archive", "duckdb", "data") from None
-    return duckdb
 
 
 @contextlib.contextmanager
@@ -72,7 +64,7 @@ def reading(archive: Path) -> Iterator[Any]:
     rows are fetched; RecordError for a file that cannot be read.
     """
     check_is_there(archive)
-    with _connected(archive, read_only=True, config=_READ_ONLY_SETTINGS) as connection:
+    with _connected(archive, read_only=True) as connection:
         if _is_of_another_version(connection):
             raise RecordError(f"{archive}: another version made it; rig archive update makes it again")
         yield connection
@@ -119,15 +111,14 @@ def _is_of_another_version(connection: Any) -> bool:
 
 
 @contextlib.contextmanager
-def _connected(
-    archive: Path, *, read_only: bool = False, config: Mapping[str, str] | None = None
-) -> Iterator[Any]:
+def _connected(archive: Path, *, read_only: bool = False) -> Iterator[Any]:
     """A connection; waits for another process that writes, and converts DuckDB's errors."""
-    duckdb, given_up_s, connection = duckdb_module(), time.monotonic() + _MAX_WAIT_S, None
+    duckdb = optional_module(*_DUCKDB)
+    given_up_s, connection = time.monotonic() + _MAX_WAIT_S, None
     try:
         while connection is None:
             try:
-                connection = duckdb.connect(str(archive), read_only=read_only, config=dict(config or {}))
+                connection = duckdb.connect(str(archive), read_only, _READ_ONLY_SETTINGS if read_only else {})
             except duckdb.IOException as error:
                 if "lock" not in str(error).lower():
                     raise
@@ -267,7 +258,7 @@ def selected(
 
     Raises ConfigurationError for an invalid condition.
     """
-    duckdb = duckdb_module()
+    duckdb = optional_module(*_DUCKDB)
     no_condition = re.match(r"\s*(order\s+by|limit|group\s+by|$)", condition, re.IGNORECASE)
     query = f"select {wanted} from runs {'' if no_condition else 'where '}{condition}"
     with reading(archive) as connection:

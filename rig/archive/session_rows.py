@@ -202,8 +202,8 @@ def results_row(run: RunResults) -> Row:
         row |= {"mass_kg": run.pendulum.mass_kg, "ball_radius_m": run.pendulum.ball_radius_m}
     fit = run.fits.get(FitMethod.EXACT)
     if fit is not None:
-        row |= {"law": fit.law, "chi2_per_dof": _number(fit.chi2_per_dof)}
-        row["degrees_of_freedom"] = fit.degrees_of_freedom
+        freedom = fit.degrees_of_freedom
+        row |= {"law": fit.law, "chi2_per_dof": _number(fit.chi2_per_dof), "degrees_of_freedom": freedom}
         row |= _estimate("mean_period_s", fit.mean_period_s)
     else:
         decay = {name: run.number(name) for name in ("mean_period_s", "log_decrement")}

@@ -1,12 +1,11 @@
 """`rig archive add`, `update`, `check` and `refit`: the archive is brought up to date with its folders."""
 
-import contextlib
 import datetime
 import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from itertools import groupby
 from multiprocessing import get_context
@@ -15,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError, MissingPackage, RecordError, RigError
+from processing.errors import ConfigurationError, RecordError, RigError, optional_module
 from rig.analysis import (
     analyse_record,
     chosen_laws,
@@ -295,48 +294,41 @@ def _in_processes(
     # a fork would copy locks held by threads of this process
     how, broken = get_context("spawn"), list[RefitTask]()
     with ProcessPoolExecutor(processes, mp_context=how) as pool:
-        running = {pool.submit(work, task): task for task in tasks}
-        for done in as_completed(running):
+        for task, done in _carried_out(pool, work, tasks):
             if isinstance(done.exception(), BrokenProcessPool):
-                broken.append(running[done])
+                broken.append(task)
             else:
-                yield running[done], _problem(done)
+                yield task, _problem(done)
     for task in broken:
         with ProcessPoolExecutor(1, mp_context=how) as pool:
             yield task, _problem(pool.submit(work, task))
 
 
-def _on_cluster(work: Work, tasks: Sequence[RefitTask], address: str) -> Iterator[tuple[RefitTask, str]]:
-    """Carry out tasks on a running Dask cluster, whose workers see the same files under the same names."""
-    with cluster_client(address) as client:
-        from distributed import as_completed as as_done
-
-        running = {client.submit(work, task, pure=False): task for task in tasks}
-        for future in as_done(running, loop=client.loop):
-            yield running[future], _problem(future)
+def _carried_out(
+    executor: Executor, work: Work, tasks: Sequence[RefitTask]
+) -> Iterator[tuple[RefitTask, Future[str]]]:
+    running = {executor.submit(work, task): task for task in tasks}
+    for done in as_completed(running):
+        yield running[done], done
 
 
-def _problem(done: Any) -> str:
+def _problem(done: Future[str]) -> str:
     error = done.exception()
     if isinstance(error, BrokenProcessPool):
         return "its process was ended, also when it ran alone"
     # an unexpected error in one session must not stop the others
-    return str(done.result()) if error is None else f"failed: {error!r}"
+    return done.result() if error is None else f"failed: {error!r}"
 
 
-@contextlib.contextmanager
-def cluster_client(address: str) -> Iterator[Any]:
-    """A client of the scheduler of a running Dask cluster whose workers run the same code.
+def _on_cluster(work: Work, tasks: Sequence[RefitTask], address: str) -> Iterator[tuple[RefitTask, str]]:
+    """Carry out tasks on a running Dask cluster, whose workers see the same files under the same names.
 
     Raises ConfigurationError if Dask is not installed, no scheduler answers, no worker exists, or one runs
     other code.
     """
+    distributed = optional_module("distributed", "--cluster", "distributed", "series")
     try:
-        from distributed import Client
-    except ImportError:
-        raise MissingPackage("--cluster", "distributed", "series") from None
-    try:
-        client = Client(address, timeout="10s", set_as_default=False)
+        client = distributed.Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise ConfigurationError(f"--cluster {address}: no Dask scheduler answers there: {error}") from None
     with client:
@@ -351,4 +343,5 @@ def cluster_client(address: str) -> Iterator[Any]:
             raise ConfigurationError(
                 f"--cluster {address}: {other} runs other code ({codes[other]}) than this program ({own})"
             )
-        yield client
+        for task, done in _carried_out(client.get_executor(pure=False), work, tasks):
+            yield task, _problem(done)

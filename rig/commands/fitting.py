@@ -21,8 +21,8 @@ from rig.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from rig.analysis import AnalysedTable, SeismometerSource
-    from rig.intake import FilmOptions
+    from rig.analysis import AnalysedTable
+    from rig.intake import FilmOptions, SeismometerRecord
 
 
 @in_json
@@ -134,7 +134,13 @@ def fit(
       rig fit runs/first --witness seismometer.csv
       rig fit swing.mp4 --pixel '0.142 mm' -o runs/swing
     """
-    ground = _witness(witness, witness_column or (), witness_offset, witness_time_unit)
+    of_witness = {
+        "--witness-column": witness_column, "--witness-offset": witness_offset is not None,
+        "--witness-time-unit": witness_time_unit,
+    }  # fmt: skip
+    if witness is None:
+        refuse_stated("without --witness", of_witness)
+    seismometer = partial(_seismometer, witness, witness_column or (), witness_offset, witness_time_unit)
     columns = {
         "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
         "--decimal": decimal, "--envelope": envelope, "--frequency": frequency,
@@ -148,7 +154,7 @@ def fit(
         same = [one for one in records if sum(one.resolve() == other.resolve() for other in records) > 1]
         if same:
             raise ConfigurationError(f"{same[0]}: named twice; a run counts once in a series")
-        raise typer.Exit(fit_records(records, output, overrides=set_ or [], laws=law or [], witness=ground))
+        raise typer.Exit(fit_records(records, output, set_ or [], law or [], seismometer()))
     if rate is not None and not rate > 0:
         raise ConfigurationError(f"--rate {rate:g}: the number of rows or frames per second must be above 0")
     if kind == "film":
@@ -161,7 +167,7 @@ def fit(
         raise ConfigurationError(
             f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
         )
-    from rig.analysis import TableOptions, fit_envelope_table, fit_trajectory
+    from rig.analysis import TableOptions, fit_envelope_table, fit_several
     from rig.intake import TableColumns
 
     refuse_stated("on a table; leave it out", of_films)
@@ -172,28 +178,21 @@ def fit(
     if decimal not in ("", ".", ","):
         raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
     asked_of = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal, run)
-    if ground is not None and (config is None or envelope is not None):
+    if witness is not None and (config is None or envelope is not None):
         raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
     if envelope is not None:
         raise typer.Exit(fit_envelope_table(files[0], output, asked_of, envelope, frequency))
-    wanted = TableOptions(config, set_ or [], table_report, law or [], ground)
-    raise typer.Exit(fit_trajectory(files[0], output, asked_of, wanted))
+    wanted = TableOptions(config, set_ or [], table_report, law or [], seismometer())
+    inputs = [(each.run, files[0], lambda each=each: each) for each in asked_of.read_runs(files[0])]
+    raise typer.Exit(fit_several(inputs, output, wanted))
 
 
-def _witness(
+def _seismometer(
     path: Path | None, columns: Sequence[str], offset_s: float | None, time_unit: str
-) -> "SeismometerSource | None":
-    from rig.analysis import SeismometerSource
+) -> "SeismometerRecord | None":
+    from rig.intake import read_seismometer
 
-    if path is not None:
-        return SeismometerSource(path, tuple(columns), offset_s, time_unit)
-    stated = {
-        "--witness-column": columns,
-        "--witness-offset": offset_s is not None,
-        "--witness-time-unit": time_unit,
-    }
-    refuse_stated("without --witness", stated)
-    return None
+    return None if path is None else read_seismometer(path, columns, offset_s, time_unit)
 
 
 def fit_records(
@@ -201,7 +200,7 @@ def fit_records(
     output: Path | None,
     overrides: Sequence[str],
     laws: Sequence[str] = (),
-    witness: "SeismometerSource | None" = None,
+    witness: "SeismometerRecord | None" = None,
 ) -> int:
     """Fit records; results.json in `output` or beside the first record. Returns the exit status.
 
@@ -222,8 +221,7 @@ def fit_records(
 
     compared = chosen_laws(laws) if laws else ()
     refuse_copies(paths)
-    ground = None if witness is None else witness.read()
-    runs = [analyse_record(path, overrides, witness=ground) for path in paths]
+    runs = [analyse_record(path, overrides, witness=witness) for path in paths]
     if compared:
         runs = [with_laws(run, compared) for run in runs]
     folder = output or paths[0].parent

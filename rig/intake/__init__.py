@@ -1,4 +1,4 @@
-"""Tables and films of other instruments, read as positions against time, and doubts about them."""
+"""Tables, films and seismograms of other instruments, read as samples against time, and doubts about them."""
 
 from rig.intake.doubts import (
     clipping_warnings,
@@ -9,7 +9,8 @@ from rig.intake.doubts import (
     strange_amplitudes,
 )
 from rig.intake.film import FilmOptions, film_trajectory, films_in, is_filmed
-from rig.intake.table import TableColumns, read_columns
+from rig.intake.seismometer import FIRST_UTC_S, SeismometerRecord, read_seismometer
+from rig.intake.table import TableColumns
 from rig.intake.times import fast_mode_ratio, fast_oscillation, two_oscillations_message
 from rig.intake.trajectory import (
     Trajectory,

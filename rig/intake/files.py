@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from processing.errors import DataError, MissingPackage
+from processing.errors import DataError, optional_module
 from rig.intake.cell_text import is_missing, is_moment, is_number
 
 _MAX_BYTES: Final = 1024 * 1024 * 1024
@@ -164,11 +164,8 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
 
 def _variables_of_hdf5(path: Path, raw: bytes) -> dict[str, Any]:
     """The numeric arrays of a .mat file of version 7.3, which is HDF5 with rows and columns exchanged."""
-    try:
-        import h5py
-    except ImportError:
-        what = f"{path}: a .mat file of version 7.3"
-        raise MissingPackage(what, "h5py", "data", "save it with -v7") from None
+    what = f"{path}: a .mat file of version 7.3"
+    h5py = optional_module("h5py", what, "h5py", "data", "save it with -v7")
     try:
         with h5py.File(io.BytesIO(raw), "r") as file:
             datasets = {name: item for name, item in file.items() if isinstance(item, h5py.Dataset)}
@@ -236,19 +233,15 @@ def workbook_rows(raw: bytes, path: Path) -> Sheet:
     Raises ValueError if there is none or the file is damaged, and MissingPackage, which names the file
     `path`, if no reader of workbooks is installed.
     """
-    try:
-        from python_calamine import CalamineError, SheetTypeEnum, SheetVisibleEnum, load_workbook
-    except ImportError:
-        raise MissingPackage(
-            f"{path}: a workbook", "python-calamine", "data", "save it as text (CSV)"
-        ) from None
+    what, instead = f"{path}: a workbook", "save it as text (CSV)"
+    calamine = optional_module("python_calamine", what, "python-calamine", "data", instead)
     try:
         plain, hides = _without_styles(raw)
-        book, unstyled = load_workbook(io.BytesIO(raw)), load_workbook(plain)
+        book, unstyled = (calamine.load_workbook(source) for source in (io.BytesIO(raw), plain))
         is_visible = {
-            about.name: about.visible == SheetVisibleEnum.Visible
+            about.name: about.visible == calamine.SheetVisibleEnum.Visible
             for about in book.sheets_metadata
-            if about.typ == SheetTypeEnum.WorkSheet
+            if about.typ == calamine.SheetTypeEnum.WorkSheet
         }
         sheets = {
             title: _rows(
@@ -257,7 +250,7 @@ def workbook_rows(raw: bytes, path: Path) -> Sheet:
             )
             for title in is_visible
         }
-    except CalamineError as error:
+    except calamine.CalamineError as error:
         raise ValueError(str(error)) from None
     counts = {title: _numeric_rows(rows) for title, rows in sheets.items()}
     # a sheet with a few constants is not the table

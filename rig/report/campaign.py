@@ -1,7 +1,7 @@
 """The fit of a campaign: from runs and the stated campaign to its results."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from math import isfinite, nan, sqrt
 
@@ -39,11 +39,10 @@ from rig.report.likelihoods import (
     CampaignValue,
     SamplerFindings,
     compress,
-    likelihood_tree,
 )
-from rig.terminal import quantity
+from rig.terminal import plain_values, quantity
 
-_MIN_BAD_PROBABILITY = 0.5
+MIN_BAD_PROBABILITY = 0.5
 _MIN_EFFECTIVE_FRACTION = 0.05
 """Fraction of the draws that must be effective."""
 _MAX_RELATIVE_WIDTH = 20.0
@@ -270,6 +269,8 @@ def _runs(
     u_values = np.where([name in POSITIVE for name in names], np.abs(values), 1.0) * u_together
     for row, (source, run) in enumerate(entered):
         fit, own = source.run.fits[FitMethod.EXACT], [name for name in names if name in run.names]
+        covariates = {key: tuple(one) for key, one in run.covariates.items()}
+        likelihood = plain_values({**asdict(run), "covariates": covariates})
         out.append(
             CampaignRun(
                 label=run.label,
@@ -277,7 +278,9 @@ def _runs(
                 record=source.run.record,
                 sha256=source.run.sha256,
                 results_sha256=source.results_sha256,
-                likelihood=likelihood_tree(run),
+                likelihood={
+                    key: value for key, value in likelihood.items() if key not in ("label", "contact")
+                },
                 alone={name: fit.estimate(name) for name in own},
                 together={
                     name: Estimate(float(values[row, place]), float(u_values[row, place]))
@@ -320,7 +323,7 @@ def _warnings(found: SeriesPosterior, without_priors: SeriesPosterior) -> list[s
     texts += [
         f"{run.label} is a bad run with probability {100 * bad:.0f} % and counts for little"
         for run, bad in zip(found.runs, found.bad, strict=True)
-        if bad > _MIN_BAD_PROBABILITY
+        if bad > MIN_BAD_PROBABILITY
     ]
     texts += [
         f"{what} is not well described: {one.effective:.0f} of {len(one.h)} draws count; ask for more draws, "

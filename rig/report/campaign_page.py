@@ -17,7 +17,7 @@ from processing.series import ABSENT, ORDER, POSITIVE, CompressedRun, Effect, Fo
 from processing.units import ARCSEC_RAD
 from rig.analysis import encoded
 from rig.report import html
-from rig.report.campaign import Campaign
+from rig.report.campaign import MIN_BAD_PROBABILITY, Campaign
 from rig.report.drawing import INK, ReportFigure, canvas, three_columns
 from rig.report.likelihoods import CampaignEffect, CampaignResults
 from rig.terminal import (
@@ -269,7 +269,6 @@ def campaign_tables(campaign: Campaign) -> list[Table]:
 
 
 _CURVE_POINTS = 60
-_MIN_BAD_PROBABILITY = 0.5
 _BANDS = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 
@@ -362,7 +361,7 @@ def _residual_figure(campaign: Campaign) -> ReportFigure:
             color=palette.SEQUENCE[place % len(palette.SEQUENCE)],
         )  # fmt: skip
     for at, run in zip(x.tolist(), results.runs, strict=True):
-        if run.bad > _MIN_BAD_PROBABILITY:
+        if run.bad > MIN_BAD_PROBABILITY:
             axes.axvspan(at - 0.4, at + 0.4, color=palette.VERMILLION, alpha=0.25, lw=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="run", ylabel="deviation / u")

@@ -16,7 +16,7 @@ from acquisition.record.digest import cached_sha256, sha256_of, utc
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from processing.deflections import DeflectionUnit
-from processing.errors import ConfigurationError, MissingPackage, RecordError
+from processing.errors import ConfigurationError, RecordError, optional_module
 from processing.units import NS_PER_S, conversion, in_ascii, unit_of_name
 from rig.analysis import (
     RESULTS_NAME,
@@ -233,10 +233,9 @@ def _write_tables(folder: Path, run: ExportData, kind: Literal["csv", "parquet"]
     Of CSV, lines that begin with ``#`` contain the provenance after notes on missing data, followed by one
     header line. Of Parquet, metadata of schema and fields hold provenance, notes (JSON) and units.
     """
-    try:
-        from pyarrow import csv, parquet
-    except ImportError:
-        raise MissingPackage("rig export", "pyarrow", "data") from None
+    optional_module("pyarrow", "rig export", "pyarrow", "data")
+    from pyarrow import csv, parquet
+
     lines = [
         *(f"NOTE: {note}" for note in run.notes),
         *(f"{n}: {text}" for n, text in run.provenance.items()),
@@ -295,10 +294,7 @@ def _write_nexus(path: Path, exported: Sequence[ExportData]) -> None:
 
     Raises ConfigurationError if h5py is not installed.
     """
-    try:
-        import h5py
-    except ImportError:
-        raise MissingPackage("--format hdf5", "h5py", "data") from None
+    h5py = optional_module("h5py", "--format hdf5", "h5py", "data")
     # made in memory, where it is small beside the runs' arrays: on a full disk HDF5 reports an error for
     # every object that it closes, and may end the process
     file_buffer = io.BytesIO()

@@ -29,7 +29,6 @@ from processing.series import (
 )
 from rig.analysis import Fit, JsonObject, ResultRow, RunResults
 from rig.report.campaign_input import SURROUNDING_COVARIATES, FoundRun
-from rig.terminal import plain_values
 
 _AIR, _MISFIT = "air", "misfit"
 _RUN_SOURCES = ("period_drift", "drag_drift", "plane_of_swing_rad")
@@ -134,13 +133,10 @@ def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | 
 def _covariance(fit: Fit, names: Sequence[str]) -> Floats:
     """Covariance of the parameters, from their uncertainties and correlations."""
     u = np.array([fit.estimate(name).standard_uncertainty for name in names])
-    known, matrix = fit.correlation.names, np.array(fit.correlation.matrix)
-    correlation = np.eye(len(names))
-    for i, first in enumerate(names):
-        for j, second in enumerate(names):
-            if i != j and first in known and second in known:
-                correlation[i, j] = matrix[known.index(first), known.index(second)]
-    correlation = np.nan_to_num(correlation)
+    known, correlation = fit.correlation.names, np.eye(len(names))
+    if set(names) <= set(known):
+        at = [known.index(name) for name in names]
+        correlation = np.nan_to_num(np.array(fit.correlation.matrix)[np.ix_(at, at)])
     # rounding in the file must not make the matrix singular
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
     correlation = (vectors * np.maximum(values, 1e-9)) @ vectors.T
@@ -368,10 +364,3 @@ class CampaignResults:
     warnings: tuple[str, ...] = ()
     simulated: bool = False
     stated: JsonObject = field(default_factory=dict)
-
-
-def likelihood_tree(run: CompressedRun) -> JsonObject:
-    """The likelihood of a run as a tree for the file."""
-    covariates = {key: tuple(found) for key, found in run.covariates.items()}
-    whole: JsonObject = plain_values({**asdict(run), "covariates": covariates})
-    return {key: value for key, value in whole.items() if key not in ("label", "contact")}

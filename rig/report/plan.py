@@ -1,7 +1,7 @@
 """Tables and figure of `rig plan`: uncertainties of planned runs, and pairs of runs that reveal ageing."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from acquisition import atomic_write
 from processing.contact import DRAG
 from processing.errors import DataError
-from processing.fit import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
+from processing.fit import PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.units import ARCSEC_RAD
 from rig.report.planned_run import PlannedContact
 from rig.terminal import Table, TableRow, answer, palette, percent, plain, quantity
@@ -27,24 +27,21 @@ _MAX_AGEING_FACTOR = 1.2
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Planned runs, and series of `counts` of each; `values` are the assumed parameters by key.
+    """Planned runs of what is `assumed`, and series of `counts` of each.
 
-    Runs that last longer than `longest_s` are still planned to their last amplitude. `unknown` are the keys
-    of values that the source of the plan does not determine.
+    Runs that last longer than the assumed limit are still planned to their last amplitude.
     """
 
-    conditions: Conditions
-    values: Mapping[str, float]
+    assumed: PlannedContact
     runs: tuple[PlannedRun, ...]
     counts: tuple[int, ...] = (1,)
-    longest_s: float = math.inf
-    unknown: tuple[str, ...] = ()
 
     @property
     def scales(self) -> dict[str, float]:
         """Values to which uncertainties are relative; 0 for a drag below its uncertainty in every run."""
-        hidden = all(run.u.get(DRAG.key, 0.0) > abs(self.values.get(DRAG.key, 0.0)) for run in self.runs)
-        return {name: 0.0 if name == DRAG.key and hidden else value for name, value in self.values.items()}
+        values = self.assumed.values
+        hidden = all(run.u.get(DRAG.key, 0.0) > abs(values.get(DRAG.key, 0.0)) for run in self.runs)
+        return {name: 0.0 if name == DRAG.key and hidden else value for name, value in values.items()}
 
     def relative(self, run: PlannedRun) -> dict[str, float]:
         """Relative uncertainty by parameter; infinite where the reference value is 0."""
@@ -64,7 +61,7 @@ def make_plan(
 
     Raises DataError: no pair of amplitudes makes a run.
     """
-    values, pendulum, conditions, longest_s, unknown = planned
+    conditions = planned.conditions
     if ground_rad_per_s2_rthz is not None:
         conditions = conditions.on_ground(ground_rad_per_s2_rthz)
     if seismometer_noise is not None:
@@ -73,12 +70,13 @@ def make_plan(
     for first, last in product(first_arcsec, last_arcsec):
         if last < first:
             try:
-                runs.append(planned_run(values, pendulum, conditions, first * ARCSEC_RAD, last * ARCSEC_RAD))
+                ends_rad = first * ARCSEC_RAD, last * ARCSEC_RAD
+                runs.append(planned_run(planned.values, planned.pendulum, conditions, *ends_rad))
             except DataError as error:
                 problem = str(error)
     if not runs:
         raise DataError(f"no such run: {problem}")
-    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s, unknown)
+    return Plan(planned._replace(conditions=conditions), tuple(runs), tuple(sorted(set(counts))))
 
 
 def _share(u: float, value: float, unit: str) -> str:
@@ -88,19 +86,19 @@ def _share(u: float, value: float, unit: str) -> str:
 
 def plan_table(plan: Plan) -> Table:
     """Table with a row for each run or series: time of all runs, relative uncertainties of parameters."""
-    names, scales, conditions = list(plan.runs[0].u), plan.scales, plan.conditions
+    names, scales, conditions = list(plan.runs[0].u), plan.scales, plan.assumed.conditions
     lines = []
     for run, count in product(plan.runs, plan.counts):
         first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
         all_s, u = count * run.duration_s, [run.u[name] / math.sqrt(count) for name in names]
         remark = "" if run.complete else " (the ground ends it earlier)"
-        remark += "" if run.duration_s <= plan.longest_s else " *"
+        remark += "" if run.duration_s <= plan.assumed.longest_s else " *"
         shares = [_share(one, scales[name], quantity(name).unit) for name, one in zip(names, u, strict=True)]
         texts = [f"{first:g} to {last:g}{remark}", f"{count}", f"{all_s / 60:.1f}", *shares]
         lines.append(TableRow([first, last, run.duration_s, run.half_cycles, count, all_s, *u], texts))
     note = ""
-    if plan.unknown:
-        unknown = ", ".join(quantity(name).symbol for name in plan.unknown)
+    if plan.assumed.unknown:
+        unknown = ", ".join(quantity(name).symbol for name in plan.assumed.unknown)
         note = (
             f"NOT RELIABLE: what this plan starts from does not determine {unknown}, so the contact may be "
             "another; plan from a longer run, or from a configuration. "
@@ -114,8 +112,10 @@ def plan_table(plan: Plan) -> Table:
     if conditions.seismometer_noise is not None:
         note += f", {plain(conditions.unknown_rad_per_s2_rthz, 2)} with the seismometer"
     note += "."
-    if any(run.duration_s > plan.longest_s for run in plan.runs):
-        note += f" * session.max_duration_s = {plan.longest_s:g} would end it earlier: raise it for this."
+    if any(run.duration_s > plan.assumed.longest_s for run in plan.runs):
+        note += (
+            f" * session.max_duration_s = {plan.assumed.longest_s:g} would end it earlier: raise it for this."
+        )
     columns = ("first_arcsec", "last_arcsec", "duration_s", "half_cycles", "runs", "rig_time_s")
     symbols = [f"u({quantity(name).symbol})" for name in names]
     return Table(
@@ -130,7 +130,7 @@ def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> tuple[tuple[PlannedSeri
     Also returns the proposed pair: the shortest in which unknown ageing enlarges u(b) by less than a fifth,
     or else the pair with the smallest u(b).
     """
-    best, prior = min(plan.runs, key=lambda run: run.u["b"]), plan.conditions.known_drag_s
+    best, prior = min(plan.runs, key=lambda run: run.u["b"]), plan.assumed.conditions.known_drag_s
     second_runs = sorted(
         (run for run in plan.runs if run.last_rad == best.last_rad), key=lambda run: -run.first_rad
     )
@@ -159,7 +159,7 @@ def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
         cells = [*amplitudes[0], second, one.waiting_s, one.duration_s, *u_b, one.u_ageing_per_s]
         words = ", then ".join(f"{first:g} to {last:g}" for first, last in amplitudes)
         words += " <- proposed" if one is proposed else ""
-        relative = [_percent_or_unknown(u / abs(plan.values["b"])) for u in u_b]
+        relative = [_percent_or_unknown(u / abs(plan.assumed.values["b"])) for u in u_b]
         rate = _percent_or_unknown(per_h) + (" per h" if per_h < 10 else "")
         lines.append(TableRow(cells, [words, waiting, f"{one.duration_s / 60:.1f}", *relative, rate]))
     symbol = quantity("b").symbol

@@ -1,7 +1,7 @@
 """The assumptions of a plan: contact, scatter of turning points, motion of the ground."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from processing.contact import DEFAULT_LAW, DRAG, PendulumOnBall
 from processing.deflections import slow_deflections
 from processing.errors import ConfigurationError, DataError
-from processing.estimate import WELL_DETERMINED, Estimate
+from processing.estimate import WELL_DETERMINED
 from processing.fit import LEAST_UNEXPLAINED, Conditions, FitMethod, waveform_of
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
@@ -82,10 +82,10 @@ def planned_contact_of_file(
     planned = planned_contact(config, None if noise_arcsec is None else noise_arcsec * ARCSEC_RAD)
     if not fitted:
         return planned
-    known = _values_of(fitted[0][0])
+    known = _planned(fitted[0][0], planned.pendulum, planned.conditions)
     # the drag is planned as it will be fitted, whether or not the earlier fit had one
-    values = {name: known.get(name, own) for name, own in planned.values.items()}
-    return planned._replace(values=values, unknown=_unknown(fitted[0][0].parameters))
+    values = {name: known.values.get(name, own) for name, own in planned.values.items()}
+    return planned._replace(values=values, unknown=known.unknown)
 
 
 def planned_contact_of_run(run: AnalysedRun) -> PlannedContact:
@@ -93,9 +93,7 @@ def planned_contact_of_run(run: AnalysedRun) -> PlannedContact:
     exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
         raise DataError(f"{run.path}: a plan needs a fitted run: {run.problem or 'it has no fit'}")
-    values = {name: exact.estimate(name).value for name in exact.contact_names}
-    conditions = Conditions.of(exact, run.points)
-    return PlannedContact(values, pendulum, conditions, unknown=_unknown(exact.estimates()))
+    return _planned(run.fits[FitMethod.EXACT], pendulum, Conditions.of(exact, run.points))
 
 
 def planned_contact_of_table(results: Path) -> PlannedContact:
@@ -112,7 +110,7 @@ def planned_contact_of_table(results: Path) -> PlannedContact:
         scale * float(np.median(points.u_time_s * points.amplitude)),
         0.0 if ground is None else ground.density_rad_per_s2_rthz.value,
     )
-    return PlannedContact(_values_of(exact), pendulum, conditions, unknown=_unknown(exact.parameters))
+    return _planned(exact, pendulum, conditions)
 
 
 def _fitted(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, TurningPoints]]:
@@ -130,20 +128,19 @@ def _fitted(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, Turni
     return fitted
 
 
-def _unknown(fitted: Mapping[str, Estimate]) -> tuple[str, ...]:
-    """Parameters of the contact that half-cycles do not determine; the drag is planned without its value."""
-    return tuple(
+def _planned(fit: Fit, pendulum: PendulumOnBall, conditions: Conditions) -> PlannedContact:
+    """The values of a fit, with the drag if it was fitted, and those that its half-cycles leave open.
+
+    The drag is planned without its value.
+    """
+    known = {name: fit.parameters[name] for name in DEFAULT_LAW.names(drag=True) if name in fit.parameters}
+    unknown = tuple(
         name
-        for name in DEFAULT_LAW.names()
-        if name in fitted
-        and not fitted[name].standard_uncertainty <= WELL_DETERMINED * abs(fitted[name].value)
+        for name, (value, u) in known.items()
+        if name != DRAG.key and not u <= WELL_DETERMINED * abs(value)
     )
-
-
-def _values_of(fit: Fit) -> dict[str, float]:
-    """The contact's values by key, with the drag if it was fitted."""
-    known = DEFAULT_LAW.names(drag=True)
-    return {name: fit.parameters[name].value for name in known if name in fit.parameters}
+    values = {name: one.value for name, one in known.items()}
+    return PlannedContact(values, pendulum, conditions, unknown=unknown)
 
 
 def _frame_rate_hz(config: Configuration) -> float:

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from acquisition.camera import Frame
 from acquisition.record.digest import RecordedCamera, cached_sha256
 from acquisition.record.reader import RecordReader
 from processing.arrays import Floats
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
 from processing.instruments import DEGREE_RAD
 from processing.swing import ResidualSpectrum, residual_spectrum
@@ -128,18 +129,16 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         spots = reader.spots()
         picture = _picture(reader, spots, notes)
         deflections = reader.deflections(spots)
-        provenance: dict[str, Mapping[str, str]] = {
-            "file": {"record": path.name, **_hashes(results)},
-            **reader.metadata,
-        }
+        file = {"record": path.name, **_hashes(results)}
+        provenance: dict[str, Mapping[str, str]] = {"file": file, **reader.metadata}
         configuration = reader.attachments.get(CONFIGURATION_NAME)
         rate = _clock_rate(reader, notes)
-        spectrum = _spectrum(reader, deflections) if results.fits else None
+        spectrum = None
+        with suppress(DataError):
+            if results.fits:
+                spectrum = residual_spectrum(deflections.times_ns, deflections.y, reader.swings())
         if len(spots):
-            provenance["file"] = {
-                **provenance["file"],
-                "began": f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC",
-            }
+            file["began"] = f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC"
         for note in reader.notes():
             since_ns = note.time_ns - int(spots["time_ns"][0]) if len(spots) else 0
             notes.append(f"noted at {since_ns * 1e-9 * rate:.1f} s, {note.event.text}")
@@ -167,13 +166,6 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
 def _hashes(run: RunResults) -> dict[str, str]:
     """SHA-256 of the record or table of a run, and of its other inputs, by name."""
     return {"sha256": run.sha256, **{f"sha256 of {name}": one for name, one in run.inputs_sha256.items()}}
-
-
-def _spectrum(reader: RecordReader, deflections: Deflections) -> ResidualSpectrum | None:
-    try:
-        return residual_spectrum(deflections.times_ns, deflections.y, reader.swings())
-    except DataError:
-        return None
 
 
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:

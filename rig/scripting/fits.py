@@ -9,7 +9,6 @@ from processing.errors import ConfigurationError
 from rig.analysis import (
     ModelCurve,
     RunResults,
-    SeismometerSource,
     SessionResults,
     analyse_record,
     analyse_trajectory,
@@ -18,7 +17,7 @@ from rig.analysis import (
     session_results,
     with_laws,
 )
-from rig.intake import FilmOptions, TableColumns, film_trajectory
+from rig.intake import FilmOptions, TableColumns, film_trajectory, read_seismometer
 from rig.report import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
 from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
 from rig.settings import Configuration, load_configuration
@@ -67,7 +66,7 @@ def fit(
     changes = overrides_of(overrides)
     paths = [path for one in several(source, (Record, Session), "source") for path in _paths(one)]
     refuse_copies(paths)
-    ground = None if witness is None else SeismometerSource(path_of(witness, "witness")).read()
+    ground = None if witness is None else read_seismometer(path_of(witness, "witness"))
     runs = [analyse_record(path, changes, witness=ground) for path in paths]
     if laws := _laws(law, elastic):
         runs = [with_laws(run, laws) for run in runs]
@@ -214,7 +213,7 @@ def fit_table(
         if stated is not None and configuration is None:
             raise ConfigurationError(f"{name}: has no effect without configuration, which gives the pendulum")
     table = path_of(path, "path")
-    ground = None if witness is None else SeismometerSource(path_of(witness, "witness")).read()
+    ground = None if witness is None else read_seismometer(path_of(witness, "witness"))
     config = _configuration(configuration)
     columns = TableColumns(
         None if time is None else columns_of(time, "time")[0],

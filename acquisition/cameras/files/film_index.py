@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquisition.cameras.files.frame_source import ONE_IMAGE, missing_frames, numbers_by_steps
-from processing.errors import DeviceError, MissingPackage
+from processing.errors import DeviceError, optional_module
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -23,10 +23,7 @@ _SECOND_NS = 1_000_000_000
 
 def pyav() -> Any:
     """The module av. Raises MissingPackage if it is missing."""
-    try:
-        import av
-    except ImportError:
-        raise MissingPackage("a film", "av", "video", "convert it to a folder of images") from None
+    av = optional_module("av", "a film", "av", "video", "convert it to a folder of images")
     # FFmpeg's own messages are suppressed, because the readers of a film report its faults
     av.logging.set_level(None)
     # a repeated message must not be skipped, because it is a second fault

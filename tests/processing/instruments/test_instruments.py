@@ -108,32 +108,33 @@ def test_a_missing_half_cycle_at_the_level_is_said() -> None:
 
 
 def test_places_and_ratio() -> None:
-    places = over_places([ValueWithSharedErrors(value, 0.1) for value in (100.0, 104.0, 102.0)])
-    assert (places.number, places.mean.value, places.spread) == (3, 102.0, 2.0)
-    assert places.mean.own == pytest.approx(2 / math.sqrt(3))
-    assert places.expanded_95 == pytest.approx(4.302653 * 2 / math.sqrt(3), rel=1e-6)
-    relative = ratio(places.mean, ValueWithSharedErrors(250.0, 0.5))
+    mean, places = over_places([ValueWithSharedErrors(value, 0.1) for value in (100.0, 104.0, 102.0)])
+    assert (places.places, mean.value, places.spread) == (3, 102.0, 2.0)
+    assert (places.value, places.standard_uncertainty) == tuple(mean.estimate)
+    assert mean.own == pytest.approx(2 / math.sqrt(3))
+    assert places.expanded_uncertainty_95 == pytest.approx(4.302653 * 2 / math.sqrt(3), rel=1e-6)
+    relative = ratio(mean, ValueWithSharedErrors(250.0, 0.5))
     assert relative.standard_uncertainty / relative.value == pytest.approx(
         math.hypot(2 / math.sqrt(3) / 102, 0.5 / 250)
     )
     with pytest.raises(DataError, match="must be positive"):
-        ratio(places.mean, ValueWithSharedErrors(0.0, 0.1))
+        ratio(mean, ValueWithSharedErrors(0.0, 0.1))
 
 
 def test_what_places_share_stays_in_their_mean_and_cancels_in_a_ratio() -> None:
     """Three places of 36.74 s, u 0.115 s by the scale they share, apart by 0.00046 s: not 0.115/sqrt(3)."""
     scale = {"arm": 0.115}
     values = (36.7435, 36.7440, 36.7444)
-    places = over_places([ValueWithSharedErrors(value, 1e-4, scale) for value in values])
-    assert places.mean.estimate.standard_uncertainty == pytest.approx(0.115, rel=1e-4)
-    assert places.expanded_95 == pytest.approx(1.96 * 0.115, rel=1e-3)
+    mean, places = over_places([ValueWithSharedErrors(value, 1e-4, scale) for value in values])
+    assert mean.estimate.standard_uncertainty == pytest.approx(0.115, rel=1e-4)
+    assert places.expanded_uncertainty_95 == pytest.approx(1.96 * 0.115, rel=1e-3)
     relative = ratio(
-        over_places([ValueWithSharedErrors(value, 1e-4, scale) for value in values[1:]]).mean,
+        over_places([ValueWithSharedErrors(value, 1e-4, scale) for value in values[1:]])[0],
         ValueWithSharedErrors(values[0], 1e-4, scale),
     )
     assert relative.standard_uncertainty < 3e-5
-    apart = over_places([ValueWithSharedErrors(36.74, 0.0, {f"arm {k}": 0.115}) for k in range(3)])
-    assert apart.mean.estimate.standard_uncertainty == pytest.approx(0.115 / math.sqrt(3))
+    apart, _ = over_places([ValueWithSharedErrors(36.74, 0.0, {f"arm {k}": 0.115}) for k in range(3)])
+    assert apart.estimate.standard_uncertainty == pytest.approx(0.115 / math.sqrt(3))
     # the longer of two times is moved more by the clock, in proportion: a ratio knows nothing of it
     clock = ratio(
         ValueWithSharedErrors(80.0, 0.0, {"clock": 80e-4}),

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from processing.errors import ConfigurationError
 from processing.instruments.descriptions import INSTRUMENTS
-from rig.analysis import TableOptions, fit_trajectory, read_results
+from rig.analysis import TableOptions, fit_several, read_results
 from rig.cli import app
 from rig.commands.fitting import fit_records
 from rig.intake import TableColumns
@@ -207,9 +207,9 @@ def fitted(folder: Path, table: str, config: str, *positions: str) -> Any:
     """results.json of a table."""
     (folder / "table.csv").write_text(table)
     (folder / "kind.toml").write_text(f"[instrument]\n{config}\n")
-    columns = TableColumns(positions=positions)
-    options = TableOptions(folder / "kind.toml")
-    assert fit_trajectory(folder / "table.csv", folder / "out", columns, options) == 0
+    path, columns = folder / "table.csv", TableColumns(positions=positions)
+    inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
+    assert fit_several(inputs, folder / "out", TableOptions(folder / "kind.toml")) == 0
     return json.loads((folder / "out" / "results.json").read_text())
 
 

@@ -22,9 +22,9 @@ from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import witness_sentences
 from rig.analysis.seismometer import sample_times
-from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import TableColumns
 from rig.archive.session_rows import results_row
+from rig.intake import read_seismometer
 from rig.report import make_table_report
 from rig.settings import load_configuration
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -79,7 +79,7 @@ def decay(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @cache
 def analysed(folder: Path, *columns: str) -> AnalysedTable:
     config = load_configuration(folder / "rig.toml", needs_camera=False)
-    witness = SeismometerSource(folder / "witness.csv", columns).read() if columns else None
+    witness = read_seismometer(folder / "witness.csv", columns) if columns else None
     return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), witness)
 
 
@@ -154,7 +154,7 @@ def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the
     path = tmp_path / "w.csv"
     path.write_text("\n".join(["time_s,z", *(f"{time:.1f},{k % 7}" for k, time in enumerate(times))]))
     alone = analysed_series[0]
-    found = analyse_record(alone.path, witness=SeismometerSource(path).read())
+    found = analyse_record(alone.path, witness=read_seismometer(path))
     assert found.witness is not None
     assert found.witness.verdict is SeismometerVerdict.ABSENT
     results = [session_results([run], tmp_path) for run in (alone, found)]
@@ -163,27 +163,28 @@ def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the
 
 
 def test_times_are_put_on_the_clock_of_the_turning_points(tmp_path: Path) -> None:
-    begin = 3_000_000_000, 1_500_000_005_000_000_000
+    begin_ns, clocks = 5_000_000_000, {"to_file_ns": -2_000_000_000, "to_utc_ns": 1_500_000_000_000_000_000}
     times = np.arange(10.0)
-    relative = SeismometerSource(csv(tmp_path / "a.csv", "time_s,z", 2 + times, times)).read()
-    witness, known = relative.seismogram(*begin)
+    relative = read_seismometer(csv(tmp_path / "a.csv", "time_s,z", 2 + times, times))
+    witness, known = replace(relative, **clocks).seismogram(begin_ns)
     assert witness.time_s[0] == pytest.approx(-1.0)
     assert not known
-    stated = replace(SeismometerSource(tmp_path / "a.csv"), offset_s=0.25).read()
-    witness, known = stated.seismogram(*begin)
+    stated = read_seismometer(tmp_path / "a.csv", offset_s=0.25)
+    witness, known = replace(stated, **clocks).seismogram(begin_ns)
     assert witness.time_s[0] == pytest.approx(-0.75)
     assert known
     in_ns = [f"{1_500_000_000_000_000_000 + 100_000_000 * k},{k}" for k in range(10)]
     (tmp_path / "b.csv").write_text("\n".join(["time_ns,z", *in_ns]))
-    witness, known = SeismometerSource(tmp_path / "b.csv").read().seismogram(*begin)
+    absolute = read_seismometer(tmp_path / "b.csv")
+    witness, known = replace(absolute, **clocks).seismogram(begin_ns)
     assert witness.time_s[0] == pytest.approx(-5.0, abs=1e-6)
     assert known
-    assert not SeismometerSource(tmp_path / "b.csv").read().seismogram(0)[1]
+    assert not absolute.seismogram(0)[1]
 
 
 def test_a_column_that_is_not_there_is_said(decay: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"no column 'up'; columns: time_s, east, north"):
-        SeismometerSource(decay / "witness.csv", ("up",)).read()
+        read_seismometer(decay / "witness.csv", ("up",))
 
 
 def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_path: Path) -> None:
@@ -192,23 +193,21 @@ def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_
     with pytest.raises(
         ConfigurationError, match=r"'0:00' in 't' may be .* state --witness-time-unit m:ss or"
     ):
-        SeismometerSource(path).read()
+        read_seismometer(path)
     for unit, step_s in (("m:ss", 1), ("h:mm", 60)):
-        found = SeismometerSource(path, time_unit=unit).read()
+        found = read_seismometer(path, time_unit=unit)
         assert set(np.diff(found.times_ns).tolist()) == {step_s * 10**9}
     backwards = csv(tmp_path / "b.csv", "t,z", np.arange(9.0)[::-1], np.arange(9.0))
     with pytest.raises(DataError, match="call the time column time_s"):
-        SeismometerSource(backwards).read()
-    in_ms = SeismometerSource(
-        csv(tmp_path / "c.csv", "t,z", np.arange(9.0), np.arange(9.0)), time_unit="ms"
-    ).read()
+        read_seismometer(backwards)
+    in_ms = read_seismometer(csv(tmp_path / "c.csv", "t,z", np.arange(9.0), np.arange(9.0)), time_unit="ms")
     assert in_ms.times_ns[-1] == 8_000_000
     with pytest.raises(
         ConfigurationError, match=r"unit of 't', .* 1 s apart; state --witness-time-unit .* d$"
     ):
-        SeismometerSource(tmp_path / "c.csv").read()
+        read_seismometer(tmp_path / "c.csv")
     with pytest.raises(ConfigurationError, match=r"--witness-time-unit s: .* has times of its own"):
-        SeismometerSource(tmp_path / "w.mseed", time_unit="s").read()
+        read_seismometer(tmp_path / "w.mseed", time_unit="s")
 
 
 @pytest.mark.slow
@@ -219,7 +218,7 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     samples[9] = "x," + samples[9].partition(",")[2]
     path = tmp_path / "w.csv"
     path.write_text("\n".join([head, *samples]))
-    record = SeismometerSource(path).read()
+    record = read_seismometer(path)
     assert record.names == ("east", "north")
     assert len(record.times_ns) == len(samples) - 1
     told = " ".join(record.understood)
@@ -236,7 +235,7 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     assert (found.source, found.understood) == ("w.csv", record.understood)
     assert "Of the seismometer w.csv: left out" in witness_sentences(found)[-1]
     with pytest.raises(DataError, match="column 'name' has no numbers"):
-        SeismometerSource(path, ("name",)).read()
+        read_seismometer(path, ("name",))
 
 
 def test_without_obspy_a_seismic_file_says_what_to_install(
@@ -244,7 +243,7 @@ def test_without_obspy_a_seismic_file_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "obspy", None)
     with pytest.raises(ConfigurationError, match=r"w\.mseed: --witness with miniSEED or SAC .* needs obspy"):
-        SeismometerSource(tmp_path / "w.mseed").read()
+        read_seismometer(tmp_path / "w.mseed")
 
 
 BEGIN_S = 1_772_600_000
@@ -295,7 +294,7 @@ def test_records_are_read_with_the_times_of_their_own(
     tmp_path: Path, records: list[tuple[str, float, int]], step_ns: int, span_s: float, lost: int, said: str
 ) -> None:
     """ObsPy takes records that are early or late by less than half a sample for ones without a gap."""
-    found = SeismometerSource(seismic(tmp_path / "w.mseed", *records, step_ns=step_ns)).read()
+    found = read_seismometer(seismic(tmp_path / "w.mseed", *records, step_ns=step_ns))
     since_s = found.times_ns * 1e-9
     assert found.absolute
     assert found.first_ns == BEGIN_S * 10**9
@@ -311,14 +310,14 @@ def test_records_are_read_with_the_times_of_their_own(
 def test_of_several_sensors_one_is_asked_for(tmp_path: Path, other: str) -> None:
     path = seismic(tmp_path / "w.mseed", (Z, 0.0, 300), (other, 0.0, 200))
     with pytest.raises(ConfigurationError, match=r"holds 2 sensors.*; state one: --witness-column") as caught:
-        SeismometerSource(path).read()
+        read_seismometer(path)
     assert {f"{Z[:-1]}?", f"{other[:-1]}?"} <= set(re.split("[ ,;']+", str(caught.value)))
     for name, count in ((Z, 300), (other, 200)):
         for stated in (name, f"{name[:-1]}?"):
-            found = SeismometerSource(path, (stated,)).read()
+            found = read_seismometer(path, (stated,))
             assert (found.names, len(found.value)) == ((name[-3:],), count)
         assert f"not used: {other if name == Z else Z}" in found.understood
-    assert SeismometerSource(path, (Z, other)).read().names == (Z, other)
+    assert read_seismometer(path, (Z, other)).names == (Z, other)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -328,24 +327,24 @@ def test_a_seismic_file_is_read_with_its_damage_and_its_components(tmp_path: Pat
     data = bytearray(path.read_bytes())
     data[2 * 4096 + 200] ^= 0x55
     path.write_bytes(data)
-    found = SeismometerSource(path).read()
+    found = read_seismometer(path)
     assert found.names == ("BHE", "BHZ")
     assert np.isnan(found.value).sum(axis=0).tolist() == [300, 0]
     assert "left out: 1 records that cannot be decoded" in found.understood
-    assert SeismometerSource(path, ("BHZ",)).read().names == ("BHZ",)
+    assert read_seismometer(path, ("BHZ",)).names == ("BHZ",)
     with pytest.raises(ConfigurationError, match="no channel 'BHN'; channels: BHE, BHZ"):
-        SeismometerSource(path, ("BHN",)).read()
+        read_seismometer(path, ("BHN",))
     obspy = pytest.importorskip("obspy")
     trace = obspy.Trace(np.arange(1000, dtype=np.float32), {"sampling_rate": 20.0, "channel": "BHZ"})
     trace.write(str(tmp_path / "w.sac"), format="SAC")
-    of_sac = SeismometerSource(tmp_path / "w.sac").read()
+    of_sac = read_seismometer(tmp_path / "w.sac")
     assert of_sac.names == ("BHZ",)
     assert of_sac.value[:, 0] == pytest.approx(np.arange(1000.0))
     (tmp_path / "bad.mseed").write_text("no samples")
     with pytest.raises(DataError, match="as neither miniSEED nor SAC"):
-        SeismometerSource(tmp_path / "bad.mseed").read()
+        read_seismometer(tmp_path / "bad.mseed")
     with pytest.raises(DataError, match="BHZ holds no samples"):
-        SeismometerSource(seismic(tmp_path / "none.mseed", (Z, 0.0, 0))).read()
+        read_seismometer(seismic(tmp_path / "none.mseed", (Z, 0.0, 0)))
 
 
 def test_results_keep_what_a_witness_told_and_sentences_say_it() -> None:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
-from rig.analysis.seismometer_file import SeismometerRecord
 from rig.analysis.table_fit import AnalysedTable, analyse_trajectory
+from rig.intake import SeismometerRecord
 from rig.intake.table import TableColumns
 from rig.settings import Configuration
 

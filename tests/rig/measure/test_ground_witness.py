@@ -15,9 +15,10 @@ import pytest
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WITNESS
 from processing.errors import ConfigurationError
-from rig.analysis import SeismometerSource, analyse_record, read_results
+from rig.analysis import analyse_record, read_results
 from rig.analysis.seismometer import recorded_witness
 from rig.instrument import recorded_configuration
+from rig.intake import read_seismometer
 from rig.measure import measure_session
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, QUICK, SMALL
@@ -98,7 +99,7 @@ def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: 
     (own,) = read_results(vault).runs
     assert own.witness is not None
     for name in ("utc.csv", "relative.csv"):
-        found = analyse_record(record, witness=SeismometerSource(tmp_path / name).read())
+        found = analyse_record(record, witness=read_seismometer(tmp_path / name))
         assert found.witness is not None
         assert found.witness.used, name
         assert [response.name for response in found.witness.responses] == ["counts"]

@@ -50,15 +50,15 @@ def test_a_run_is_planned_from_a_record(
 
 def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
     """Of a rig in vacuum the fitted drag is nearly 0: thousands of per cent of it say nothing."""
-    conditions = planned_contact(complete(load_configuration(CONFIGS / "demo.toml"))).conditions
+    assumed = planned_contact(complete(load_configuration(CONFIGS / "demo.toml")))
     run = PlannedRun(6e-4, 1e-5, 600.0, 290, {"b": 1e-5, "drag_s": 2e-6})
-    vacuum = Plan(conditions, {"b": 4e-3, "drag_s": -3e-8}, (run,))
+    vacuum = Plan(assumed._replace(values={"b": 4e-3, "drag_s": -3e-8}), (run,))
     ((*_, b, drag),) = plan_table(vacuum).shown
     assert b == "0.25 %"
     assert drag == "2.0 × 10⁻⁶ s"
     (axes, _) = plan_figure(vacuum).figure.axes
     assert [line.get_label() for line in axes.get_lines()] == ["b"]
-    air = Plan(conditions, {"b": 4e-3, "drag_s": 2e-3}, (run,))
+    air = Plan(assumed._replace(values={"b": 4e-3, "drag_s": 2e-3}), (run,))
     assert plan_table(air).shown[0][-1] == "0.1 %"
     assert "NOT RELIABLE" not in plan_table(air).note
 

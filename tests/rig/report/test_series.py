@@ -15,9 +15,9 @@ from pyarrow import parquet
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
+from processing.instruments import MeanOverPlaces
 from processing.units import size
 from rig.analysis import AnalysedRun, InstrumentSeries, Series, read_results, write_results
-from rig.analysis.decay_values import MeanOverPlaces
 from rig.analysis.series import session_results
 from rig.report.export import export_session, latex_tables
 from rig.report.figures_contact import series_figure

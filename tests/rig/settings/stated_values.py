@@ -1,6 +1,7 @@
 """Values that the analysis and a record take from a configuration, for comparison."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from rig.analysis.air import assumed_drifts
 from rig.analysis.contact_verdicts import base_motion, rig_quantities
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.series import reduce_series
+from rig.analysis.series import AnalysedRun, instrument_series
 from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import (
     mass_centre_height,
@@ -101,7 +102,8 @@ def instrument(config: Configuration) -> Any:
                 for b in (0.01, 0.02, 0.03)
             ]
             found.append([(run.values, [tuple(row) for row in run.rows]) for run in runs])
-            found.append(repr(reduce_series(runs)))
+            reduced = [AnalysedRun(path=Path(), record="", reduction=run) for run in runs]
+            found.append(repr(instrument_series(reduced)))
     return repr(found)
 
 

@@ -9,15 +9,15 @@ from fnmatch import fnmatchcase
 from io import BytesIO
 from pathlib import Path
 from re import compile as pattern
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from processing.arrays import Floats, Ints
-from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
+from processing.errors import ConfigurationError, DataError, RigError, optional_module
 from processing.fit import Seismogram
 from processing.units import NS_PER_S, nanoseconds, seconds
-from rig.intake import read_columns
+from rig.intake.table import read_columns
 
 _SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
 FIRST_UTC_S = 1e9
@@ -40,41 +40,13 @@ _REMEDIES: Final = {
 """Options in messages on a table that is fitted, and those to name instead for a seismometer's table."""
 
 
-@dataclass(frozen=True)
-class SeismometerSource:
-    """File of an auxiliary seismometer, its columns or channels, and the offset to add to its times.
-
-    With an `offset_s` of None the times are used unchanged, and an offset is sought where they explain
-    nothing. `time_unit` is that of a table's times, where its header has none.
-    """
-
-    path: Path
-    columns: tuple[str, ...] = ()
-    offset_s: float | None = None
-    time_unit: str = ""
-
-    def read(self) -> "SeismometerRecord":
-        """The samples of the file. Raises DataError or ConfigurationError in one line."""
-        if self.path.suffix.lower() not in _SEISMIC:
-            found = _read_table(self.path, self.columns, self.time_unit)
-        elif self.time_unit:
-            raise ConfigurationError(
-                f"--witness-time-unit {self.time_unit}: {self.path} has times of its own; leave the "
-                "option out"
-            )
-        else:
-            found = _read_seismic(self.path, self.columns)
-        if self.offset_s is None:
-            return found
-        return replace(found, first_ns=found.first_ns + nanoseconds(self.offset_s), offset_stated=True)
-
-
 @dataclass(frozen=True, eq=False)
 class SeismometerRecord:
     """Samples of a seismometer: times (n,) in ns from the first, values (n, components), NaN where missing.
 
     `understood` are lines on how its file was read, and which rows were left out. `first_ns` is the first
-    sample's time: since 1970 where `absolute`, else on the clock of the run's file.
+    sample's time: since 1970 where `absolute`, else on the clock of the run's file. `to_file_ns` is added to
+    a run's times for those of its file, `to_utc_ns` for those since 1970, None where they are not known.
     """
 
     name: str
@@ -85,35 +57,45 @@ class SeismometerRecord:
     absolute: bool
     offset_stated: bool = False
     understood: tuple[str, ...] = ()
+    to_file_ns: int = 0
+    to_utc_ns: int | None = None
 
-    def seismogram(self, begin_ns: int, begin_utc_ns: int | None = None) -> tuple[Seismogram, bool]:
+    def seismogram(self, begin_ns: int) -> tuple[Seismogram, bool]:
         """The samples on the clock of turning points, and whether it is known to a fraction of a period.
 
-        `begin_ns` is the time of the first fitted turning point on the clock of the run's file,
-        `begin_utc_ns` that since 1970, None where it is not known.
+        `begin_ns` is the time of the first fitted turning point on the run's clock.
         """
         known = self.offset_stated
-        if not self.absolute or (self.offset_stated and begin_utc_ns is None):
-            zero_ns = begin_ns
-        elif begin_utc_ns is not None:
-            zero_ns, known = begin_utc_ns, True
+        if not self.absolute or (self.offset_stated and self.to_utc_ns is None):
+            zero_ns = begin_ns + self.to_file_ns
+        elif self.to_utc_ns is not None:
+            zero_ns, known = begin_ns + self.to_utc_ns, True
         else:
             # the two clocks are unrelated
             zero_ns, known = self.first_ns, False
         return Seismogram(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
 
 
-class TimedSeismometer(NamedTuple):
-    """A seismometer's record, and what is added to a run's times in ns for those of `seismogram`."""
+def read_seismometer(
+    path: Path, columns: Sequence[str] = (), offset_s: float | None = None, time_unit: str = ""
+) -> SeismometerRecord:
+    """The samples of an auxiliary seismometer's file, of all its `columns` or channels, or of some.
 
-    record: SeismometerRecord
-    to_file_ns: int = 0
-    to_utc_ns: int | None = None
-
-    def beside(self, first_ns: int) -> tuple[Seismogram, bool]:
-        """The samples on the clock of turning points whose first fitted one is at `first_ns`; see there."""
-        utc_ns = None if self.to_utc_ns is None else first_ns + self.to_utc_ns
-        return self.record.seismogram(first_ns + self.to_file_ns, utc_ns)
+    `offset_s` is added to its times; with None they are used unchanged, and an offset is sought where they
+    explain nothing. `time_unit` is that of a table's times, where its header has none. Raises DataError or
+    ConfigurationError in one line.
+    """
+    if path.suffix.lower() not in _SEISMIC:
+        found = _read_table(path, columns, time_unit)
+    elif time_unit:
+        raise ConfigurationError(
+            f"--witness-time-unit {time_unit}: {path} has times of its own; leave the option out"
+        )
+    else:
+        found = _read_seismic(path, columns)
+    if offset_s is None:
+        return found
+    return replace(found, first_ns=found.first_ns + nanoseconds(offset_s), offset_stated=True)
 
 
 def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> SeismometerRecord:
@@ -136,12 +118,8 @@ def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> Seismomet
 
 
 def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
-    try:
-        import obspy
-    except ImportError:
-        raise MissingPackage(
-            f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)", "obspy", "seismic"
-        ) from None
+    what = f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)"
+    obspy = optional_module("obspy", what, "obspy", "seismic")
     try:
         data = path.read_bytes()
     except OSError as error:
