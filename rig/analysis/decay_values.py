@@ -23,6 +23,14 @@ _STORED_AMPLITUDES = 9
 """Number of amplitudes at which the curve is stored, which is smooth."""
 _SURELY_NEGATIVE_U = 3.0
 """Minimum distance below zero, in standard uncertainties, of a part that is surely negative."""
+_NEGATIVE_PARTS: Final = {
+    "constant": "no force: the loss grows faster than the amplitude, as that of rolling with an exponent "
+    "above 1; or something changes during the decay, or noise lifts the last amplitudes",
+    "linear": "no force: something changes during the decay",
+    "quadratic": "no force: the loss grows more slowly than the amplitude, as that of rolling with an "
+    "exponent below 1; or something changes during the decay",
+}
+"""What a part of the damping that is surely negative tells; the three together describe any smooth loss."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,10 +71,7 @@ class AmplitudeDamping:
             part = f"{with_uncertainty(value, u)}{units[name]}"
             lines.append(f"damping, {name} part {part}, needed with probability {probability:.2g}")
             if value < -_SURELY_NEGATIVE_U * u:
-                cause = "something else changes"
-                if name == "constant":
-                    cause += ", or noise lifts the last amplitudes"
-                lines.append(f"a negative {name} part fits the decay but is not friction: {cause}")
+                lines.append(f"a negative {name} part is {_NEGATIVE_PARTS[name]}")
         for point in (self.curve[0], self.curve[-1]) if self.curve else ():
             quality = point.quality_factor
             more = "" if quality is None else f", quality factor {with_uncertainty(*quality)}"

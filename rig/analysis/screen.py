@@ -96,7 +96,7 @@ ReportWriter = Callable[[AnalysedTable, Path], Sequence[tuple[str, Path]]]
 """Function that writes the report of a table into a folder, and returns the files with their names."""
 ENVELOPES = ("amplitude", "power")
 _FLAGS = {
-    HalfCycleFlag.GAP: "with a gap",
+    HalfCycleFlag.GAP: "with too few samples around it",
     HalfCycleFlag.VIBRATION: "disturbed",
     HalfCycleFlag.LOW_AMPLITUDE: "too small",
     HalfCycleFlag.START: "of a release or kick",

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from acquisition.simulation.settings import GroundTruth
+from processing.damping import fit_damping
 from processing.estimate import Determinacy, Estimate
 from processing.fit import BaseMotion, Budget, Drag, DragFinding, FitMethod, Ground, fit_exact
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
 from rig.analysis.contact_verdicts import base_motion, fit_results
+from rig.analysis.decay_values import amplitude_damping
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 from rig.analysis.results import Correlation, Fit
 from rig.analysis.run_remarks import (
@@ -256,3 +258,19 @@ def test_a_run_at_rest_sets_a_bound_and_asks_for_nothing() -> None:
     assert text.count("(95 %)") == 2
     assert "dB" not in text
     assert "help" not in text
+
+
+@pytest.mark.parametrize(
+    ("exponent", "part", "reason"), [(0.94, "quadratic", "exponent below 1"), (1.3, "constant", "above 1")]
+)
+def test_a_power_law_of_rolling_is_not_called_a_change(exponent: float, part: str, reason: str) -> None:
+    """A loss by A^p: its three parts have different signs, and nothing changes during the decay."""
+    time_s = np.linspace(0.0, 600.0, 300)
+    # dA/dt = -0.005 A^p, from 124 on, with p != 1
+    at = 124 ** (1 - exponent) - 0.005 * (1 - exponent) * time_s
+    lines = amplitude_damping(
+        fit_damping(time_s, at ** (1 / (1 - exponent)), np.full(300, 1e-3)), frequency_hz=0.25
+    ).lines("arcsec")
+    (told,) = (line for line in lines if line.startswith("a negative"))
+    assert told.startswith(f"a negative {part} part is no force")
+    assert reason in told
