@@ -223,16 +223,18 @@ def leave_one_out(
 
 SKEW_PRIOR_STD = 0.3
 """Prior standard deviation of the skew, which is that of a sensor tilted by 17 degrees."""
-_CUBIC_STD = (0.0, 3e-4, 1e-3, 1e-2)
-"""Prior standard deviations of the cubic part at the ladder's end, relative to the displacement there."""
-_P_CUBIC = 0.2
-"""Prior probability of any cubic part, shared by the sizes above."""
+_CUBIC_STD = (3e-4, 1e-3, 1e-2)
+"""Prior standard deviations of the cubic part at the ladder's end, relative to the displacement there, all
+equally probable. No reference is quite linear: what the steps do not show of it is part of the uncertainty.
+"""
 _P_WRONG = 0.01
 """Prior probability that a step is wrong."""
 _WRONG_STEP_STD = (6.0, 60.0)
 """Standard deviations of a wrong step, in units of its stated uncertainty."""
 _MIN_NOTED_P = 0.5
-"""Probability of a cubic part, or of a wrong step, above which a note reports it."""
+"""Probability of a wrong step above which a note reports it."""
+_MIN_NOTED_U = 3.0
+"""Cubic part in standard uncertainties above which a note reports it."""
 _FLAT_PRIOR_STD = 1e6
 """Prior standard deviation of an unknown parameter, in units in which the ladder is about 1."""
 
@@ -252,16 +254,15 @@ class LadderTrace(NamedTuple):
 
 
 class ScaleEvidence(NamedTuple):
-    """Scale in px per unit of t, its standard uncertainty, and the probabilities of deviations from a line.
+    """Scale in px per unit of t, its standard uncertainty, and the deviations from a line.
 
-    `p_cubic` is the probability of a cubic part; `cubic` is then its mean relative size at the ladder's end,
-    and `u_cubic` the uncertainty of that. `wrong` (n,) is each step's probability to be wrong. `birge`
-    enlarges the stated uncertainties, with `dof` degrees of freedom (infinite where it is 1).
+    `cubic` is the relative size of the cubic part at the ladder's end, with its uncertainty. `wrong` (n,) is
+    each step's probability to be wrong. `birge` enlarges the stated uncertainties, with `dof` degrees of
+    freedom (infinite where it is 1).
     """
 
     scale: float
     u_scale: float
-    p_cubic: float
     cubic: float
     u_cubic: float
     wrong: Floats
@@ -299,19 +300,18 @@ def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: fl
     if birge == 1.0:
         return found
     dof = max(count - used, 1)
-    plain = _fit(steps, kind, scale, 0.0, np.ones(count))
+    plain = _fit(steps, kind, scale, _CUBIC_STD[0], np.ones(count))
     birge = math.sqrt(max(plain.chi2 / dof, 1.0))
     return _posterior(steps, kind, scale, birge)[0]._replace(birge=birge, dof=float(dof))
 
 
 def ladder_notes(evidence: ScaleEvidence) -> list[str]:
-    """Notes for the user on a probable cubic part, and on steps that are probably wrong."""
+    """Notes for the user on a cubic part that is seen, and on steps that are probably wrong."""
     notes = []
-    if evidence.p_cubic > _MIN_NOTED_P:
+    if abs(evidence.cubic) > _MIN_NOTED_U * evidence.u_cubic:
         notes.append(
             f"not linear: a cubic part of {evidence.cubic:.2g} ± {evidence.u_cubic:.2g} of the way at the "
-            f"ladder's end, probability {evidence.p_cubic:.2g}; the scale is that at zero: look for what "
-            "bends the reference or the light's path"
+            f"ladder's end; the scale is that at zero: look for what bends the reference or the light's path"
         )
     notes.extend(
         f"step {number} is probably wrong (probability {p_wrong:.2g}) and hardly counts: measure it again"
@@ -330,7 +330,6 @@ def _posterior(
     enlarged = steps._replace(u_px=birge * steps.u_px)
     models, log_weights, steps_wrong, cubic_stds = [], [], [], []
     for cubic_std in _CUBIC_STD:
-        prior = 1.0 - _P_CUBIC if cubic_std == 0.0 else _P_CUBIC / (len(_CUBIC_STD) - 1)
         # where all steps scatter by more than stated, wrong ones cannot be recognised
         for wrong in range(-1, count if birge == 1.0 else 0):
             for by in _WRONG_STEP_STD if wrong >= 0 else (1.0,):
@@ -338,7 +337,7 @@ def _posterior(
                 factor[wrong if wrong >= 0 else 0] = by
                 models.append(_fit(enlarged, kind, scale, cubic_std, factor))
                 p_steps = 1.0 - count * _P_WRONG if wrong < 0 else _P_WRONG / len(_WRONG_STEP_STD)
-                log_weights.append(models[-1].log_evidence + math.log(prior * max(p_steps, _P_WRONG)))
+                log_weights.append(models[-1].log_evidence + math.log(max(p_steps, _P_WRONG)))
                 steps_wrong.append(wrong)
                 cubic_stds.append(cubic_std)
     logs = np.array(log_weights)
@@ -348,28 +347,23 @@ def _posterior(
     variances = np.array([model.covariance[1, 1] for model in models])
     mean = float(weight @ scales)
     variance = float(weight @ (variances + (scales - mean) ** 2))
-    has_cubic = np.array(cubic_stds) > 0.0
-    share = float(weight[has_cubic].sum())
     cubics = np.array([model.values[3] / model.values[1] for model in models])
-    u_cubics = np.array([model.covariance[3, 3] / model.values[1] ** 2 for model in models])
-    weight_of_cubic = weight[has_cubic] / max(share, 1e-300)
-    cubic = float(weight_of_cubic @ cubics[has_cubic])
-    u_cubic = math.sqrt(float(weight_of_cubic @ (u_cubics[has_cubic] + (cubics[has_cubic] - cubic) ** 2)))
+    u2_cubics = np.array([model.covariance[3, 3] / model.values[1] ** 2 for model in models])
+    cubic = float(weight @ cubics)
     at = np.array(steps_wrong)
     best = int(np.argmax(logs))
     return (
         ScaleEvidence(
             scale=mean,
             u_scale=math.sqrt(variance),
-            p_cubic=share,
             cubic=cubic,
-            u_cubic=u_cubic,
+            u_cubic=math.sqrt(float(weight @ (u2_cubics + (cubics - cubic) ** 2))),
             wrong=np.array([weight[at == k].sum() for k in range(count)]),
             birge=1.0,
             dof=math.inf,
         ),
         models[best].chi2,
-        int(cubic_stds[best] > 0.0) + int(steps_wrong[best] >= 0),
+        int(cubic_stds[best] > _CUBIC_STD[0]) + int(steps_wrong[best] >= 0),
     )
 
 

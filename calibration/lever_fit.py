@@ -44,8 +44,8 @@ class LadderFit:
     `direction_rad` is the direction of positive t, from the sensor's upward vertical towards +x. `skew` is
     the value fitted for the test of linearity, and `chance_if_linear` the probability of one at least as
     large if the true value is 0. The fit of origin, direction and hysteresis includes a skew only if
-    `nonlinear`, that of `scale` always, weighted by its probability. `cubic_probability` is the probability
-    of a cubic part, `cubic` its probable size at the ladder's end, relative to the displacement there.
+    `nonlinear`, that of `scale` always, weighted by its probability. `cubic` is the size of a
+    cubic part at the ladder's end, relative to the displacement there.
     `hysteresis` is the difference between settings approached from below and from above, in rad
     or m; NaN if all were approached from one side.
     `leave_one_out` (n,) is the change of the scale without each step, over its standard uncertainty.
@@ -66,7 +66,6 @@ class LadderFit:
     u_skew: float
     chance_if_linear: float
     nonlinear: bool
-    cubic_probability: float
     cubic: float
     u_cubic: float
     hysteresis: float
@@ -176,7 +175,6 @@ def fit_ladder(
         u_skew=skewed.u(4),
         chance_if_linear=probability,
         nonlinear=nonlinear,
-        cubic_probability=evidence.p_cubic,
         cubic=evidence.cubic,
         u_cubic=evidence.u_cubic,
         hysteresis=hysteresis,
