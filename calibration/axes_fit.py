@@ -113,6 +113,8 @@ Sign = Literal["+", "-"]
 _WINDOW_PERIODS = 6.0
 _MIN_PERIODS = 2.0
 """Smallest number of slow periods; with fewer the slow mode looks like a drift of the rest position."""
+_MAX_U_FAST = 0.2
+"""Largest uncertainty of the fast direction as a slope; that of noise alone is 0.4 in the mean."""
 _MAX_CHI2_PER_DOF = 100.0
 """Largest chi-square per degree of freedom of the windows' directions, which then scatter ten times as much
 as the spots' noise explains. Larger uncertainties would hide that there are no two fixed directions.
@@ -231,11 +233,11 @@ def fit_axes(
         np.array([angle_of(w.slow) for w in windows]),
         np.array([w.u_slow_rad for w in windows]),
     )
-    usable = [w for w in windows if w.is_fast_visible]
+    usable = [w for w in windows if w.u_fast_slope < _MAX_U_FAST]
     if not usable:
         raise DataError(
             f"axes: no fast mode is visible ({float(np.hypot(*first_window.fast)):.2g} px, "
-            f"u of its direction {first_window.u_fast_rad:.2g} rad); "
+            f"u of its direction {first_window.u_fast_slope:.2g} rad); "
             "push the pendulum across the slow direction as well, or record for longer"
         )
     if fast_began is not None:

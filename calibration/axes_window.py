@@ -20,8 +20,6 @@ _OVERTONE_STD = (0.15, 0.08, 0.05)
 fractions of the third.
 """
 _SLOPE_STEPS = 5
-_MAX_U_FAST = 0.2
-"""Largest uncertainty of the fast direction as a slope; that of noise alone is 0.4 in the mean."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,18 +27,18 @@ class WindowDirections:
     """Directions of the modes in one time window.
 
     `slow` and `fast` are vectors (x, y) on the sensor in px. The length is the mode's amplitude at the
-    beginning of the window, the sign that of its cosine at the beginning of the record. `u_` are standard
-    uncertainties of their angles. `precision` (1 + m, 1 + m) and `pull` (1 + m,) are matrix and right-hand
-    side of the normal equations of the fast direction's angle in rad, from that of `fast` on, and of the slow
-    mode's m overtones in units of their prior standard deviations, without the prior.
+    beginning of the window, the sign that of its cosine at the beginning of the record. `u_slow_rad` is the
+    standard uncertainty of its angle, `u_fast_slope` that of the fast one as a slope. `precision` (1 + m,
+    1 + m) and `pull` (1 + m,) are matrix and right-hand side of the normal equations of the fast direction's
+    angle in rad, from that of `fast` on, and of the slow mode's m overtones in units of their prior standard
+    deviations, without the prior.
     """
 
     middle_s: float
     slow: Floats
     u_slow_rad: float
     fast: Floats
-    u_fast_rad: float
-    is_fast_visible: bool
+    u_fast_slope: float
     precision: Floats
     pull: Floats
 
@@ -113,13 +111,9 @@ def window_directions(
         u2 = np.linalg.inv(precision + _prior(precision))
         slope += by_angle[0] * float(u2[0] @ pull)
     size = float(np.hypot(*turn))
-    cosine, sine = _at_beginning(rows * size)
-    sign = 1.0 if cosine >= 0 else -1.0
-    vector = sign * math.hypot(cosine, sine) * (frame @ [1.0, -turn[0]]) / size
-    visible = math.sqrt(u2[0, 0]) * size < _MAX_U_FAST
-    return WindowDirections(
-        float(middle), slow, u_slow, vector, math.sqrt(u2[0, 0]), visible, precision, pull
-    )
+    fast_vector = _vector(rows * size, frame @ [1.0, -turn[0]] / size)
+    u_slope = size * math.sqrt(u2[0, 0])
+    return WindowDirections(float(middle), slow, u_slow, fast_vector, u_slope, precision, pull)
 
 
 def _prior(precision: Floats) -> Floats:
@@ -199,10 +193,10 @@ def modulo_pi(angle_rad: float) -> float:
     return (angle_rad + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
 
-def _at_beginning(rows: Floats) -> tuple[float, float]:
-    """Cosine and sine amplitude at the beginning of the window, where u = -1."""
-    signs = np.array([(-1.0) ** k for k in range(_ENVELOPE_TERMS)])
-    return float(rows[:_ENVELOPE_TERMS] @ signs), float(rows[_ENVELOPE_TERMS:] @ signs)
+def _vector(rows: Floats, direction: Floats) -> Floats:
+    """Vector of a mode with this direction (see `WindowDirections`), from the coefficients along it."""
+    cosine, sine = rows.reshape(2, -1) @ (-1.0) ** np.arange(_ENVELOPE_TERMS)
+    return math.copysign(math.hypot(cosine, sine), cosine) * direction
 
 
 def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tuple[Floats, float]:
@@ -221,10 +215,7 @@ def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tup
     signal = float(along @ scatter @ along) - float(along @ covariance @ along) * terms
     noise = float(across @ covariance @ across)
     u_angle = math.sqrt(noise / signal) if signal > 0 else math.inf
-    cosine, sine = _at_beginning(rows @ along)
-    amplitude = math.hypot(cosine, sine)
-    sign = 1.0 if cosine >= 0 else -1.0
-    return sign * amplitude * along, u_angle
+    return _vector(rows @ along, along), u_angle
 
 
 @dataclass(frozen=True, slots=True)

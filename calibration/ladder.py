@@ -271,12 +271,18 @@ class ScaleEvidence(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """Fit of one model: logarithm of its evidence, parameters, their covariance, chi-square of the steps."""
+    """Fit of one model: logarithm of its probability, parameters, their covariance, chi-square of the steps.
 
-    log_evidence: float
+    `wrong` is the number of the wrong step, or -1; `spent` are the degrees of freedom that the model uses in
+    addition to those of the simplest.
+    """
+
+    log_probability: float
     values: Floats
     covariance: Floats
     chi2: float
+    wrong: int
+    spent: int
 
 
 def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: float) -> ScaleEvidence:
@@ -292,15 +298,15 @@ def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: fl
     scale
         An estimate of the scale in px per unit of t, accurate to a percent.
     """
-    found, chi2, spent = _posterior(steps, kind, scale, 1.0)
+    found, best = _posterior(steps, kind, scale, 1.0)
     # the skew of a stage has no prior, so it uses up a degree of freedom, as the scale does
     count, used = len(steps.t), (2 if kind == "tilt" else 3) + (steps.by_hysteresis is not None)
     # only scatter that no model explains is noise in excess of the stated uncertainties
-    birge = birge_ratio(chi2, max(count - used - spent, 1))
+    birge = birge_ratio(best.chi2, max(count - used - best.spent, 1))
     if birge == 1.0:
         return found
     dof = max(count - used, 1)
-    plain = _fit(steps, kind, scale, _CUBIC_STD[0], np.ones(count))
+    plain = _fit(steps, kind, scale, _CUBIC_STD[0])
     birge = math.sqrt(max(plain.chi2 / dof, 1.0))
     return _posterior(steps, kind, scale, birge)[0]._replace(birge=birge, dof=float(dof))
 
@@ -323,57 +329,48 @@ def ladder_notes(evidence: ScaleEvidence) -> list[str]:
 
 def _posterior(
     steps: LadderTrace, kind: Literal["tilt", "shift"], scale: float, birge: float
-) -> tuple[ScaleEvidence, float, int]:
-    """The evidence of all models, chi-square of the most probable one, and the degrees of freedom that this
-    one uses in addition to those of the simplest."""
+) -> tuple[ScaleEvidence, _Model]:
+    """The evidence of all models, and the most probable one."""
     count = len(steps.t)
     enlarged = steps._replace(u_px=birge * steps.u_px)
-    models, log_weights, steps_wrong, cubic_stds = [], [], [], []
-    for cubic_std in _CUBIC_STD:
-        # where all steps scatter by more than stated, wrong ones cannot be recognised
-        for wrong in range(-1, count if birge == 1.0 else 0):
-            for by in _WRONG_STEP_STD if wrong >= 0 else (1.0,):
-                factor = np.ones(count)
-                factor[wrong if wrong >= 0 else 0] = by
-                models.append(_fit(enlarged, kind, scale, cubic_std, factor))
-                p_steps = 1.0 - count * _P_WRONG if wrong < 0 else _P_WRONG / len(_WRONG_STEP_STD)
-                log_weights.append(models[-1].log_evidence + math.log(max(p_steps, _P_WRONG)))
-                steps_wrong.append(wrong)
-                cubic_stds.append(cubic_std)
-    logs = np.array(log_weights)
+    # where all steps scatter by more than stated, wrong ones cannot be recognised
+    suspects = range(-1, count if birge == 1.0 else 0)
+    models = [
+        _fit(enlarged, kind, scale, cubic_std, wrong, by)
+        for cubic_std in _CUBIC_STD
+        for wrong in suspects
+        for by in (_WRONG_STEP_STD if wrong >= 0 else (1.0,))
+    ]
+    logs = np.array([model.log_probability for model in models])
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
+    at = np.array([model.wrong for model in models])
+
+    def mean(values: Floats, variances: Floats) -> tuple[float, float]:
+        middle = float(weight @ values)
+        return middle, math.sqrt(float(weight @ (variances + (values - middle) ** 2)))
+
     scales = np.array([model.values[1] for model in models])
-    variances = np.array([model.covariance[1, 1] for model in models])
-    mean = float(weight @ scales)
-    variance = float(weight @ (variances + (scales - mean) ** 2))
-    cubics = np.array([model.values[3] / model.values[1] for model in models])
-    u2_cubics = np.array([model.covariance[3, 3] / model.values[1] ** 2 for model in models])
-    cubic = float(weight @ cubics)
-    at = np.array(steps_wrong)
-    best = int(np.argmax(logs))
-    return (
-        ScaleEvidence(
-            scale=mean,
-            u_scale=math.sqrt(variance),
-            cubic=cubic,
-            u_cubic=math.sqrt(float(weight @ (u2_cubics + (cubics - cubic) ** 2))),
-            wrong=np.array([weight[at == k].sum() for k in range(count)]),
-            birge=1.0,
-            dof=math.inf,
-        ),
-        models[best].chi2,
-        int(cubic_stds[best] > _CUBIC_STD[0]) + int(steps_wrong[best] >= 0),
+    found, u_found = mean(scales, np.array([model.covariance[1, 1] for model in models]))
+    cubic, u_cubic = mean(
+        np.array([model.values[3] for model in models]) / scales,
+        np.array([model.covariance[3, 3] for model in models]) / scales**2,
     )
+    wrong = np.array([weight[at == k].sum() for k in range(count)])
+    evidence = ScaleEvidence(found, u_found, cubic, u_cubic, wrong, birge=1.0, dof=math.inf)
+    return evidence, models[int(np.argmax(logs))]
 
 
-def _fit(steps: LadderTrace, kind: str, scale: float, cubic_std: float, factor: Floats) -> _Model:
+def _fit(
+    steps: LadderTrace, kind: str, scale: float, cubic_std: float, wrong: int = -1, by: float = 1.0
+) -> _Model:
     """Fit of one model in closed form; its parameters are origin, scale, scale times skew, scale times cubic
-    part, and hysteresis. `factor` (n,) enlarges the steps' uncertainties.
+    part, and hysteresis. The uncertainty of the step `wrong` is enlarged by the factor `by`.
     """
     t = steps.t
     end = float(np.abs(t).max())
-    u = steps.u_px * factor
+    u = steps.u_px * np.where(np.arange(len(t)) == wrong, by, 1.0)
+    p_steps = 1.0 - len(t) * _P_WRONG if wrong < 0 else _P_WRONG / len(_WRONG_STEP_STD)
     columns = [np.ones_like(t), t, t**2, t * (t / end) ** 2]
     skew = scale * SKEW_PRIOR_STD if kind == "tilt" else _FLAT_PRIOR_STD * scale / end
     widths = [_FLAT_PRIOR_STD * scale * end, _FLAT_PRIOR_STD * scale, skew, cubic_std * scale]
@@ -387,10 +384,12 @@ def _fit(steps: LadderTrace, kind: str, scale: float, cubic_std: float, factor: 
     values = np.linalg.solve(precision, design.T @ position)
     residual = position - design @ values
     chi2 = float(residual @ residual)
-    log_evidence = (
-        -0.5 * (chi2 + float(values @ values))
+    log_probability = (
+        math.log(max(p_steps, _P_WRONG))
+        - 0.5 * (chi2 + float(values @ values))
         - 0.5 * float(np.linalg.slogdet(precision)[1])
         - float(np.log(u).sum())
     )
     covariance = np.linalg.inv(precision) * np.outer(width, width)
-    return _Model(log_evidence, values * width, covariance, chi2)
+    spent = (cubic_std > _CUBIC_STD[0]) + (wrong >= 0)
+    return _Model(log_probability, values * width, covariance, chi2, wrong, spent)
