@@ -9,7 +9,6 @@ import numpy as np
 from calibration.timebase import birge_ratio
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.least_squares import solve
 from processing.units import ARCSEC_RAD
 
 FEWEST_STEPS = 5
@@ -73,35 +72,47 @@ def approach_if_both(way: Floats) -> Floats | None:
     return way if np.any(way > 0) and np.any(way < 0) else None
 
 
-@dataclass(frozen=True, slots=True)
-class LadderSolution:
-    """Solution of the least-squares problem.
+class LadderTrace(NamedTuple):
+    """A ladder along the motion of the spot, arrays (n,).
 
-    The first `fixed` of `values` are origin (x, y), scale (x, y), then skew and hysteresis if they are
-    fitted. The others are the deviations of the steps' true settings from the stated ones in units of
-    `u_reference`. `covariance` (fixed, fixed) is that of the first ones, enlarged along the motion by
-    `birge`, across it by `birge_across`. `along_dof` are the degrees of freedom of `birge`, infinite if it is
-    1. `residual_px` (n, 2) are the positions minus those of the fitted ladder at the stated settings, not at
-    the true ones, which the fit moves towards a wrong position until little of its error is left.
+    `t` is the tangent of twice the tilt, or the shift in m; `place_px` the position of the spot. `u_px`
+    includes the reference's uncertainty. `by_hysteresis` is the derivative of t with respect to the
+    hysteresis, None if all settings were approached from one side.
     """
 
-    values: Floats
-    covariance: Floats
-    fixed: int
+    t: Floats
+    place_px: Floats
+    u_px: Floats
+    by_hysteresis: Floats | None
+
+
+@dataclass(frozen=True, slots=True)
+class LadderSolution:
+    """Solution of the least-squares problem along and across the motion of the spot.
+
+    The fields are those of `LadderFit`; `skew` is 0 and `hysteresis` NaN where they are not fitted. The
+    uncertainties are enlarged along the motion by `birge`, across it by `birge_across`. `along_dof` are the
+    degrees of freedom of `birge`, infinite if it is 1. `trace` is the ladder along the motion. `residual_px`
+    (n, 2) are the positions minus those of the fitted ladder at the stated settings.
+    """
+
+    scale: float
+    u_scale: float
+    origin_px: Floats
+    u_origin_px: Floats
+    direction_rad: float
+    u_direction_rad: float
+    skew: float
+    u_skew: float
+    hysteresis: float
+    u_hysteresis: float
     chi2: float
     dof: int
     birge: float
     birge_across: float
     along_dof: float
+    trace: LadderTrace
     residual_px: Floats
-
-    def u(self, index: int) -> float:
-        return float(np.sqrt(self.covariance[index, index]))
-
-    def scale(self) -> tuple[float, float]:
-        k = self.values[2:4]
-        scale = float(np.hypot(*k))
-        return scale, float(np.sqrt(k @ self.covariance[2:4, 2:4] @ k)) / max(scale, 1e-300)
 
 
 def carrier(setting: Floats, kind: str) -> tuple[Floats, Floats]:
@@ -112,96 +123,60 @@ def carrier(setting: Floats, kind: str) -> tuple[Floats, Floats]:
     return setting, np.ones_like(setting)
 
 
+def _line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floats, float]:
+    """Coefficients of a weighted fit, their covariance by the stated uncertainties, and chi-square."""
+    weighted = design / u_px[:, None]
+    values, *_ = np.linalg.lstsq(weighted, places_px / u_px, rcond=None)
+    misfit = (places_px - design @ values) / u_px
+    covariance = np.linalg.pinv(weighted.T @ weighted, hermitian=True)
+    return values.astype(np.float64), covariance, float(misfit @ misfit)
+
+
 def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew: bool) -> LadderSolution:
-    """Least squares, with the skew as a parameter if `with_skew` and the hysteresis if `way` is given."""
-    count = len(steps.reference)
-    fixed = 4 + with_skew + (way is not None)
+    """Least squares, with the skew as a parameter if `with_skew` and the hysteresis if `way` is given.
 
-    stated, _ = carrier(steps.reference, kind)
-    span = float(np.ptp(stated))
-    start = np.polyfit(stated, np.column_stack([steps.x_px, steps.y_px]), 1)
-    unit = np.ones(fixed)
-    unit[2:4] = 1.0 / span
-    if with_skew:
-        unit[4] = 1.0 / span
-    if way is not None:
-        unit[fixed - 1] = float(np.ptp(steps.reference))
-
-    def parts(p: Floats) -> tuple[Floats, Floats, Floats]:
-        """t, its derivative with respect to the setting, and the displacement over the scale."""
-        setting = steps.reference + steps.u_reference * p[fixed:]
-        if way is not None:
-            setting = setting + 0.5 * way * p[fixed - 1] * unit[fixed - 1]
-        t, slope = carrier(setting, kind)
-        skew = p[4] * unit[4] if with_skew else 0.0
-        return t, slope, t * (1.0 + skew * t)
-
-    def residual(p: Floats) -> Floats:
-        _, _, along = parts(p)
-        kx, ky = p[2] * unit[2], p[3] * unit[3]
-        return np.concatenate(
-            [
-                (p[0] + kx * along - steps.x_px) / steps.u_x_px,
-                (p[1] + ky * along - steps.y_px) / steps.u_y_px,
-                p[fixed:],
-            ]
-        )
-
-    def jacobian(p: Floats) -> Floats:
-        t, slope, along = parts(p)
-        skew = p[4] * unit[4] if with_skew else 0.0
-        by_setting = slope * (1.0 + 2.0 * skew * t)
-        out = np.zeros((3 * count, fixed + count))
-        for row, k, u, at in (
-            (0, p[2] * unit[2], steps.u_x_px, 0),
-            (count, p[3] * unit[3], steps.u_y_px, 1),
-        ):
-            rows = np.arange(row, row + count)
-            out[rows, at] = 1.0 / u
-            out[rows, 2 + at] = along * unit[2 + at] / u
-            if with_skew:
-                out[rows, 4] = k * t**2 * unit[4] / u
-            if way is not None:
-                out[rows, fixed - 1] = k * by_setting * 0.5 * way * unit[fixed - 1] / u
-            out[rows, fixed + np.arange(count)] = k * by_setting * steps.u_reference / u
-        out[2 * count + np.arange(count), fixed + np.arange(count)] = 1.0
-        return out
-
-    p0 = np.zeros(fixed + count)
-    p0[0:2], p0[2:4] = start[1], start[0] / unit[2:4]
-    found = solve(lambda p: (residual(p), jacobian(p)), p0)
-    full = found.covariance[:fixed, :fixed] * np.outer(unit, unit)
-    values = found.values.copy()
-    values[:fixed] *= unit
-    _, _, along = parts(found.values)
-
-    def off(along: Floats) -> Floats:
-        """Positions (n, 2) minus those of the fitted ladder with these displacements over the scale."""
-        return np.column_stack(
-            [steps.x_px - values[0] - values[2] * along, steps.y_px - values[1] - values[3] * along]
-        )
-
-    off_true_px = off(along)
+    An error of a setting moves the spot along the motion alone: its uncertainty is added to that of the
+    position there (the effective variance of W. A. Fuller, Measurement Error Models, 1987).
+    """
+    t, slope = carrier(steps.reference, kind)
+    places_px = np.column_stack([steps.x_px, steps.y_px])
+    motion = np.polyfit(t, places_px, 1)[0]
     # rows: unit vectors along and across the motion
-    turn = np.array([values[2:4], [-values[3], values[2]]]) / np.hypot(values[2], values[3])
-    u_px = np.sqrt(turn**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
-    chi2_along, chi2_across = (((turn @ off_true_px.T) / u_px) ** 2).sum(axis=1)
-    chi2_along += float(found.values[fixed:] @ found.values[fixed:])
-    dof_along, dof_across = count - fixed + 2, count - 2
+    turn = np.array([motion, [-motion[1], motion[0]]]) / np.hypot(*motion)
+    u_along_px, u_across_px = np.sqrt(turn**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
+    u_along_px = np.hypot(u_along_px, np.hypot(*motion) * slope * steps.u_reference)
+    along_px, across_px = turn @ places_px.T
+    columns = [np.ones_like(t), t]
+    columns += [t**2] if with_skew else []
+    columns += [] if way is None else [0.5 * way * slope]
+    design = np.column_stack(columns)
+    values, covariance, chi2_along = _line(design, along_px, u_along_px)
+    values_across, covariance_across, chi2_across = _line(design[:, :2], across_px, u_across_px)
+    dof_along, dof_across = len(t) - len(values), len(t) - 2
     birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
-    enlargement = np.eye(fixed) * birge
-    for at in (0, 2):
-        enlargement[at : at + 2, at : at + 2] = turn.T @ np.diag([birge, birge_across]) @ turn
+    scale, u = float(values[1]), birge * np.sqrt(np.diag(covariance))
+    u_across = birge_across * np.sqrt(np.diag(covariance_across))
+    origin_px = turn.T @ [values[0], values_across[0]]
+    kx, ky = turn.T @ [scale, values_across[1]]
+    moved_px = np.outer((design @ values - values[0]) / scale, [kx, ky])
     return LadderSolution(
-        values,
-        enlargement @ full @ enlargement,
-        fixed,
-        found.chi2,
-        2 * count - fixed,
-        birge,
-        birge_across,
-        dof_along if birge > 1.0 else math.inf,
-        off(parts(np.concatenate([found.values[:fixed], np.zeros(count)]))[2]),
+        scale=scale,
+        u_scale=float(u[1]),
+        origin_px=origin_px,
+        u_origin_px=np.sqrt(turn.T**2 @ np.array([u[0], u_across[0]]) ** 2),
+        direction_rad=math.atan2(kx, -ky),
+        u_direction_rad=float(u_across[1]) / scale,
+        skew=float(values[2]) / scale if with_skew else 0.0,
+        u_skew=float(u[2]) / scale if with_skew else 0.0,
+        hysteresis=math.nan if way is None else float(values[-1]) / scale,
+        u_hysteresis=math.nan if way is None else float(u[-1]) / scale,
+        chi2=chi2_along + chi2_across,
+        dof=dof_along + dof_across,
+        birge=birge,
+        birge_across=birge_across,
+        along_dof=dof_along if birge > 1.0 else math.inf,
+        trace=LadderTrace(t, along_px - values[0], u_along_px, None if way is None else 0.5 * way * slope),
+        residual_px=places_px - origin_px - moved_px,
     )
 
 
@@ -215,9 +190,9 @@ def leave_one_out(
         rest_way = None if way is None else approach_if_both(np.delete(way, i))
         if len(np.unique(rest.reference)) < 3:
             continue
-        without, u_without = solve_ladder(rest, kind, rest_way, with_skew=with_skew).scale()
-        spread = math.sqrt(max(u_without**2 - u_scale**2, (0.05 * u_scale) ** 2))
-        change[i] = (without - scale) / spread
+        without = solve_ladder(rest, kind, rest_way, with_skew=with_skew)
+        spread = math.sqrt(max(without.u_scale**2 - u_scale**2, (0.05 * u_scale) ** 2))
+        change[i] = (without.scale - scale) / spread
     return change
 
 
@@ -237,20 +212,6 @@ _MIN_NOTED_U = 3.0
 """Cubic part in standard uncertainties above which a note reports it."""
 _FLAT_PRIOR_STD = 1e6
 """Prior standard deviation of an unknown parameter, in units in which the ladder is about 1."""
-
-
-class LadderTrace(NamedTuple):
-    """A ladder along the motion of the spot, arrays (n,).
-
-    `t` is the tangent of twice the tilt, or the shift in m; `place_px` the position of the spot. `u_px`
-    includes the reference's uncertainty. `by_hysteresis` is the derivative of t with respect to the
-    hysteresis, None if all settings were approached from one side.
-    """
-
-    t: Floats
-    place_px: Floats
-    u_px: Floats
-    by_hysteresis: Floats | None
 
 
 class ScaleEvidence(NamedTuple):
