@@ -128,7 +128,7 @@ def _line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floa
     weighted = design / u_px[:, None]
     values, *_ = np.linalg.lstsq(weighted, places_px / u_px, rcond=None)
     misfit = (places_px - design @ values) / u_px
-    covariance = np.linalg.pinv(weighted.T @ weighted, hermitian=True)
+    covariance: Floats = np.linalg.pinv(weighted.T @ weighted, hermitian=True).astype(np.float64)
     return values.astype(np.float64), covariance, float(misfit @ misfit)
 
 
