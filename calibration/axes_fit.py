@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, Field
 
 from calibration.axes_window import (
+    SLOW_DOF,
     angle_of,
     fast_angles,
     modulo_pi,
@@ -232,6 +233,7 @@ def fit_axes(
         angle_of(slow),
         np.array([angle_of(w.slow) for w in windows]),
         np.array([w.u_slow_rad for w in windows]),
+        birge_ratio(sum(w.slow_chi2 for w in windows), SLOW_DOF * len(windows)),
     )
     usable = [w for w in windows if w.u_fast_slope < _MAX_U_FAST]
     if not usable:
@@ -314,8 +316,13 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
     return 2.0 * math.pi / slow.period_s, 2.0 * math.pi / fast.period_s
 
 
-def _combine(middles_s: list[float], base_rad: float, angles_rad: Floats, u_rad: Floats) -> _Combined:
-    """Weighted mean of the windows' angles, which have the sign of `base_rad`."""
+def _combine(
+    middles_s: list[float], base_rad: float, angles_rad: Floats, u_rad: Floats, least: float = 1.0
+) -> _Combined:
+    """Weighted mean of the windows' angles, which have the sign of `base_rad`.
+
+    `least` is the factor of its uncertainty by the noise within the windows; their scatter may show a larger.
+    """
     # the sign of a window's vector is arbitrary: differences of angle are taken modulo pi
     differences_rad = np.array([modulo_pi(angle - base_rad) for angle in angles_rad])
     weight = 1.0 / np.maximum(u_rad, 1e-12) ** 2
@@ -323,7 +330,7 @@ def _combine(middles_s: list[float], base_rad: float, angles_rad: Floats, u_rad:
     u_mean = float(1.0 / np.sqrt(weight.sum()))
     total = float(weight @ (differences_rad - mean) ** 2)
     dof = len(differences_rad) - 1
-    u_mean *= birge_ratio(total, dof)
+    u_mean *= max(birge_ratio(total, dof), least)
     rate, u_rate = 0.0, math.inf
     if dof > 1:
         t = np.array(middles_s)

@@ -10,6 +10,8 @@ from processing.errors import DataError
 
 _ENVELOPE_TERMS = 3
 """Number of polynomial terms in time (a parabola) of each mode's cosine and sine amplitude."""
+SLOW_DOF = 2 * _ENVELOPE_TERMS - 1
+"""Degrees of freedom of the terms of the slow mode about a line."""
 
 _THIRD_STD = 5e-4
 """Prior standard deviation of the third harmonic in phase and in quadrature, as fraction of the amplitude,
@@ -28,15 +30,17 @@ class WindowDirections:
 
     `slow` and `fast` are vectors (x, y) on the sensor in px. The length is the mode's amplitude at the
     beginning of the window, the sign that of its cosine at the beginning of the record. `u_slow_rad` is the
-    standard uncertainty of its angle, `u_fast_slope` that of the fast one as a slope. `precision` (1 + m,
-    1 + m) and `pull` (1 + m,) are matrix and right-hand side of the normal equations of the fast direction's
-    angle in rad, from that of `fast` on, and of the slow mode's m overtones in units of their prior standard
-    deviations, without the prior.
+    standard uncertainty of its angle, `u_fast_slope` that of the fast one as a slope. `slow_chi2` is
+    chi-square of the slow mode's motion across its direction, with `SLOW_DOF` degrees of freedom: it shows
+    noise that is larger there than elsewhere. `precision` (1 + m, 1 + m) and `pull` (1 + m,) are matrix and
+    right-hand side of the normal equations of the fast direction's angle in rad, from that of `fast` on, and
+    of the slow mode's m overtones in units of their prior standard deviations, without the prior.
     """
 
     middle_s: float
     slow: Floats
     u_slow_rad: float
+    slow_chi2: float
     fast: Floats
     u_fast_slope: float
     precision: Floats
@@ -91,7 +95,7 @@ def window_directions(
     coefficients, *_ = np.linalg.lstsq(design, clean, rcond=None)
     residual = clean - design @ coefficients
     covariance: Floats = residual.T @ residual / (len(t) - whole.shape[1])
-    slow, u_slow = _direction(coefficients, np.linalg.inv(design.T @ design), covariance)
+    slow, u_slow, slow_chi2 = _direction(coefficients, np.linalg.inv(design.T @ design), covariance)
     fast_columns = slice(2 * _ENVELOPE_TERMS, 4 * _ENVELOPE_TERMS)
     rows = (coefficients @ frame)[fast_columns, 0]
     fast = design[:, fast_columns] @ rows
@@ -113,7 +117,7 @@ def window_directions(
     size = float(np.hypot(*turn))
     fast_vector = _vector(rows * size, frame @ [1.0, -turn[0]] / size)
     u_slope = size * math.sqrt(u2[0, 0])
-    return WindowDirections(float(middle), slow, u_slow, fast_vector, u_slope, precision, pull)
+    return WindowDirections(float(middle), slow, u_slow, slow_chi2, fast_vector, u_slope, precision, pull)
 
 
 def _prior(precision: Floats) -> Floats:
@@ -199,8 +203,8 @@ def _vector(rows: Floats, direction: Floats) -> Floats:
     return math.copysign(math.hypot(cosine, sine), cosine) * direction
 
 
-def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tuple[Floats, float]:
-    """Vector of the slow mode (see `WindowDirections`) and the standard uncertainty of its angle.
+def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tuple[Floats, float, float]:
+    """Vector, standard uncertainty of the angle, and chi-square of the slow mode (see `WindowDirections`).
 
     The coefficient vectors (x, y) of all its terms lie along one line. Its direction is the major
     axis of their weighted scatter: total least squares with the known covariance of the terms.
@@ -215,7 +219,7 @@ def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tup
     signal = float(along @ scatter @ along) - float(along @ covariance @ along) * terms
     noise = float(across @ covariance @ across)
     u_angle = math.sqrt(noise / signal) if signal > 0 else math.inf
-    return _vector(rows @ along, along), u_angle
+    return _vector(rows @ along, along), u_angle, float(across @ scatter @ across) / noise
 
 
 @dataclass(frozen=True, slots=True)

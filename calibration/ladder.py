@@ -198,7 +198,7 @@ def leave_one_out(
 
 SKEW_PRIOR_STD = 0.3
 """Prior standard deviation of the skew, which is that of a sensor tilted by 17 degrees."""
-_CUBIC_STD = (3e-4, 1e-3, 1e-2)
+_CUBIC_STD = (3e-4, 1e-3, 5e-3)
 """Prior standard deviations of the cubic part at the ladder's end, relative to the displacement there, all
 equally probable. No reference is quite linear: what the steps do not show of it is part of the uncertainty.
 """

@@ -216,6 +216,18 @@ def test_an_overtone_of_the_slow_mode_near_the_fast_mode_s_frequency_is_in_the_u
     assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(2 * len(z))
 
 
+def test_a_beam_that_wanders_is_in_the_uncertainty_of_the_slow_direction() -> None:
+    """A random walk has more noise at the slow mode's frequency than elsewhere."""
+    t, z = np.arange(1500) * 0.02, []
+    slow, fast = 100 * np.cos(2 * np.pi * t / 4.07), 10 * np.cos(2 * np.pi * t / 0.8)
+    for seed in range(24):
+        steps = np.random.default_rng(seed).standard_normal((4, len(t)))
+        x, y = 0.01 * steps[:2] + 0.005 * np.cumsum(steps[2:], axis=1)
+        axes = fit_axes(t, x + fast, y - slow).axes
+        z.append(axes.slow_angle_rad / axes.u_slow_angle_rad)
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(2 * len(z))
+
+
 def test_axes_without_a_swing_or_a_fast_mode_are_refused() -> None:
     rng = np.random.default_rng(7)
     times_s = np.arange(1000) * 0.02
