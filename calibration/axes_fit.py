@@ -114,6 +114,10 @@ Sign = Literal["+", "-"]
 _WINDOW_PERIODS = 6.0
 _MIN_PERIODS = 2.0
 """Smallest number of slow periods; with fewer the slow mode looks like a drift of the rest position."""
+_LONGEST_FAST = 0.4
+"""Longest period of a fast mode that is sought, over the slow one."""
+_MIN_RATIO = 2.6
+"""Smallest ratio of the modes' frequencies; one at the edge of the search is that of no fast mode."""
 _MAX_U_FAST = 0.2
 """Largest uncertainty of the fast direction as a slope; that of noise alone is 0.4 in the mean."""
 _MAX_CHI2_PER_DOF = 100.0
@@ -242,6 +246,12 @@ def fit_axes(
             f"u of its direction {first_window.u_fast_slope:.2g} rad); "
             "push the pendulum across the slow direction as well, or record for longer"
         )
+    if fast_omega < _MIN_RATIO * slow_omega:
+        raise DataError(
+            f"axes: across a swing of {slow_period_s:.3g} s the strongest has "
+            f"{2.0 * math.pi / fast_omega:.3g} s; the fast mode is sought among periods below "
+            f"{1.0 / _MIN_RATIO:.2g} of the slow one's: push the pendulum across the slow direction"
+        )
     if fast_began is not None:
         fast = _with_side(usable[0].fast, fast_began)
         cross = slow[0] * fast[1] - slow[1] * fast[0]
@@ -312,7 +322,7 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
         raise DataError(
             "axes: the spot does not swing; release the pendulum and push it across the slow direction too"
         )
-    fast = strongest_oscillation(t[early], across[early], 0.4 * slow.period_s)
+    fast = strongest_oscillation(t[early], across[early], _LONGEST_FAST * slow.period_s)
     return 2.0 * math.pi / slow.period_s, 2.0 * math.pi / fast.period_s
 
 

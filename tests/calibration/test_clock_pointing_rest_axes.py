@@ -236,5 +236,8 @@ def test_axes_without_a_swing_or_a_fast_mode_are_refused() -> None:
         fit_axes(times_s, x, y)
     with pytest.raises(DataError, match="no fast mode"):
         fit_axes(times_s, x, y + 100 * np.cos(2 * np.pi * times_s / 4.07))
+    near = 10 * np.cos(2 * np.pi * times_s / 1.9 + 0.8)
+    with pytest.raises(DataError, match="the fast mode is sought among periods below"):
+        fit_axes(times_s, x + near, y + 100 * np.cos(2 * np.pi * times_s / 4.07))
     with pytest.raises(DataError, match="slow periods"):
         fit_axes(times_s[:300], x[:300], y[:300] + 100 * np.cos(2 * np.pi * times_s[:300] / 4.07))
