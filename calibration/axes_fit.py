@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, Field
 
-from calibration.axes_window import WindowDirections, strongest_oscillation, window_directions
+from calibration.axes_window import (
+    SLOW_DOF,
+    angle_of,
+    fast_angles,
+    modulo_pi,
+    strongest_oscillation,
+    window_directions,
+)
 from calibration.light_lever import Lever
 from calibration.timebase import birge_ratio
 from processing.arrays import Floats
@@ -107,6 +114,12 @@ Sign = Literal["+", "-"]
 _WINDOW_PERIODS = 6.0
 _MIN_PERIODS = 2.0
 """Smallest number of slow periods; with fewer the slow mode looks like a drift of the rest position."""
+_LONGEST_FAST = 0.4
+"""Longest period of a fast mode that is sought, over the slow one."""
+_MIN_RATIO = 2.6
+"""Smallest ratio of the modes' frequencies; one at the edge of the search is that of no fast mode."""
+_MAX_U_FAST = 0.2
+"""Largest uncertainty of the fast direction as a slope; that of noise alone is 0.4 in the mean."""
 _MAX_CHI2_PER_DOF = 100.0
 """Largest chi-square per degree of freedom of the windows' directions, which then scatter ten times as much
 as the spots' noise explains. Larger uncertainties would hide that there are no two fixed directions.
@@ -219,13 +232,25 @@ def fit_axes(
     first_window = windows[0]
     # where no side is stated, upwards is positive
     slow = _with_side(first_window.slow, slow_began or ("+" if first_window.slow[1] <= 0 else "-"))
-    along = _combine(windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows])
-    usable = [w for w in windows if w.u_fast_rad < 0.2]
+    along = _combine(
+        [w.middle_s for w in windows],
+        angle_of(slow),
+        np.array([angle_of(w.slow) for w in windows]),
+        np.array([w.u_slow_rad for w in windows]),
+        birge_ratio(sum(w.slow_chi2 for w in windows), SLOW_DOF * len(windows)),
+    )
+    usable = [w for w in windows if w.u_fast_slope < _MAX_U_FAST]
     if not usable:
         raise DataError(
             f"axes: no fast mode is visible ({float(np.hypot(*first_window.fast)):.2g} px, "
-            f"u of its direction {first_window.u_fast_rad:.2g} rad); "
+            f"u of its direction {first_window.u_fast_slope:.2g} rad); "
             "push the pendulum across the slow direction as well, or record for longer"
+        )
+    if fast_omega < _MIN_RATIO * slow_omega:
+        raise DataError(
+            f"axes: across a swing of {slow_period_s:.3g} s the strongest has "
+            f"{2.0 * math.pi / fast_omega:.3g} s; the fast mode is sought among periods below "
+            f"{1.0 / _MIN_RATIO:.2g} of the slow one's: push the pendulum across the slow direction"
         )
     if fast_began is not None:
         fast = _with_side(usable[0].fast, fast_began)
@@ -234,7 +259,13 @@ def fit_axes(
         mirrored = bool(cross < 0)
     else:
         fast = _to_the_right(usable[0].fast, slow, mirrored)
-    across = _combine(usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable])
+    off_rad, u_off_rad, u_overtones_rad = fast_angles(usable)
+    across = _combine(
+        [w.middle_s for w in usable],
+        angle_of(fast),
+        np.array([angle_of(w.fast) for w in usable]) + off_rad,
+        u_off_rad,
+    )
     right_handed_rad = across.angle_rad + (math.pi if mirrored else 0.0)
     non_orthogonality = _wrapped(right_handed_rad - along.angle_rad - 0.5 * math.pi)
     notes = []
@@ -260,7 +291,7 @@ def fit_axes(
             slow_angle_rad=along.angle_rad,
             u_slow_angle_rad=along.u_angle_rad,
             non_orthogonality_rad=non_orthogonality,
-            u_non_orthogonality_rad=math.hypot(across.u_angle_rad, along.u_angle_rad),
+            u_non_orthogonality_rad=math.hypot(across.u_angle_rad, u_overtones_rad, along.u_angle_rad),
             mirrored=mirrored,
         ),
         slow_period_s=slow_period_s,
@@ -291,36 +322,34 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
         raise DataError(
             "axes: the spot does not swing; release the pendulum and push it across the slow direction too"
         )
-    fast = strongest_oscillation(t[early], across[early], 0.4 * slow.period_s)
+    fast = strongest_oscillation(t[early], across[early], _LONGEST_FAST * slow.period_s)
     return 2.0 * math.pi / slow.period_s, 2.0 * math.pi / fast.period_s
 
 
 def _combine(
-    windows: list[WindowDirections], reference: Floats, vectors: list[Floats], u: list[float]
+    middles_s: list[float], base_rad: float, angles_rad: Floats, u_rad: Floats, least: float = 1.0
 ) -> _Combined:
-    """Weighted mean of the windows' directions; `reference` (x, y) gives the sign of the direction."""
-    base = math.atan2(reference[0], -reference[1])
+    """Weighted mean of the windows' angles, which have the sign of `base_rad`.
+
+    `least` is the factor of its uncertainty by the noise within the windows; their scatter may show a larger.
+    """
     # the sign of a window's vector is arbitrary: differences of angle are taken modulo pi
-    differences_rad = np.array([_modulo_pi(math.atan2(v[0], -v[1]) - base) for v in vectors])
-    weight = 1.0 / np.maximum(np.array(u), 1e-12) ** 2
+    differences_rad = np.array([modulo_pi(angle - base_rad) for angle in angles_rad])
+    weight = 1.0 / np.maximum(u_rad, 1e-12) ** 2
     mean = float(weight @ differences_rad / weight.sum())
     u_mean = float(1.0 / np.sqrt(weight.sum()))
     total = float(weight @ (differences_rad - mean) ** 2)
     dof = len(differences_rad) - 1
-    u_mean *= birge_ratio(total, dof)
+    u_mean *= max(birge_ratio(total, dof), least)
     rate, u_rate = 0.0, math.inf
     if dof > 1:
-        t = np.array([w.middle_s for w in windows])
+        t = np.array(middles_s)
         t = t - float(weight @ t / weight.sum())
         spread = float(weight @ t**2)
         rate = float(weight @ (t * (differences_rad - mean))) / spread
         u_rate = 1.0 / math.sqrt(spread)
-    parts = PartDirections(
-        tuple(w.middle_s for w in windows),
-        tuple((differences_rad - mean).tolist()),
-        tuple(float(one) for one in u),
-    )
-    return _Combined(_wrapped(base + mean), u_mean, rate, u_rate, total, parts)
+    parts = PartDirections(tuple(middles_s), tuple((differences_rad - mean).tolist()), tuple(u_rad.tolist()))
+    return _Combined(_wrapped(base_rad + mean), u_mean, rate, u_rate, total, parts)
 
 
 def _refuse_changing_direction(mode: str, found: _Combined) -> None:
@@ -330,7 +359,7 @@ def _refuse_changing_direction(mode: str, found: _Combined) -> None:
     dof = len(off_rad) - 1
     if dof == 0 or chi2 / dof < _MAX_CHI2_PER_DOF:
         return
-    differences_rad = [_modulo_pi(off - off_rad[0]) for off in off_rad]
+    differences_rad = [modulo_pi(off - off_rad[0]) for off in off_rad]
     head = (
         f"axes: the {mode} direction is not the same in the {len(off_rad)} parts of the record: it differs "
         f"by {1e3 * float(np.ptp(differences_rad)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times the noise"
@@ -360,8 +389,3 @@ def _to_the_right(vector: Floats, slow: Floats, mirrored: bool) -> Floats:
 def _wrapped(angle: float) -> float:
     """The angle in [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
-
-
-def _modulo_pi(angle: float) -> float:
-    """The angle of an axis without a sign, in [-pi/2, pi/2)."""
-    return (angle + 0.5 * math.pi) % math.pi - 0.5 * math.pi

@@ -4,16 +4,24 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from processing.arrays import Floats
 from processing.errors import DataError
 
 _ENVELOPE_TERMS = 3
 """Number of polynomial terms in time (a parabola) of each mode's cosine and sine amplitude."""
+SLOW_DOF = 2 * _ENVELOPE_TERMS - 1
+"""Degrees of freedom of the terms of the slow mode about a line."""
 
-_MAX_OVERTONES = (0.15, 0.08, 0.05)
-"""Largest fifth, seventh and ninth harmonic, as fractions of the third."""
+_THIRD_STD = 5e-4
+"""Prior standard deviation of the third harmonic in phase and in quadrature, as fraction of the amplitude,
+where the fast mode is so near that it cannot be fitted freely; 2e-4 to 5e-4 are expected of the contacts.
+"""
+_OVERTONE_STD = (0.15, 0.08, 0.05)
+"""Prior standard deviations of the fifth, seventh and ninth harmonic, in phase and in quadrature, as
+fractions of the third.
+"""
+_SLOPE_STEPS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,15 +29,22 @@ class WindowDirections:
     """Directions of the modes in one time window.
 
     `slow` and `fast` are vectors (x, y) on the sensor in px. The length is the mode's amplitude at the
-    beginning of the window, the sign that of its cosine at the beginning of the record. `u_` are standard
-    uncertainties of their angles.
+    beginning of the window, the sign that of its cosine at the beginning of the record. `u_slow_rad` is the
+    standard uncertainty of its angle, `u_fast_slope` that of the fast one as a slope. `slow_chi2` is
+    chi-square of the slow mode's motion across its direction, with `SLOW_DOF` degrees of freedom: it shows
+    noise that is larger there than elsewhere. `precision` (1 + m, 1 + m) and `pull` (1 + m,) are matrix and
+    right-hand side of the normal equations of the fast direction's angle in rad, from that of `fast` on, and
+    of the slow mode's m overtones in units of their prior standard deviations, without the prior.
     """
 
     middle_s: float
     slow: Floats
     u_slow_rad: float
+    slow_chi2: float
     fast: Floats
-    u_fast_rad: float
+    u_fast_slope: float
+    precision: Floats
+    pull: Floats
 
 
 def window_directions(
@@ -51,7 +66,8 @@ def window_directions(
     Notes
     -----
     Each coordinate is a linear least-squares fit of ``(a_0 + a_1 u + a_2 u^2) cos(omega t)`` and the same
-    with the sine, for both modes, and of a parabola, with u = -1 to 1 over the window.
+    with the sine, for both modes, and of a parabola, with u = -1 to 1 over the window. The fast mode is then
+    the motion across the slow direction; its direction follows from how much of this motion is along it.
     """
     middle = 0.5 * (t[0] + t[-1])
     half = 0.5 * (t[-1] - t[0])
@@ -69,38 +85,44 @@ def window_directions(
     )
     coefficients, *_ = np.linalg.lstsq(design, spots, rcond=None)
     frame = _frame(coefficients[[0, _ENVELOPE_TERMS]])
-    covariance = _noise(spots - design @ coefficients, design)
-    slow_columns, fast_columns = (
-        list(range(2 * _ENVELOPE_TERMS)),
-        list(range(2 * _ENVELOPE_TERMS, 4 * _ENVELOPE_TERMS)),
-    )
-    inverse = np.linalg.inv(design.T @ design)
     # overtones of the slow mode move the spot along the slow direction only, and only the fast mode across it
     across, along = (spots @ frame).T
-    swing = _swing(design, coefficients @ frame[:, 1])
-    along_rows, along_covariance, overtones = _with_overtones(
-        design, along, swing, overtone_3=fast_omega > 4.0 * slow_omega
-    )
+    third, higher = _overtones(design, along, coefficients @ frame[:, 1], apart=fast_omega > 4.0 * slow_omega)
+    whole = np.column_stack([design, third, higher])
+    values, *_ = np.linalg.lstsq(whole, along, rcond=None)
+    overtones = whole[:, design.shape[1] :] @ values[design.shape[1] :]
     clean = spots - np.outer(overtones, frame[:, 1])
     coefficients, *_ = np.linalg.lstsq(design, clean, rcond=None)
-    covariance = _noise(clean - design @ coefficients, design)
-    slow, u_slow = _direction(coefficients, inverse, covariance, slow_columns)
-    across_rows, *_ = np.linalg.lstsq(design, across, rcond=None)
-    noise_across = float(frame[:, 0] @ covariance @ frame[:, 0])
-    fast, u_fast = _fast_direction(
-        across_rows[fast_columns],
-        noise_across * inverse[np.ix_(fast_columns, fast_columns)],
-        along_rows[fast_columns],
-        along_covariance[np.ix_(fast_columns, fast_columns)],
-        frame,
-    )
-    return WindowDirections(float(middle), slow, u_slow, fast, u_fast)
+    residual = clean - design @ coefficients
+    covariance: Floats = residual.T @ residual / (len(t) - whole.shape[1])
+    slow, u_slow, slow_chi2 = _direction(coefficients, np.linalg.inv(design.T @ design), covariance)
+    fast_columns = slice(2 * _ENVELOPE_TERMS, 4 * _ENVELOPE_TERMS)
+    rows = (coefficients @ frame)[fast_columns, 0]
+    fast = design[:, fast_columns] @ rows
+    others = np.column_stack([np.delete(design, fast_columns, axis=1), third])
+    basis, _ = np.linalg.qr(others)
+    wanted = np.column_stack([fast, higher, across, along])
+    wanted -= basis @ (basis.T @ wanted)
+    products, noise = wanted.T @ wanted, frame.T @ covariance @ frame
+    slope = 0.0
+    for _ in range(_SLOPE_STEPS):
+        turn, by_angle = np.array([-slope, 1.0]), np.ones(len(products) - 2)
+        # a positive angle is a smaller slope
+        by_angle[0] = -(1.0 + slope**2)
+        variance = float(turn @ noise @ turn)
+        precision = np.outer(by_angle, by_angle) * products[:-2, :-2] / variance
+        pull = by_angle * (products[:-2, -2:] @ turn) / variance
+        u2 = np.linalg.inv(precision + _prior(precision))
+        slope += by_angle[0] * float(u2[0] @ pull)
+    size = float(np.hypot(*turn))
+    fast_vector = _vector(rows * size, frame @ [1.0, -turn[0]] / size)
+    u_slope = size * math.sqrt(u2[0, 0])
+    return WindowDirections(float(middle), slow, u_slow, slow_chi2, fast_vector, u_slope, precision, pull)
 
 
-def _noise(residual: Floats, design: Floats) -> Floats:
-    """Covariance (2, 2) of the noise of x and y, from the residuals."""
-    covariance: Floats = residual.T @ residual / (design.shape[0] - design.shape[1])
-    return covariance
+def _prior(precision: Floats) -> Floats:
+    """The precision of the prior of the overtones, for normal equations of this shape."""
+    return np.diag([0.0, *np.ones(len(precision) - 1)])
 
 
 def _frame(rows: Floats) -> Floats:
@@ -110,100 +132,94 @@ def _frame(rows: Floats) -> Floats:
     return np.column_stack([[-along[1], along[0]], along])
 
 
-def _swing(design: Floats, along: Floats) -> NDArray[np.complex128]:
-    """Unit phasor of the slow mode at each sample, with its slowly varying phase."""
-    u = design[:, 4 * _ENVELOPE_TERMS + 1]
-    powers = np.column_stack([u**k for k in range(_ENVELOPE_TERMS)])
-    c, s = powers @ along[:_ENVELOPE_TERMS], powers @ along[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS]
+def _overtones(design: Floats, along: Floats, slow_rows: Floats, *, apart: bool) -> tuple[Floats, Floats]:
+    """Columns of the slow mode's overtones: (n, 2) of those that are free, and (n, m) of those with a prior.
+
+    Friction and elasticity of the contact add odd harmonics to the slow mode, nearly in proportion to its
+    amplitude. A harmonic near the fast mode's frequency would be attributed to the fast mode. The third is
+    free in each window and limits the higher ones: for moments proportional to powers of the tilt from 0 to
+    1, the fifth is 0.11 to 0.2 of the third, the others less. If the fast mode is not `apart` from the third,
+    that has a prior and the higher ones are left out. The columns with a prior are as large as its standard
+    deviations.
+    """
+    powers = design[:, 4 * _ENVELOPE_TERMS :]
+    c, s = powers @ slow_rows[:_ENVELOPE_TERMS], powers @ slow_rows[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS]
     phasor = (c - 1j * s) * (design[:, 0] + 1j * design[:, _ENVELOPE_TERMS])
-    unit: NDArray[np.complex128] = phasor / np.abs(phasor)
-    return unit
+    amplitude = np.abs(phasor)
+
+    def columns(order: int, size: complex) -> Floats:
+        motion = size * amplitude * (phasor / amplitude) ** order
+        return np.column_stack([motion.real, -motion.imag])
+
+    if not apart:
+        return np.empty((len(along), 0)), columns(3, _THIRD_STD)
+    third = columns(3, 1.0)
+    values, *_ = np.linalg.lstsq(np.column_stack([design, third]), along, rcond=None)
+    size = complex(values[-2], values[-1])
+    return third, np.column_stack([columns(5 + 2 * k, std * size) for k, std in enumerate(_OVERTONE_STD)])
 
 
-def _with_overtones(
-    design: Floats, along: Floats, swing: NDArray[np.complex128], *, overtone_3: bool
-) -> tuple[Floats, Floats, Floats]:
-    """Coefficients along the slow direction, their covariance, and the motion due to overtones.
+def fast_angles(windows: list[WindowDirections]) -> tuple[Floats, Floats, float]:
+    """Angles of the windows' fast directions relative to those of their `fast`, with common overtones.
 
-    Friction and elasticity of the contact add odd harmonics to the slow mode. A harmonic near the fast
-    mode's frequency would be attributed to the fast mode. The third harmonic is fitted freely, unless the
-    fast mode is too near to it (`overtone_3` False), in which case no harmonic is fitted. The third limits
-    the higher ones: for moments proportional to powers of the tilt from 0 to 1, the fifth harmonic is 0.11
-    to 0.2 of the third, the others less. They are fitted with a normal prior of mean 0 and standard deviation
-    `_MAX_OVERTONES` times the third.
+    A harmonic so near to the fast mode's frequency that no window separates them moves the directions of all
+    windows; in a longer record their phases part. The overtones, in proportion to the third harmonic, are
+    therefore fitted to all windows together, with one fast direction.
+
+    Returns
+    -------
+    off_rad, u_off_rad : (k,)
+        The angles, and their standard uncertainties from noise.
+    u_common_rad
+        Standard uncertainty of all angles together, from that of the overtones.
     """
-    orders = [3, 5, 7, 9] if overtone_3 else []
-    columns = [part for k in orders for part in ((swing**k).real, (swing**k).imag)]
-    whole = np.column_stack([design, *columns])
-    values, *_ = np.linalg.lstsq(whole[:, : design.shape[1] + 2 * bool(orders)], along, rcond=None)
-    residual = along - whole[:, : len(values)] @ values
-    variance = float(residual @ residual) / (len(along) - len(values))
-    prior_precision = np.zeros(whole.shape[1])
-    if orders:
-        third = float(np.hypot(values[-2], values[-1]))
-        for number, part in enumerate(_MAX_OVERTONES):
-            at = design.shape[1] + 2 + 2 * number
-            prior_precision[at : at + 2] = variance / max(part * third, 1e-12) ** 2
-    covariance = np.linalg.inv(whole.T @ whole + np.diag(prior_precision))
-    values = covariance @ (whole.T @ along)
-    residual = along - whole @ values
-    variance = float(residual @ residual) / (len(along) - len(values))
-    moved = whole[:, design.shape[1] :] @ values[design.shape[1] :]
-    return (
-        np.asarray(values, dtype=np.float64),
-        np.asarray(variance * covariance, dtype=np.float64),
-        np.asarray(moved, dtype=np.float64),
+    base = windows[0].fast
+    places = [modulo_pi(angle_of(one.fast) - angle_of(base)) for one in windows]
+    together = np.sum([one.precision for one in windows], axis=0)
+    pull = np.sum(
+        [one.pull + one.precision[:, 0] * at for one, at in zip(windows, places, strict=True)], axis=0
     )
+    covariance = np.linalg.inv(together + _prior(together))
+    overtones = (covariance @ pull)[1:]
+    u2_rad = np.array([1.0 / one.precision[0, 0] for one in windows])
+    off_rad = u2_rad * [one.pull[0] - one.precision[0, 1:] @ overtones for one in windows]
+    u2_common = float(covariance[0, 0]) - 1.0 / float(together[0, 0])
+    return off_rad, np.sqrt(u2_rad), math.sqrt(max(u2_common, 0.0))
 
 
-def _fast_direction(
-    across: Floats, u2_across: Floats, along: Floats, u2_along: Floats, frame: Floats
-) -> tuple[Floats, float]:
-    """Vector of the fast mode and the standard uncertainty of its angle.
-
-    Its coefficients along the slow direction are `slope` times those across it; the slope is determined with
-    the covariances of both.
-    """
-    slope = 0.0
-    for _ in range(3):
-        weight = np.linalg.inv(u2_along + slope**2 * u2_across)
-        slope = float(across @ weight @ along) / float(across @ weight @ across)
-    u_slope = 1.0 / math.sqrt(float(across @ weight @ across))
-    direction = (frame[:, 0] + slope * frame[:, 1]) / math.hypot(1.0, slope)
-    size = math.hypot(1.0, slope)
-    cosine, sine = _at_beginning(across * size)
-    sign = 1.0 if cosine >= 0 else -1.0
-    return sign * math.hypot(cosine, sine) * direction, u_slope / (1.0 + slope**2)
+def angle_of(vector: Floats) -> float:
+    """Angle of a vector (x, y) on the sensor, from the upward vertical towards +x."""
+    return math.atan2(vector[0], -vector[1])
 
 
-def _at_beginning(rows: Floats) -> tuple[float, float]:
-    """Cosine and sine amplitude at the beginning of the window, where u = -1."""
-    signs = np.array([(-1.0) ** k for k in range(_ENVELOPE_TERMS)])
-    return float(rows[:_ENVELOPE_TERMS] @ signs), float(rows[_ENVELOPE_TERMS:] @ signs)
+def modulo_pi(angle_rad: float) -> float:
+    """The angle of an axis without a sign, in [-pi/2, pi/2)."""
+    return (angle_rad + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
 
-def _direction(
-    coefficients: Floats, inverse: Floats, covariance: Floats, columns: list[int]
-) -> tuple[Floats, float]:
-    """Vector of a mode (see `WindowDirections`) and the standard uncertainty of its angle.
+def _vector(rows: Floats, direction: Floats) -> Floats:
+    """Vector of a mode with this direction (see `WindowDirections`), from the coefficients along it."""
+    cosine, sine = rows.reshape(2, -1) @ (-1.0) ** np.arange(_ENVELOPE_TERMS)
+    return math.copysign(math.hypot(cosine, sine), cosine) * direction
 
-    The coefficient vectors (x, y) of all terms of a mode lie along one line. Its direction is the major
+
+def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tuple[Floats, float, float]:
+    """Vector, standard uncertainty of the angle, and chi-square of the slow mode (see `WindowDirections`).
+
+    The coefficient vectors (x, y) of all its terms lie along one line. Its direction is the major
     axis of their weighted scatter: total least squares with the known covariance of the terms.
     """
-    rows = coefficients[columns]
-    weight = np.linalg.inv(inverse[np.ix_(columns, columns)])
+    terms = 2 * _ENVELOPE_TERMS
+    rows, weight = coefficients[:terms], np.linalg.inv(inverse[:terms, :terms])
     scatter = rows.T @ weight @ rows
     # noise that differs between directions rotates the major axis, so its expected scatter is subtracted
-    _, vectors = np.linalg.eigh(scatter - (len(columns) - 1) * covariance)
+    _, vectors = np.linalg.eigh(scatter - (terms - 1) * covariance)
     along = vectors[:, 1]
     across = np.array([-along[1], along[0]])
-    signal = float(along @ scatter @ along) - float(along @ covariance @ along) * len(columns)
+    signal = float(along @ scatter @ along) - float(along @ covariance @ along) * terms
     noise = float(across @ covariance @ across)
     u_angle = math.sqrt(noise / signal) if signal > 0 else math.inf
-    cosine, sine = _at_beginning(rows @ along)
-    amplitude = math.hypot(cosine, sine)
-    sign = 1.0 if cosine >= 0 else -1.0
-    return sign * amplitude * along, u_angle
+    return _vector(rows @ along, along), u_angle, float(across @ scatter @ across) / noise
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ import numpy as np
 from calibration.timebase import birge_ratio
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.least_squares import solve
 from processing.units import ARCSEC_RAD
 
 FEWEST_STEPS = 5
@@ -73,170 +72,6 @@ def approach_if_both(way: Floats) -> Floats | None:
     return way if np.any(way > 0) and np.any(way < 0) else None
 
 
-@dataclass(frozen=True, slots=True)
-class LadderSolution:
-    """Solution of the least-squares problem.
-
-    The first `fixed` of `values` are origin (x, y), scale (x, y), then skew and hysteresis if they are
-    fitted. The others are the deviations of the steps' true settings from the stated ones in units of
-    `u_reference`. `covariance` (fixed, fixed) is that of the first ones, enlarged along the motion by
-    `birge`, across it by `birge_across`. `along_dof` are the degrees of freedom of `birge`, infinite if it is
-    1. `residual_px` (n, 2) are the positions minus those of the fitted ladder at the stated settings, not at
-    the true ones, which the fit moves towards a wrong position until little of its error is left.
-    """
-
-    values: Floats
-    covariance: Floats
-    fixed: int
-    chi2: float
-    dof: int
-    birge: float
-    birge_across: float
-    along_dof: float
-    residual_px: Floats
-
-    def u(self, index: int) -> float:
-        return float(np.sqrt(self.covariance[index, index]))
-
-    def scale(self) -> tuple[float, float]:
-        k = self.values[2:4]
-        scale = float(np.hypot(*k))
-        return scale, float(np.sqrt(k @ self.covariance[2:4, 2:4] @ k)) / max(scale, 1e-300)
-
-
-def carrier(setting: Floats, kind: str) -> tuple[Floats, Floats]:
-    """Tangents of twice the tilts, or the shifts, to which the spot's position is proportional, and their
-    derivatives with respect to the settings."""
-    if kind == "tilt":
-        return np.tan(2.0 * setting), 2.0 / np.cos(2.0 * setting) ** 2
-    return setting, np.ones_like(setting)
-
-
-def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew: bool) -> LadderSolution:
-    """Least squares, with the skew as a parameter if `with_skew` and the hysteresis if `way` is given."""
-    count = len(steps.reference)
-    fixed = 4 + with_skew + (way is not None)
-
-    stated, _ = carrier(steps.reference, kind)
-    span = float(np.ptp(stated))
-    start = np.polyfit(stated, np.column_stack([steps.x_px, steps.y_px]), 1)
-    unit = np.ones(fixed)
-    unit[2:4] = 1.0 / span
-    if with_skew:
-        unit[4] = 1.0 / span
-    if way is not None:
-        unit[fixed - 1] = float(np.ptp(steps.reference))
-
-    def parts(p: Floats) -> tuple[Floats, Floats, Floats]:
-        """t, its derivative with respect to the setting, and the displacement over the scale."""
-        setting = steps.reference + steps.u_reference * p[fixed:]
-        if way is not None:
-            setting = setting + 0.5 * way * p[fixed - 1] * unit[fixed - 1]
-        t, slope = carrier(setting, kind)
-        skew = p[4] * unit[4] if with_skew else 0.0
-        return t, slope, t * (1.0 + skew * t)
-
-    def residual(p: Floats) -> Floats:
-        _, _, along = parts(p)
-        kx, ky = p[2] * unit[2], p[3] * unit[3]
-        return np.concatenate(
-            [
-                (p[0] + kx * along - steps.x_px) / steps.u_x_px,
-                (p[1] + ky * along - steps.y_px) / steps.u_y_px,
-                p[fixed:],
-            ]
-        )
-
-    def jacobian(p: Floats) -> Floats:
-        t, slope, along = parts(p)
-        skew = p[4] * unit[4] if with_skew else 0.0
-        by_setting = slope * (1.0 + 2.0 * skew * t)
-        out = np.zeros((3 * count, fixed + count))
-        for row, k, u, at in (
-            (0, p[2] * unit[2], steps.u_x_px, 0),
-            (count, p[3] * unit[3], steps.u_y_px, 1),
-        ):
-            rows = np.arange(row, row + count)
-            out[rows, at] = 1.0 / u
-            out[rows, 2 + at] = along * unit[2 + at] / u
-            if with_skew:
-                out[rows, 4] = k * t**2 * unit[4] / u
-            if way is not None:
-                out[rows, fixed - 1] = k * by_setting * 0.5 * way * unit[fixed - 1] / u
-            out[rows, fixed + np.arange(count)] = k * by_setting * steps.u_reference / u
-        out[2 * count + np.arange(count), fixed + np.arange(count)] = 1.0
-        return out
-
-    p0 = np.zeros(fixed + count)
-    p0[0:2], p0[2:4] = start[1], start[0] / unit[2:4]
-    found = solve(lambda p: (residual(p), jacobian(p)), p0)
-    full = found.covariance[:fixed, :fixed] * np.outer(unit, unit)
-    values = found.values.copy()
-    values[:fixed] *= unit
-    _, _, along = parts(found.values)
-
-    def off(along: Floats) -> Floats:
-        """Positions (n, 2) minus those of the fitted ladder with these displacements over the scale."""
-        return np.column_stack(
-            [steps.x_px - values[0] - values[2] * along, steps.y_px - values[1] - values[3] * along]
-        )
-
-    off_true_px = off(along)
-    # rows: unit vectors along and across the motion
-    turn = np.array([values[2:4], [-values[3], values[2]]]) / np.hypot(values[2], values[3])
-    u_px = np.sqrt(turn**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
-    chi2_along, chi2_across = (((turn @ off_true_px.T) / u_px) ** 2).sum(axis=1)
-    chi2_along += float(found.values[fixed:] @ found.values[fixed:])
-    dof_along, dof_across = count - fixed + 2, count - 2
-    birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
-    enlargement = np.eye(fixed) * birge
-    for at in (0, 2):
-        enlargement[at : at + 2, at : at + 2] = turn.T @ np.diag([birge, birge_across]) @ turn
-    return LadderSolution(
-        values,
-        enlargement @ full @ enlargement,
-        fixed,
-        found.chi2,
-        2 * count - fixed,
-        birge,
-        birge_across,
-        dof_along if birge > 1.0 else math.inf,
-        off(parts(np.concatenate([found.values[:fixed], np.zeros(count)]))[2]),
-    )
-
-
-def leave_one_out(
-    steps: LadderSteps, kind: str, way: Floats | None, with_skew: bool, scale: float, u_scale: float
-) -> Floats:
-    """Changes (n,) of the scale without each step, over their own standard uncertainties; NaN: no fit."""
-    change = np.full(len(steps.reference), np.nan)
-    for i in range(len(change)):
-        rest = LadderSteps(*(np.delete(getattr(steps, name), i) for name in LadderSteps.__slots__))
-        rest_way = None if way is None else approach_if_both(np.delete(way, i))
-        if len(np.unique(rest.reference)) < 3:
-            continue
-        without, u_without = solve_ladder(rest, kind, rest_way, with_skew=with_skew).scale()
-        spread = math.sqrt(max(u_without**2 - u_scale**2, (0.05 * u_scale) ** 2))
-        change[i] = (without - scale) / spread
-    return change
-
-
-SKEW_PRIOR_STD = 0.3
-"""Prior standard deviation of the skew, which is that of a sensor tilted by 17 degrees."""
-_CUBIC_STD = (0.0, 3e-4, 1e-3, 1e-2)
-"""Prior standard deviations of the cubic part at the ladder's end, relative to the displacement there."""
-_P_CUBIC = 0.2
-"""Prior probability of any cubic part, shared by the sizes above."""
-_P_WRONG = 0.01
-"""Prior probability that a step is wrong."""
-_WRONG_STEP_STD = (6.0, 60.0)
-"""Standard deviations of a wrong step, in units of its stated uncertainty."""
-_MIN_NOTED_P = 0.5
-"""Probability of a cubic part, or of a wrong step, above which a note reports it."""
-_FLAT_PRIOR_STD = 1e6
-"""Prior standard deviation of an unknown parameter, in units in which the ladder is about 1."""
-
-
 class LadderTrace(NamedTuple):
     """A ladder along the motion of the spot, arrays (n,).
 
@@ -251,17 +86,144 @@ class LadderTrace(NamedTuple):
     by_hysteresis: Floats | None
 
 
-class ScaleEvidence(NamedTuple):
-    """Scale in px per unit of t, its standard uncertainty, and the probabilities of deviations from a line.
+@dataclass(frozen=True, slots=True)
+class LadderSolution:
+    """Solution of the least-squares problem along and across the motion of the spot.
 
-    `p_cubic` is the probability of a cubic part; `cubic` is then its mean relative size at the ladder's end,
-    and `u_cubic` the uncertainty of that. `wrong` (n,) is each step's probability to be wrong. `birge`
-    enlarges the stated uncertainties, with `dof` degrees of freedom (infinite where it is 1).
+    The fields are those of `LadderFit`; `skew` is 0 and `hysteresis` NaN where they are not fitted. The
+    uncertainties are enlarged along the motion by `birge`, across it by `birge_across`. `along_dof` are the
+    degrees of freedom of `birge`, infinite if it is 1. `trace` is the ladder along the motion. `residual_px`
+    (n, 2) are the positions minus those of the fitted ladder at the stated settings.
     """
 
     scale: float
     u_scale: float
-    p_cubic: float
+    origin_px: Floats
+    u_origin_px: Floats
+    direction_rad: float
+    u_direction_rad: float
+    skew: float
+    u_skew: float
+    hysteresis: float
+    u_hysteresis: float
+    chi2: float
+    dof: int
+    birge: float
+    birge_across: float
+    along_dof: float
+    trace: LadderTrace
+    residual_px: Floats
+
+
+def carrier(setting: Floats, kind: str) -> tuple[Floats, Floats]:
+    """Tangents of twice the tilts, or the shifts, to which the spot's position is proportional, and their
+    derivatives with respect to the settings."""
+    if kind == "tilt":
+        return np.tan(2.0 * setting), 2.0 / np.cos(2.0 * setting) ** 2
+    return setting, np.ones_like(setting)
+
+
+def _line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floats, float]:
+    """Coefficients of a weighted fit, their covariance by the stated uncertainties, and chi-square."""
+    weighted = design / u_px[:, None]
+    values, *_ = np.linalg.lstsq(weighted, places_px / u_px, rcond=None)
+    misfit = (places_px - design @ values) / u_px
+    covariance: Floats = np.linalg.pinv(weighted.T @ weighted, hermitian=True).astype(np.float64)
+    return values.astype(np.float64), covariance, float(misfit @ misfit)
+
+
+def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew: bool) -> LadderSolution:
+    """Least squares, with the skew as a parameter if `with_skew` and the hysteresis if `way` is given.
+
+    An error of a setting moves the spot along the motion alone: its uncertainty is added to that of the
+    position there (the effective variance of W. A. Fuller, Measurement Error Models, 1987).
+    """
+    t, slope = carrier(steps.reference, kind)
+    places_px = np.column_stack([steps.x_px, steps.y_px])
+    motion = np.polyfit(t, places_px, 1)[0]
+    # rows: unit vectors along and across the motion
+    turn = np.array([motion, [-motion[1], motion[0]]]) / np.hypot(*motion)
+    u_along_px, u_across_px = np.sqrt(turn**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
+    u_along_px = np.hypot(u_along_px, np.hypot(*motion) * slope * steps.u_reference)
+    along_px, across_px = turn @ places_px.T
+    columns = [np.ones_like(t), t]
+    columns += [t**2] if with_skew else []
+    columns += [] if way is None else [0.5 * way * slope]
+    design = np.column_stack(columns)
+    values, covariance, chi2_along = _line(design, along_px, u_along_px)
+    values_across, covariance_across, chi2_across = _line(design[:, :2], across_px, u_across_px)
+    dof_along, dof_across = len(t) - len(values), len(t) - 2
+    birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
+    scale, u = float(values[1]), birge * np.sqrt(np.diag(covariance))
+    u_across = birge_across * np.sqrt(np.diag(covariance_across))
+    origin_px = turn.T @ [values[0], values_across[0]]
+    kx, ky = turn.T @ [scale, values_across[1]]
+    moved_px = np.outer((design @ values - values[0]) / scale, [kx, ky])
+    return LadderSolution(
+        scale=scale,
+        u_scale=float(u[1]),
+        origin_px=origin_px,
+        u_origin_px=np.sqrt(turn.T**2 @ np.array([u[0], u_across[0]]) ** 2),
+        direction_rad=math.atan2(kx, -ky),
+        u_direction_rad=float(u_across[1]) / scale,
+        skew=float(values[2]) / scale if with_skew else 0.0,
+        u_skew=float(u[2]) / scale if with_skew else 0.0,
+        hysteresis=math.nan if way is None else float(values[-1]) / scale,
+        u_hysteresis=math.nan if way is None else float(u[-1]) / scale,
+        chi2=chi2_along + chi2_across,
+        dof=dof_along + dof_across,
+        birge=birge,
+        birge_across=birge_across,
+        along_dof=dof_along if birge > 1.0 else math.inf,
+        trace=LadderTrace(t, along_px - values[0], u_along_px, None if way is None else 0.5 * way * slope),
+        residual_px=places_px - origin_px - moved_px,
+    )
+
+
+def leave_one_out(
+    steps: LadderSteps, kind: str, way: Floats | None, with_skew: bool, scale: float, u_scale: float
+) -> Floats:
+    """Changes (n,) of the scale without each step, over their own standard uncertainties; NaN: no fit."""
+    change = np.full(len(steps.reference), np.nan)
+    for i in range(len(change)):
+        rest = LadderSteps(*(np.delete(getattr(steps, name), i) for name in LadderSteps.__slots__))
+        rest_way = None if way is None else approach_if_both(np.delete(way, i))
+        if len(np.unique(rest.reference)) < 3:
+            continue
+        without = solve_ladder(rest, kind, rest_way, with_skew=with_skew)
+        spread = math.sqrt(max(without.u_scale**2 - u_scale**2, (0.05 * u_scale) ** 2))
+        change[i] = (without.scale - scale) / spread
+    return change
+
+
+SKEW_PRIOR_STD = 0.3
+"""Prior standard deviation of the skew, which is that of a sensor tilted by 17 degrees."""
+_CUBIC_STD = (3e-4, 1e-3, 5e-3)
+"""Prior standard deviations of the cubic part at the ladder's end, relative to the displacement there, all
+equally probable. No reference is quite linear: what the steps do not show of it is part of the uncertainty.
+"""
+_P_WRONG = 0.01
+"""Prior probability that a step is wrong."""
+_WRONG_STEP_STD = (6.0, 60.0)
+"""Standard deviations of a wrong step, in units of its stated uncertainty."""
+_MIN_NOTED_P = 0.5
+"""Probability of a wrong step above which a note reports it."""
+_MIN_NOTED_U = 3.0
+"""Cubic part in standard uncertainties above which a note reports it."""
+_FLAT_PRIOR_STD = 1e6
+"""Prior standard deviation of an unknown parameter, in units in which the ladder is about 1."""
+
+
+class ScaleEvidence(NamedTuple):
+    """Scale in px per unit of t, its standard uncertainty, and the deviations from a line.
+
+    `cubic` is the relative size of the cubic part at the ladder's end, with its uncertainty. `wrong` (n,) is
+    each step's probability to be wrong. `birge` enlarges the stated uncertainties, with `dof` degrees of
+    freedom (infinite where it is 1).
+    """
+
+    scale: float
+    u_scale: float
     cubic: float
     u_cubic: float
     wrong: Floats
@@ -270,12 +232,18 @@ class ScaleEvidence(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """Fit of one model: logarithm of its evidence, parameters, their covariance, chi-square of the steps."""
+    """Fit of one model: logarithm of its probability, parameters, their covariance, chi-square of the steps.
 
-    log_evidence: float
+    `wrong` is the number of the wrong step, or -1; `spent` are the degrees of freedom that the model uses in
+    addition to those of the simplest.
+    """
+
+    log_probability: float
     values: Floats
     covariance: Floats
     chi2: float
+    wrong: int
+    spent: int
 
 
 def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: float) -> ScaleEvidence:
@@ -291,27 +259,26 @@ def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: fl
     scale
         An estimate of the scale in px per unit of t, accurate to a percent.
     """
-    found, chi2, spent = _posterior(steps, kind, scale, 1.0)
+    found, best = _posterior(steps, kind, scale, 1.0)
     # the skew of a stage has no prior, so it uses up a degree of freedom, as the scale does
     count, used = len(steps.t), (2 if kind == "tilt" else 3) + (steps.by_hysteresis is not None)
     # only scatter that no model explains is noise in excess of the stated uncertainties
-    birge = birge_ratio(chi2, max(count - used - spent, 1))
+    birge = birge_ratio(best.chi2, max(count - used - best.spent, 1))
     if birge == 1.0:
         return found
     dof = max(count - used, 1)
-    plain = _fit(steps, kind, scale, 0.0, np.ones(count))
+    plain = _fit(steps, kind, scale, _CUBIC_STD[0])
     birge = math.sqrt(max(plain.chi2 / dof, 1.0))
     return _posterior(steps, kind, scale, birge)[0]._replace(birge=birge, dof=float(dof))
 
 
 def ladder_notes(evidence: ScaleEvidence) -> list[str]:
-    """Notes for the user on a probable cubic part, and on steps that are probably wrong."""
+    """Notes for the user on a cubic part that is seen, and on steps that are probably wrong."""
     notes = []
-    if evidence.p_cubic > _MIN_NOTED_P:
+    if abs(evidence.cubic) > _MIN_NOTED_U * evidence.u_cubic:
         notes.append(
             f"not linear: a cubic part of {evidence.cubic:.2g} ± {evidence.u_cubic:.2g} of the way at the "
-            f"ladder's end, probability {evidence.p_cubic:.2g}; the scale is that at zero: look for what "
-            "bends the reference or the light's path"
+            f"ladder's end; the scale is that at zero: look for what bends the reference or the light's path"
         )
     notes.extend(
         f"step {number} is probably wrong (probability {p_wrong:.2g}) and hardly counts: measure it again"
@@ -323,63 +290,48 @@ def ladder_notes(evidence: ScaleEvidence) -> list[str]:
 
 def _posterior(
     steps: LadderTrace, kind: Literal["tilt", "shift"], scale: float, birge: float
-) -> tuple[ScaleEvidence, float, int]:
-    """The evidence of all models, chi-square of the most probable one, and the degrees of freedom that this
-    one uses in addition to those of the simplest."""
+) -> tuple[ScaleEvidence, _Model]:
+    """The evidence of all models, and the most probable one."""
     count = len(steps.t)
     enlarged = steps._replace(u_px=birge * steps.u_px)
-    models, log_weights, steps_wrong, cubic_stds = [], [], [], []
-    for cubic_std in _CUBIC_STD:
-        prior = 1.0 - _P_CUBIC if cubic_std == 0.0 else _P_CUBIC / (len(_CUBIC_STD) - 1)
-        # where all steps scatter by more than stated, wrong ones cannot be recognised
-        for wrong in range(-1, count if birge == 1.0 else 0):
-            for by in _WRONG_STEP_STD if wrong >= 0 else (1.0,):
-                factor = np.ones(count)
-                factor[wrong if wrong >= 0 else 0] = by
-                models.append(_fit(enlarged, kind, scale, cubic_std, factor))
-                p_steps = 1.0 - count * _P_WRONG if wrong < 0 else _P_WRONG / len(_WRONG_STEP_STD)
-                log_weights.append(models[-1].log_evidence + math.log(prior * max(p_steps, _P_WRONG)))
-                steps_wrong.append(wrong)
-                cubic_stds.append(cubic_std)
-    logs = np.array(log_weights)
+    # where all steps scatter by more than stated, wrong ones cannot be recognised
+    suspects = range(-1, count if birge == 1.0 else 0)
+    models = [
+        _fit(enlarged, kind, scale, cubic_std, wrong, by)
+        for cubic_std in _CUBIC_STD
+        for wrong in suspects
+        for by in (_WRONG_STEP_STD if wrong >= 0 else (1.0,))
+    ]
+    logs = np.array([model.log_probability for model in models])
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
+    at = np.array([model.wrong for model in models])
+
+    def mean(values: Floats, variances: Floats) -> tuple[float, float]:
+        middle = float(weight @ values)
+        return middle, math.sqrt(float(weight @ (variances + (values - middle) ** 2)))
+
     scales = np.array([model.values[1] for model in models])
-    variances = np.array([model.covariance[1, 1] for model in models])
-    mean = float(weight @ scales)
-    variance = float(weight @ (variances + (scales - mean) ** 2))
-    has_cubic = np.array(cubic_stds) > 0.0
-    share = float(weight[has_cubic].sum())
-    cubics = np.array([model.values[3] / model.values[1] for model in models])
-    u_cubics = np.array([model.covariance[3, 3] / model.values[1] ** 2 for model in models])
-    weight_of_cubic = weight[has_cubic] / max(share, 1e-300)
-    cubic = float(weight_of_cubic @ cubics[has_cubic])
-    u_cubic = math.sqrt(float(weight_of_cubic @ (u_cubics[has_cubic] + (cubics[has_cubic] - cubic) ** 2)))
-    at = np.array(steps_wrong)
-    best = int(np.argmax(logs))
-    return (
-        ScaleEvidence(
-            scale=mean,
-            u_scale=math.sqrt(variance),
-            p_cubic=share,
-            cubic=cubic,
-            u_cubic=u_cubic,
-            wrong=np.array([weight[at == k].sum() for k in range(count)]),
-            birge=1.0,
-            dof=math.inf,
-        ),
-        models[best].chi2,
-        int(cubic_stds[best] > 0.0) + int(steps_wrong[best] >= 0),
+    found, u_found = mean(scales, np.array([model.covariance[1, 1] for model in models]))
+    cubic, u_cubic = mean(
+        np.array([model.values[3] for model in models]) / scales,
+        np.array([model.covariance[3, 3] for model in models]) / scales**2,
     )
+    wrong = np.array([weight[at == k].sum() for k in range(count)])
+    evidence = ScaleEvidence(found, u_found, cubic, u_cubic, wrong, birge=1.0, dof=math.inf)
+    return evidence, models[int(np.argmax(logs))]
 
 
-def _fit(steps: LadderTrace, kind: str, scale: float, cubic_std: float, factor: Floats) -> _Model:
+def _fit(
+    steps: LadderTrace, kind: str, scale: float, cubic_std: float, wrong: int = -1, by: float = 1.0
+) -> _Model:
     """Fit of one model in closed form; its parameters are origin, scale, scale times skew, scale times cubic
-    part, and hysteresis. `factor` (n,) enlarges the steps' uncertainties.
+    part, and hysteresis. The uncertainty of the step `wrong` is enlarged by the factor `by`.
     """
     t = steps.t
     end = float(np.abs(t).max())
-    u = steps.u_px * factor
+    u = steps.u_px * np.where(np.arange(len(t)) == wrong, by, 1.0)
+    p_steps = 1.0 - len(t) * _P_WRONG if wrong < 0 else _P_WRONG / len(_WRONG_STEP_STD)
     columns = [np.ones_like(t), t, t**2, t * (t / end) ** 2]
     skew = scale * SKEW_PRIOR_STD if kind == "tilt" else _FLAT_PRIOR_STD * scale / end
     widths = [_FLAT_PRIOR_STD * scale * end, _FLAT_PRIOR_STD * scale, skew, cubic_std * scale]
@@ -393,10 +345,12 @@ def _fit(steps: LadderTrace, kind: str, scale: float, cubic_std: float, factor: 
     values = np.linalg.solve(precision, design.T @ position)
     residual = position - design @ values
     chi2 = float(residual @ residual)
-    log_evidence = (
-        -0.5 * (chi2 + float(values @ values))
+    log_probability = (
+        math.log(max(p_steps, _P_WRONG))
+        - 0.5 * (chi2 + float(values @ values))
         - 0.5 * float(np.linalg.slogdet(precision)[1])
         - float(np.log(u).sum())
     )
     covariance = np.linalg.inv(precision) * np.outer(width, width)
-    return _Model(log_evidence, values * width, covariance, chi2)
+    spent = (cubic_std > _CUBIC_STD[0]) + (wrong >= 0)
+    return _Model(log_probability, values * width, covariance, chi2, wrong, spent)

@@ -8,12 +8,9 @@ import numpy as np
 
 from calibration.ladder import (
     SKEW_PRIOR_STD,
-    LadderSolution,
     LadderSteps,
-    LadderTrace,
     approach_directions,
     approach_if_both,
-    carrier,
     check_steps,
     ladder_notes,
     leave_one_out,
@@ -44,8 +41,8 @@ class LadderFit:
     `direction_rad` is the direction of positive t, from the sensor's upward vertical towards +x. `skew` is
     the value fitted for the test of linearity, and `chance_if_linear` the probability of one at least as
     large if the true value is 0. The fit of origin, direction and hysteresis includes a skew only if
-    `nonlinear`, that of `scale` always, weighted by its probability. `cubic_probability` is the probability
-    of a cubic part, `cubic` its probable size at the ladder's end, relative to the displacement there.
+    `nonlinear`, that of `scale` always, weighted by its probability. `cubic` is the size of a
+    cubic part at the ladder's end, relative to the displacement there.
     `hysteresis` is the difference between settings approached from below and from above, in rad
     or m; NaN if all were approached from one side.
     `leave_one_out` (n,) is the change of the scale without each step, over its standard uncertainty.
@@ -66,7 +63,6 @@ class LadderFit:
     u_skew: float
     chance_if_linear: float
     nonlinear: bool
-    cubic_probability: float
     cubic: float
     u_cubic: float
     hysteresis: float
@@ -101,11 +97,9 @@ def fit_ladder(
 
     Notes
     -----
-    Weighted least squares with errors in both variables: the true setting of each step is a parameter of its
-    own, with the stated setting and its uncertainty as a measurement of it (orthogonal distance regression;
-    W. A. Fuller, Measurement Error Models, 1987). The uncertainties are enlarged by the Birge ratio if the
-    scatter is improbably large (`birge_ratio`), along and across the motion each by its own: an error of the
-    references moves the spot along only.
+    Weighted least squares along and across the motion of the spot. The uncertainties are enlarged by the
+    Birge ratio if the scatter is improbably large (`birge_ratio`), along and across the motion each by its
+    own: an error of the references moves the spot along only.
     """
     from scipy.special import chdtrc, fdtrc
 
@@ -121,14 +115,14 @@ def fit_ladder(
     probability = float(chdtrc(1, gain) if known else fdtrc(1, skewed.along_dof, gain))
     nonlinear = probability < _MIN_PROBABILITY
     best = skewed if nonlinear else straight
-    evidence = scale_evidence(_along(steps, kind, way, best), kind, best.scale()[0])
+    evidence = scale_evidence(best.trace, kind, best.scale)
     scale, u_scale = evidence.scale, evidence.u_scale
     if not scale > 5.0 * u_scale:
         raise DataError(
             f"the spot does not follow the {kind}s (scale {scale:.4g} ± {u_scale:.2g} px per unit); "
             "check the order of the steps"
         )
-    scale_changes = leave_one_out(steps, kind, way, nonlinear, *best.scale())
+    scale_changes = leave_one_out(steps, kind, way, nonlinear, best.scale, best.u_scale)
     notes = ladder_notes(evidence)
     for side, birge in (("along", best.birge), ("across", best.birge_across)):
         if birge > 1.0:
@@ -137,12 +131,12 @@ def fit_ladder(
                 + ("uncertainties were enlarged" if side == "across" or evidence.birge > 1.0 else _EXPLAINED)
             )
     if nonlinear:
-        notes.append(f"not linear: skew {skewed.values[4]:.3g} ± {skewed.u(4):.2g} is part of the lever")
-    elif kind == "tilt" and skewed.u(4) > _MAX_U_SKEW:
+        notes.append(f"not linear: skew {skewed.skew:.3g} ± {skewed.u_skew:.2g} is part of the lever")
+    elif kind == "tilt" and skewed.u_skew > _MAX_U_SKEW:
         notes.append(
             "the tilt of the sensor relative to the beam is known only to "
-            f"{math.degrees(math.atan(skewed.u(4))):.0f} degrees (skew {skewed.values[4]:.2g} ± "
-            f"{skewed.u(4):.2g}, taken as 0): set the sensor perpendicular to the beam"
+            f"{math.degrees(math.atan(skewed.u_skew)):.0f} degrees (skew {skewed.skew:.2g} ± "
+            f"{skewed.u_skew:.2g}, taken as 0): set the sensor perpendicular to the beam"
         )
     worst = int(np.nanargmax(np.abs(scale_changes)))
     if abs(scale_changes[worst]) > _MAX_SCALE_CHANGE:
@@ -150,37 +144,28 @@ def fit_ladder(
             f"step {worst + 1} at {_setting(steps.reference[worst], kind, 6)} does not fit the others: "
             f"without it the scale changes by {abs(scale_changes[worst]):.1f} standard uncertainties"
         )
-    hysteresis, u_hysteresis = math.nan, math.nan
-    if way is not None:
-        hysteresis, u_hysteresis = float(best.values[best.fixed - 1]), best.u(best.fixed - 1)
-        if abs(hysteresis) > 3.0 * u_hysteresis:
-            notes.append(
-                f"hysteresis of {_setting(hysteresis, kind, 3)} ± {_setting(u_hysteresis, kind, 2)} between "
-                "upward and downward steps"
-            )
-    kx, ky = best.values[2], best.values[3]
-    u_across = math.sqrt(
-        (ky**2 * best.covariance[2, 2] + kx**2 * best.covariance[3, 3] - 2 * kx * ky * best.covariance[2, 3])
-        / scale**2
-    )
+    if abs(best.hysteresis) > 3.0 * best.u_hysteresis:
+        notes.append(
+            f"hysteresis of {_setting(best.hysteresis, kind, 3)} ± {_setting(best.u_hysteresis, kind, 2)} "
+            "between upward and downward steps"
+        )
     return LadderFit(
         kind=kind,
         scale=scale,
         u_scale=(u_both := math.hypot(u_scale, u_reference_relative * scale)),
         scale_dof=evidence.dof * (u_both / u_scale) ** 4,
-        origin_px=(float(best.values[0]), float(best.values[1])),
-        u_origin_px=(best.u(0), best.u(1)),
-        direction_rad=math.atan2(kx, -ky),
-        u_direction_rad=u_across / scale,
-        skew=float(skewed.values[4]),
-        u_skew=skewed.u(4),
+        origin_px=(float(best.origin_px[0]), float(best.origin_px[1])),
+        u_origin_px=(float(best.u_origin_px[0]), float(best.u_origin_px[1])),
+        direction_rad=best.direction_rad,
+        u_direction_rad=best.u_direction_rad,
+        skew=skewed.skew,
+        u_skew=skewed.u_skew,
         chance_if_linear=probability,
         nonlinear=nonlinear,
-        cubic_probability=evidence.p_cubic,
         cubic=evidence.cubic,
         u_cubic=evidence.u_cubic,
-        hysteresis=hysteresis,
-        u_hysteresis=u_hysteresis,
+        hysteresis=best.hysteresis,
+        u_hysteresis=best.u_hysteresis,
         chi2=best.chi2,
         dof=best.dof,
         leave_one_out=scale_changes,
@@ -196,18 +181,6 @@ def _setting(setting: float, kind: Literal["tilt", "shift"], digits: int) -> str
 
 
 _EXPLAINED = "the scale allows for what explains it"
-
-
-def _along(steps: LadderSteps, kind: str, way: Floats | None, best: LadderSolution) -> LadderTrace:
-    """The ladder along its motion; the references' uncertainties are added to those of the positions."""
-    t, slope = carrier(steps.reference, kind)
-    scale = best.scale()[0]
-    x, y = best.values[2:4] / scale
-    place_px = x * (steps.x_px - best.values[0]) + y * (steps.y_px - best.values[1])
-    u_px = np.sqrt(
-        (x * steps.u_x_px) ** 2 + (y * steps.u_y_px) ** 2 + (scale * slope * steps.u_reference) ** 2
-    )
-    return LadderTrace(t, place_px, u_px, None if way is None else 0.5 * way * slope)
 
 
 def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:

@@ -333,18 +333,19 @@ def _prnu(
     """PRNU and its standard uncertainty, from the brightest usable level.
 
     It is the spatial standard deviation over the mean signal, after subtraction of the temporal noise and
-    of a plane, which removes the slow variation of the illumination.
+    of a quadratic surface, which removes the slow variation of the illumination.
     """
     best = int(np.argmax([point.signal_dn for point in points]))
     pair, point = flats[best], points[best]
     mean = 0.5 * (np.asarray(pair[0], dtype=np.float64) + np.asarray(pair[1], dtype=np.float64)) - dark_map
     ny, nx = mean.shape
-    y, x = np.mgrid[0:ny, 0:nx]
-    design = np.column_stack([np.ones(mean.size), x.reshape(-1) / nx, y.reshape(-1) / ny])[cold]
+    y, x = (place.reshape(-1)[cold] for place in np.mgrid[0 : 1 : ny * 1j, 0 : 1 : nx * 1j])
+    design = np.column_stack([np.ones_like(x), x, y, x**2, x * y, y**2])
     values = mean.reshape(-1)[cold]
-    plane, *_ = np.linalg.lstsq(design, values, rcond=None)
-    spatial = float((values - design @ plane).var(ddof=3)) - 0.5 * point.variance_dn2 - u2_dark_map
-    u_spatial = float(np.hypot(values.var() * np.sqrt(2.0 / len(values)), 0.5 * point.u_variance_dn2))
+    surface, *_ = np.linalg.lstsq(design, values, rcond=None)
+    even = float((values - design @ surface).var(ddof=design.shape[1]))
+    spatial = even - 0.5 * point.variance_dn2 - u2_dark_map
+    u_spatial = float(np.hypot(even * np.sqrt(2.0 / len(values)), 0.5 * point.u_variance_dn2))
     if spatial <= 0:
         return 0.0, float(np.sqrt(u_spatial) / point.signal_dn)
     spread = np.sqrt(spatial)

@@ -16,8 +16,13 @@ from processing.units import NS_PER_S
 
 _STRETCH_PERIODS = 3.0
 """Length in periods of a stretch that is fitted by itself, short enough for a nearly constant amplitude."""
+_HARMONICS = (1, 2, 3, 5, 7, 9)
+"""Harmonics of a stretch. Friction and elasticity of the contact make the odd ones, which fade within it; if
+they were left out, the second would contain part of them.
+"""
+_ITERATIONS = 4
 _MIN_STRETCHES = 6
-_MIN_FRAMES = 24
+_MIN_FRAMES = 60
 _MIN_PATH_PX = 20.0
 _MIN_AMPLITUDE_FRACTION = 0.2
 """Smallest amplitude of a stretch that is used, over the largest; the effect goes with its square."""
@@ -103,8 +108,8 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
 
     Notes
     -----
-    In each stretch the Fourier coefficients C1, C2 of ``y = Re sum C_k exp(i k w t)`` are fitted, with slow
-    changes of offset and amplitude. The shutter adds i w row_time / 2 to C2 / C1^2; whatever is symmetric in
+    In each stretch the Fourier coefficients C_k of ``y = Re sum C_k exp(i k w t)`` are fitted, with slow
+    changes of offset and amplitudes. The shutter adds i w row_time / 2 to C2 / C1^2; whatever is symmetric in
     time about the turning points (the lever's tangent, a tilted sensor) adds a real number.
     """
     good = np.isfinite(y_px)
@@ -126,24 +131,23 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
             f"row time: {len(table)} stretches of {_STRETCH_PERIODS:g} periods ({period_s:.3g} s) have a "
             f"swing, {_MIN_STRETCHES} are needed; record for longer"
         )
-    odd, u_odd, even, amplitude_px, at_s = table.T
-    weight = u_odd**-2.0
-    mean = float(np.average(odd, weights=weight))
-    chi2 = float(np.sum(((odd - mean) / u_odd) ** 2)) / (len(odd) - 1)
-    u_mean = float(weight.sum() ** -0.5) * max(chi2, 1.0) ** 0.5
-    rate = 2.0 * np.pi / period_s
+    row_times_s, u_row_times_s, even, amplitude_px, at_s = table.T
+    weight = u_row_times_s**-2.0
+    mean_s = float(np.average(row_times_s, weights=weight))
+    chi2, dof = float(np.sum(weight * (row_times_s - mean_s) ** 2)), len(table) - 1
     largest_px = float(amplitude_px.max())
     return ShutterFit(
-        row_time_s=2.0 * mean / rate,
-        u_row_time_s=2.0 * u_mean / rate,
+        row_time_s=mean_s,
+        # a scatter of so few stretches is itself uncertain (the variance of Student's t)
+        u_row_time_s=float(weight.sum() ** -0.5) * max(chi2 / (dof - 2), 1.0) ** 0.5,
         amplitude_px=largest_px,
-        harmonic_px=abs(mean) * largest_px**2,
+        harmonic_px=abs(mean_s) * np.pi / period_s * largest_px**2,
         even_per_px=float(np.average(even, weights=weight)),
-        chi2_per_dof=chi2,
-        stretches=len(odd),
+        chi2_per_dof=chi2 / dof,
+        stretches=len(table),
         stretches_at_s=tuple(at_s.tolist()),
-        of_stretches_s=tuple((2.0 * odd / rate).tolist()),
-        u_of_stretches_s=tuple((2.0 * u_odd / rate).tolist()),
+        of_stretches_s=tuple(row_times_s.tolist()),
+        u_of_stretches_s=tuple(u_row_times_s.tolist()),
     )
 
 
@@ -162,31 +166,33 @@ def _period(times_s: Floats, y_px: Floats) -> float:
 
 
 def _harmonics(times_s: Floats, y_px: Floats, period_s: float) -> tuple[float, float, float, float]:
-    """Odd part of C2 / C1^2 and its standard uncertainty, even part, and |C1|, of one stretch."""
+    """Row time and its standard uncertainty in s, even part of C2 / C1^2, and |C1|, of one stretch."""
     middle_s = 0.5 * (times_s[0] + times_s[-1])
     since_s = times_s - middle_s
     slow = since_s / period_s
     rate = 2.0 * np.pi / period_s
-    for _ in range(3):
-        phase = rate * since_s
-        columns = [np.ones_like(slow), slow]
-        for k in (1, 2, 3):
-            columns += [np.cos(k * phase), -np.sin(k * phase)]
-        # slow changes of amplitude and period
-        columns += [slow * columns[2], slow * columns[3], slow**2 * columns[2], slow**2 * columns[3]]
-        design = np.column_stack(columns)
+    row_time_s = 0.0
+    for _ in range(_ITERATIONS):
+        phase = rate * (since_s + row_time_s * y_px)
+        waves = np.exp(1j * np.outer(phase, _HARMONICS))
+        # all change slowly, the first one also in amplitude and period
+        waves = np.hstack([waves, slow[:, None] * waves, slow[:, None] ** 2 * waves[:, :1]])
+        design = np.column_stack([np.ones_like(slow), slow, waves.real, -waves.imag])
         values, *_ = np.linalg.lstsq(design, y_px, rcond=None)
-        first = complex(values[2], values[3])
+        parts = values[2:].reshape(2, -1)
+        amplitudes = parts[0] + 1j * parts[1]
+        first, second, third, growth = amplitudes[[0, 1, 2, len(_HARMONICS)]]
+        # the second harmonic of the squared position, to which the third of the position contributes
+        ratio = complex(second / (first**2 + 2.0 * first.conjugate() * third))
+        row_time_s += 2.0 * ratio.imag / rate
         # d(phase)/dt follows from the part in quadrature that grows with time, and corrects the frequency
-        rate += (complex(values[8], values[9]) / first).imag / period_s
+        rate += (growth / first).imag / period_s
     residual = y_px - design @ values
     variance = float(residual @ residual) / max(len(y_px) - design.shape[1], 1)
-    covariance = variance * np.linalg.inv(design.T @ design)
-    ratio = complex(values[4], values[5]) / first**2
-    u_ratio = float(np.sqrt(0.5 * (covariance[4, 4] + covariance[5, 5]))) / abs(first) ** 2
-    # 2 odd / rate is the row time, and the caller divides by the rate of the mean period
-    scale = 2.0 * np.pi / period_s / rate
-    return ratio.imag * scale, u_ratio, ratio.real, abs(first)
+    of_second = (3, 3 + len(amplitudes))
+    u2_second = variance * np.linalg.inv(design.T @ design)[of_second, of_second].mean()
+    amplitude = float(abs(first))
+    return row_time_s, 2.0 * float(np.sqrt(u2_second)) / amplitude**2 / rate, ratio.real, amplitude
 
 
 _U_RESPONSE = 0.01

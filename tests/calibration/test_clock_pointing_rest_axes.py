@@ -1,11 +1,13 @@
 """Clock relation, pointing stability, check at rest and axes, from synthetic samples."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy
 
+from acquisition.simulation.settings import ContactTruth, FastModeTruth, ReleaseTruth
 from calibration.axes_fit import AxesFit, fit_axes
 from calibration.axes_window import require_rest
 from calibration.pointing import stability
@@ -194,6 +196,38 @@ def test_axes_that_do_not_stay_are_refused_with_the_cause(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("period_ratio", "fast_arcsec"), [(2.97, 3.0), (5.0, 0.3)])
+def test_an_overtone_of_the_slow_mode_near_the_fast_mode_s_frequency_is_in_the_uncertainty(
+    period_ratio: float, fast_arcsec: float
+) -> None:
+    z = []
+    for seed in range(12):
+        rig = draw_rig(seed)
+        fast = FastModeTruth(
+            amplitude_arcsec=fast_arcsec, period_ratio=period_ratio, phase_rad=(seed - 6) / 8
+        )
+        settings = rig.settings.model_copy(
+            update={"fast": fast, "release": ReleaseTruth(), "contact": ContactTruth(drag_s=1.7e-3)}
+        )
+        axes = swing_for_axes(replace(rig, settings=settings, noise_px=0.003)).axes
+        off_rad = axes.non_orthogonality_rad - settings.axes.non_orthogonality_rad
+        assert axes.u_non_orthogonality_rad < 0.002
+        z.append(off_rad / axes.u_non_orthogonality_rad)
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(2 * len(z))
+
+
+def test_a_beam_that_wanders_is_in_the_uncertainty_of_the_slow_direction() -> None:
+    """A random walk has more noise at the slow mode's frequency than elsewhere."""
+    t, z = np.arange(1500) * 0.02, []
+    slow, fast = 100 * np.cos(2 * np.pi * t / 4.07), 10 * np.cos(2 * np.pi * t / 0.8)
+    for seed in range(24):
+        steps = np.random.default_rng(seed).standard_normal((4, len(t)))
+        x, y = 0.01 * steps[:2] + 0.005 * np.cumsum(steps[2:], axis=1)
+        axes = fit_axes(t, x + fast, y - slow).axes
+        z.append(axes.slow_angle_rad / axes.u_slow_angle_rad)
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(2 * len(z))
+
+
 def test_axes_without_a_swing_or_a_fast_mode_are_refused() -> None:
     rng = np.random.default_rng(7)
     times_s = np.arange(1000) * 0.02
@@ -202,5 +236,8 @@ def test_axes_without_a_swing_or_a_fast_mode_are_refused() -> None:
         fit_axes(times_s, x, y)
     with pytest.raises(DataError, match="no fast mode"):
         fit_axes(times_s, x, y + 100 * np.cos(2 * np.pi * times_s / 4.07))
+    near = 10 * np.cos(2 * np.pi * times_s / 1.9 + 0.8)
+    with pytest.raises(DataError, match="the fast mode is sought among periods below"):
+        fit_axes(times_s, x + near, y + 100 * np.cos(2 * np.pi * times_s / 4.07))
     with pytest.raises(DataError, match="slow periods"):
         fit_axes(times_s[:300], x[:300], y[:300] + 100 * np.cos(2 * np.pi * times_s[:300] / 4.07))

@@ -96,7 +96,8 @@ def test_a_ladder_that_hardly_determines_the_tilt_of_the_sensor_says_so() -> Non
     ("name", "share", "beyond"),
     [
         ("straight, 9 steps to 150 arcsec", (0.6, 0.9), 0),
-        ("cubic 3.6e-4, 9 steps to 300 arcsec", (0.2, 0.6), 10),
+        ("cubic 3.6e-4, 9 steps to 300 arcsec", (0.5, 0.9), 1),
+        ("cubic 3.6e-4, quiet", (0.5, 0.9), 1),
         ("skew 0.3, one-sided to 300 arcsec", (0.5, 0.9), 0),
         ("wrong by 10 u, 5 steps to 60 arcsec", (0.65, 1.0), 1),
     ],
@@ -104,7 +105,7 @@ def test_a_ladder_that_hardly_determines_the_tilt_of_the_sensor_says_so() -> Non
 def test_what_may_have_bent_a_ladder_is_in_the_uncertainty_of_its_scale(
     name: str, share: tuple[float, float], beyond: int
 ) -> None:
-    """Of 40 seeds; with one model chosen it is 0.68, 0.04 (18 beyond 3 u), 0.09 and 0.54 (4 beyond)."""
+    """Of 40 seeds; if a straight ladder is thought probable, 0.3 of those with a cubic part."""
     pulls = np.abs([pull(name, seed)[0] for seed in range(40)])
     assert share[0] <= np.mean(pulls < 1.0) <= share[1]
     assert np.count_nonzero(pulls > 3.0) <= beyond

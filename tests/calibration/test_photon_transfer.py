@@ -101,6 +101,31 @@ def test_hot_pixels_and_prnu_are_found() -> None:
     assert found.prnu == pytest.approx(0.02, abs=4 * found.u_prnu)
 
 
+def test_light_that_falls_off_to_the_sides_is_no_prnu_and_leaves_its_uncertainty() -> None:
+    y, x = np.mgrid[-1:1:64j, -1:1:64j]
+    even = 1.0 + 0.1 * x - 0.02 * (x**2 + y**2)
+    z = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        response = rng.normal(1.0, 0.01, even.shape)
+
+        def frame(
+            signal_dn: float, rng: np.random.Generator = rng, light: np.ndarray = even * response
+        ) -> np.ndarray:
+            noise_dn = np.sqrt(6.0 + 0.4 * signal_dn * light)
+            return np.rint(60.0 + signal_dn * light + noise_dn * rng.standard_normal(light.shape)).astype(
+                np.uint16
+            )
+
+        levels_dn = np.linspace(200.0, 2800.0, 5)
+        found = photon_transfer(
+            [(frame(one), frame(one)) for one in levels_dn], [frame(0.0), frame(0.0)], 4095
+        )
+        assert found.u_prnu < 3e-4
+        z.append((found.prnu - 0.01) / found.u_prnu)
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(2 * len(z))
+
+
 def test_two_dark_frames_serve_and_a_level_that_wanders_is_no_noise() -> None:
     truth = random_sensor(np.random.default_rng(8))
     pairs, (first, second, *_), _ = transfer_frames(truth, 8)

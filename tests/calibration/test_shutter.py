@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.true_path import true_path
 from calibration.shutter import Shutter, fit_row_time
 from processing.errors import DataError
+from processing.units import seconds
 
 RATE_HZ, PERIOD_S, ROWS = 50.0, 2.0, 400
 
@@ -43,6 +47,25 @@ def test_a_global_shutter_has_no_row_time() -> None:
     found = fit_row_time(times_s, y_px + np.random.default_rng(2).normal(0.0, 0.02, len(y_px)))
     assert abs(found.row_time_s) < 4 * found.u_row_time_s
     assert found.u_row_time_s < 0.1e-6
+
+
+@pytest.mark.parametrize("row_time_us", [0.0, 15.0])
+def test_the_contact_s_overtones_are_not_taken_for_a_row_time(row_time_us: float) -> None:
+    """The simulated pendulum, whose friction and elasticity make odd harmonics that fade with the swing."""
+    motion = true_path(SimulationSettings(), 120.0, 2 * RATE_HZ)
+    times_s = seconds(motion.times_ns)
+    true_px = 320.0 - np.tan(2.0 * motion.y_rad) / 4.8e-6
+    y_px = true_px
+    for _ in range(20):
+        y_px = CubicSpline(times_s, true_px)(times_s + 1e-6 * row_time_us * y_px)
+    z = []
+    for seed in range(8):
+        noisy = y_px + np.random.default_rng(seed).normal(0.0, 0.003, len(y_px))
+        found = fit_row_time(times_s[:-2:2], noisy[:-2:2])
+        assert found.u_row_time_s < 3e-9
+        z.append((found.row_time_s - 1e-6 * row_time_us) / found.u_row_time_s)
+    assert abs(np.mean(z)) < 4 / np.sqrt(len(z))
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(2 * len(z))
 
 
 @pytest.mark.parametrize("first_row", ["top", "bottom"])

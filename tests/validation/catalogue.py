@@ -123,7 +123,7 @@ ROWS: tuple[Row, ...] = (
     Row("coverage-clock", _COVERAGE, "Rates of clocks, drifts of beams in wandering noise",
         "known rates, 200 and 60 seeds; too narrow where arrivals hide a random walk", benchmark("clock", "within_1u", factor=100), "number", "%",
         Limit(50, 100), share=True),
-    Row("coverage-ladders", _COVERAGE, "Scale of a ladder of tilts", "400 known ladders; too narrow with an unseen cubic part",
+    Row("coverage-ladders", _COVERAGE, "Scale of a ladder of tilts", "400 known ladders, also with an unseen cubic part",
         benchmark("calibration", "one_u", part="ladders", argument=400, factor=100), "number", "%", Limit(61, 90),
         known="scale of a ladder", share=True),
     Row("coverage-calibrated", _COVERAGE, "Measurements with their own calibrations",
