@@ -178,6 +178,7 @@ class RunDisplay:
             "remaining_s": left_s,
             "u_remaining_s": u_s,
             "at_most_s": self._time_to_limit_s(now),
+            "no_swing_s": now.no_swing_s,
             **self._numbers(now.balance),
         }
         fields = asdict(replace(now, balance=None))
@@ -194,7 +195,7 @@ class RunDisplay:
         rows = [
             ("elapsed", f"{_clock(now.elapsed_s)}, {now.half_cycles} half-cycles"),
             self._prediction(now),
-            ("amplitude", _number(now.amplitude, ".3f", unit)),
+            ("amplitude", _number(now.amplitude, ".3f", unit) + _old(now)),
             ("period", _number(now.period_s, ".5f", "s")),
             *estimate_rows(now, self.stop_when),
             ("transverse", self._transverse(balance)),
@@ -295,7 +296,9 @@ class RunDisplay:
         return max(of_time, min(1.0, done / math.log(self._initial / self._final)))
 
     def _plain_line(self, now: RunNow) -> str:
-        amplitude = "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self.unit.shown}  "
+        amplitude = (
+            "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self.unit.shown}{_old(now)}  "
+        )
         losses = f"{now.dropped_frames} dropped, {now.lost_spots} lost"
         tail = f"  {now.reason}" if now.reason else ""
         phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
@@ -312,6 +315,11 @@ def _clock(seconds: float) -> str:
 
 def _number(value: float, shape: str, unit: str) -> str:
     return "-" if math.isnan(value) else f"{value:{shape}} {unit}"
+
+
+def _old(now: RunNow) -> str:
+    """How old the amplitude is, where it is older than it should be."""
+    return f" (no swing for {now.no_swing_s:.0f} s)" if now.no_swing_s else ""
 
 
 def _age(now: RunNow) -> str:

@@ -170,7 +170,8 @@ def make_runs(
     """
     folder, session_news = file.folder, SessionNews()
     notes = Notes(folder, config.session.operator)
-    socket = OrderSocket(folder, session_news, orders(devices, notes), lambda: safety_values(devices))
+    told = orders(devices, notes, session_news)
+    socket = OrderSocket(folder, session_news, told, lambda: safety_values(devices))
     with socket as watched, _interrupts_noted(file):
         if watched.problem:
             say(watched.problem)

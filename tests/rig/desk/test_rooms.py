@@ -79,9 +79,7 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     over = tmp_path / "over"
-    monkeypatch.setattr(
-        jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, str(over), **how)
-    )
+    monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, str(over), **how))
     job = desk.jobs["balance"] = jobs.Job(["balance"], uses_camera=True)
     until(lambda: bool(job.lines))
     with pytest.raises(ConfigurationError, match="first measure"):
