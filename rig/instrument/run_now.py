@@ -146,8 +146,8 @@ class RunNow:
     the state of laser and controller in words, `beam` the model fitted to the spot, `clock` the rate of the
     camera's clock against the computer's, `alarm` a fault of light or disk, empty without one,
     `disk_silent_s` the time for which a write has hung. Amplitude and period are those of the last half-cycle
-    without a flag, which turned `amplitude_s` after the first frame. `estimates` are the contact's parameters by key, from the first `estimated_from`
-    half-cycles; empty before the first fit.
+    without a flag, which turned `amplitude_s` after the first frame. `estimates` are the contact's parameters
+    by key, from the first `estimated_from` half-cycles; empty before the first fit.
     """
 
     phase: Phase = Phase.WAITING
