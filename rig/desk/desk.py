@@ -213,6 +213,12 @@ class Desk:
         return self.started is not None and self.started[0].poll() is None
 
     @property
+    def fits_last(self) -> bool:
+        """Whether the process of the last session lives, which makes its results and report."""
+        line = self.following.last_line
+        return self.start_runs or (line is not None and line.process_lives)
+
+    @property
     def start_failed(self) -> bool:
         """Whether that process has ended with an error."""
         return self.started is not None and self.started[0].poll() not in (None, 0)

@@ -115,7 +115,7 @@ def build_result(desk: Desk, tab: Tab) -> None:
     async def look() -> None:
         nonlocal over
         if not desk.following.running:
-            over = await run.io_bound(desk.last_summary), desk.start_runs
+            over = await run.io_bound(desk.last_summary), desk.fits_last
 
     def draw(drawn: tuple[SessionSummary | None, bool]) -> None:
         summary, is_fitted_now = drawn
