@@ -242,6 +242,4 @@ class Alarming:
             if state_of(read_session(folder)) is not None:
                 # what the file says was told when it ended
                 return
-        words = [line for line in self._desk.last_words() if line.strip()]
-        reason = words[-1] if words else f"ended with {begun[0].returncode}"
-        yield AlarmKey.SESSION_FAILED, f"{folder.name}: {reason}"
+        yield AlarmKey.SESSION_FAILED, f"{folder.name}: {self._desk.start_problem}"

@@ -110,17 +110,20 @@ NEXT_RUN = "next-run"
 
 def build_result(desk: Desk, tab: Tab) -> None:
     """Add what the last session hands over; nothing without one."""
-    over: tuple[SessionSummary | None, bool] = None, False
+    over: tuple[SessionSummary | None, bool, str] = None, False, ""
 
     async def look() -> None:
         nonlocal over
         if not desk.following.running:
-            over = await run.io_bound(desk.last_summary), desk.fits_last
+            over = await run.io_bound(desk.last_summary), desk.fits_last, desk.start_problem
 
-    def draw(drawn: tuple[SessionSummary | None, bool]) -> None:
-        summary, is_fitted_now = drawn
+    def draw(drawn: tuple[SessionSummary | None, bool, str]) -> None:
+        summary, is_fitted_now, problem = drawn
         if summary is not None:
             _result(desk, tab, summary, is_fitted_now)
+        elif problem:
+            # without a record a session leaves nothing but its words
+            _failure(desk, problem)
 
     tab.every(1.0, look)
     tab.drawn(lambda: over, draw)
@@ -136,7 +139,6 @@ def _result(desk: Desk, tab: Tab, over: SessionSummary, is_fitted_now: bool) -> 
     next_steps = () if is_fitted_now else over.next_steps
     steps = [f"<li><b>{html.escape(step)}</b></li>" for step in next_steps]
     steps += [f"<li>{html.escape(remark)}</li>" for remark in over.remarks]
-    last_words = "<br>".join(map(html.escape, desk.last_words()))
     bars = [
         tables.LimitBar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim") for one in over.limits
     ]
@@ -158,13 +160,26 @@ def _result(desk: Desk, tab: Tab, over: SessionSummary, is_fitted_now: bool) -> 
                     tab.button("Fit", fit, 'outline size="lg"')
                 to_next = f"document.getElementById('{NEXT_RUN}').scrollIntoView({{block: 'start'}})"
                 ui.button("Next run").props('outline size="lg"').on("click", js_handler=f"() => {to_next}")
-            _html(
-                (tables.table(over.others, "all parameters") if over.others else "")
-                + f"<details><summary>its last words</summary><div class='dim'>{last_words}</div></details>"
-            )
+            _html((tables.table(over.others, "all parameters") if over.others else "") + _last_words(desk))
         if over.limits:
             with box("what limits it"):
                 _html(tables.bars(bars, "sources of the uncertainty, by their share"))
+
+
+def _failure(desk: Desk, problem: str) -> None:
+    folder = desk.session_folder
+    with box("the last session"):
+        _html(
+            f"<span role='status'>{tables.span('failed', 'advice no')}</span> "
+            + tables.span(folder.name if folder is not None else "", "dim")
+            + tables.span(problem, "no", "div")
+            + _last_words(desk)
+        )
+
+
+def _last_words(desk: Desk) -> str:
+    last_words = "<br>".join(map(html.escape, desk.last_words()))
+    return f"<details><summary>its last words</summary><div class='dim'>{last_words}</div></details>"
 
 
 def _listed(steps: list[str]) -> str:

@@ -110,6 +110,20 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     assert desk.balancing.shown.stage is BalanceStage.ENDED
 
 
+def test_a_session_without_a_record_says_why_it_failed(desk: Desk, tmp_path: Path) -> None:
+    folder = tmp_path / "no-go"
+    folder.mkdir()
+    said = "rig: run 1 failed: preflight says no-go\nlaser off, confirmed by the controller\n"
+    (folder / jobs.MESSAGES_NAME).write_text(said, encoding="utf-8")
+    desk.started = start_python("-c", "raise SystemExit(1)"), folder
+    until(lambda: desk.start_failed)
+    assert desk.start_problem == "run 1 failed: preflight says no-go"
+    desk.alarming.start()
+    until(lambda: bool(desk.alarming.alarms.rows()))
+    (row,) = desk.alarming.alarms.rows()
+    assert row.cause == "no-go: run 1 failed: preflight says no-go"
+
+
 def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> None:
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
