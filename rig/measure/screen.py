@@ -190,8 +190,9 @@ class RunDisplay:
         unit, balance = self.unit.shown, now.balance
         who = f" ({now.losses})" if now.losses.total else ""
         losses = f"{now.dropped_frames} frames dropped{who}, {now.lost_spots} spots lost"
+        camera = f"{self._rates.frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"
         if now.before_record:
-            losses = "counted from the record on"
+            losses = camera = "counted from the record on"
         rows = [
             ("elapsed", f"{_clock(now.elapsed_s)}, {now.half_cycles} half-cycles"),
             self._prediction(now),
@@ -200,7 +201,7 @@ class RunDisplay:
             *estimate_rows(now, self.stop_when),
             ("transverse", self._transverse(balance)),
             ("rest position", self._rest(balance)),
-            ("camera", f"{self._rates.frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"),
+            ("camera", camera),
             ("clock", now.clock.text or "-"),
             ("beam", now.beam or "-"),
             ("losses", f"{losses}, {now.queue_frames} waiting"),
@@ -299,10 +300,13 @@ class RunDisplay:
         amplitude = (
             "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self.unit.shown}{_old(now)}  "
         )
-        losses = f"{now.dropped_frames} dropped, {now.lost_spots} lost"
+        counted = f"{now.frames} frames ({now.dropped_frames} dropped, {now.lost_spots} lost)"
+        if now.before_record:
+            # frames are counted from the record on
+            counted = ""
         tail = f"  {now.reason}" if now.reason else ""
         phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
-        return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{now.frames} frames ({losses}){tail}"
+        return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{counted}{tail}".rstrip()
 
 
 def _clock(seconds: float) -> str:

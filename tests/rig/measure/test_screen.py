@@ -69,6 +69,12 @@ def test_an_amplitude_that_no_half_cycle_follows_is_said_to_be_old() -> None:
     assert display(io.StringIO()).values(stopped)["no_swing_s"] == 13.0
 
 
+def test_before_the_record_no_frames_are_said_to_be_none() -> None:
+    resting = screen(RunNow(Phase.REST, frame_age_s=0.01))
+    assert "0 in all" not in resting
+    assert resting.count("counted from the record on") == 2
+
+
 def test_a_line_is_printed_when_the_phase_changes_and_not_for_its_progress() -> None:
     output = io.StringIO()
     shown = display(output, json_lines=True)
