@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import rig
 from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
-from processing.errors import DeviceError, RigError
+from processing.errors import DeviceError
 from rig.control import ControlService, LightRefused, Stage, TripCause
 from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
@@ -318,17 +318,6 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_the_end_of_the_ru
         assert not devices.permit.begun
         # the next run lights by itself
         assert devices.light() == "laser on, 0.9 mW"
-
-
-def test_a_brake_is_refused_while_a_decay_is_recorded(config: Configuration, tmp_path: Path) -> None:
-    news = SessionNews()
-    with Devices(config) as devices:
-        brake = orders(devices, Notes(tmp_path, ""), news)["brake"]
-        assert brake("on") == "brake on"
-        news.state({"phase": "measuring"}, [])
-        assert brake("off") == "brake off"
-        with pytest.raises(RigError, match="spoil the decay that is being recorded: stop the run first"):
-            brake("on")
 
 
 def test_asked_for_after_the_last_run_the_order_promises_no_light(
