@@ -92,7 +92,13 @@ def _number(text: str) -> float:
 def ambient_warnings(ambient: AmbientConditions) -> list[str]:
     """Warnings of stated times that are impossible, and of a humidity that was hardly meant."""
     humidity = doubtful_humidity(ambient.humidity_percent)
-    return [*filter(None, [humidity])] + [
+    order, too_late_s = "", ambient.dwell_s - ambient.age_s
+    if too_late_s > 0:
+        order = (
+            f"session.surfaces_cleaned lies {too_late_s:.0f} s after session.contact_made, which covers the "
+            "surfaces: correct one of them"
+        )
+    return [*filter(None, [humidity, order])] + [
         f"session.{key} lies {-getattr(ambient, name):.0f} s after the run began: correct its date or offset"
         for name, key in HISTORY_KEYS.items()
         if getattr(ambient, name) < 0

@@ -62,12 +62,14 @@ class Seen:
 def conditions(seen: Seen) -> dict[AlarmKey, str]:
     """The alarms whose conditions hold, each with its cause.
 
-    A press of LIGHT OFF is no alarm, and consequences of a trip are no alarms beside the trip.
+    A press of LIGHT OFF is no alarm, and consequences of a trip are no alarms beside the trip, nor while a
+    person who has acknowledged it has not asked for light.
     """
     found = dict([*_of_light(seen), *_of_session(seen)])
     if seen.picture_late_s > STALE_S:
         found[AlarmKey.CAMERA] = "the live picture is frozen"
-    under = _UNDER_TRIP if seen.safety.trip is not None else frozenset()
+    tripped = seen.safety.trip is not None or seen.safety.to_be_asked
+    under = _UNDER_TRIP if tripped else frozenset()
     return {key: cause for key, cause in found.items() if key not in under}
 
 
@@ -240,6 +242,4 @@ class Alarming:
             if state_of(read_session(folder)) is not None:
                 # what the file says was told when it ended
                 return
-        words = [line for line in self._desk.last_words() if line.strip()]
-        reason = words[-1] if words else f"ended with {begun[0].returncode}"
-        yield AlarmKey.SESSION_FAILED, f"{folder.name}: {reason}"
+        yield AlarmKey.SESSION_FAILED, f"{folder.name}: {self._desk.start_problem}"

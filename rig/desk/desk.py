@@ -213,9 +213,25 @@ class Desk:
         return self.started is not None and self.started[0].poll() is None
 
     @property
+    def fits_last(self) -> bool:
+        """Whether the process of the last session lives, which makes its results and report."""
+        line = self.following.last_line
+        return self.start_runs or (line is not None and line.process_lives)
+
+    @property
     def start_failed(self) -> bool:
         """Whether that process has ended with an error."""
         return self.started is not None and self.started[0].poll() not in (None, 0)
+
+    @property
+    def start_problem(self) -> str:
+        """Why that process has ended with an error: what it said; empty if it has not."""
+        if self.started is None or not self.start_failed:
+            return ""
+        words = [line for line in self.last_words() if line.strip()]
+        # after its error it says what became of the light
+        named = [line.removeprefix("rig: ") for line in words if line.startswith("rig: ")]
+        return (named or words or [f"ended with {self.started[0].poll()}"])[-1]
 
     @property
     def starting(self) -> bool:

@@ -74,8 +74,9 @@ class Following:
     """A thread that asks the running session for news, and looks for one while there is none.
 
     `news` is its last answer (empty without a session), `events` are those of its records. `folder` is its
-    folder (None without a session), `last_folder` that of the last session. `silent` is True while it exists
-    and does not answer. `heard_s` is the monotonic time of the last news, `heartbeat` asks for signs of life.
+    folder (None without a session), `last_folder` that of the last session, `last_line` the connection to it,
+    whose process may live on to fit. `silent` is True while the session exists and does not answer. `heard_s`
+    is the monotonic time of the last news, `heartbeat` asks for signs of life.
     `ended` are alarms of sessions that ended while they were followed, `unheard` are events; both wait until
     the alarms have been updated by them.
     """
@@ -86,6 +87,7 @@ class Following:
         self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         self.folder: Path | None = None
         self.last_folder: Path | None = None
+        self.last_line: OrderConnection | None = None
         self.silent = False
         self.heard_s = -math.inf
         self.ended: deque[RaisedAlarm] = deque(maxlen=8)
@@ -217,7 +219,7 @@ class Following:
     def _search(self) -> None:
         for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
-                self._line = OrderConnection(folder)
+                self._line = self.last_line = OrderConnection(folder)
                 self._stated = _configuration_in(folder)
                 self._read("")
                 self.events.clear()

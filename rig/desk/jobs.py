@@ -3,6 +3,7 @@
 import json
 import subprocess
 import threading
+import time
 from collections import deque
 from contextlib import suppress
 from pathlib import Path
@@ -35,8 +36,9 @@ def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
 class Job:
     """A command that ends with the desk, because its pipes do; it answers in JSON lines.
 
-    `lines` are the last JSON objects that it printed, `output` its other lines. `ending` is True once it was
-    asked to end. While a command that `uses_camera` runs, no other has the camera, and LIGHT OFF ends it.
+    `lines` are the last JSON objects that it printed, and among them the answers that it was given; `output`
+    its other lines. `ending` is True once it was asked to end. While a command that `uses_camera` runs, no
+    other has the camera, and LIGHT OFF ends it.
     """
 
     def __init__(self, words: list[str], *, uses_camera: bool) -> None:
@@ -49,6 +51,7 @@ class Job:
         self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
         self.output: deque[str] = deque(maxlen=_LAST_LINES)
+        self._answering = threading.Lock()
         self._readers = [
             threading.Thread(target=target, name=f"job-{words[0]}", daemon=True)
             for target in (self._read, self._listen)
@@ -80,10 +83,19 @@ class Job:
             reader.join(_READ_WITHIN_S)
         return True
 
+    @property
+    def asks(self) -> bool:
+        """Whether it waits for an answer that it has not been given yet."""
+        return bool(self.lines) and self.lines[-1].get("kind") == "ask"
+
     def answer(self, text: str) -> None:
-        """Write a line to its standard input; without effect on a command that has ended."""
-        with suppress(OSError, ValueError):
-            if self._process.stdin is not None:
+        """Answer its question by a line on its standard input; without effect if it asks nothing.
+
+        A second answer to one question, by a double click or from another tab, would answer the next one.
+        """
+        with self._answering, suppress(OSError, ValueError):
+            if self.asks and self._process.stdin is not None:
+                self.lines.append({"kind": "answer", "text": text})
                 self._process.stdin.write(f"{text}\n")
                 self._process.stdin.flush()
 
@@ -135,8 +147,9 @@ class Jobs(dict[str, Job]):
 
 
 _NAME = "balance"
-_MEASURE, _FORGET, _END = "", "f", "q"
+_MEASURE, _FORGET, _END = "m", "f", "q"
 """Answers that the command takes between two measurements, besides a turn."""
+_LOOK_S = 0.05
 
 
 class Balancing:
@@ -155,9 +168,8 @@ class Balancing:
         """State of the dialogue; before any measurement, advice from the running session."""
         job = self._desk.jobs.get(_NAME)
         if job is not None:
-            return balance_dialogue(
-                list(job.lines), list(job.output), running=job.running, failed=bool(job.status)
-            )
+            failed = bool(job.status) and not job.ending
+            return balance_dialogue(list(job.lines), list(job.output), running=job.running, failed=failed)
         news = self._desk.following.news
         path = news.get("path") or {"x": [], "y": []}
         next_step = (news.get("balance") or {}).get("next_step")
@@ -176,13 +188,13 @@ class Balancing:
         if job is None:
             words = ["--seed", "1"] if self._desk.config.simulated else []
             self._desk.start(_NAME, "--json", *words)
-        elif _asks(job):
+        elif job.asks:
             job.answer(_MEASURE)
 
     def turned(self, weight: str, turns: str) -> None:
         """State the turns of a weight, whose effect is measured next."""
         job = self._job
-        if job is None or not _asks(job):
+        if job is None or not job.asks:
             raise ConfigurationError("first measure: a turn is stated between two measurements")
         job.answer(f"{weight} {turns.strip()}")
 
@@ -190,22 +202,25 @@ class Balancing:
         """Take the last turn back; returns what was done. May wait for the command."""
         job = self._job
         if job is None:
-            job = self._desk.start(_NAME, "--forget-last")
+            job = self._desk.start(_NAME, "--forget-last", "--json")
             job.wait()
             if job.status:
                 raise RigError(job.problem)
-        elif not _asks(job):
+        elif not job.asks:
             raise ConfigurationError("wait for the end of the measurement")
         else:
             job.answer(_FORGET)
-        return "the last turn is taken out of the history; rig balance --history shows what is left"
+            deadline_s = time.monotonic() + _READ_WITHIN_S
+            while not _forgotten(job) and time.monotonic() < deadline_s:
+                time.sleep(_LOOK_S)
+        return _forgotten(job) or "the command has not said whether the turn is forgotten"
 
     def end(self) -> None:
         """End the command; a measurement that is not finished is discarded."""
         job = self._job
         if job is None:
             return
-        if _asks(job):
+        if job.asks:
             job.answer(_END)
             job.ending = True
         else:
@@ -217,6 +232,11 @@ class Balancing:
         return found if found is not None and found.running else None
 
 
-def _asks(job: Job) -> bool:
-    """Whether the command waits for an answer."""
-    return bool(job.lines) and job.lines[-1]["kind"] == "ask"
+def _forgotten(job: Job) -> str:
+    """What the command has said of a turn that it was asked to forget; empty before."""
+    for line in reversed(list(job.lines)):
+        if line.get("kind") == "answer":
+            break
+        if "forgotten" in line:
+            return str(line["forgotten"])
+    return ""

@@ -82,6 +82,11 @@ class SessionNews:
         """Set the state of the run as displayed: values for programs, and rows of text."""
         self._values |= {"state": values, "rows": rows}
 
+    @property
+    def phase(self) -> str:
+        """The phase of the run; empty before any."""
+        return str(self._values["state"].get("phase") or "")
+
     def waits(self, what: str) -> None:
         """Set the state between two runs: that of the last run, and what the next one waits for."""
         self._values["state"] = {**self._values["state"], "progress": what}

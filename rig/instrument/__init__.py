@@ -16,6 +16,7 @@ from rig.instrument.balance import (
     pendulum_on_ball,
     run_balance_verdicts,
     sensor_room,
+    swing_text,
     turn_text,
 )
 from rig.instrument.beam_verdict import BEAM_CORRECTED, NO_STRAY_LIGHT, BeamCorrection, beam_quality

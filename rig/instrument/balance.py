@@ -70,6 +70,8 @@ def check_materials(config: Configuration) -> None:
             raise ConfigurationError(f"pendulum: {error} under [materials.NAME]") from None
 
 
+_FREE_ARCSEC: Final = 1e3
+"""Amplitude in arcsec above which a limit of the swing limits nothing."""
 PLANE_OF_SWING: Final = "plane of swing"
 """Name of the condition that the plane of swing must not turn."""
 _MIN_EXCESS_U: Final = 2.0
@@ -245,14 +247,15 @@ def turn_text(turn: Turn | Unreachable | None, checks: Sequence[BalanceCheck]) -
         parts = ", then ".join(
             f"{abs(part):.2f} turns {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn.parts
         )
-        swing = (
-            f"; then let it swing by at most {turn.swing_arcsec:.0f} arcsec"
-            if turn.swing_arcsec < 1e3
-            else ""
-        )
-        return f"turn weight {turn.weight}: {parts} ({turn.why}){swing}"
+        swing = swing_text(turn.swing_arcsec)
+        return f"turn weight {turn.weight}: {parts} ({turn.why}){swing and f'; {swing}'}"
     verdict = _checks_line(checks)
     return verdict if all(check.ok for check in checks) else f"the weights are right; still {verdict}"
+
+
+def swing_text(swing_arcsec: float) -> str:
+    """How far the pendulum may swing after a turn; empty if any swing stays on the sensor."""
+    return f"then let it swing by at most {swing_arcsec:.0f} arcsec" if swing_arcsec < _FREE_ARCSEC else ""
 
 
 def _checks_line(checks: Sequence[BalanceCheck]) -> str:

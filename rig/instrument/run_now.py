@@ -28,7 +28,8 @@ from processing.units import seconds
 
 _MAX_KNOWN_U_PPM = 100.0
 """Largest u of a known rate: any quartz is right within this, so that a rate known no better says nothing."""
-
+_LONGEST_WAIT_PERIODS = 3.0
+"""Periods without a further half-cycle after which an amplitude is old: each is known half a period late."""
 
 U_FREE_RUNNING: Final = 50e-6
 """Relative standard uncertainty of a computer's free-running quartz oscillator."""
@@ -145,8 +146,8 @@ class RunNow:
     the state of laser and controller in words, `beam` the model fitted to the spot, `clock` the rate of the
     camera's clock against the computer's, `alarm` a fault of light or disk, empty without one,
     `disk_silent_s` the time for which a write has hung. Amplitude and period are those of the last half-cycle
-    without a flag. `estimates` are the contact's parameters by key, from the first `estimated_from`
-    half-cycles; empty before the first fit.
+    without a flag, which turned `amplitude_s` after the first frame. `estimates` are the contact's parameters
+    by key, from the first `estimated_from` half-cycles; empty before the first fit.
     """
 
     phase: Phase = Phase.WAITING
@@ -157,6 +158,7 @@ class RunNow:
     lost_spots: int = 0
     half_cycles: int = 0
     amplitude: float = math.nan
+    amplitude_s: float = math.nan
     period_s: float = math.nan
     queue_frames: int = 0
     frame_age_s: float = math.nan
@@ -191,6 +193,12 @@ class RunNow:
         """Whether nothing is recorded yet."""
         return self.phase in (Phase.REST, Phase.WARM_UP, Phase.PREFLIGHT, Phase.RELEASE)
 
+    @property
+    def no_swing_s(self) -> float:
+        """Time in s since the half-cycle of the amplitude, if others should have followed; 0 if not."""
+        since_s = self.elapsed_s - self.amplitude_s
+        return since_s if since_s > _LONGEST_WAIT_PERIODS * self.period_s else 0.0
+
     def for_new_record(self) -> "RunNow":
         """The state at the beginning of a record, without values of the record of a rejected start."""
         rig_fields = ("phase", "temperature_c", "humidity_percent", "pressure_pa")
@@ -208,6 +216,7 @@ class RunNow:
             changes["half_cycles"] = self.half_cycles + len(contents.swings)
         if good := [swing for swing in contents.swings if not swing.flags]:
             changes["amplitude"] = good[-1].amplitude / unit.shown_size
+            changes["amplitude_s"] = seconds(good[-1].turn_time_ns - contents.start_ns)
         if periods_s := [2.0 * one.half_period_s for one in good if math.isfinite(one.half_period_s)]:
             changes["period_s"] = periods_s[-1]
         if contents.balances:

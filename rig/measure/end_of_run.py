@@ -179,14 +179,15 @@ def session_summary(folder: Path) -> SessionSummary:
         results = read_results(folder)
     except RigError as error:
         return replace(summary, next_steps=[*steps, str(error)])
-    run = results.runs[-1]
+    # a run that was stopped too early hides no result of one before it
+    run = next((one for one in reversed(results.runs) if not one.problem), results.runs[-1])
     whole = whole_result(run, results.series)
     unmet = [f"{one.name}: {one.judgement_text}" for one in run.conditions if not one.ok or one.remedy]
-    no_fit = [f"no fit: {run.problem}"] if run.problem else []
+    no_fit = [f"no fit of {one.record}: {one.problem}" for one in results.runs if one.problem]
     return replace(
         summary,
-        headline="" if no_fit else whole.text,
-        of="" if no_fit else whole.of,
+        headline="" if run.problem else whole.text,
+        of="" if run.problem else whole.of,
         limits=whole.limits,
         next_steps=[*steps, *whole.next_steps],
         others=[(row.shown.label, row.text) for row in run.contact],

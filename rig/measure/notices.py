@@ -1,6 +1,7 @@
 """Notifies absent people of an alarm, the end or the failure of a session, by calling a command."""
 
 import datetime
+import shutil
 import subprocess
 import threading
 import time
@@ -175,6 +176,16 @@ class PreflightWait:
         if not self._since:
             return []
         return [f"waited from {self._since} for {self._run_waited_s / 60:.0f} min: {self._last}"]
+
+
+def check_notices(config: Configuration) -> None:
+    """Raise ConfigurationError if there is no such program: its first notice would be that of an alarm."""
+    command = config.session.notify_command
+    if command and shutil.which(command[0]) is None:
+        raise ConfigurationError(
+            f"session.notify_command: no program {command[0]!r} is found; state its whole path, and make it "
+            "executable"
+        )
 
 
 def check_waiting(config: Configuration) -> None:

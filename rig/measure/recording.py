@@ -362,7 +362,8 @@ class Recording:
         """Messages on the state of the session that have changed since the last call."""
         counts, recorder, clock = self._counts, self._recorder, self._readings.clock
         now_ns = counts.last_ns
-        lost = counts.lost_text if phase is Phase.MEASURING else ""
+        # where the laser is dark nobody needs to look for the spot
+        lost = "" if phase is not Phase.MEASURING or self._status.light.alarm else counts.lost_text
         if lost:
             lost += f" rig camera align {self._parts.plan.config.command_words}"
         health = RecordedHealth(

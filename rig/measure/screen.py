@@ -178,6 +178,7 @@ class RunDisplay:
             "remaining_s": left_s,
             "u_remaining_s": u_s,
             "at_most_s": self._time_to_limit_s(now),
+            "no_swing_s": now.no_swing_s,
             **self._numbers(now.balance),
         }
         fields = asdict(replace(now, balance=None))
@@ -189,17 +190,18 @@ class RunDisplay:
         unit, balance = self.unit.shown, now.balance
         who = f" ({now.losses})" if now.losses.total else ""
         losses = f"{now.dropped_frames} frames dropped{who}, {now.lost_spots} spots lost"
+        camera = f"{self._rates.frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"
         if now.before_record:
-            losses = "counted from the record on"
+            losses = camera = "counted from the record on"
         rows = [
             ("elapsed", f"{_clock(now.elapsed_s)}, {now.half_cycles} half-cycles"),
             self._prediction(now),
-            ("amplitude", _number(now.amplitude, ".3f", unit)),
+            ("amplitude", _number(now.amplitude, ".3f", unit) + _old(now)),
             ("period", _number(now.period_s, ".5f", "s")),
             *estimate_rows(now, self.stop_when),
             ("transverse", self._transverse(balance)),
             ("rest position", self._rest(balance)),
-            ("camera", f"{self._rates.frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"),
+            ("camera", camera),
             ("clock", now.clock.text or "-"),
             ("beam", now.beam or "-"),
             ("losses", f"{losses}, {now.queue_frames} waiting"),
@@ -295,11 +297,16 @@ class RunDisplay:
         return max(of_time, min(1.0, done / math.log(self._initial / self._final)))
 
     def _plain_line(self, now: RunNow) -> str:
-        amplitude = "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self.unit.shown}  "
-        losses = f"{now.dropped_frames} dropped, {now.lost_spots} lost"
+        amplitude = (
+            "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self.unit.shown}{_old(now)}  "
+        )
+        counted = f"{now.frames} frames ({now.dropped_frames} dropped, {now.lost_spots} lost)"
+        if now.before_record:
+            # frames are counted from the record on
+            counted = ""
         tail = f"  {now.reason}" if now.reason else ""
         phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
-        return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{now.frames} frames ({losses}){tail}"
+        return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{counted}{tail}".rstrip()
 
 
 def _clock(seconds: float) -> str:
@@ -312,6 +319,11 @@ def _clock(seconds: float) -> str:
 
 def _number(value: float, shape: str, unit: str) -> str:
     return "-" if math.isnan(value) else f"{value:{shape}} {unit}"
+
+
+def _old(now: RunNow) -> str:
+    """How old the amplitude is, where it is older than it should be."""
+    return f" (no swing for {now.no_swing_s:.0f} s)" if now.no_swing_s else ""
 
 
 def _age(now: RunNow) -> str:

@@ -21,7 +21,7 @@ from rig.analysis import (
 from rig.devices import Devices, OrderSocket, SessionNews, safety_values
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
-from rig.measure.notices import Notices, PreflightWait, announced, check_waiting
+from rig.measure.notices import Notices, PreflightWait, announced, check_notices, check_waiting
 from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
 from rig.measure.run import measure_run, ready_for_frames
@@ -74,6 +74,7 @@ def checked(config: Configuration) -> Configuration:
     check_materials(config)
     check_stop_when(config)
     check_waiting(config)
+    check_notices(config)
     return config
 
 
@@ -170,7 +171,8 @@ def make_runs(
     """
     folder, session_news = file.folder, SessionNews()
     notes = Notes(folder, config.session.operator)
-    socket = OrderSocket(folder, session_news, orders(devices, notes), lambda: safety_values(devices))
+    told = orders(devices, notes, session_news)
+    socket = OrderSocket(folder, session_news, told, lambda: safety_values(devices))
     with socket as watched, _interrupts_noted(file):
         if watched.problem:
             say(watched.problem)

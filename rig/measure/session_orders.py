@@ -20,6 +20,7 @@ from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.control import LightRefused
 from rig.devices import AuditEntry, Devices, Orders, SessionNews, ask_leave, at_terminal, wait_for_command
+from rig.instrument import Phase
 from rig.settings import Configuration
 
 NOTES_NAME = "notes.jsonl"
@@ -75,8 +76,11 @@ class Notes:
 _CHECK_INTERVAL_S = 0.1
 
 
-def orders(devices: Devices, notes: Notes) -> Orders:
-    """The orders by name; `stop` acts like Ctrl-C, `acknowledge` takes the trip's number and the person."""
+def orders(devices: Devices, notes: Notes, session_news: SessionNews) -> Orders:
+    """The orders by name; `stop` acts like Ctrl-C, `acknowledge` takes the trip's number and the person.
+
+    `brake on` is refused while a decay is recorded, because a brake would end it unseen.
+    """
 
     def stop(_: str) -> str:
         _thread.interrupt_main()
@@ -85,6 +89,8 @@ def orders(devices: Devices, notes: Notes) -> Orders:
     def brake(value: str) -> str:
         if value not in ("on", "off"):
             raise RigError(f"brake {value!r}: should be on or off")
+        if value == "on" and session_news.phase == Phase.MEASURING:
+            raise RigError("the brake would spoil the decay that is being recorded: stop the run first")
         wait_for_command(devices.required_control("the brake").submit(lambda c: c.brake(value == "on")))
         devices.audit(AuditEntry.BRAKE, "ordered", on=value == "on")
         return f"brake {value}"

@@ -31,7 +31,7 @@ from rig.instrument import (
 from rig.prepare.dialogue import Reporter
 from rig.prepare.learned_turns import BalanceMeasurement, LearnedTurns, forget_last_turn, show_turns
 from rig.settings import Configuration
-from rig.terminal import say
+from rig.terminal import answer, say
 from rig.view import ScratchView
 
 _BAD_SPOT = SpotFlag.LOST | SpotFlag.EDGE
@@ -101,7 +101,9 @@ def measure(
     view: BalanceView,
     swing_arcsec: float = math.inf,
 ) -> BalanceMeasurement:
-    """Measure the balance over some periods; `show` is called with each balance.
+    """Measure the balance until all of it is known, or `balance.seconds` have passed.
+
+    `show` is called with each balance.
 
     The starter or magnet that starts runs also starts this swing, the starter with at most `swing_arcsec`.
     Raises DataError without frames, DeviceError if the laser goes dark or the camera fails.
@@ -147,7 +149,9 @@ def measure(
                 for balance in block.balances:
                     found = balance
                     show(balance)
-                if frames[-1].time_ns >= end_ns:
+                # the turning of the line is the last that becomes known
+                whole = found is not None and math.isfinite(found.rotation_rad_per_s)
+                if whole or frames[-1].time_ns >= end_ns:
                     break
         finally:
             devices.darken()
@@ -225,7 +229,9 @@ def show_history(config: Configuration, stated: Path | None, *, forget: bool) ->
     config = complete(config)
     path = history_path(config, stated)
     if forget:
-        say(forget_last_turn(path))
+        said = forget_last_turn(path)
+        say(said)
+        answer(forgotten=said)
     show_turns(config, path)
 
 
@@ -286,10 +292,12 @@ def balance_rig(
             else:
                 advice = session.advice()
                 reporter.report_measurement(session.checks, session.before, advice)
-                ended, turn = advice is None, advice if isinstance(advice, Turn) else None
+                # what no weight cures is wrong all the same
+                ended = advice is None and all(check.ok for check in session.checks if check.is_known)
+                turn = advice if isinstance(advice, Turn) else None
                 swing_arcsec = math.inf if turn is None else turn.swing_arcsec
             if operator is None or not follow:
-                stated_turn = _ask(session, devices, reporter)
+                stated_turn = _ask(session, devices, reporter, is_sound=not why)
                 if stated_turn is None:
                     return 0 if ended else 1
                 if operator is not None and stated_turn.weight:
@@ -321,27 +329,32 @@ _MAX_TURNS = 50.0
 _NO_TURN = Turn("", 0.0, "")
 
 
-def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | None:
-    """Ask the operator for the turn made; returns a turn without a weight for none, None to end."""
+def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter, *, is_sound: bool) -> Turn | None:
+    """Ask the operator for the turn made; returns a turn without a weight for none, None to end.
+
+    The advice after a measurement that `is_sound` is given again if a turn is forgotten on which it rests.
+    """
     while True:
         try:
-            answer = reporter.ask().split()
+            words = reporter.ask().split()
         except (EOFError, KeyboardInterrupt):
             return None
-        if not answer or answer == ["m"]:
+        if not words or words == ["m"]:
             return _NO_TURN
-        if answer[0] == "q":
+        if words[0] == "q":
             return None
-        if answer[0] == "f":
-            session.forget()
+        if words[0] == "f":
+            reporter.report_forgotten(session.forget())
+            if is_sound:
+                reporter.report_measurement(session.checks, session.before, session.advice())
             continue
         try:
-            weight, parts = answer[0].lower(), [float(word) for word in answer[1:]]
+            weight, parts = words[0].lower(), [float(word) for word in words[1:]]
             if weight not in WEIGHTS or not parts or not all(abs(part) <= _MAX_TURNS for part in parts):
                 raise ValueError
         except ValueError:
             reporter.report_invalid(
-                f"{' '.join(answer)!r}: should be a weight ({', '.join(WEIGHTS)}) and its turns, up to "
+                f"{' '.join(words)!r}: should be a weight ({', '.join(WEIGHTS)}) and its turns, up to "
                 f"{_MAX_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
             )
             continue

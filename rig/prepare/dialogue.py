@@ -2,14 +2,14 @@
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
 from processing.balance import BalanceCheck, Turn, Unreachable
 from processing.deflections import Deflections
-from rig.instrument import turn_text
+from rig.instrument import swing_text, turn_text
 from rig.terminal import (
     NOT_KNOWN,
     Table,
@@ -23,6 +23,8 @@ from rig.terminal import (
 
 _MAX_LIVE_PIECES = 40
 _MAX_TRAJECTORY_POINTS = 1000
+_WHOLE = ("found", "rejected", "wrong", "ask")
+"""Kinds of the lines after which no measurement is under way."""
 _BACKLASH_NOTE = "the second turn takes the play out of the screw"
 
 
@@ -69,7 +71,7 @@ class BalanceDialogue:
 def balance_dialogue(
     lines: Sequence[Mapping[str, Any]], output: Sequence[str], *, running: bool, failed: bool
 ) -> BalanceDialogue:
-    """The dialogue from the JSON lines that the command has printed, and other `output`.
+    """The dialogue from the JSON lines that the command has printed, answers to it, and other `output`.
 
     Parameters
     ----------
@@ -83,7 +85,9 @@ def balance_dialogue(
         else BalanceStage.FAILED if failed
         else BalanceStage.ENDED
     )  # fmt: skip
-    last = _last_line(lines, "found", "rejected")
+    # what is advised for a state that has been changed since must not be done again
+    is_whole = not lines or lines[-1]["kind"] in _WHOLE or lines[-1].get("text") == "q"
+    last = _last_line(lines, "found", "rejected") if is_whole or stage is BalanceStage.MEASURING else {}
     judged = _last_line(lines, "live") if stage is BalanceStage.MEASURING else last
     faults = judged.get("faults") or _last_line(lines, "found").get("faults") or []
     x, y = _trajectory(lines, whole=stage is not BalanceStage.MEASURING)
@@ -107,7 +111,7 @@ def _advice(
             f"{abs(part):.2f} turns {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
         )
         return f"Turn weight {turn['weight']}: {parts}", "; ".join(
-            filter(None, (why, hint, str(turn["why"]), _BACKLASH_NOTE if len(turn["parts"]) > 1 else ""))
+            filter(None, (why, hint, str(turn["why"]), *_cautions(turn)))
         )
     if last.get("kind") == "rejected":
         return "Measure again", "; ".join(filter(None, (why, hint)))
@@ -116,6 +120,14 @@ def _advice(
         # an unmeasured quantity may still be wrong
         return "Measure again, with a larger swing", f"not known yet: {', '.join(unknown)}"
     return (text[:1].upper() + text[1:] or "Measure"), ""
+
+
+def _cautions(turn: Mapping[str, Any]) -> Iterator[str]:
+    """What to heed when a turn is made."""
+    if len(turn["parts"]) > 1:
+        yield _BACKLASH_NOTE
+    if turn["swing_arcsec"] is not None:
+        yield swing_text(turn["swing_arcsec"])
 
 
 def _last_line(lines: Sequence[Mapping[str, Any]], *kinds: str) -> Mapping[str, Any]:
@@ -128,8 +140,9 @@ def _trajectory(
     """The last seconds of the trajectory, or all of the last measurement if `whole`, thinned."""
     since = 0
     if whole:
+        drawn = [k for k, one in enumerate(lines) if one["kind"] == "trajectory"]
         ends = [k for k, one in enumerate(lines) if one["kind"] in ("found", "rejected")]
-        since = ends[-2] if len(ends) > 1 else 0
+        since = max((end for end in ends if drawn and end < drawn[-1]), default=0)
     pieces = [one for one in lines[since:] if one["kind"] == "trajectory"]
     pieces = pieces if whole else pieces[-_MAX_LIVE_PIECES:]
     x, y = ([value for piece in pieces for value in piece[axis]] for axis in ("x", "y"))
@@ -202,6 +215,10 @@ class Reporter:
         """Report an invalid answer."""
         say(problem)
 
+    def report_forgotten(self, text: str) -> None:
+        """Report which turn was forgotten."""
+        say(text)
+
 
 class InJsonLines(Reporter):
     """Reports to a program: a JSON object on each line of stdout, answers line by line on stdin."""
@@ -239,6 +256,9 @@ class InJsonLines(Reporter):
 
     def report_invalid(self, problem: str) -> None:
         print_json_line("wrong", {"problem": problem})
+
+    def report_forgotten(self, text: str) -> None:
+        print_json_line("forgotten", {"forgotten": text})
 
 
 def _check_values(one: BalanceCheck) -> dict[str, Any]:

@@ -274,10 +274,11 @@ class LearnedTurns:
         """Store the turns made, in sequence; their effect is learned from the next sound measurement."""
         self._noted_turns.append((weight, tuple(parts)))
 
-    def forget(self) -> None:
-        """Discard the last learned turn."""
-        say(forget_last_turn(self._path))
+    def forget(self) -> str:
+        """Discard the last learned turn; returns a message."""
+        said = forget_last_turn(self._path)
         self._relearn()
+        return said
 
     def _learn(self, balance: Balance, state: Floats, u_state: Floats) -> None:
         weights = {name for name, _ in self._noted_turns}
@@ -343,4 +344,4 @@ class LearnedTurns:
             self.responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
             used += 1
         if used:
-            say(f"{self._path}: {used} turns of earlier sessions are used")
+            say(f"{self._path}: turns that are used: {used}")

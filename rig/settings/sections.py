@@ -122,7 +122,11 @@ class WeightSettings(BaseModel, frozen=True, extra="forbid"):
 class BalanceSettings(BalanceLimits):
     """Balancing: limits, and properties of the weights. `rig balance` learns the effect of a turn."""
 
-    seconds: float = Field(default=14.0, gt=9, description="length of one measurement, about three periods")
+    seconds: float = Field(
+        default=30.0,
+        gt=9,
+        description="longest time of one measurement, which ends after six periods, once the spin is known",
+    )
     inertia_kg_m2: float | None = Field(
         default=None, gt=0, description="about the contact; needed for the height of mass centre"
     )

@@ -60,7 +60,8 @@ class Verdict:
             "NO-GO" if not self.ok else "caution" if self.remedy else "go" if self.made else "not checked"
         )
         why = "; ".join(text for text in (self.reason, self.remedy) if text)
-        return f"{judged}, {self.measured}" + (f": {why}" if why else "")
+        found = f"{judged}, {self.measured}" if self.measured else judged
+        return f"{found}: {why}" if why else found
 
 
 def failures(verdicts: Sequence[Verdict]) -> str:

@@ -14,7 +14,7 @@ from unittest.mock import patch
 from processing.errors import RigError
 from rig.control import rig_state_path, state_folder
 from rig.control.presses import Presses
-from rig.devices import acknowledgement
+from rig.devices import SessionNews, acknowledgement
 from rig.measure import session_orders
 from rig.measure.session_orders import Notes
 from tests.benchmarks.safety_world import (
@@ -87,7 +87,7 @@ def acknowledge(world: World) -> None:
     right = world.random.random() < 0.7
     number = trip.number if right else trip.number + world.random.choice([-1, 1, 7])
     with patched_wait(program), suppress(RigError):
-        session_orders.orders(program, Notes(Path(), ""))["acknowledge"](f"{number}")
+        session_orders.orders(program, Notes(Path(), ""), SessionNews())["acknowledge"](f"{number}")
         acknowledged(world, right)
 
 

@@ -32,6 +32,8 @@ def build(desk: Desk, tab: Tab) -> None:
 
     def turned() -> None:
         balancing.turned(str(weight.value), str(turns.value or ""))
+        # a turn that was noted must not stand there as one that is yet to be noted
+        turns.set_value("")
 
     with ui.element("div").classes("at-once"):
         with ui.row().classes("box full-width items-start no-wrap told"):

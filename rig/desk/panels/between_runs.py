@@ -110,30 +110,35 @@ NEXT_RUN = "next-run"
 
 def build_result(desk: Desk, tab: Tab) -> None:
     """Add what the last session hands over; nothing without one."""
-    over: SessionSummary | None = None
+    over: tuple[SessionSummary | None, bool, str] = None, False, ""
 
     async def look() -> None:
         nonlocal over
         if not desk.following.running:
-            over = await run.io_bound(desk.last_summary)
+            over = await run.io_bound(desk.last_summary), desk.fits_last, desk.start_problem
 
-    def draw(drawn: SessionSummary | None) -> None:
-        if drawn is not None:
-            _result(desk, tab, drawn)
+    def draw(drawn: tuple[SessionSummary | None, bool, str]) -> None:
+        summary, is_fitted_now, problem = drawn
+        if summary is not None:
+            _result(desk, tab, summary, is_fitted_now)
+        elif problem:
+            # without a record a session leaves nothing but its words
+            _failure(desk, problem)
 
     tab.every(1.0, look)
     tab.drawn(lambda: over, draw)
 
 
-def _result(desk: Desk, tab: Tab, over: SessionSummary) -> None:
+def _result(desk: Desk, tab: Tab, over: SessionSummary, is_fitted_now: bool) -> None:
     def fit() -> None:
         fit_again(desk, over.folder)
         ui.notify(f"rig fit {over.folder.name} runs; what it says is below the list of sessions")
 
     ended, kind = ("no run made", "no") if over.ended is None else (over.ended, _KINDS.get(over.ended, "no"))
-    steps = [f"<li><b>{html.escape(step)}</b></li>" for step in over.next_steps]
+    no_result = "its report is being made" if is_fitted_now else "no result"
+    next_steps = () if is_fitted_now else over.next_steps
+    steps = [f"<li><b>{html.escape(step)}</b></li>" for step in next_steps]
     steps += [f"<li>{html.escape(remark)}</li>" for remark in over.remarks]
-    last_words = "<br>".join(map(html.escape, desk.last_words()))
     bars = [
         tables.LimitBar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim") for one in over.limits
     ]
@@ -142,26 +147,43 @@ def _result(desk: Desk, tab: Tab, over: SessionSummary) -> None:
             _html(
                 f"<span role='status'>{tables.span(ended, f'advice {kind}')}</span> "
                 + tables.span(f"{over.folder.name}: {over.progress_text}", "dim")
-                + tables.span(over.headline or "no result", "advice", "div")
+                + tables.span(over.headline or no_result, "advice", "div")
                 + tables.span(over.of and f"the uncertainty is of {over.of}", "dim", "div")
-                + (f"<ul>{''.join(steps)}</ul>" if steps else "<div>nothing can be done about it</div>")
+                + ("" if is_fitted_now else _listed(steps))
             )
             with ui.row():
                 if over.report is not None:
                     show = partial(open_in_browser_tab, desk, over.report)
                     ui.button("Report", on_click=show).props('outline size="lg"')
-                if not over.headline:
+                if not over.headline and not is_fitted_now:
                     # a run that has failed has a record, too
                     tab.button("Fit", fit, 'outline size="lg"')
                 to_next = f"document.getElementById('{NEXT_RUN}').scrollIntoView({{block: 'start'}})"
                 ui.button("Next run").props('outline size="lg"').on("click", js_handler=f"() => {to_next}")
-            _html(
-                (tables.table(over.others, "all parameters") if over.others else "")
-                + f"<details><summary>its last words</summary><div class='dim'>{last_words}</div></details>"
-            )
+            _html((tables.table(over.others, "all parameters") if over.others else "") + _last_words(desk))
         if over.limits:
             with box("what limits it"):
                 _html(tables.bars(bars, "sources of the uncertainty, by their share"))
+
+
+def _failure(desk: Desk, problem: str) -> None:
+    folder = desk.session_folder
+    with box("the last session"):
+        _html(
+            f"<span role='status'>{tables.span('failed', 'advice no')}</span> "
+            + tables.span(folder.name if folder is not None else "", "dim")
+            + tables.span(problem, "no", "div")
+            + _last_words(desk)
+        )
+
+
+def _last_words(desk: Desk) -> str:
+    last_words = "<br>".join(map(html.escape, desk.last_words()))
+    return f"<details><summary>its last words</summary><div class='dim'>{last_words}</div></details>"
+
+
+def _listed(steps: list[str]) -> str:
+    return f"<ul>{''.join(steps)}</ul>" if steps else "<div>nothing can be done about it</div>"
 
 
 def _html(content: str) -> None:

@@ -83,7 +83,10 @@ def _build_numbers(desk: Desk, tab: Tab) -> None:
         return f"{float(value):.2f}{tables.span(f' {following.unit}', 'unit')}"
 
     def remark() -> str:
-        if why := _why_blind(desk):
+        why = _why_blind(desk)
+        if not why and (no_swing_s := float(_run_state(desk).get("no_swing_s") or 0.0)):
+            why = f"no swing for {no_swing_s:.0f} s"
+        if why:
             return f"{why}: values are old" if _run_state(desk).get("amplitude") is not None else why
         return "" if _run_state(desk).get("phase") == Phase.MEASURING else "nothing recorded yet"
 
@@ -114,6 +117,8 @@ def _build_numbers(desk: Desk, tab: Tab) -> None:
             brake,
             'outline size="lg"',
             seen=lambda: following.safety.controller is not None,
+            # a brake would end the decay unseen: the session refuses it, too
+            enabled=lambda: brake_is_on() or _run_state(desk).get("phase") != Phase.MEASURING,
         )
 
 

@@ -179,6 +179,15 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, step: Callable[[
     """A row for one setting: field, Set, for the exposure Auto, and a step down (-1) and up (1)."""
     what, key = label.partition(" ")[0], f"camera.{name}"
 
+    def ask(wish: Callable[[CameraSettings], CameraSettings]) -> None:
+        aligner_of(desk).wish(wish)
+        # empty, the field says what the camera has now
+        field.set_value("")
+
+    def auto() -> None:
+        aligner_of(desk).wish_exposure()
+        field.set_value("")
+
     def small(text: str, do: Handler, words: str) -> None:
         tab.button(
             text,
@@ -194,7 +203,7 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, step: Callable[[
         if fault := desk.fault(key, value):
             raise ConfigurationError(fault)
         wanted = CameraSettings.model_validate({name: value})
-        aligner_of(desk).wish(lambda _: wanted)
+        ask(lambda _: wanted)
 
     def turned(sense: int) -> None:
         def wanted(applied: CameraSettings) -> CameraSettings:
@@ -205,7 +214,7 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, step: Callable[[
                 )
             return CameraSettings.model_validate({name: step(stated, sense)})
 
-        aligner_of(desk).wish(wanted)
+        ask(wanted)
 
     def hint() -> None:
         value = None if desk.aligner is None else getattr(desk.aligner.applied, name)
@@ -219,7 +228,7 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, step: Callable[[
         tab.keep(hint)
         small("Set", typed, f"Set {label}")
         if name == "exposure_us":
-            small("Auto", lambda: aligner_of(desk).wish_exposure(), "Auto exposure")
+            small("Auto", auto, "Auto exposure")
         small("-", partial(turned, -1), f"smaller {what}")
         small("+", partial(turned, 1), f"larger {what}")
 

@@ -11,6 +11,8 @@ new MutationObserver(() => {
 window.rigNumber = (value, unit) => {
   if (Array.isArray(value)) value = value[value.length - 1];
   if (value == null || !isFinite(value)) return '–';
+  // a mark at zero, after sums of steps
+  if (Math.abs(value) < 1e-12) value = 0;
   const number = Number(Number(value).toPrecision(6)).toString().replace('-', '−');
   return unit ? number + ' ' + unit : number;
 };

@@ -127,6 +127,12 @@ def test_dwell_and_age_are_counted_to_the_first_frame(measured_series: Path) -> 
         later = [f"session.contact_made={(began + timedelta(minutes=10)).isoformat()}"]
         (doubt,) = ambient_warnings(recorded_surroundings(reader, recorded_configuration(reader, later)))
         assert doubt == "session.contact_made lies 600 s after the run began: correct its date or offset"
+        exchanged = [
+            f"session.contact_made={cleaned.isoformat()}",
+            f"session.surfaces_cleaned={made.isoformat()}",
+        ]
+        (doubt,) = ambient_warnings(recorded_surroundings(reader, recorded_configuration(reader, exchanged)))
+        assert doubt.startswith("session.surfaces_cleaned lies 79200 s after session.contact_made")
         # the record's own texts, for who has no configuration
         assert recorded_surroundings(reader) == AmbientConditions()
 

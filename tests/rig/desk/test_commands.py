@@ -59,6 +59,18 @@ def test_balance_in_json_lines_tells_way_faults_and_advice_and_takes_answers(tmp
     assert {"name", "value", "u_value", "unit", "limit", "meaning", "ok"} == set(found["faults"][0])
 
 
+def test_a_line_that_turns_is_seen_in_one_measurement_and_is_no_success(tmp_path: Path) -> None:
+    spin = {"simulation.axes.spin_rad_per_s": "1e-4", "session.output": f"'{tmp_path.as_posix()}'"}
+    done = rig("balance", SIMULATED, *set_words({**SMALL, **spin}), typed="f\nq\n")
+    assert done.returncode == 1
+    assert "nothing learned yet" in done.stderr
+    # the advice is given again after a turn was to be forgotten
+    assert done.stdout.count("the weights are right; still out of limits: spin") == 2
+    (shown, _) = [line for line in done.stdout.splitlines() if line.startswith("NO  spin")]
+    # 1e-4 rad/s
+    assert abs(float(shown.split()[2]) - 0.3438) < 0.005
+
+
 def test_a_turn_that_is_stated_is_made_at_the_simulated_rig(tmp_path: Path) -> None:
     words = set_words({**SMALL, "balance.seconds": "16", "session.output": f"'{tmp_path.as_posix()}'"})
     done = rig("balance", SIMULATED, *words, typed="x 0.1\nq\n")

@@ -44,6 +44,8 @@ def dark(trip: LatchedTrip) -> Seen:
         (Seen(safety=replace(LIT, trip=PRESSED)), set()),
         (dark(PRESSED), set()),
         (dark(TRIP), {AlarmKey.TRIP}),
+        # acknowledged, and dark until somebody asks for light
+        (replace(dark(TRIP), safety=replace(LIT, light=Light.OFF, to_be_asked=True)), set()),
         (Seen(safety=replace(LIT, interlock=Loop.OPEN)), {AlarmKey.INTERLOCK}),
         (Seen(safety=replace(LIT, light=Light.DISAGREES)), {AlarmKey.LIGHT_DISAGREES}),
         (Seen(safety=replace(LIT, light_age_s=2.5), lit_by="the live picture"), {AlarmKey.LASER_UNKNOWN}),

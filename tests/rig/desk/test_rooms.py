@@ -59,41 +59,69 @@ def test_a_turn_is_stated_between_two_measurements_only(desk: Desk, monkeypatch:
 
 
 ECHO = """
-import json, sys
-print(json.dumps({"kind": "trajectory"}), flush=True)
+import json, sys, time
+from pathlib import Path
+print(json.dumps({"kind": "trajectory", "x": [1.0], "y": [2.0]}), flush=True)
+while not Path(sys.argv[1]).exists():
+    time.sleep(0.02)
+print(json.dumps({"kind": "ask"}), flush=True)
 for line in sys.stdin:
-    print(json.dumps({"kind": "ask", "heard": line.rstrip()}), flush=True)
+    time.sleep(0.2)
+    heard = line.rstrip()
+    said = {"forgotten": "nothing learned yet"} if heard == "f" else {}
+    print(json.dumps({"kind": "heard", "heard": heard, **said}), flush=True)
+    print(json.dumps({"kind": "ask"}), flush=True)
 """
-"""Stands for `rig balance --json`: measures until it hears something, asks, and says what it was told."""
+"""Stands for `rig balance --json`: measures until a file is there, then says what it was told, and asks."""
 
 
 def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_for(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, **how))
+    over = tmp_path / "over"
+    monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, str(over), **how))
     job = desk.jobs["balance"] = jobs.Job(["balance"], uses_camera=True)
     until(lambda: bool(job.lines))
     with pytest.raises(ConfigurationError, match="first measure"):
         desk.balancing.turned("x", "0.5")
     with pytest.raises(ConfigurationError, match="wait for the end"):
         desk.balancing.forget()
-    job.answer("the measurement is over")
-    until(lambda: len(job.lines) == 2)
-    for count, do in enumerate(
-        (
-            lambda: desk.balancing.turned("x", " +0.5 "),
-            desk.balancing.measure,
-            desk.balancing.forget,
-            desk.balancing.end,
-        ),
-        start=3,
+    over.touch()
+    for do in (
+        lambda: desk.balancing.turned("x", " +0.5 "),
+        desk.balancing.measure,
+        desk.balancing.forget,
+        desk.balancing.end,
     ):
-        do()
-        until(lambda count=count: len(job.lines) == count)
-    assert [line["heard"] for line in list(job.lines)[2:]] == ["x +0.5", "", "f", "q"]
+        until(lambda: job.asks)
+        said = do()
+        assert said in (None, "nothing learned yet")
+        if said is None:
+            # the same press again, before the command has answered
+            assert not job.asks
+            assert desk.balancing.shown.stage is BalanceStage.MEASURING
+            job.answer("x +0.5")
+    until(lambda: job.asks)
+    assert [line["heard"] for line in job.lines if "heard" in line] == ["x +0.5", "m", "f", "q"]
     assert job.ending
     job.end()
     assert job.wait(50.0)
+    # what a person ended has not failed
+    assert desk.balancing.shown.stage is BalanceStage.ENDED
+
+
+def test_a_session_without_a_record_says_why_it_failed(desk: Desk, tmp_path: Path) -> None:
+    folder = tmp_path / "no-go"
+    folder.mkdir()
+    said = "rig: run 1 failed: preflight says no-go\nlaser off, confirmed by the controller\n"
+    (folder / jobs.MESSAGES_NAME).write_text(said, encoding="utf-8")
+    desk.started = start_python("-c", "raise SystemExit(1)"), folder
+    until(lambda: desk.start_failed)
+    assert desk.start_problem == "run 1 failed: preflight says no-go"
+    desk.alarming.start()
+    until(lambda: bool(desk.alarming.alarms.rows()))
+    (row,) = desk.alarming.alarms.rows()
+    assert row.cause == "no-go: run 1 failed: preflight says no-go"
 
 
 def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from rig.control import Interlock
 from rig.devices import (
     LOOPBACK,
     ORDERS_NAME,
+    Devices,
     NoSession,
     OrderConnection,
     OrderSocket,
@@ -30,6 +31,9 @@ from rig.devices import (
     running_sessions,
 )
 from rig.instrument import Block
+from rig.measure.session_orders import Notes, orders
+from rig.settings import load_configuration
+from tests.rig.command_line import CONFIGS
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
@@ -220,3 +224,13 @@ def test_a_session_at_the_port_of_a_killed_one_does_not_answer_for_it(
         (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps({**stated, "key": "00ff"}))
         with OrderConnection(tmp_path / "killed") as line, pytest.raises(NoSession, match="another program"):
             line.news()
+
+
+def test_a_brake_is_refused_while_a_decay_is_recorded(told: SessionNews, tmp_path: Path) -> None:
+    with Devices(load_configuration(CONFIGS / "live.toml")) as devices:
+        brake = orders(devices, Notes(tmp_path, ""), told)["brake"]
+        assert brake("on") == "brake on"
+        told.state({"phase": "measuring"}, [])
+        assert brake("off") == "brake off"
+        with pytest.raises(RigError, match="spoil the decay that is being recorded: stop the run first"):
+            brake("on")

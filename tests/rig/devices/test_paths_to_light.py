@@ -20,7 +20,7 @@ from rig.control import ControlService, LightRefused, Stage, TripCause
 from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
 from rig.desk.aligner import Aligner
-from rig.devices import Devices, LightWatch
+from rig.devices import Devices, LightWatch, SessionNews
 from rig.devices.acknowledgement import TypedAcknowledgement
 from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly
@@ -161,7 +161,7 @@ def preflight(config: Configuration, folder: Path) -> None:
 def ordered(config: Configuration, folder: Path) -> None:
     with Devices(config) as devices:
         devices.permit.begin()
-        orders(devices, Notes(folder, ""))["light"]("")
+        orders(devices, Notes(folder, ""), SessionNews())["light"]("")
 
 
 def typed(config: Configuration, folder: Path) -> None:
@@ -301,7 +301,7 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_the_end_of_the_ru
 
     def ask() -> None:
         try:
-            said.append(orders(devices, Notes(tmp_path, ""))["light"](""))
+            said.append(orders(devices, Notes(tmp_path, ""), SessionNews())["light"](""))
         except LightRefused as refused:
             said.append(str(refused))
 
@@ -324,7 +324,7 @@ def test_asked_for_after_the_last_run_the_order_promises_no_light(
     config: Configuration, tmp_path: Path
 ) -> None:
     with Devices(config) as devices:
-        light = orders(devices, Notes(tmp_path, ""))["light"]
+        light = orders(devices, Notes(tmp_path, ""), SessionNews())["light"]
         assert light("") == "the next run lights the laser"
         devices.lights_again = False
         with pytest.raises(LightRefused, match="no run follows that would light the laser"):
@@ -340,7 +340,7 @@ def test_the_last_run_of_a_session_is_followed_by_no_light(
 
     def see_dark(devices: Devices, camera: Any) -> None:
         try:
-            answers.append(orders(devices, Notes(tmp_path, ""))["light"](""))
+            answers.append(orders(devices, Notes(tmp_path, ""), SessionNews())["light"](""))
         except LightRefused as refused:
             answers.append(str(refused))
         usual(devices, camera)

@@ -22,6 +22,7 @@ from rig.control import SafetyState, Stage, light_permit
 from rig.control.simulated import SimulatedBoard
 from rig.devices import NoSession, OrderConnection, lit_devices
 from rig.devices.audit import check_log
+from rig.measure import recording
 from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, rig, set_words
 
 pytestmark = pytest.mark.timeout(300)
@@ -130,11 +131,14 @@ def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
         return apparatus.recording.is_set() and not apparatus.dark.is_set()
 
     monkeypatch.setattr(SimulatedBoard, "unplugged", unplugged)
+    monkeypatch.setattr(recording, "_MIN_LOST_S", 2.0)
     waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "8"}
     out = tmp_path / "out"
     with acting(lambda: watch_in_the_dark(out, asked)):
         done = rig("run", CONFIGS / "live.toml", "-o", out, *set_words(waiting))
     assert "laser off, confirmed by the controller" in done.stderr
+    # who is asked for light is not asked to look for the spot
+    assert "SPOT LOST" not in done.stderr
     kinds = [kind for kind, _ in events_of(out)]
     assert [kind for kind in kinds if kind in ("laser unknown", "laser dark")] == [
         "laser unknown",

@@ -1,5 +1,7 @@
 """What a session hands over: the result with its whole uncertainty, what limits it, what to do next."""
 
+import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -20,6 +22,18 @@ def test_a_result_with_what_limits_it_and_what_to_do() -> None:
     assert sum(one.share for one in found.limits) == pytest.approx(1.0, abs=0.05)
     assert found.next_steps == ["wait until the contact has settled, or state its history"]
     assert any("dropped frames" in one for one in found.remarks)
+
+
+def test_a_run_that_was_stopped_too_early_hides_no_result_before_it(tmp_path: Path) -> None:
+    folder = tmp_path / "two"
+    shutil.copytree(SAMPLES / "first", folder)
+    results = json.loads((folder / "results.json").read_text("utf-8"))
+    short = {**results["runs"][-1], "record": "run-2.mcap", "problem": "4 usable half-cycles"}
+    results["runs"].append(short)
+    (folder / "results.json").write_text(json.dumps(results), "utf-8")
+    found = session_summary(folder)
+    assert found.headline == session_summary(SAMPLES / "first").headline
+    assert "no fit of run-2.mcap: 4 usable half-cycles" in found.remarks
 
 
 def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:

@@ -69,6 +69,14 @@ def test_a_command_that_fails_is_said(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "ended with 3" in said
 
 
+def test_a_program_that_is_not_there_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
+    told = {"session.notify_command": '["no-such-program", "--urgent"]'}
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(told))
+    assert done.returncode == 2
+    assert "session.notify_command: no program 'no-such-program' is found" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_end_that_reached_nobody_is_told_again(tmp_path: Path) -> None:
     """The command fails in the night: who starts the session again in the morning is told then."""
     failing = program(tmp_path, KEEP, "sys.exit(1)")

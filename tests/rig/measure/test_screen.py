@@ -60,6 +60,21 @@ def test_without_a_lever_the_screen_says_px_and_knows_no_end() -> None:
     assert "to 2" not in shown
 
 
+def test_an_amplitude_that_no_half_cycle_follows_is_said_to_be_old() -> None:
+    """A pendulum that was stopped, or leaves the sensor, keeps its last amplitude."""
+    swinging = RunNow(Phase.MEASURING, elapsed_s=50.0, amplitude=123.0, amplitude_s=38.0, period_s=4.1)
+    assert "no swing" not in screen(swinging)
+    stopped = replace(swinging, elapsed_s=51.0)
+    assert "123.000 arcsec (no swing for 13 s)" in screen(stopped)
+    assert display(io.StringIO()).values(stopped)["no_swing_s"] == 13.0
+
+
+def test_before_the_record_no_frames_are_said_to_be_none() -> None:
+    resting = screen(RunNow(Phase.REST, frame_age_s=0.01))
+    assert "0 in all" not in resting
+    assert resting.count("counted from the record on") == 2
+
+
 def test_a_line_is_printed_when_the_phase_changes_and_not_for_its_progress() -> None:
     output = io.StringIO()
     shown = display(output, json_lines=True)

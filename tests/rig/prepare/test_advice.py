@@ -167,6 +167,20 @@ def test_the_advice_is_short_and_says_why_beside() -> None:
     assert shown.turn == turn
 
 
+def test_a_measurement_that_was_broken_off_advises_no_turn_that_has_been_made() -> None:
+    turn = {"weight": "x", "parts": [0.5], "why": "it leans", "swing_arcsec": 58.2}
+    told = [found(False, turn), ASK]
+    assert balance_dialogue(told, [], running=True, failed=False).detail == (
+        "it leans; then let it swing by at most 58 arcsec"
+    )
+    ended = balance_dialogue([*told, {"kind": "answer", "text": "q"}], [], running=False, failed=False)
+    assert ended.turn == turn
+    made = {"kind": "answer", "text": "x +0.5"}
+    for lines in ([*told, made], [*told, made, {"kind": "live", "faults": []}]):
+        broken_off = balance_dialogue(lines, [], running=False, failed=False)
+        assert (broken_off.advice, broken_off.turn) == ("Measure", None)
+
+
 def test_stages_and_answers_that_are_none() -> None:
     way = {"kind": "trajectory", "x": [1.0, None], "y": [2.0, None]}
     measuring = balance_dialogue([found(False), ASK, way], [], running=True, failed=False)
