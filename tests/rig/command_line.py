@@ -142,7 +142,7 @@ def verdicts_are_made(made: bool) -> Iterator[None]:
 
 @contextlib.contextmanager
 def live_fits_are_made(made: bool) -> Iterator[None]:
-    """Whether runs measured in this process are fitted meanwhile: by another, which loads the program anew."""
+    """Whether runs measured in this process are fitted meanwhile, by one that loads the program anew."""
     with patch("rig.measure.run.live_posterior", live_posterior if made else lambda _: None):
         yield
 
