@@ -16,7 +16,6 @@ from processing.errors import DataError
 from processing.fit import drag_verdict, identifiability
 from rig.analysis import contact_verdicts
 from rig.cli import main
-from rig.measure.posterior import live_posterior
 from rig.report import html, session_report
 from rig.report.drawing import png, svg
 from rig.settings import Configuration, load_configuration
@@ -137,13 +136,6 @@ def verdicts_are_made(made: bool) -> Iterator[None]:
         drag_verdict=drag_verdict if made else left_out,
         identifiability=identifiability if made else left_out,
     ):
-        yield
-
-
-@contextlib.contextmanager
-def live_fits_are_made(made: bool) -> Iterator[None]:
-    """Whether runs measured in this process are fitted meanwhile, by one that loads the program anew."""
-    with patch("rig.measure.run.live_posterior", live_posterior if made else lambda _: None):
         yield
 
 

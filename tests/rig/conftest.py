@@ -10,13 +10,7 @@ import pytest
 from rig.analysis import AnalysedRun, analyse_record
 from rig.measure.session import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import (
-    CONFIGS,
-    SMALL,
-    figures_are_drawn,
-    live_fits_are_made,
-    verdicts_are_made,
-)
+from tests.rig.command_line import CONFIGS, SMALL, figures_are_drawn, verdicts_are_made
 
 APPARATUS = (
     "lever.arm_m=1.0",
@@ -41,8 +35,8 @@ def rig_states(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
 
 @pytest.fixture(autouse=True, scope="module")
 def what_nobody_looks_at() -> Iterator[None]:
-    """A fit's verdicts, figures and live fits: for tests that want `verdicts`, `figures` or `live_fits`."""
-    with verdicts_are_made(False), figures_are_drawn(False), live_fits_are_made(False):
+    """A fit's verdicts, and figures, are made for tests that want `verdicts` or `figures`."""
+    with verdicts_are_made(False), figures_are_drawn(False):
         yield
 
 
@@ -61,10 +55,9 @@ def figures() -> Iterator[None]:
 
 
 @pytest.fixture
-def live_fits() -> Iterator[None]:
-    """For a test that looks at what is known of a run while it goes on."""
-    with live_fits_are_made(True):
-        yield
+def no_fits_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a test that looks at results alone: nothing is fitted while the run goes on."""
+    monkeypatch.setattr("rig.measure.run.live_posterior", lambda _: None)
 
 
 @pytest.fixture(scope="session")
@@ -82,7 +75,7 @@ def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
             source = CONFIGS / "demo.toml"
             small = (f"{key}={value}" for key, value in SMALL.items())
             wanted = (*small, "session.max_duration_s=70", "session.runs=2", *APPARATUS)
-            with verdicts_are_made(True), figures_are_drawn(True), live_fits_are_made(False):
+            with verdicts_are_made(True), figures_are_drawn(True):
                 assert measure_session(load_configuration(source, wanted), source, folder) == 0
             (shared / "series-is-whole").touch()
     return folder

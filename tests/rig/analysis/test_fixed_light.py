@@ -37,6 +37,7 @@ def measured(folder: Path, words: dict[str, str]) -> tuple[dict[str, Any], dict[
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_fits_meanwhile")
 def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(tmp_path: Path) -> None:
     run, said = measured(tmp_path / "run", REFLECTION)
     exact = run["fits"]["exact"]

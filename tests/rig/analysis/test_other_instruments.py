@@ -118,6 +118,7 @@ def test_koenig_series_with_its_glass_plate(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_fits_meanwhile")
 def test_two_balls_from_frames(tmp_path: Path) -> None:
     """The full model with half the load on each ball; truth within four standard uncertainties."""
     truth = {"b": 0.08, "c": 2e-6}

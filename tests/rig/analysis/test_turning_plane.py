@@ -218,6 +218,7 @@ def test_a_run_without_a_decay_has_no_balance() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_fits_meanwhile")
 def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditions(tmp_path: Path) -> None:
     """From frames on."""
     words = SMALL | {

@@ -41,7 +41,9 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source = CONFIGS / "demo.toml"
     small = SMALL | {"simulation.sensor.width_px": "96", "camera.frame_rate_hz": "25"}
     wanted = (*(f"{key}={value}" for key, value in small.items()), *APPARATUS, *GROUND)
-    assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rig.measure.run.live_posterior", lambda _: None)
+        assert measure_session(load_configuration(source, wanted), source, folder) == 0
     return folder
 
 

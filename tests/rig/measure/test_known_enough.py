@@ -85,7 +85,6 @@ def read_again(record: Path) -> RunNow:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("live_fits")
 def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

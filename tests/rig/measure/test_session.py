@@ -208,6 +208,7 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_fits_meanwhile")
 def test_the_demonstration_finds_the_truth(tmp_path: Path) -> None:
     # a hundredth of the pixels: every pixel of the demonstration is seen where README is executed
     less = {**SMALL, "camera.frame_rate_hz": "6", "simulation.sensor.width_px": "96"}

@@ -38,7 +38,6 @@ def measured(tmp_path: Path) -> tuple[list[Any], Any]:
         return list(reader.events()), ended
 
 
-@pytest.mark.usefixtures("live_fits")
 def test_what_only_watches_ends_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All of it fails at once."""
 
