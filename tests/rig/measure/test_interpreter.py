@@ -12,6 +12,12 @@ from rig.measure.run import ready_for_frames
 from tests.rig.command_line import CONFIGS, rig
 
 
+@pytest.fixture(autouse=True)
+def all_objects_are_searched() -> None:
+    """Also those that the tests' own process leaves out."""
+    gc.unfreeze()
+
+
 @pytest.mark.slow
 def test_libraries_are_left_out_of_searches_while_a_camera_is_live() -> None:
     usual_turn_s = sys.getswitchinterval()
