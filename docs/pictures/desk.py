@@ -30,8 +30,6 @@ frame_rate_hz = 50
 file = false
 [start]
 way = "at once"
-[balance]
-seconds = 20.0
 [simulation.axes]
 {axes}
 [simulation.sensor]
