@@ -145,6 +145,21 @@ def test_the_uncertainty_of_a_cubic_part_is_its_scatter() -> None:
     assert abs(np.mean(pulls)) < 4 / np.sqrt(len(pulls))
 
 
+def test_hysteresis_and_direction_have_the_signs_of_the_motion() -> None:
+    """The motion leans by 0.3 rad to the right; settings from below lie 0.4 arcsec above those from above."""
+    up = np.linspace(-120.0, 120.0, 9)
+    reference = np.concatenate([up, up[-2::-1]]) * ARCSEC_RAD
+    way = np.repeat([1.0, -1.0], [9, 8])
+    rng = np.random.default_rng(5)
+    along = np.tan(2 * (reference + 0.5 * 0.4 * ARCSEC_RAD * way)) / PITCH_M
+    x, y = NOISE_PX * rng.standard_normal((2, 17)) + np.outer([math.sin(0.3), -math.cos(0.3)], along)
+    u = np.full(17, NOISE_PX)
+    fit = fit_ladder(LadderSteps(reference, np.zeros(17), 160 + x, 300 + y, u, u), "tilt")
+    assert fit.hysteresis == pytest.approx(0.4 * ARCSEC_RAD, abs=4 * fit.u_hysteresis)
+    assert fit.hysteresis > 10 * fit.u_hysteresis
+    assert fit.direction_rad == pytest.approx(0.3, abs=4 * fit.u_direction_rad)
+
+
 def test_a_wrong_reference_enlarges_the_scale_s_uncertainty_alone() -> None:
     """What the reference is off moves the spot along the ladder: across it nothing is enlarged."""
     z, claimed = [], []

@@ -49,12 +49,16 @@ def test_a_global_shutter_has_no_row_time() -> None:
     assert found.u_row_time_s < 0.1e-6
 
 
-@pytest.mark.parametrize("row_time_us", [0.0, 15.0])
-def test_the_contact_s_overtones_are_not_taken_for_a_row_time(row_time_us: float) -> None:
-    """The simulated pendulum, whose friction and elasticity make odd harmonics that fade with the swing."""
+@pytest.mark.parametrize(("row_time_us", "skew"), [(0.0, 0.0), (15.0, 0.0), (0.0, 3.0)])
+def test_the_contact_s_overtones_are_not_taken_for_a_row_time(row_time_us: float, skew: float) -> None:
+    """The simulated pendulum, whose friction and elasticity make odd harmonics that fade with the swing.
+
+    On a sensor that is not perpendicular to the beam the third one and the swing together make a second one.
+    """
     motion = true_path(SimulationSettings(), 120.0, 2 * RATE_HZ)
     times_s = seconds(motion.times_ns)
-    true_px = 320.0 - np.tan(2.0 * motion.y_rad) / 4.8e-6
+    tangent = np.tan(2.0 * motion.y_rad)
+    true_px = 320.0 - tangent * (1.0 + skew * tangent) / 4.8e-6
     y_px = true_px
     for _ in range(20):
         y_px = CubicSpline(times_s, true_px)(times_s + 1e-6 * row_time_us * y_px)
