@@ -129,7 +129,8 @@ def show_turns(config: Configuration, path: Path) -> None:
                 f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um"
             )
     answer(turns=[dict(zip(_HEAD, row, strict=True)) for row in rows], learned=learned)
-    print_tables([Table("turns", "", _HEAD, _HEAD, [TableRow(row, row) for row in rows])])
+    note = "" if rows else f"{path}: no turn of a weight is noted yet; rig balance asks for them"
+    print_tables([Table("turns", "", _HEAD, _HEAD, [TableRow(row, row) for row in rows], note)])
     for line in learned:
         print_line(line)
 

@@ -342,8 +342,8 @@ def witness_figure(spectra: SeismometerSpectra) -> ReportFigure:
     left, right = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
     for density, colour, line, name in (
         (spectra.pendulum_rad_per_s2_rthz, DATA, "-", "pendulum"),
-        (spectra.witness_rad_per_s2_rthz, ASYMPTOTIC, "-", "witness"),
-        (spectra.left_rad_per_s2_rthz, EXACT, "-", "what is left"),
+        (spectra.witness_rad_per_s2_rthz, ASYMPTOTIC, "-", "seismometer"),
+        (spectra.left_rad_per_s2_rthz, EXACT, "-", "remainder"),
         (spectra.measurement_rad_per_s2_rthz, INK, ":", "measurement alone"),
     ):
         # zero density is left out: at the pendulum's own frequency turning points have no apparent drive

@@ -285,7 +285,7 @@ def print_tables(tables: Sequence[Table]) -> None:
     console = Console(width=width, markup=False)
     for content in tables:
         title = content.title
-        if content.head and not content.shown:
+        if title and content.head and not content.shown:
             print_line(title)
         for places in _parts(content, width) if content.shown else ():
             console.print(_rich_table(content, title, places, width))

@@ -11,7 +11,7 @@ import pytest
 from processing.balance import BalanceLimits, Room, Unreachable, WeightResponses
 from rig.instrument.balance import nominal_effects
 from rig.prepare import BalanceStage, balance_dialogue
-from rig.prepare.learned_turns import LearnedTurns
+from rig.prepare.learned_turns import LearnedTurns, show_turns
 from tests.rig.command_line import CONFIGS, rig
 from tests.rig.prepare.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
 from tests.rig.view.rrd_contents import column, measured
@@ -120,6 +120,11 @@ def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
     assert advice_s[-1] > (looks - 1) * 12.0
     _, events = column(tmp_path / "looks.rrd", "/events", "TextLog:text")
     assert sum("restarted" in str(text) for text in events) == looks - 1
+
+
+def test_a_history_without_turns_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    show_turns(CONFIG, tmp_path / "none.jsonl")
+    assert capsys.readouterr().out.startswith(f"{tmp_path / 'none.jsonl'}: no turn of a weight is noted yet")
 
 
 def test_a_history_that_was_cut_short_is_read_as_far_as_it_goes(tmp_path: Path) -> None:

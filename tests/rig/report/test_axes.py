@@ -182,8 +182,8 @@ def test_every_spectrum_is_drawn_over_its_frequencies() -> None:
     drive, coherence = witness_figure(SPECTRA).figure.axes
     drawn = {line.get_label(): line for line in drive.lines}
     assert drawn["pendulum"].get_ydata() == pytest.approx(SPECTRA.pendulum_rad_per_s2_rthz)
-    assert drawn["witness"].get_ydata() == pytest.approx(SPECTRA.witness_rad_per_s2_rthz)
-    assert drawn["what is left"].get_ydata() == pytest.approx(SPECTRA.left_rad_per_s2_rthz)
+    assert drawn["seismometer"].get_ydata() == pytest.approx(SPECTRA.witness_rad_per_s2_rthz)
+    assert drawn["remainder"].get_ydata() == pytest.approx(SPECTRA.left_rad_per_s2_rthz)
     # none at the pendulum's frequency, where a logarithm has no place for it
     assert drawn["measurement alone"].get_xdata() == pytest.approx(np.delete(NEAR_HZ, 2))
     assert coherence.lines[0].get_ydata() == pytest.approx(SPECTRA.coherence)
