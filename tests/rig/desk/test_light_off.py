@@ -100,8 +100,9 @@ def test_light_off_darkens_the_live_picture_until_acknowledged_and_a_desk_that_d
     page.wait("document.querySelector('.waits').offsetParent !== null")
     page.wait_text("nearest edge")
     assert not board.lit
-    # an own act is no alarm, and neither is what follows from it
-    assert page.ask("document.querySelector('.alarm').offsetParent === null && !window.rigBeep")
+    # an own act is no alarm, and neither is what follows from it; a picture that is late on a busy machine is
+    # one, for a moment
+    page.wait("document.querySelector('.alarm').offsetParent === null && !window.rigBeep")
     page.acknowledge()
     assert not board.lit
     page.click("Light again")
