@@ -106,8 +106,20 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, bool | None, b
     A run that has ended lets searches for garbage find again what was collected; each takes half a second.
     """
     failed = item.session.testsfailed
-    done = yield
-    if not gc.get_freeze_count():
+    unfrozen = False
+
+    def unfreeze() -> None:
+        nonlocal unfrozen
+        unfrozen = True
+        gc_unfreeze()
+
+    # noted, and not counted: counting a million objects takes a tenth of a second
+    gc_unfreeze, gc.unfreeze = gc.unfreeze, unfreeze
+    try:
+        done = yield
+    finally:
+        gc.unfreeze = gc_unfreeze
+    if unfrozen:
         # what the test itself has left is found first
         gc.collect(1)
         gc.freeze()

@@ -56,7 +56,8 @@ def ready_for_frames(*, live: bool) -> Iterator[None]:
     try:
         yield
     finally:
-        gc.unfreeze()
+        if live:
+            gc.unfreeze()
         sys.setswitchinterval(default_interval_s)
 
 
