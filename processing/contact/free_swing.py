@@ -29,8 +29,9 @@ STEEPER_DRAG = "steeper_drag"
 """Key of a drag that grows with the 3/2 power of the speed, in s^1.5: ``-m g R steeper |phi'|^0.5 phi'``."""
 _NODES = 256
 """Nodes of a half-swing; with these numbers the third harmonic is right within 1e-4 of itself."""
-_ITERATIONS = 5
-"""Iterations of the next amplitude and of the air's work: each gains the ratio of moment to weight, 1 %."""
+_MAX_ITERATIONS, _TOLERANCE = 30, 1e-10
+"""Most iterations of the next amplitude and of the air's work, and the relative change of the amplitude at
+which they end: each reduces the change by the ratio of moment to weight, mostly below 1 %."""
 _AMPLITUDES, _BEYOND = 8, 1.02
 """Number of amplitudes at which a law is computed, and the highest of them over the highest wanted."""
 _SAMPLES = 256
@@ -66,24 +67,24 @@ def free_swing(
         raise DataError(f"a period of {values['period0_s']:g} s is none")
     edge = np.linspace(0.0, np.pi, _NODES + 1)
     middle = 0.5 * (edge[:-1] + edge[1:])
-    before, behind = -np.diff(np.cos(edge)), np.cos(edge[:-1]) - np.cos(middle)
+    whole, part = -np.diff(np.cos(edge)), np.cos(edge[:-1]) - np.cos(middle)
     cos, sin, forward = np.cos(middle), np.sin(middle), middle < 0.5 * np.pi
     weight, rate = weight_moment(pendulum), 2 * np.pi / values["period0_s"]
     drag, steeper = values.get(DRAG.key, 0.0) * rate, values.get(STEEPER_DRAG, 0.0) * rate**1.5
     a, begins, side = amplitudes_rad[:, None], np.zeros((len(amplitudes_rad), 1)), 1.0
-    ratio = np.ones_like(a)
+    ratio, relative_speed = np.ones_like(a), sin
     parts = []
     with np.errstate(all="ignore"):  # values of a law that does not fit may reverse a swing, or overflow
         for _ in range(halves):
-            following = a * ratio
-            speed = 0.5 * (a + following) * sin
-            for _ in range(_ITERATIONS):
+            # what the last half-swing was like, this one nearly is
+            following, speed = a * ratio, a * relative_speed
+            for _ in range(_MAX_ITERATIONS):
                 half = 0.5 * (a + following)
                 phi = 0.5 * (a - following) + half * cos
                 friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)
                 moment = half * ((friction + elastic) / weight + drag * speed + steeper * speed**1.5)
-                cells = moment * before
-                work = np.cumsum(cells, axis=1) - cells + moment * behind
+                cells = moment * whole
+                work = np.cumsum(cells, axis=1) - cells + moment * part
                 total = np.sum(cells, axis=1, keepdims=True)
                 kinetic = np.where(
                     forward,
@@ -93,11 +94,13 @@ def free_swing(
                 left = a**2 - 2 * total
                 if not (np.all(left > 0) and np.all(kinetic > 0)):
                     raise DataError("friction holds the pendulum before the end of the swing")
-                speed, following = np.sqrt(2 * kinetic), np.sqrt(left)
+                before, speed, following = following, np.sqrt(2 * kinetic), np.sqrt(left)
+                if np.all(np.abs(following - before) < _TOLERANCE * a):
+                    break
             step = (edge[1] - edge[0]) * half * sin / speed
             ends = begins + np.cumsum(step, axis=1)
             parts.append((side * phi, -side * speed, ends - 0.5 * step))
-            ratio = following / a
+            ratio, relative_speed = following / a, speed / a
             a, begins, side = following, ends[:, -1:], -side
         phi, slope, phase = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     return FreeSwing(phi, slope, phase, begins[:, 0])

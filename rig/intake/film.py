@@ -366,7 +366,10 @@ def broken_positions(time_s: Floats, positions: Floats) -> list[int]:
         if not known.any():
             continue
         usual = np.full(len(off), np.nan)
-        usual[known] = np.nanquantile(around[known], _USUAL_QUANTILE, axis=1)
+        # one that passes NaN over goes from row to row, which takes a hundred times as long
+        whole = np.isfinite(around).all(axis=1)
+        usual[whole] = np.quantile(around[whole], _USUAL_QUANTILE, axis=1)
+        usual[known & ~whole] = np.nanquantile(around[known & ~whole], _USUAL_QUANTILE, axis=1)
         with np.errstate(invalid="ignore"):
             broken[middle] |= off > np.maximum(_MAX_RATIO * usual, _MIN_BREAK_PX)
     places = np.flatnonzero(broken)
