@@ -77,7 +77,7 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
         ui.label(kind.do)
         with ui.row().classes("items-center"):
             of_frames = kind.seconds is None
-            what, first = ("frames", _DARK_FRAMES) if of_frames else ("length / s", f"{kind.seconds:g}")
+            what, first = ("frames", _DARK_FRAMES) if of_frames else ("duration / s", f"{kind.seconds:g}")
             amount = _field(what, first, f"{name} amount")
             exposure = _field("exposure / us", "", f"{name} exposure")
             exposure.set_visibility(of_frames)
