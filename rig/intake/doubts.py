@@ -208,8 +208,8 @@ def judge_envelope_unit(path: Path, trajectory: Trajectory, *, decibel: bool) ->
     in_decibel = unit.lower().startswith("db")
     if decibel and unit != NOT_STATED and not in_decibel:
         raise ConfigurationError(
-            f"{path}: {trajectory.names[0]} is in {unit}, but powers are taken in dB; convert it to dB, or give its "
-            "square root as --envelope amplitude"
+            f"{path}: {trajectory.names[0]} is in {unit}, but powers are taken in dB; convert it to dB, or "
+            "give its square root as --envelope amplitude"
         )
     if in_decibel and not decibel:
         raise ConfigurationError(

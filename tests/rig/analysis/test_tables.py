@@ -145,7 +145,7 @@ def test_an_envelope_that_is_no_exponential_says_so(tmp_path: Path) -> None:
 def test_the_unit_of_an_envelope_says_what_it_holds(
     tmp_path: Path, unit: str, decibel: bool, words: str
 ) -> None:
-    """A power in mW was fitted as if it were in dB, an amplitude in dB as if it fell so: both gave numbers."""
+    """A power in mW was fitted as if it were in dB, an amplitude in dB as an amplitude: both gave numbers."""
     t = np.linspace(0.0, 60.0, 300)
     falling = np.exp(-t / 8.0) if decibel else 60.0 - 20.0 * np.log10(np.e) * t / 16.0
     noisy = falling * (1.0 + 0.01 * np.random.default_rng(1).standard_normal(300))
