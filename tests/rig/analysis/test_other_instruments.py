@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -220,6 +221,25 @@ def table_of_places(names: Sequence[str]) -> str:
         for row in decaying(tau_s, name=name)
     ]
     return "\n".join(["run,time_s,phi_deg", *rows])
+
+
+@pytest.mark.parametrize("hold_s", [2.0, 5.0])
+def test_the_time_of_the_release_is_told_from_the_first_swing(tmp_path: Path, hold_s: float) -> None:
+    """It was told from the first sample of the decay, which is not that of the table: 1.34 s for 2 s."""
+    time_s = np.arange(0.0, hold_s + 40.0, 0.02)
+    since_s = np.maximum(time_s - hold_s, 0.0)
+    damping, rate = 0.04, 2.0 * math.pi / 3.0
+    swing = np.exp(-damping * since_s) * (np.cos(rate * since_s) + damping / rate * np.sin(rate * since_s))
+    angle = 6.0 * swing + 1e-3 * np.random.default_rng(1).standard_normal(len(time_s))
+    rows = "\n".join(f"{time:.3f},{value:.6f}" for time, value in zip(time_s, angle, strict=True))
+    found = fitted(tmp_path, "time_s,phi_deg\n" + rows, 'kind = "herbert"')
+    (line,) = (text for text in found["runs"][0]["instrument"]["text"] if text.startswith("released"))
+    told = re.fullmatch(
+        r"released at (\S+) ± \S+ degrees, (\S+) ± (\S+) s before the next turning point", line
+    )
+    assert told is not None, line
+    assert float(told[1]) == pytest.approx(6.0, abs=2e-3)
+    assert abs(float(told[2]) - 1.5) < 4 * float(told[3]) < 0.01
 
 
 @pytest.mark.parametrize(("names", "reference"), [(("4", "7", "9"), 4), (("glass", "a", "b"), 1)])
