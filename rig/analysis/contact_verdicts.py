@@ -34,6 +34,7 @@ from processing.fit import (
     fitted_contact,
     identifiability,
     reported_quantities,
+    rolling_moment_nm,
     sensor_derivatives,
     standard_uncertainties,
     work_per_cycle_j,
@@ -268,10 +269,10 @@ def _work(
         def works(inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
             reported = reported_quantities(contact, inputs, rig)
             without_drag = {name: found for name, found in reported.items() if name != "drag_s"}
-            moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
+            moment_nm = rolling_moment_nm(inputs, rig)
             return {
-                "all": work_per_cycle_j(amplitude_rad, without_drag, inputs),
-                "adhesive": 4 * moment * reported["c"] * amplitude_rad,
+                "all": work_per_cycle_j(amplitude_rad, without_drag, moment_nm),
+                "adhesive": 4 * moment_nm * reported["c"] * amplitude_rad,
             }
 
         u = standard_uncertainties(contact, rig, works)
