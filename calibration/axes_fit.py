@@ -21,6 +21,7 @@ from calibration.light_lever import Lever
 from calibration.timebase import birge_ratio
 from processing.arrays import Floats
 from processing.errors import DataError
+from processing.number_text import with_uncertainty
 
 
 class Axes(BaseModel, frozen=True, extra="forbid"):
@@ -278,7 +279,7 @@ def fit_axes(
         notes.append("the handedness is assumed; push the pendulum to a known side and state it (fast_began)")
     rotation, u_rotation = along.rotation_rad_per_s, along.u_rotation_rad_per_s
     if abs(rotation) > 3.0 * u_rotation:
-        notes.append(f"the slow direction rotates by {rotation:.3g} ± {u_rotation:.2g} rad/s")
+        notes.append(f"the slow direction rotates by {with_uncertainty(rotation, u_rotation)} rad/s")
     if abs(non_orthogonality) >= 0.5:
         raise DataError(
             f"axes: the angle between the modes is {math.degrees(0.5 * math.pi + non_orthogonality):.0f} "

@@ -9,6 +9,7 @@ import numpy as np
 from calibration.timebase import birge_ratio
 from processing.arrays import Floats
 from processing.errors import DataError
+from processing.number_text import with_uncertainty
 from processing.units import ARCSEC_RAD
 
 FEWEST_STEPS = 5
@@ -277,8 +278,9 @@ def ladder_notes(evidence: ScaleEvidence) -> list[str]:
     notes = []
     if abs(evidence.cubic) > _MIN_NOTED_U * evidence.u_cubic:
         notes.append(
-            f"not linear: a cubic part of {evidence.cubic:.2g} ± {evidence.u_cubic:.2g} of the way at the "
-            f"ladder's end; the scale is that at zero: look for what bends the reference or the light's path"
+            f"not linear: a cubic part of {with_uncertainty(evidence.cubic, evidence.u_cubic)} of the way at "
+            "the ladder's end; the scale is that at zero: look for what bends the reference or the light's "
+            "path"
         )
     notes.extend(
         f"step {number} is probably wrong (probability {p_wrong:.2g}) and hardly counts: measure it again"

@@ -20,6 +20,7 @@ from calibration.ladder import (
 from calibration.light_lever import Lever
 from processing.arrays import Floats
 from processing.errors import DataError
+from processing.number_text import with_uncertainty
 from processing.units import ARCSEC_RAD
 
 _MIN_PROBABILITY = 0.01
@@ -131,12 +132,13 @@ def fit_ladder(
                 + ("uncertainties were enlarged" if side == "across" or evidence.birge > 1.0 else _EXPLAINED)
             )
     if nonlinear:
-        notes.append(f"not linear: skew {skewed.skew:.3g} ± {skewed.u_skew:.2g} is part of the lever")
+        notes.append(f"not linear: skew {with_uncertainty(skewed.skew, skewed.u_skew)} is part of the lever")
     elif kind == "tilt" and skewed.u_skew > _MAX_U_SKEW:
         notes.append(
             "the tilt of the sensor relative to the beam is known only to "
-            f"{math.degrees(math.atan(skewed.u_skew)):.0f} degrees (skew {skewed.skew:.2g} ± "
-            f"{skewed.u_skew:.2g}, taken as 0): set the sensor perpendicular to the beam"
+            f"{math.degrees(math.atan(skewed.u_skew)):.0f} degrees (skew "
+            f"{with_uncertainty(skewed.skew, skewed.u_skew)}, taken as 0): set the sensor perpendicular to "
+            "the beam"
         )
     worst = int(np.nanargmax(np.abs(scale_changes)))
     if abs(scale_changes[worst]) > _MAX_SCALE_CHANGE:

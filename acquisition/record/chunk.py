@@ -1,10 +1,12 @@
-"""One chunk of an MCAP file: its place, its content, verified by its checksum, and the messages in that."""
+"""The bytes of an MCAP file as its disk gives them, and one chunk: its place, its content, verified by its
+checksum, and the messages in that."""
 
+import errno
 import struct
 import zlib
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Final, NamedTuple
+from typing import IO, Final, NamedTuple
 
 import zstandard
 from mcap.opcode import Opcode
@@ -16,6 +18,7 @@ CHUNK_HEAD: Final = struct.Struct("<BQQQQII4sQ")
 of their compression, and the size of the compressed messages, which follow.
 """
 _COMPRESSION = b"zstd"
+_FAULTS = {errno.EIO, getattr(errno, "EUCLEAN", errno.EIO), getattr(errno, "EBADMSG", errno.EIO)}
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode and length of a message, its channel, sequence, log time, publish time; its content follows."""
 MESSAGE_HEAD_BYTES: Final = _MESSAGE.size
@@ -146,7 +149,23 @@ class Piece:
                 data = self._content[at + MESSAGE_HEAD_BYTES : at + run.step]
                 yield Message(name, sequence, log_time_ns, data)
 
+    def count(self, topic: str) -> int:
+        """Number of messages of a topic."""
+        return sum(len(run) for run in self._runs.get(topic, ()))
+
     def rows(self, topic: str) -> Iterator[tuple[int, memoryview]]:
         """Consecutive messages of a topic with their heads, and the number of bytes of each."""
         view = memoryview(self._content)
         return ((run.step, view[run.start : run.stop]) for run in self._runs.get(topic, ()))
+
+
+def read_at(file: IO[bytes], place: int, count: int) -> bytes:
+    """Bytes from a position on; none where the disk cannot read all of them, as exFAT after a power cut."""
+    file.seek(place)
+    try:
+        return file.read(count)
+    except OSError as error:
+        # a disk that was pulled out does not mean that the record is damaged
+        if error.errno not in _FAULTS:
+            raise
+        return b""

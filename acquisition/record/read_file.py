@@ -5,7 +5,6 @@ or while the file is still written, the data section is walked through from reco
 of chunks are read, so that a file of any size takes about a second.
 """
 
-import errno
 import io
 import json
 import logging
@@ -37,6 +36,7 @@ from acquisition.record.chunk import (
     bits,
     chunk_at,
     content_of,
+    read_at,
 )
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
@@ -54,7 +54,6 @@ _FOOTER = struct.Struct("<BQQQI")
 _CRC_BYTES = 4
 _SMALL_RECORD_BYTES = 256 * 1024 * 1024
 _BLOCK_BYTES = 256 * 1024
-_FAULTS = {errno.EIO, getattr(errno, "EUCLEAN", errno.EIO), getattr(errno, "EBADMSG", errno.EIO)}
 
 
 class ReadFile:
@@ -93,6 +92,7 @@ class ReadFile:
         self.library = ""
         self.channels: dict[int, str] = {}
         self.counts: Counter[int] = Counter()
+        self._last_chunk_counts: Counter[int] = Counter()
         self.chunks = ChunkPlaces()
         self.start_ns = self.end_ns = 0
         self.attachments: dict[str, list[int]] = {}
@@ -130,6 +130,15 @@ class ReadFile:
             self.note_damage(place.offset, str(error), place.start_ns, place.end_ns, tuple(topics))
             content = b""
         return Piece(content, self.channels)
+
+    def message_counts(self) -> dict[str, int]:
+        """Numbers of messages by topic, damaged ones included, also of a last chunk whose index is cut."""
+        counts = Counter(self.counts)
+        if not self.indexed and not self._data_end and len(self.chunks):
+            last = self.piece(self.chunks[len(self.chunks) - 1])
+            for number, topic in self.channels.items():
+                counts[number] += max(0, last.count(topic) - self._last_chunk_counts[number])
+        return {topic: counts[number] for number, topic in self.channels.items() if counts[number]}
 
     def pieces(self, topic: str, from_ns: int = 0) -> Iterator[Piece]:
         """The chunks that may have messages of a topic; those that end before `from_ns` are not read."""
@@ -278,9 +287,42 @@ class ReadFile:
             found = self._next_intact_record(before + 1)
             if found is None:
                 break
+            begin = self._begin_of_file(before, found)
+            if begin is not None:
+                self._note_another_file(begin)
+                self.whole = False
+                break
             self.note_damage(place, f"between bytes {before} and {found}: there is no record")
             place = before = found
         self.readable_bytes = place
+        if self._data_end:
+            self._read_what_follows(place)
+
+    def _read_what_follows(self, place: int) -> None:
+        """Look for another file behind the data section, also behind a summary that is cut."""
+        at = self._begin_of_file(place, self.size)
+        if at is None:
+            return
+        footer = self._read(at - _FOOTER.size, _FOOTER.size)
+        ends = HEAD.unpack_from(footer) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
+        if (begin := at + len(MAGIC) if ends else at) < self.size:
+            self._note_another_file(begin)
+            self.whole = ends
+
+    def _begin_of_file(self, begin: int, end: int) -> int | None:
+        """Position of the bytes with which MCAP files begin and end."""
+        for place in range(begin, end, _BLOCK_BYTES):
+            at = self._read(place, min(_BLOCK_BYTES + len(MAGIC) - 1, end - place)).find(MAGIC)
+            if at >= 0:
+                return place + at
+        return None
+
+    def _note_another_file(self, begin: int) -> None:
+        self.note_damage(
+            begin,
+            f"{self.size - begin} bytes from byte {begin} on are of another file and not read: "
+            "was it appended? Cut it off into a file of its own",
+        )
 
     def _list_record(self, place: int) -> int | None:
         """List the record at `place` in the data section; returns its end, None where it is no record."""
@@ -294,6 +336,7 @@ class ReadFile:
             if chunk is None:
                 return None
             self._add_chunk(chunk)
+            self._last_chunk_counts.clear()
         elif opcode == Opcode.MESSAGE_INDEX:
             if len(data) < _INDEX.size:
                 return None
@@ -301,6 +344,7 @@ class ReadFile:
             if entries_bytes % _INDEX_ENTRY_BYTES or end != place + _INDEX.size + entries_bytes:
                 return None
             self.counts[channel] += entries_bytes // _INDEX_ENTRY_BYTES
+            self._last_chunk_counts[channel] += entries_bytes // _INDEX_ENTRY_BYTES
         elif opcode == Opcode.DATA_END and end == place + _DATA_END.size:
             self._data_end = place
             *_, self._data_crc = _DATA_END.unpack_from(data)
@@ -377,15 +421,3 @@ def _open_mcap(path: Path) -> IO[bytes]:
         what = "is empty, or cannot be read from its disk" if not head else "is not an MCAP file"
         raise RecordError(f"{path}: {what}; a record is made by rig run")
     return file
-
-
-def read_at(file: IO[bytes], place: int, count: int) -> bytes:
-    """Bytes from a position on; none where the disk cannot read all of them, as exFAT after a power cut."""
-    file.seek(place)
-    try:
-        return file.read(count)
-    except OSError as error:
-        # a disk that was pulled out does not mean that the record is damaged
-        if error.errno not in _FAULTS:
-            raise
-        return b""

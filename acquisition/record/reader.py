@@ -232,12 +232,7 @@ class RecordReader:
     @property
     def counts(self) -> dict[str, int]:
         """Numbers of messages by topic as the files state them, damaged ones included; none is 0."""
-        return {
-            topic: count
-            for file in self.files
-            for number, topic in file.channels.items()
-            if (count := file.counts[number])
-        }
+        return {topic: count for file in self.files for topic, count in file.message_counts().items()}
 
     def messages(self, topic: str, start_ns: int | None = None) -> Iterator[Message]:
         """Messages of a topic in the order of the file, which is that of time.

@@ -51,6 +51,7 @@ from processing.fit.reported import (
     Work,
     fitted_contact,
     reported_quantities,
+    rolling_moment_nm,
     work_per_cycle_j,
 )
 from processing.fit.result import (

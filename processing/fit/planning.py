@@ -5,6 +5,7 @@ The information that they hold (Fisher's matrix of the driven model) bounds ever
 the fit comes near to this bound.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot, inf
@@ -108,6 +109,10 @@ class PlannedRun:
     values: Mapping[str, float] = field(default_factory=dict, repr=False)
     root: Floats = field(default_factory=lambda: np.zeros((0, 1)), repr=False, compare=False)
 
+    def u_after(self, count: int, known_drag_s: Estimate | None) -> Mapping[str, float]:
+        """Standard uncertainties after `count` such runs; they share what is known of the drag before."""
+        return self.u if count == 1 else _uncertainties(self.root, self.values, known_drag_s, count)
+
 
 def planned_run(
     values: Mapping[str, float],
@@ -146,10 +151,17 @@ def planned_run(
     noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
     all_known = {name: known[name] for name in model.names}
     root = np.linalg.qr(relative_jacobian(model, columns, all_known, noise)).R
-    rows = np.vstack([root[:, :-1], *_drag_prior_row(conditions.known_drag_s, all_known)])
-    u = np.sqrt(np.diag(covariance_of(rows))) * _sizes(all_known)
-    u_of = dict(zip(model.names[:-2], u.tolist(), strict=False))
+    u_of = _uncertainties(root, all_known, conditions.known_drag_s)
     return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), u_of, complete, all_known, root)
+
+
+def _uncertainties(
+    root: Floats, values: Mapping[str, float], known_drag_s: Estimate | None, count: int = 1
+) -> dict[str, float]:
+    """Standard uncertainties of the shared parameters after `count` runs, with the prior of the drag once."""
+    rows = np.vstack([math.sqrt(count) * root[:, :-1], *_drag_prior_row(known_drag_s, values)])
+    u = np.sqrt(np.diag(covariance_of(rows))) * _sizes(values)
+    return dict(zip(list(values)[:-2], u.tolist(), strict=False))
 
 
 def relative_jacobian(

@@ -275,14 +275,17 @@ def derived_quantities(
     }
 
 
-def work_per_cycle_j(
-    amplitude_rad: float, reported: Mapping[str, Floats], inputs: Mapping[str, Floats]
-) -> Floats:
-    """Work per cycle 4A in J for values (n,) of reported parameters and inputs, to obtain its uncertainty."""
-    moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
+def rolling_moment_nm(inputs: Mapping[str, Floats], rig: RigQuantities) -> Floats:
+    """m g R (n,) of one ball with its part of the weight, to which Eqs. 1 and 3 are relative."""
+    load_n = inputs["mass_kg"] / rig.balls * inputs["gravity_m_per_s2"]
+    return np.asarray(load_n * inputs["ball_radius_m"])
+
+
+def work_per_cycle_j(amplitude_rad: float, reported: Mapping[str, Floats], moment_nm: Floats) -> Floats:
+    """Work per cycle 4A in J for values (n,) of reported parameters and m g R, to obtain its uncertainty."""
     b, p, c = reported["b"], reported["p"], reported["c"]
-    dissipated = 4 * moment * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))
+    dissipated = 4 * moment_nm * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))
     if DRAG.key in reported:
-        per_s = moment * reported[DRAG.key]
+        per_s = moment_nm * reported[DRAG.key]
         dissipated = dissipated + per_s * 2 * pi**2 / reported["period0_s"] * amplitude_rad**2
     return np.asarray(dissipated, dtype=np.float64)

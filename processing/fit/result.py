@@ -16,6 +16,7 @@ from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import Ground, GroundFit
 from processing.least_squares import Loss
+from processing.number_text import with_uncertainty
 from processing.quantity import PLAIN, Quantity
 
 MEASUREMENT = "swings"
@@ -88,13 +89,11 @@ class Change:
     @property
     def text(self) -> str:
         """The change in one line."""
-        # rounded and then printed with :g, so that 120 % is no 1.2e+02 %
-        percent, u = float(f"{100 * self.size:.2g}"), float(f"{100 * self.u_size:.1g}")
+        percent = with_uncertainty(100 * self.size, 100 * self.u_size, signed=True)
         what = {
-            ChangeKind.KNOCK: f"a knock moves the swing by {percent:g} ± {u:g} % of its amplitude",
-            ChangeKind.FRICTION: f"the friction changes by {percent:+g} ± {u:g} %: the contact slipped "
-            "or was touched",
-            ChangeKind.PERIOD: f"the period changes by {percent:+g} ± {u:g} %: something shifted",
+            ChangeKind.KNOCK: f"a knock moves the swing by {percent.removeprefix('+')} % of its amplitude",
+            ChangeKind.FRICTION: f"the friction changes by {percent} %: the contact slipped or was touched",
+            ChangeKind.PERIOD: f"the period changes by {percent} %: something shifted",
         }[self.kind]
         return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {what}"
 

@@ -23,6 +23,7 @@ from processing.decay_summary import full_periods
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.least_squares import FactoredJacobian
+from processing.number_text import with_uncertainty
 from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
 from processing.units import nanoseconds, seconds
 
@@ -231,14 +232,14 @@ class CircularError(NamedTuple):
         if abs(f - 1) <= 2 * u and u > _LARGEST_U:
             return (
                 "the swings are too small, or too few, to show the circular error: "
-                f"{f:.4g} ± {u:.2g} times alpha^2/16"
+                f"{with_uncertainty(f, u)} times alpha^2/16"
             )
         if abs(f - 1) <= 2 * u:
-            return f"the period follows the circular-error law: {f:.4g} ± {u:.2g} times alpha^2/16"
+            return f"the period follows the circular-error law: {with_uncertainty(f, u)} times alpha^2/16"
         faster = "faster" if f > 1 else "more slowly"
         return (
             f"the period falls with the amplitude {faster} than the circular-error law: "
-            f"{f:.4g} ± {u:.2g} times alpha^2/16"
+            f"{with_uncertainty(f, u)} times alpha^2/16"
         )
 
 

@@ -27,7 +27,7 @@ from processing.series.density import (
     spread,
 )
 from processing.series.model import Design, LatentNumber, SeriesModel, design_of
-from processing.series.runs import CompressedRun
+from processing.series.runs import POSITIVE, CompressedRun, at_own_exponent, parameters
 
 DRAWS = 1000
 _ENOUGH_SHARE = 0.2
@@ -112,19 +112,21 @@ class SeriesPosterior:
     @cached_property
     def bad(self) -> Floats:
         """Probability (R,) of each run to be bad."""
-        return np.asarray(self.weight @ self._by_run[0])
+        (chance,) = in_parts(self.design, partial(_bad_chances, self.design), self.h, self.w)
+        return np.asarray(self.weight @ chance)
 
-    @cached_property
-    def run_values(self) -> tuple[Floats, Floats]:
-        """Values (R, k) of the runs by the whole series, each with its scatter, and their standard
-        uncertainties; NaN where nothing is known of a coordinate."""
-        _, of, u2 = self._by_run
-        mean, second = (np.einsum("m,mrk->rk", self.weight, one) for one in (of, of**2 + u2))
-        return mean, np.sqrt(np.clip(second - mean**2, 0.0, None))
-
-    @cached_property
-    def _by_run(self) -> tuple[Floats, ...]:
-        return in_parts(self.design, partial(_run_posteriors, self.design), self.h, self.w)
+    def run_values(self, reference_rad: float) -> tuple[Floats, Floats]:
+        """Parameters (R, k) of the runs by the whole series, each with its scatter, and their standard
+        uncertainties."""
+        names = self.model.names
+        slopes = at_own_exponent(names, reference_rad)
+        run_posteriors = partial(_run_posteriors, self.design, slopes)
+        of, u2 = in_parts(self.design, run_posteriors, self.h, self.w)
+        mean, moved = np.einsum("m,mrk->rk", self.weight, of), of @ slopes.T
+        off = moved - mean @ slopes.T
+        u = np.sqrt(np.einsum("m,mrk->rk", self.weight, off**2 + u2))
+        values = parameters(names, mean, reference_rad)
+        return values, np.where([name in POSITIVE for name in names], np.abs(values), 1.0) * u
 
     @cached_property
     def residuals(self) -> Floats:
@@ -157,9 +159,15 @@ class SeriesPosterior:
         return exceeding / len(which)
 
 
-def _run_posteriors(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
-    """Probabilities (M, R) of the runs to be bad, and means and variances (M, R, k) of their own values, by
-    draw."""
+def _bad_chances(design: Design, h: Floats, w: Floats) -> tuple[Floats]:
+    """Probabilities (M, R) of the runs to be bad, by draw."""
+    chance = chances(log_kinds(design, w, spread(design, h, w)))
+    return (1 - chance[..., 0].sum(axis=2),)
+
+
+def _run_posteriors(design: Design, slopes: Floats, h: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """Means (M, R, k) of the runs' own coordinates by draw, and the variances (M, R, k) of `slopes` (k, k)
+    times these."""
     found, variance = spread(design, h, w), between_runs(design, h)[:, None]
     chance = chances(log_kinds(design, w, found))
     centre = np.tensordot(w, design.x, (1, 2))
@@ -168,11 +176,11 @@ def _run_posteriors(design: Design, h: Floats, w: Floats) -> tuple[Floats, Float
     # the factor of a bad run's kind widens both its own uncertainty and its scatter
     parts, widths = np.sum(chance, axis=3), np.sum(chance * design.worse**2, axis=(2, 3))[..., None]
     mean = np.einsum("mrs,mrsk->mrk", parts, offset)
-    second = np.einsum("mrs,mrsk->mrk", parts, offset**2)
-    inner = np.diagonal(found.inverse, axis1=-2, axis2=-1)
-    left = variance - variance**2 * np.einsum("mrs,mrsk->mrk", parts, inner)
-    bad = 1 - chance[..., 0].sum(axis=2)
-    return bad, centre + mean, np.maximum(widths * left + second - mean**2, 0.0)
+    second = np.einsum("mrs,mrsk->mrk", parts, (offset @ slopes.T) ** 2)
+    moved = slopes * variance
+    inner = np.einsum("mak,mrskl,mal->mrsa", moved, found.inverse, moved, optimize=True)
+    left = variance @ (slopes**2).T - np.einsum("mrs,mrsa->mra", parts, inner)
+    return centre + mean, np.maximum(widths * left + second - (mean @ slopes.T) ** 2, 0.0)
 
 
 def fit_series(

@@ -56,6 +56,16 @@ def parameters(names: Sequence[str], found: Floats, reference_rad: float) -> Flo
     return values
 
 
+def at_own_exponent(names: Sequence[str], reference_rad: float) -> Floats:
+    """Derivatives (k, k) of the parameters, of the logarithms of those of `POSITIVE`, by the coordinates."""
+    slopes = np.eye(len(names))
+    for place, name in enumerate(names):
+        exponent, _ = EXPONENT_OF.get(name, ("", 0.0))
+        if exponent in names:
+            slopes[place, list(names).index(exponent)] = -np.log(reference_rad)
+    return slopes
+
+
 class EndSide(StrEnum):
     """Side on which a censored value is bounded."""
 

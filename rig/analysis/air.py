@@ -17,6 +17,7 @@ from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_dr
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
 from processing.swing import SwingHarmonics
+from rig.instrument import balls
 from rig.settings import Configuration
 from rig.terminal import percent, quantity
 
@@ -119,7 +120,8 @@ def expected_drag(
     length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
     bar = bar_of(pendulum, period_s, length, width)
     return ExpectedDrag(
-        drag_s=expected_drag_s(air, bar, pendulum, period_s),
+        # the air acts once on what all balls carry
+        drag_s=expected_drag_s(air, bar, pendulum, period_s) / balls(config),
         air_density_kg_per_m3=air.density_kg_per_m3,
         air_viscosity_pa_s=air.viscosity_pa_s,
         length_m=bar.length_m,

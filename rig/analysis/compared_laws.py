@@ -33,6 +33,7 @@ from processing.fit import (
     predicted_harmonics,
     waveform_chances,
 )
+from processing.number_text import with_uncertainty
 from processing.swing import ORDERS, HarmonicClass, TurningPoints, harmonic_classes
 from processing.units import ARCSEC_RAD
 from rig.analysis.results import (
@@ -171,7 +172,7 @@ def _waveform_verdict(classes: Sequence[HarmonicClass], chances: Mapping[str, fl
     """Verdict of the third harmonic on the laws, in words."""
     first = classes[0]
     third_mas, u_mas = np.array([abs(first.harmonics[_THIRD]), first.u[_THIRD]]) / ARCSEC_RAD * 1e3
-    measured = f"the waveform (third harmonic {third_mas:.1f} ± {u_mas:.1f} mas at "
+    measured = f"the waveform (third harmonic {with_uncertainty(third_mas, u_mas)} mas at "
     measured += f"{first.amplitude / ARCSEC_RAD:.0f} arcsec)"
     against = [name for name, chance in chances.items() if chance < CONTRADICTED]
     if not against:

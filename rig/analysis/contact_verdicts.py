@@ -23,6 +23,7 @@ from processing.fit import (
     FitMethod,
     FitQuality,
     FitResult,
+    FittedContact,
     InputQuantity,
     LinearisedFit,
     RigQuantities,
@@ -34,6 +35,7 @@ from processing.fit import (
     fitted_contact,
     identifiability,
     reported_quantities,
+    rolling_moment_nm,
     sensor_derivatives,
     standard_uncertainties,
     work_per_cycle_j,
@@ -155,6 +157,7 @@ def with_contact(
     except DataError as error:
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
+    contact: FittedContact | None = None
     if rig is not None:
         at = LinearisedFit.of(points, pendulum, exact)
         drifts = drift_effects(at)
@@ -184,7 +187,8 @@ def with_contact(
         table=(*rows, *spots, *rows_of_others(name, fits, rows)),
         budget=withheld(tables, rows),
         work_per_cycle=tuple(
-            _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)
+            _work(amplitude, exact, pendulum, contact, rig, sees_c=sees_c)
+            for amplitude in _shown_amplitudes(points)
         ),
         notes=(*notes, *run.notes),
     )
@@ -251,6 +255,7 @@ def _work(
     amplitude_arcsec: float,
     exact: FitResult,
     pendulum: PendulumOnBall,
+    contact: FittedContact | None,
     rig: RigQuantities | None,
     *,
     sees_c: bool,
@@ -262,16 +267,16 @@ def _work(
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
     work = cycle_work(amplitude_rad, exact.parameters, pendulum)
     u_dissipated = u_adhesive = math.nan
-    if rig is not None:
-        contact = fitted_contact(exact)
+    if rig is not None and contact is not None:
+        fitted, apparatus = contact, rig
 
         def works(inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
-            reported = reported_quantities(contact, inputs, rig)
+            reported = reported_quantities(fitted, inputs, apparatus)
             without_drag = {name: found for name, found in reported.items() if name != "drag_s"}
-            moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
+            moment_nm = rolling_moment_nm(inputs, apparatus)
             return {
-                "all": work_per_cycle_j(amplitude_rad, without_drag, inputs),
-                "adhesive": 4 * moment * reported["c"] * amplitude_rad,
+                "all": work_per_cycle_j(amplitude_rad, without_drag, moment_nm),
+                "adhesive": 4 * moment_nm * reported["c"] * amplitude_rad,
             }
 
         u = standard_uncertainties(contact, rig, works)

@@ -12,7 +12,7 @@ from processing.units import ARCSEC_RAD
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
 from rig.analysis.run_remarks import has_apparatus, main_sources
-from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity
+from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity, with_uncertainty
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
@@ -176,7 +176,7 @@ def waveform_table(compared: ComparedLaws) -> Table:
             u = float(one.u_rad[place])
             sizes = [hypot(*part) for part in zip(parts[::2], parts[1::2], strict=True)]
             texts = [f"{1e3 * size / ARCSEC_RAD:.2f}" for size in sizes]
-            texts[0] += f" ± {1e3 * u / ARCSEC_RAD:.2f}"
+            texts[0] = with_uncertainty(*(1e3 * each / ARCSEC_RAD for each in (sizes[0], u)))
             shown = [f"{one.amplitude_rad / ARCSEC_RAD:.1f}", *texts] if order == 3 else ()
             lines.append(TableRow([one.amplitude_rad, order, u, *parts], shown))
     columns = [f"{name}_{part}_rad" for name in ("measured", *names) for part in ("cosine", "sine")]

@@ -341,11 +341,12 @@ def _from_the_release(
     """Half-cycles with the release as the first turning point, where it was recorded; a line says which."""
     found = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
     if found is not None:
-        at_s, u_s = seconds(found[0].turn_time_ns - deflections.times_ns[0]), found[0].u_turn_time_s
-        angle = with_uncertainty(found[0].amplitude / DEGREE_RAD, found[0].u_amplitude / DEGREE_RAD)
-        report.lines.append(
-            f"released {with_uncertainty(float(at_s), u_s)} s after the first sample, at {angle} degrees"
-        )
+        # deflections may begin anywhere before the first half-cycle, and their times count from anywhere
+        release, turn = found[:2]
+        before_s = float(seconds(turn.turn_time_ns - release.turn_time_ns))
+        before = with_uncertainty(before_s, math.hypot(release.u_turn_time_s, turn.u_turn_time_s))
+        angle = with_uncertainty(release.amplitude / DEGREE_RAD, release.u_amplitude / DEGREE_RAD)
+        report.lines.append(f"released at {angle} degrees, {before} s before the next turning point")
         return found
     if any(swing.flags & HalfCycleFlag.START for swing in swings):
         report.lines.append(

@@ -9,8 +9,9 @@ import numpy as np
 
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
-from processing.contact import PendulumOnBall
+from processing.contact import DRAG, PendulumOnBall
 from processing.errors import ConfigurationError, DataError
+from processing.estimate import Estimate
 from processing.fit import (
     DRIFTS,
     Budget,
@@ -78,8 +79,7 @@ def combined_series(
             problems.append(f"{method}: {error}")
     averaged = None
     try:
-        average = fit_asymptotic(average_curves(points), pendulum, printed_curvature=printed_curvature)
-        averaged = AveragedCurves(average.estimates(), average.arae_decay, average.arae_period)
+        averaged = _averaged_curves(points, pendulum, combined.get(FitMethod.ASYMPTOTIC), printed_curvature)
     except DataError as error:
         problems.append(f"averaged curves: {error}")
     default = combined.get(FitMethod.EXACT)
@@ -106,6 +106,32 @@ def combined_series(
         averaged_curves=averaged,
         problems=tuple(problems),
     )
+
+
+def _averaged_curves(
+    points: Sequence[TurningPoints],
+    pendulum: PendulumOnBall,
+    of_runs: SeriesResult | None,
+    printed_curvature: bool,
+) -> AveragedCurves:
+    """Eqs. 5 and 6 of the average curve, with the drag of the runs' own fits of them.
+
+    The average cannot show drive, drag and scatter of the runs it is made of: u is at least theirs.
+    """
+    combined = {} if of_runs is None else of_runs.parameters
+    drag = combined.get(DRAG.key)
+    found = fit_asymptotic(
+        average_curves(points),
+        pendulum,
+        drag=drag is not None,
+        printed_curvature=printed_curvature,
+        known_drag=None if drag is None else drag.estimate,
+    )
+    parameters = {
+        name: Estimate(value, max(u, combined[name].standard_uncertainty) if name in combined else u)
+        for name, (value, u) in found.estimates().items()
+    }
+    return AveragedCurves(parameters, found.arae_decay, found.arae_period)
 
 
 def _with_run_sources(

@@ -49,6 +49,7 @@ from rig.intake import (
     direction_warning,
     fast_mode_ratio,
     fast_oscillation,
+    judge_envelope_unit,
     judge_sign,
     judge_time_unit,
     missing_for_laws,
@@ -178,6 +179,7 @@ def analyse_envelope(
     if len(trajectory.positions) > 1:
         raise ConfigurationError("--position was given twice; an envelope is one column")
     judge_time_unit(path, trajectory)
+    judge_envelope_unit(path, trajectory, decibel=decibel)
     try:
         times_s = seconds(trajectory.times_ns)
         found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)

@@ -204,11 +204,9 @@ def results_row(run: RunResults) -> Row:
     if fit is not None:
         freedom = fit.degrees_of_freedom
         row |= {"law": fit.law, "chi2_per_dof": _number(fit.chi2_per_dof), "degrees_of_freedom": freedom}
-        row |= _estimate("mean_period_s", fit.mean_period_s)
-    else:
-        decay = {name: run.number(name) for name in ("mean_period_s", "log_decrement")}
-        for name, found in decay.items():
-            row |= _estimate(name, found) if found.value > 0 else {}
+    for name in ("mean_period_s", "log_decrement"):
+        found = run.number(name)
+        row |= _estimate(name, found) if found.value > 0 else {}
     if run.witness is not None:
         row |= {"witness": run.witness.verdict.value, "witness_explained": _number(run.witness.explained)}
     for one in run.contact:

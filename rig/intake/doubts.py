@@ -202,6 +202,22 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
         )
 
 
+def judge_envelope_unit(path: Path, trajectory: Trajectory, *, decibel: bool) -> None:
+    """Refuse amplitudes in dB and powers in another unit: taken for what they are not, they still fall."""
+    unit = trajectory.unit
+    in_decibel = unit.lower().startswith("db")
+    if decibel and unit != NOT_STATED and not in_decibel:
+        raise ConfigurationError(
+            f"{path}: {trajectory.names[0]} is in {unit}, but powers are taken in dB; convert it to dB, or "
+            "give its square root as --envelope amplitude"
+        )
+    if in_decibel and not decibel:
+        raise ConfigurationError(
+            f"{path}: {trajectory.names[0]} is in {unit}, which --envelope power reads, also of amplitudes "
+            "(20 lg A); --envelope amplitude takes the amplitude itself"
+        )
+
+
 def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[HalfCycle]] = ()) -> None:
     """Refuse times without a stated unit that are hardly in s: ms, row numbers, fractions of a day."""
     step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))

@@ -65,6 +65,8 @@ _MIN_DEVIATION_U = 5.0
 def along_and_across(positions: tuple[Array, ...]) -> tuple[Array, Array]:
     """Positions (n,) along the motion and across it; a single position unchanged, with NaN across.
 
+    Across lies to along as the first position to the second, so that a rotation keeps its sense.
+
     Raises DataError if there is no sample with both positions.
     """
     if len(positions) == 1:
@@ -74,8 +76,8 @@ def along_and_across(positions: tuple[Array, ...]) -> tuple[Array, Array]:
     if not good.any():
         raise DataError("no row of the table has both positions; name other columns with --position")
     centred = both - both[good].mean(axis=0)
-    along, across = _directions(both[good])[0]
-    return centred @ along, centred @ across
+    along, _ = _directions(both[good])[0]
+    return centred @ along, centred @ np.array([along[1], -along[0]])
 
 
 def direction_warning(positions: tuple[Array, ...], inside: NDArray[np.bool_]) -> str:

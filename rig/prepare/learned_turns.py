@@ -26,7 +26,7 @@ from processing.balance import (
 )
 from rig.instrument import WEIGHTS, mass_centre_height, nominal_effects, sensor_room
 from rig.settings import Configuration
-from rig.terminal import Table, TableRow, answer, print_line, print_tables, say
+from rig.terminal import Table, TableRow, answer, print_line, print_tables, say, with_uncertainty
 
 Floats = NDArray[np.float64]
 
@@ -125,8 +125,9 @@ def show_turns(config: Configuration, path: Path) -> None:
         if count:
             (x, y, height), (u_x, u_y, u_height) = responses.effect(name)
             learned.append(
-                f"one turn of {name}: X {x:+.1f} ± {u_x:.1f}, Y {y:+.1f} ± {u_y:.1f} arcsec,"
-                f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um"
+                f"one turn of {name}: X {with_uncertainty(x, u_x, signed=True)}, "
+                f"Y {with_uncertainty(y, u_y, signed=True)} arcsec, "
+                f"height {with_uncertainty(1e6 * height, 1e6 * u_height, signed=True)} um"
             )
     answer(turns=[dict(zip(_HEAD, row, strict=True)) for row in rows], learned=learned)
     note = "" if rows else f"{path}: no turn of a weight is noted yet; rig balance asks for them"

@@ -22,7 +22,7 @@ from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
 from rig.analysis import analyse_record, expected_drag, refuse_copies, stated_surroundings
-from rig.instrument import pendulum_on_ball, recorded_configuration
+from rig.instrument import balls, pendulum_on_ball, recorded_configuration
 from rig.prepare.calibration_inputs import (
     Filing,
     LadderFile,
@@ -184,7 +184,7 @@ def vanes_to_cut(config: Configuration, period_s: float) -> VanesToCut | None:
     distance_m = 0.5 * bar.length_m
     usual = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
     air = humid_air(**{name: found.known().get(name, value) for name, value in usual.items()})
-    per_area = vane_drag_s_per_m2(air, distance_m, pendulum, period_s)
+    per_area = vane_drag_s_per_m2(air, distance_m, pendulum, period_s) / balls(config)
     return VanesToCut(_VANE_DRAG_RATIO * bar.drag_s / per_area, distance_m, bar.drag_s)
 
 

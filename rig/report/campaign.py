@@ -15,7 +15,6 @@ from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import FitMethod
 from processing.series import (
     ORDER,
-    POSITIVE,
     SEEN,
     CompressedRun,
     LatentNumber,
@@ -262,11 +261,8 @@ def _energy(found: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -> Fl
 def _runs(
     entered: Sequence[tuple[FoundRun, CompressedRun]], found: SeriesPosterior, reference_rad: float
 ) -> tuple[CampaignRun, ...]:
-    together, u_together = found.run_values
+    values, u_values = found.run_values(reference_rad)
     names, out = found.model.names, []
-    values = parameters(names, together, reference_rad)
-    # u of b and gamma is that at a known exponent: the coordinate's, at the reference amplitude
-    u_values = np.where([name in POSITIVE for name in names], np.abs(values), 1.0) * u_together
     for row, (source, run) in enumerate(entered):
         fit, own = source.run.fits[FitMethod.EXACT], [name for name in names if name in run.names]
         covariates = {key: tuple(one) for key, one in run.covariates.items()}

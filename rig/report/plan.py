@@ -1,7 +1,7 @@
 """Tables and figure of `rig plan`: uncertainties of planned runs, and pairs of runs that reveal ageing."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -43,10 +43,14 @@ class Plan:
         hidden = all(run.u.get(DRAG.key, 0.0) > abs(values.get(DRAG.key, 0.0)) for run in self.runs)
         return {name: 0.0 if name == DRAG.key and hidden else value for name, value in values.items()}
 
-    def relative(self, run: PlannedRun) -> dict[str, float]:
-        """Relative uncertainty by parameter; infinite where the reference value is 0."""
-        scales = self.scales
-        return {name: u / abs(scales[name]) if scales[name] else math.inf for name, u in run.u.items()}
+    def u_after(self, run: PlannedRun, count: int) -> Mapping[str, float]:
+        """Uncertainty by parameter after so many such runs."""
+        return run.u_after(count, self.assumed.conditions.known_drag_s)
+
+    def relative(self, run: PlannedRun, count: int) -> dict[str, float]:
+        """Relative uncertainty by parameter after so many runs; infinite where the reference value is 0."""
+        scales, u_after = self.scales, self.u_after(run, count)
+        return {name: u / abs(scales[name]) if scales[name] else math.inf for name, u in u_after.items()}
 
 
 def make_plan(
@@ -90,7 +94,7 @@ def plan_table(plan: Plan) -> Table:
     lines = []
     for run, count in product(plan.runs, plan.counts):
         first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
-        all_s, u = count * run.duration_s, [run.u[name] / math.sqrt(count) for name in names]
+        all_s, u = count * run.duration_s, list(plan.u_after(run, count).values())
         remark = "" if run.complete else " (the ground ends it earlier)"
         remark += "" if run.duration_s <= plan.assumed.longest_s else " *"
         shares = [_share(one, scales[name], quantity(name).unit) for name, one in zip(names, u, strict=True)]
@@ -205,15 +209,16 @@ def plan_figure(plan: Plan) -> "ReportFigure":
         runs = sorted((run for run in plan.runs if run.first_rad == first), key=lambda run: run.duration_s)
         last = [run.last_rad / ARCSEC_RAD for run in runs]
         for colour, name in zip(palette.SEQUENCE, plan.runs[0].u, strict=False):
-            u_percent = np.array([100 * plan.relative(run)[name] for run in runs])
-            if not np.all(np.isfinite(u_percent)):
-                continue
             label = quantity(name).symbol if first == starts[0] else None
-            by_amplitude.plot(last, u_percent, line, color=colour, marker=".", label=label)
             for rank, count in enumerate(plan.counts):
+                u_percent = np.array([100 * plan.relative(run, count)[name] for run in runs])
+                if not np.all(np.isfinite(u_percent)):
+                    continue
+                if rank == 0:
+                    by_amplitude.plot(last, u_percent, line, color=colour, marker=".", label=label)
                 minutes = [count * run.duration_s / 60 for run in runs]
                 faint = 1.0 if rank == 0 else 0.45
-                by_time.plot(minutes, u_percent / np.sqrt(count), line, color=colour, marker=".", alpha=faint)
+                by_time.plot(minutes, u_percent, line, color=colour, marker=".", alpha=faint)
     by_amplitude.set(xscale="log", yscale="log")
     by_amplitude.invert_xaxis()
     last_arcsec = sorted({run.last_rad / ARCSEC_RAD for run in plan.runs})
@@ -227,8 +232,9 @@ def plan_figure(plan: Plan) -> "ReportFigure":
     styles = [Line2D([], [], color=INK, ls=line) for line in _LINE_STYLES[: len(starts)]]
     by_time.legend(styles, [f"from {first / ARCSEC_RAD:g}″" for first in starts])
     figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
+    plural = "s" if plan.counts[0] > 1 else ""
     more = ", ".join(str(count) for count in plan.counts[1:])
-    words = f"Relative standard uncertainty of every parameter after {plan.counts[0]} run" + (
+    words = f"Relative standard uncertainty of every parameter after {plan.counts[0]} run{plural}" + (
         f"; on the right, faint: {more} runs." if more else "."
     )
     return ReportFigure("plan", "Expected uncertainties", words, figure)

@@ -122,7 +122,7 @@ def series_table(series: Series) -> Table:
          "curves averaged first"), lines,
         "Runs combined with their own and the between-run scatter, Student's t for the 95 % interval, and "
         "with the apparatus as far as stated; beside it, of the swings alone, Eqs. 5 and 6, and the paper's "
-        "way: the runs' curves averaged, then Eqs. 5 and 6 fitted.",
+        "way: the runs' curves averaged, then Eqs. 5 and 6 fitted with their drag.",
     )  # fmt: skip
 
 

@@ -246,6 +246,9 @@ def test_a_cut_file_is_read_up_to_its_last_whole_chunk_and_recovered(tmp_path: P
             assert spots["sequence"].tolist() == list(range(len(spots)))
             windows = [window.sequence for window in reader.windows()]
             assert windows == list(range(len(windows)))
+            # the index of the last chunk may be cut, whose messages are read
+            assert reader.counts.get("/spot", 0) == len(spots)
+            assert reader.counts.get("/window", 0) == len(windows)
         assert any("cut short" in text for text in errors(check_record(path)))
         found = recover(path, copy)
         assert (path.read_bytes(), pixels_beside(path).read_bytes()) == cut
@@ -262,6 +265,25 @@ def test_a_cut_file_is_read_up_to_its_last_whole_chunk_and_recovered(tmp_path: P
         with copy.open("rb") as file:
             independent = make_reader(file, validate_crcs=True)
             assert sum(1 for _ in independent.iter_messages(topics=["/spot"])) == len(spots)
+
+
+@pytest.mark.parametrize("cut_at", [1.0, 0.7, 0.3])
+def test_a_file_that_was_appended_is_named_and_not_read_as_the_same_run(
+    tmp_path: Path, whole: bytes, cut_at: float
+) -> None:
+    """Behind a whole record it was passed over, and the frames behind a cut one were taken for its own."""
+    path, alone = tmp_path / "joined.mcap", tmp_path / "alone.mcap"
+    first = whole[: round(cut_at * len(whole))]
+    alone.write_bytes(first)
+    path.write_bytes(first + whole)
+    with RecordReader(alone) as wanted, RecordReader(path) as reader:
+        assert reader.spots().tobytes() == wanted.spots().tobytes()
+        assert reader.counts == wanted.counts
+        assert reader.truncated == (cut_at < 1.0)
+    begins = f"{len(whole)} bytes from byte {len(first)} on are of another file"
+    assert any(begins in text for text in errors(check_record(path)))
+    found = recover(path, tmp_path / "copy.mcap")
+    assert any(begins in lost.description for lost in found.lost)
 
 
 def test_a_file_that_was_cut_before_its_first_message_has_no_time(tmp_path: Path) -> None:

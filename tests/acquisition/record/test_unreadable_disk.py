@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import check_record, recover
-from acquisition.record.read_file import read_at
+from acquisition.record.chunk import read_at
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted

@@ -1,5 +1,6 @@
 """What a law does not describe: its distance from a decay is in the uncertainties, changes are named."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -129,6 +130,14 @@ def test_a_slip_is_found_and_dated() -> None:
     assert found[0].time_s == pytest.approx(300.0, abs=15.0)
     assert found[0].size == pytest.approx(0.05, abs=0.006)
     assert "friction changes by +" in found[0].text
+
+
+def test_a_change_is_told_to_the_place_of_its_uncertainty() -> None:
+    """12.34 +- 0.05 % was "12 ± 0.05 %": seven of its u off."""
+    change = Change(kind=ChangeKind.FRICTION, half_cycle=7, time_s=30.0, size=0.1234, u_size=5e-4, gain=50.0)
+    assert "friction changes by +12.340 ± 0.050 %" in change.text
+    knock = replace(change, kind=ChangeKind.KNOCK, size=1.2, u_size=0.05)
+    assert "moves the swing by 120.0 ± 5.0 % of" in knock.text
 
 
 @pytest.mark.slow

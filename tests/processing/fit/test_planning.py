@@ -61,6 +61,24 @@ def test_a_higher_start_and_a_lower_end_tell_more() -> None:
         assert run.duration_s / 60 == pytest.approx(minutes, rel=0.02)
 
 
+def test_what_is_known_of_the_air_counts_once_however_many_runs() -> None:
+    """Ten runs were promised a drag three times better known than beforehand, by that alone."""
+    known = Estimate(1.7e-3, 1e-7)
+    run = planned_run(
+        {**VALUES, "drag_s": known.value}, PENDULUM, replace(conditions(), known_drag_s=known),
+        124 * ARCSEC, 8 * ARCSEC,
+    )  # fmt: skip
+    ten, two = run.u_after(10, known), run.u_after(2, known)
+    assert run.u["drag_s"] == pytest.approx(1e-7, rel=0.02)
+    assert ten["drag_s"] == pytest.approx(1e-7, rel=0.2)
+    # the pair of runs counts the prior once, by another way
+    pair = planned_series([run, run], known_drag_s=known).u_steady
+    for name in ("b", "p", "c", "drag_s"):
+        assert two[name] == pytest.approx(pair[name], rel=1e-3), name
+    free = run.u_after(10, None)
+    assert free["drag_s"] == pytest.approx(run.u_after(1000, None)["drag_s"] * 10, rel=1e-6)
+
+
 @pytest.mark.parametrize("last_arcsec", [8, 4, 2])
 def test_a_run_in_vacuum_is_planned_as_one_in_hardly_any_air(last_arcsec: float) -> None:
     drag_prior = replace(conditions(), known_drag_s=Estimate(1.7e-3, 1.2e-3))

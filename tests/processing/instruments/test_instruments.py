@@ -229,7 +229,7 @@ def test_a_factor_that_may_be_anything_follows_no_law() -> None:
     """44 times the law with an uncertainty of 22 is nothing that was seen."""
     nothing = np.zeros(0)
     found = CircularError(Estimate(2.0, 1e-4), Estimate(44.18, 22.0), 1.0, *[nothing] * 5)
-    assert "too small, or too few, to show the circular error: 44.18 ± 22 times" in found.sentence
+    assert "too small, or too few, to show the circular error: 44 ± 22 times" in found.sentence
     seen = found._replace(factor=Estimate(1.1, 0.2))
     assert "follows the circular-error law" in seen.sentence
     assert np.all(found.sixteenth_s <= found.law_s)

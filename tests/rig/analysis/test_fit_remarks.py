@@ -2,17 +2,30 @@
 
 from dataclasses import replace
 from math import nan
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from acquisition.simulation.settings import GroundTruth
+from processing.contact import MATERIALS
 from processing.damping import fit_damping
 from processing.estimate import Determinacy, Estimate
-from processing.fit import BaseMotion, Budget, Drag, DragFinding, FitMethod, Ground, fit_exact
+from processing.fit import (
+    BaseMotion,
+    Budget,
+    Drag,
+    DragFinding,
+    FitMethod,
+    Ground,
+    InputQuantity,
+    RigQuantities,
+    fit_asymptotic,
+    fit_exact,
+)
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
-from rig.analysis.contact_verdicts import base_motion, fit_results
+from rig.analysis.contact_verdicts import base_motion, fit_results, with_contact
 from rig.analysis.decay_values import amplitude_damping
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 from rig.analysis.results import Correlation, Fit
@@ -24,6 +37,8 @@ from rig.analysis.run_remarks import (
     remarks,
     whole_result,
 )
+from rig.analysis.run_values import StoredTurningPoints
+from rig.analysis.series import AnalysedRun
 from rig.settings import PendulumSettings
 from rig.terminal import Verdict
 from tests.processing.fit.decays import decay, paper_pair
@@ -274,3 +289,30 @@ def test_a_power_law_of_rolling_is_not_called_a_change(exponent: float, part: st
     (told,) = (line for line in lines if line.startswith("a negative"))
     assert told.startswith(f"a negative {part} part is no force")
     assert reason in told
+
+
+@pytest.mark.usefixtures("verdicts")
+def test_the_work_of_adhesion_is_as_uncertain_as_c() -> None:
+    """It is 4 m g R c times the amplitude; what may have aged or drifted was missing from its uncertainty."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=3)
+    stored = StoredTurningPoints(
+        index=points.index, time_s=points.time_s, u_time_s=points.u_time_s,
+        amplitude=points.amplitude, u_amplitude=points.u_amplitude,
+    )  # fmt: skip
+    rig = RigQuantities(
+        InputQuantity(0.406), InputQuantity(6.05e-3), MATERIALS["steel"], MATERIALS["glass_k8"],
+        InputQuantity(1.0), InputQuantity(1.0), ageing=InputQuantity(0.0, 0.01),
+    )  # fmt: skip
+    fitted = {
+        FitMethod.EXACT: fit_exact(points, pendulum, averaged=False),
+        FitMethod.ASYMPTOTIC: fit_asymptotic(points, pendulum),
+    }
+    run = with_contact(
+        AnalysedRun(path=Path(), record="run-1.mcap", turning_points=stored, fitted=fitted, rig=rig), pendulum
+    )
+    c = run["c"]
+    assert c.u_total > 1.5 * c.u
+    for work in run.work_per_cycle:
+        value, u = work.adhesive_4at_j
+        assert u / value == pytest.approx(c.u_total / c.value, rel=1e-3)

@@ -133,6 +133,28 @@ def test_an_envelope_that_is_no_exponential_says_so(tmp_path: Path) -> None:
     assert "not one exponential" in results.warnings[0]
 
 
+@pytest.mark.parametrize(
+    ("unit", "decibel", "words"),
+    [
+        ("mW", True, "mW, but powers are taken in dB"),
+        ("V", True, "V, but powers are taken in dB"),
+        ("dB", False, "dB, which --envelope power reads"),
+        ("dBm", False, "dBm, which --envelope power reads"),
+    ],
+)
+def test_the_unit_of_an_envelope_says_what_it_holds(
+    tmp_path: Path, unit: str, decibel: bool, words: str
+) -> None:
+    """A power in mW was fitted as if it were in dB, an amplitude in dB as an amplitude: both gave numbers."""
+    t = np.linspace(0.0, 60.0, 300)
+    falling = np.exp(-t / 8.0) if decibel else 60.0 - 20.0 * np.log10(np.e) * t / 16.0
+    noisy = falling * (1.0 + 0.01 * np.random.default_rng(1).standard_normal(300))
+    with pytest.raises(ConfigurationError, match=words):
+        analyse_envelope(
+            write(tmp_path / "e.txt", t, noisy), TableColumns(unit=unit), decibel=decibel, frequency_hz=None
+        )
+
+
 @pytest.mark.slow
 def test_the_page_on_tables_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every example makes its file and fits it, and the program prints what the page says."""

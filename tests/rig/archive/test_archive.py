@@ -65,6 +65,10 @@ def test_what_is_added_is_listed_with_the_values_of_its_results(sessions: Path, 
     for name in ("b", "p", "c", "n"):
         estimate = stated["fits"]["exact"][name]
         assert (row[name], row[f"u_{name}"]) == (estimate["value"], estimate["standard_uncertainty"])
+    # of the exact fit another mean stood here, without the clock: 1.2 ms off, 0.2 µs uncertain
+    decay = {one["quantity"]: one for one in stated["table"] if one["fit"] == "decay"}
+    for name in ("mean_period_s", "log_decrement"):
+        assert (row[name], row[f"u_{name}"]) == (decay[name]["value"], decay[name]["u_total"])
     with RecordReader(sessions / "series" / "run-1.mcap") as record:
         began = record.utc(int(record.spots()["time_ns"][0]))
     assert str(row["began_utc"]).startswith(f"{began:%Y-%m-%d %H:%M:%S}")

@@ -55,6 +55,19 @@ def test_the_direction_is_that_of_the_swing(turned_deg: float) -> None:
     assert abs(np.corrcoef(along, SWING)[0, 1]) > 0.999999
 
 
+@pytest.mark.parametrize("turned_deg", [0.0, 37.0, 90.0, 143.0, 200.0, 290.0])
+def test_an_ellipse_keeps_its_sense(turned_deg: float) -> None:
+    """The singular vectors' signs decided it, so that planes of swing turned the other way."""
+    sine, cosine = np.sin(np.radians(turned_deg)), np.cos(np.radians(turned_deg))
+    aside = 0.1 * np.gradient(SWING, T_S) * PERIOD_S / (2.0 * np.pi)
+    x, y = SWING * sine + aside * cosine, SWING * cosine - aside * sine
+    along, across = along_and_across((x, y))
+    area, found = (
+        float(np.sum(one[:-1] * two[1:] - one[1:] * two[:-1])) for one, two in ((x, y), (across, along))
+    )
+    assert found == pytest.approx(area, rel=1e-3)
+
+
 def test_a_swing_whose_direction_turns_is_followed(tmp_path: Path) -> None:
     """Its amplitude along one direction is too small wherever it goes another way."""
     angle = np.radians(20.0) * (T_S / T_S[-1] - 0.5)

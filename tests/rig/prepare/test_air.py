@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 
 from calibration import read_calibration
+from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError, DataError
 from processing.fit import drag_verdict
 from rig.analysis import AnalysedRun, analyse_record, remarks
-from rig.instrument import complete
+from rig.analysis.air import expected_drag
+from rig.instrument import complete, pendulum_on_ball
 from rig.measure.session import simulate_record
 from rig.prepare import Filing, calibrate_air, vanes_to_cut
 from rig.settings import validate_configuration
@@ -157,3 +159,22 @@ def test_vanes_are_advised_and_asked_for() -> None:
     assert thin is not None
     assert advised.area_m2 == pytest.approx(stated.area_m2, rel=1e-3)
     assert thin.area_m2 != pytest.approx(stated.area_m2, rel=1e-2)
+
+
+def test_the_air_acts_once_on_a_pendulum_on_two_balls() -> None:
+    """Its drag was expected twice as large, as if each ball's half of the weight swung in the whole air."""
+    expected = []
+    for kind in ("single_ball", "two_ball"):
+        pendulum = {
+            "mass_kg": 1.2, "ball_radius_m": 5e-3, "ball_material": "steel", "flat_material": "glass_k8",
+            "length_m": 0.5, "width_m": 0.1,
+        }  # fmt: skip
+        tree = {"camera": {"driver": "simulated"}, "instrument": {"kind": kind}, "pendulum": pendulum}
+        config = validate_configuration(tree, "test")
+        on_ball = pendulum_on_ball(config)
+        assert on_ball is not None
+        cut = vanes_to_cut(config, 4.0)
+        assert cut is not None
+        drag_s = expected_drag(AmbientConditions(), on_ball, 4.0, config).drag_s
+        expected.append((drag_s, cut.drag_s, cut.area_m2))
+    assert expected[1] == pytest.approx(expected[0], rel=1e-12)
