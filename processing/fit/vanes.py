@@ -39,6 +39,10 @@ class VanedRun:
     """A run with its exact fit, and its stated exposure to the air, with the exposure's uncertainty.
 
     The exposure is the area of the vanes in m^2, or the ratio of the drag to that wanted.
+
+    Points and fit are those of the second measurement (`refinement`). As detected, the early half-cycles
+    share an error of time, which no uncertainty of a turning point states: on quiet ground n, gamma and the
+    slope of the drag over the area would scatter 1.5 to 2 times as much as stated.
     """
 
     points: TurningPoints
