@@ -293,9 +293,9 @@ def _notes(found: MeasuredAir, table: VaneFile, as_detected: Sequence[int]) -> l
         notes.append(
             f"the turning points of run {', '.join(map(str, as_detected))} could not be measured a second "
             "time: its first half-cycles share an error of time that is not in the uncertainties, which may "
-            "be half as large as they should be; replace that run (rig report says what is wrong with it)"
+            "be a third too small; replace that run (rig report says what is wrong with it)"
         )
-    if found.enlarged > 1:
+    if found.disagree:
         notes.append(
             f"the runs do not agree on one contact and one line (chance {found.chance:.2g}): uncertainties "
             f"are enlarged {found.enlarged:.2g} times; check which run deviates and if the load was the same"
