@@ -1,6 +1,7 @@
 """`rig calibrate lever`, `check` and `air`."""
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -196,6 +197,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
             raise ConfigurationError(f"{vanes}: {vanes.parent / listed_run.record}: no such record")
     refuse_copies([vanes.parent / listed_run.record for listed_run in table.run])
     runs, sources, rows, pendulums = [], [vanes], [], []
+    as_detected: list[int] = []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
     for number, listed_run in enumerate(table.run, 1):
@@ -213,6 +215,8 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
             config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
         began = at if began is None else max(began, at)
         shown = shown or _air_details(run.surroundings, pendulum, config, fit.mean_period_s.value)
+        if run.measured_again_on is None:
+            as_detected.append(number)
         exposure = listed_run.exposure
         if table.by_pressure:
             exposure = _drag_at(exposure, pendulum, config, fit.mean_period_s.value)
@@ -243,7 +247,9 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     values = {"drag_s": found.drag_s.value, "u_drag_s": found.drag_s.standard_uncertainty}
     method = f"{len(runs)} runs, {len(set(rows))} " + ("pressures" if by_ratio else "areas of vanes")
     details = _details(found, rows, by_ratio) | shown
-    return file_calibration("air", filing, method, values, details, sources, _notes(found, table), began)
+    return file_calibration(
+        "air", filing, method, values, details, sources, _notes(found, table, as_detected), began
+    )
 
 
 def _air_details(
@@ -281,9 +287,15 @@ def _details(found: MeasuredAir, exposures: list[float], by_ratio: bool) -> dict
     }
 
 
-def _notes(found: MeasuredAir, table: VaneFile) -> list[str]:
+def _notes(found: MeasuredAir, table: VaneFile, as_detected: Sequence[int]) -> list[str]:
     notes = []
-    if found.enlarged > 1:
+    if as_detected:
+        notes.append(
+            f"the turning points of run {', '.join(map(str, as_detected))} could not be measured a second "
+            "time: its first half-cycles share an error of time that is not in the uncertainties, which may "
+            "be a third too small; replace that run (rig report says what is wrong with it)"
+        )
+    if found.disagree:
         notes.append(
             f"the runs do not agree on one contact and one line (chance {found.chance:.2g}): uncertainties "
             f"are enlarged {found.enlarged:.2g} times; check which run deviates and if the load was the same"

@@ -127,6 +127,23 @@ def test_areas_that_were_swapped_are_refused(
 
 
 @pytest.mark.slow
+def test_a_run_that_was_not_measured_twice_is_named(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def second_as_detected(record: Path, *, air_known: bool) -> AnalysedRun:
+        run = fitted_once(record, air_known=air_known)
+        return replace(run, measured_again_on=None) if record.name == "1.mcap" else run
+
+    for analyse, named in ((fitted_once, False), (second_as_detected, True)):
+        monkeypatch.setattr("rig.prepare.lever.analyse_record", analyse)
+        notes = read_calibration(calibrate_air(vanes, Filing(tmp_path / f"{named}")), "air").notes
+        assert (
+            any("turning points of run 2 could not be measured a second time" in one for one in notes)
+            == named
+        )
+
+
+@pytest.mark.slow
 def test_a_run_too_short_for_the_waveform_is_refused(
     vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
