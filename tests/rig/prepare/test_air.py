@@ -9,11 +9,15 @@ import pytest
 
 from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
+from processing.estimate import Estimate
 from processing.fit import drag_verdict
+from processing.fit.vanes import MeasuredAir
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.instrument import complete
 from rig.measure.session import simulate_record
 from rig.prepare import Filing, calibrate_air, vanes_to_cut
+from rig.prepare.calibration_inputs import VaneFile
+from rig.prepare.lever import _notes
 from rig.settings import validate_configuration
 
 DRAG_S = 1.7e-3
@@ -157,3 +161,17 @@ def test_vanes_are_advised_and_asked_for() -> None:
     assert thin is not None
     assert advised.area_m2 == pytest.approx(stated.area_m2, rel=1e-3)
     assert thin.area_m2 != pytest.approx(stated.area_m2, rel=1e-2)
+
+
+def test_what_the_runs_do_not_show_is_noted() -> None:
+    found = MeasuredAir(Estimate(1e-3, 1e-5), Estimate(5.0, 2.4), {}, (), (), 0.0, 1, 0.5, 1.0)
+
+    def noted(*areas_m2: float) -> list[str]:
+        runs = [{"record": f"{area_m2}.mcap", "area_m2": area_m2} for area_m2 in areas_m2]
+        return [note.split(":")[0] for note in _notes(found, VaneFile.model_validate({"run": runs}))]
+
+    assert noted(0.0, 0.05, 0.1) == []
+    assert noted(0.0, 0.1) == ["two exposures do not show whether the drag follows the line"]
+    assert noted(0.05, 0.1, 0.2) == ["no run is without vanes"]
+    found = replace(found, per_exposure=Estimate(5.0, 2.6))
+    assert noted(0.0, 0.05, 0.1) == ["the vanes add no drag that is seen (5 ± 2.6 s per m²)"]
