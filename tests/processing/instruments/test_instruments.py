@@ -1,6 +1,7 @@
 """Kinds of pendulum: table, values against known truths, coverage, bad input."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,6 +168,12 @@ def test_constant_friction_falls_in_equal_steps() -> None:
     assert found.coefficient.value == pytest.approx(10 * q, rel=1e-4)
     assert found.independent_of_speed
     assert not found.constant_decrement
+    # what is lost is known better than moment and exponent, which are estimated together
+    noise = 1e-9 * np.random.default_rng(1).standard_normal((20, 60))
+    short = points.first(60)
+    laws = [fit_friction_law(replace(short, amplitude=short.amplitude + one)) for one in noise]
+    means, u = zip(*(one.mean_moment for one in laws), strict=True)
+    assert np.std(means) / np.median(u) == pytest.approx(1, abs=0.5)
 
 
 def test_no_coefficient_without_the_geometry() -> None:
