@@ -1,5 +1,6 @@
 """What a law does not describe: its distance from a decay is in the uncertainties, changes are named."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -92,6 +93,8 @@ def test_a_true_law_costs_nothing() -> None:
         described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
         assert described.misfit is not None
         assert not described.misfit.seen
+        assert not replace(described.misfit, against_law=9.9).seen
+        assert replace(described.misfit, against_law=10.1).seen
         assert np.array_equal(described.covariance, fit.covariance)
         assert changes_of(points, fit) == ()
         # before the data a drag is within a tenth of gravity's moment, as friction is
