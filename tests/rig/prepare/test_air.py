@@ -11,7 +11,7 @@ from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import drag_verdict
-from processing.fit.vanes import MeasuredAir
+from processing.fit.vanes import MeasuredAir, VanedRun
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.instrument import complete
 from rig.measure.session import simulate_record
@@ -126,6 +126,27 @@ def test_areas_that_were_swapped_are_refused(
     with pytest.raises(DataError, match="of drag per m² of vanes, and vanes add some: see which record"):
         calibrate_air(swapped, Filing(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.slow
+def test_runs_at_two_pressures_are_compared_by_the_drag_of_the_room(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[float] = []
+
+    def only_given(runs: list[VanedRun], *_: object, **by: bool) -> None:
+        given.extend(run.exposure for run in runs)
+        raise DataError("enough")
+
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    monkeypatch.setattr("rig.prepare.lever.air_of_vanes", only_given)
+    path = vanes.parent / "pressures.toml"
+    runs = ("record = '0.mcap'\npressure_pa = 2.5e4", "record = '1.mcap'\npressure_pa = 1e5")
+    path.write_text("".join(f"[[run]]\n{run}\n" for run in runs))
+    with pytest.raises(DataError, match="enough"):
+        calibrate_air(path, Filing(tmp_path / "c"))
+    # of air that moves in layers the drag goes with the root of its density
+    assert given == pytest.approx([0.5, 1.0], rel=0.1)
 
 
 @pytest.mark.slow
