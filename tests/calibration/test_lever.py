@@ -231,3 +231,11 @@ def test_a_lever_that_moved_is_flagged(arm_m: float, moved: bool) -> None:
 def test_what_both_checks_share_does_not_hide_a_move() -> None:
     assert moved_between((1.0, 1.01e-3), (1.002, 1.01e-3))[2] is False
     assert moved_between((1.0, 1.01e-3), (1.002, 1.01e-3), 1e-3)[2] is True
+
+
+@pytest.mark.parametrize("name", [name for name in LeverGeometry.model_fields if name.startswith("u_")])
+def test_an_uncertainty_may_be_as_small_as_it_is_and_not_negative(name: str) -> None:
+    known = {"arm_m": 1.0, "pixel_pitch_m": 5e-6}
+    assert getattr(LeverGeometry.model_validate(known | {name: 1e-9}), name) == 1e-9
+    with pytest.raises(ValueError, match=name):
+        LeverGeometry.model_validate(known | {name: -1e-9})
