@@ -107,7 +107,3 @@ def test_an_exposure_is_set_in_the_kernels_steps_of_a_tenth_of_a_millisecond(
     monkeypatch.setattr(kernel, "set_control", lambda _device, _name, steps: written.append(steps))
     source._set_exposure(CameraSettings(exposure_us=2000.0))
     assert written == [20]
-    streams: list[bool] = []
-    monkeypatch.setattr(kernel, "stream", lambda _device, on: streams.append(on))
-    source.stop()
-    assert streams == [False]

@@ -19,15 +19,11 @@ from rig.analysis.results_file import read_results, write_results
 from rig.instrument import optics_of
 from rig.report.drawing import svg
 from rig.report.figures_motion import position_error_figure
-from rig.settings import Configuration, FitSettings, load_configuration
+from rig.settings import FitSettings, load_configuration
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 from tests.processing.position_map.runs import Run, fringes, nothing, run
 from tests.rig.command_line import CONFIGS
-
-
-def spot_deflections(config: Configuration, table: np.ndarray) -> Deflections:
-    return optics_of(config, full_scale_dn=1.0).deflector((1, 1))(table["time_ns"], _spots(table))
 
 
 def in_blocks(one: Run) -> list[Deflections]:
@@ -165,7 +161,8 @@ def test_changed_deflections_are_those_of_spots_that_were_there_from_the_start()
     moved["x_px"] += random.normal(0.4, 0.1, 30)
     moved["y_px"] -= random.normal(0.7, 0.1, 30)
     moved["u_x_px"], moved["u_y_px"] = 0.05, 0.07
-    before, after = (spot_deflections(config, table) for table in (spots, moved))
+    of_spots = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
+    before, after = (of_spots(table["time_ns"], _spots(table)) for table in (spots, moved))
     # some frames, as a run that is read in blocks gives them
     found = deflection_change(config, spots, moved)(before[7:20])
     for name in ("x", "y", "u_x", "u_y"):

@@ -191,13 +191,8 @@ def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:
 
 def test_the_page_is_told_what_it_has_no_place_for() -> None:
     found = display(io.StringIO())
-    seen = RunNow(
-        phase=Phase.MEASURING,
-        amplitude=124.0,
-        estimates={"c": Estimate(1e-8, 1e-10)},
-        record_bytes=2_500_000,
-    )
-    assert dict(found.rows(seen))["record"].endswith(" MB/s, 2.5 MB")
+    seen = RunNow(phase=Phase.MEASURING, amplitude=124.0, estimates={"c": Estimate(1e-8, 1e-10)})
+    assert dict(found.rows(replace(seen, record_bytes=2_500_000)))["record"].endswith(" MB/s, 2.5 MB")
     names, facts = ([name for name, _ in rows] for rows in (found.rows(seen), found.facts(seen)))
     assert "amplitude" in names
     assert set(names) - set(facts) >= {"amplitude", *(name for name, _ in estimate_rows(seen, ()))}

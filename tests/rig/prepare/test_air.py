@@ -9,15 +9,12 @@ import pytest
 
 from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
-from processing.estimate import Estimate
 from processing.fit import drag_verdict
-from processing.fit.vanes import MeasuredAir, VanedRun
+from processing.fit.vanes import VanedRun
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.instrument import complete
 from rig.measure.session import simulate_record
 from rig.prepare import Filing, calibrate_air, vanes_to_cut
-from rig.prepare.calibration_inputs import VaneFile
-from rig.prepare.lever import _notes
 from rig.settings import validate_configuration
 
 DRAG_S = 1.7e-3
@@ -64,7 +61,7 @@ def test_the_drag_is_measured_filed_and_used(
     assert abs(drag_s - DRAG_S) < 4 * u_drag_s < 0.5 * DRAG_S
     assert found.method == "2 runs, 2 areas of vanes"
     assert [source.name for source in found.sources] == ["vanes.toml", "0.mcap", "1.mcap"]
-    assert any("at three" in note for note in found.notes)
+    assert found.notes == ["two exposures do not show whether the drag follows the line: make runs at three"]
     assert found.details["expected_drag_s"] == pytest.approx(DRAG_S, rel=0.2)
     stated = configuration(0.0, calibration={"air": str(path)})
     fit = complete(stated).fit
@@ -182,17 +179,3 @@ def test_vanes_are_advised_and_asked_for() -> None:
     assert thin is not None
     assert advised.area_m2 == pytest.approx(stated.area_m2, rel=1e-3)
     assert thin.area_m2 != pytest.approx(stated.area_m2, rel=1e-2)
-
-
-def test_what_the_runs_do_not_show_is_noted() -> None:
-    found = MeasuredAir(Estimate(1e-3, 1e-5), Estimate(5.0, 2.4), {}, (), (), 0.0, 1, 0.5, 1.0)
-
-    def noted(*areas_m2: float) -> list[str]:
-        runs = [{"record": f"{area_m2}.mcap", "area_m2": area_m2} for area_m2 in areas_m2]
-        return [note.split(":")[0] for note in _notes(found, VaneFile.model_validate({"run": runs}))]
-
-    assert noted(0.0, 0.05, 0.1) == []
-    assert noted(0.0, 0.1) == ["two exposures do not show whether the drag follows the line"]
-    assert noted(0.05, 0.1, 0.2) == ["no run is without vanes"]
-    found = replace(found, per_exposure=Estimate(5.0, 2.6))
-    assert noted(0.0, 0.05, 0.1) == ["the vanes add no drag that is seen (5 ± 2.6 s per m²)"]

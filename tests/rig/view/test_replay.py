@@ -128,18 +128,11 @@ def test_what_is_replayed_is_said_to_be_the_record(record: Path, capsys: pytest.
     said = capsys.readouterr().out
     assert f"{FRAMES} frames, 1 dropped" in said
     assert "equal bit for bit" in said
-
-
-def test_changes_of_fitted_parameters_are_listed_or_said_to_be_none(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    first = ParameterDifference("fits.exact.b", Estimate(4e-3, 2e-5), Estimate(4e-3, 3e-5))
-    print_changes([first], "run-1.mcap")
+    same = ParameterDifference("fits.exact.b", Estimate(4e-3, 2e-5), Estimate(4e-3, 3e-5))
+    print_changes([same], "run-1.mcap")
     assert capsys.readouterr().out.strip() == "1 fitted numbers, equal to those of run-1.mcap"
-    print_changes([first, first._replace(replayed=Estimate(4.02e-3, 2e-5))], "run-1.mcap")
-    said = capsys.readouterr().out
-    assert "+1.0" in said
-    assert "equal" not in said
+    print_changes([same, same._replace(replayed=Estimate(4.02e-3, 2e-5))], "run-1.mcap")
+    assert "+1.0" in capsys.readouterr().out
 
 
 def test_a_record_without_a_calibration_is_replayed_in_px(
