@@ -15,7 +15,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.fit import Change, ChangeKind, DiscrepancySize
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import decoded, encoded, read_results, results_schema, write_results
-from rig.analysis.run_values import StoredTurningPoints, TableDecay
+from rig.analysis.run_values import StoredTurningPoints
 
 SCHEMA_FILE = Path(__file__).resolve().parents[3] / "docs" / "results.schema.json"
 
@@ -158,11 +158,3 @@ def test_columns_of_different_lengths_are_one_line(tmp_path: Path) -> None:
     path.write_text("[" * 100_000)
     with pytest.raises(RecordError, match="is not JSON"):
         read_results(path)
-
-
-def test_a_whole_table_is_the_motion_of_each_of_its_decays_and_no_other() -> None:
-    whole = RunResults(record="a.csv", sha256="a")
-    first, second = (replace(whole, decay=TableDecay(began_s=at, ended_s=at + 9.0)) for at in (0.0, 20.0))
-    assert whole.is_of_same_motion(first)
-    assert first.is_of_same_motion(whole)
-    assert not first.is_of_same_motion(second)

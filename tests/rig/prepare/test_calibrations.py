@@ -1,7 +1,6 @@
 """`rig calibrate`: files that are made, used and rejected; hot pixels that the sensor's are left out by."""
 
 import datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,6 @@ from rig.prepare import (
     check_known_angle,
 )
 from rig.prepare.calibration_inputs import Filing
-from rig.prepare.calibration_report import filed
 from rig.prepare.frame_times import arrival_residuals
 from rig.settings import Configuration, validate_configuration
 from rig.view.replay import Replay
@@ -163,10 +161,7 @@ def test_a_file_is_read_back_as_it_was_written(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_pointing_and_axes_from_records(records: dict[str, Path], tmp_path: Path) -> None:
-    path = calibrate_pointing(records["rest"], Filing(tmp_path))
-    pointing = read_calibration(path)
-    (allan,) = (table for table in filed(path).tables if table.name == "allan_x")
-    assert all(later[0] >= 2 * row[0] for row, later in pairwise(allan.rows))
+    pointing = read_calibration(calibrate_pointing(records["rest"], Filing(tmp_path)))
     assert 0.5 < pointing.details["x"]["claimed_ratio"] < 2.0
     axes = fill_from_files(in_use(axes=calibrate_axes(records["swing"], Filing(tmp_path), "+", "+"))).axes
     assert axes is not None
