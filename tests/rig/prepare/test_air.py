@@ -61,7 +61,8 @@ def test_the_drag_is_measured_filed_and_used(
     assert abs(drag_s - DRAG_S) < 4 * u_drag_s < 0.5 * DRAG_S
     assert found.method == "2 runs, 2 areas of vanes"
     assert [source.name for source in found.sources] == ["vanes.toml", "0.mcap", "1.mcap"]
-    assert found.notes == ["two exposures do not show whether the drag follows the line: make runs at three"]
+    (note,) = found.notes
+    assert "at three" in note
     assert found.details["expected_drag_s"] == pytest.approx(DRAG_S, rel=0.2)
     stated = configuration(0.0, calibration={"air": str(path)})
     fit = complete(stated).fit
