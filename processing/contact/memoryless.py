@@ -38,9 +38,8 @@ from processing.contact.law import (
     weight_moment,
 )
 
-_PER_OCTAVE, _MARGIN_AMPLITUDES, _MIN_AMPLITUDES = 16, 2, 4
-"""Number of a table's amplitudes in a factor of two, beyond either end, and at least: amplitudes are right
-within 1e-9 of themselves over a decay."""
+_PER_OCTAVE, _MARGIN_AMPLITUDES, _MIN_AMPLITUDES = 24, 2, 4
+"""Number of a table's amplitudes in a factor of two, beyond either end, and at least."""
 _NODES = 20
 """Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
 _MAX_ITERATIONS, _DRAG_TOLERANCE, _NEWTON_TOLERANCE = 60, 1e-12, 1e-9

@@ -53,6 +53,8 @@ def test_rounding_moves_neither_dark_level_nor_noise_by_more_than_is_said(noise_
         pairs = list(zip(images[8::2], images[9::2], strict=True))
         found = photon_transfer(pairs, images[:8], 255)
         assert found.read_noise_resolved
+        brightest = found.points[-1]
+        assert brightest.u_variance_dn2 / brightest.variance_dn2 == pytest.approx(np.sqrt(2) / 64, rel=0.1)
         z.append((found.dark_level_dn - level) / found.u_dark_level_dn)
         gain = found.gain_e_per_dn
         z_noise.append((found.read_noise_e / gain - noise_dn) * gain / found.u_read_noise_e)

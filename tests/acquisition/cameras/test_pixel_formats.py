@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.cameras.pixel_formats import BY_NAME, FORMATS
+from acquisition.cameras.pixel_formats import BAYER_FORMATS, BY_NAME, FORMATS
 from tests.acquisition.cameras.usb3vision.description import FORMATS as CODES
 from tests.acquisition.cameras.usb3vision.packing import pack
 
 
 def test_the_numbers_are_those_of_the_naming_convention() -> None:
-    for item in FORMATS:
-        assert CODES[item.name] == item.code
+    for item in (*FORMATS, *BAYER_FORMATS):
+        assert CODES.get(item.name, item.code) == item.code
         assert (item.code >> 16) & 0xFF == item.transport_bits
 
 

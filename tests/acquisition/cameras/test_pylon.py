@@ -138,6 +138,19 @@ def test_failed_buffers_are_counted_and_never_delivered(tmp_path: Path) -> None:
     camera.close()
 
 
+def test_the_numbers_of_blocks_show_what_the_bus_has_dropped(
+    camera: PylonCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera.configure(CameraSettings(width_px=64, height_px=48, frame_rate_hz=200.0))
+    camera.start()
+    # the last but one has no number
+    blocks = iter([7, 8, 12, 2**64 - 1, 14])
+    monkeypatch.setattr(camera._pylon.GrabResult, "GetBlockID", lambda _: next(blocks))
+    frames = [camera.read(5.0) for _ in range(5)]
+    assert [frame.sequence for frame in frames if frame is not None] == [0, 1, 5, 6, 7]
+    assert camera.status.dropped_by_bus == 3
+
+
 def test_the_camera_that_is_meant_is_found_or_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DeviceError, match="0815-0000"):
         PylonCamera(PylonSettings(serial="none")).open()

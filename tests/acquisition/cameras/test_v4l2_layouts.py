@@ -3,10 +3,15 @@
 The kernel's test driver has none of them, so that buffers are made here from the kernel's description.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from acquisition.camera import ColourPlane
+from acquisition.camera import CameraSettings, ColourPlane
+from acquisition.cameras.drivers import V4l2Settings
+from acquisition.cameras.v4l2 import kernel
+from acquisition.cameras.v4l2.camera import LinuxSource
 from acquisition.cameras.v4l2.devices import choose, image_bytes, to_image
 from acquisition.cameras.v4l2.kernel import PixelLayout
 
@@ -88,3 +93,17 @@ def test_whole_words_are_preferred_to_packed_pixels() -> None:
     assert choose(["Y10P", "Y10 "], "mono10") == "Y10 "
     assert choose(["Y10P", "pBAA"], None) == "Y10P"
     assert choose(["Y14 "], "mono14") == "Y14 "
+
+
+def test_an_exposure_is_set_in_the_kernels_steps_of_a_tenth_of_a_millisecond(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    written: list[int] = []
+    source, controls = (
+        LinuxSource(V4l2Settings()),
+        {kernel.EXPOSURE_ABSOLUTE: SimpleNamespace(lowest=1, highest=99)},
+    )
+    monkeypatch.setattr(source, "_controls", lambda: controls)
+    monkeypatch.setattr(kernel, "set_control", lambda _device, _name, steps: written.append(steps))
+    source._set_exposure(CameraSettings(exposure_us=2000.0))
+    assert written == [20]

@@ -36,12 +36,14 @@ def refused(points: TurningPoints, pendulum: PendulumOnBall, message: str) -> No
         assert "\n" not in str(error.value)
 
 
-def test_too_few_say_how_many_and_how_many_are_needed(
+def test_too_few_unequal_columns_and_amplitudes_that_grow_are_refused(
     points: TurningPoints, pendulum: PendulumOnBall
 ) -> None:
     few = without(points, np.arange(9, 10_000))
     refused(few, pendulum, "9 usable half-cycles, and a fit needs at least 10")
     refused(without(points, np.arange(10_000)), pendulum, "0 usable half-cycles")
+    refused(replace(points, u_time_s=points.u_time_s[:-1]), pendulum, "u_time_s has .* values for")
+    refused(replace(points, amplitude=points.amplitude[::-1]), pendulum, "does not fall")
 
 
 def test_ten_are_enough_to_try(points: TurningPoints, pendulum: PendulumOnBall) -> None:
@@ -65,14 +67,6 @@ def test_impossible_values(
     points: TurningPoints, pendulum: PendulumOnBall, name: str, value: float, message: str
 ) -> None:
     refused(changed(points, name, 7, value), pendulum, message)
-
-
-def test_columns_of_different_length(points: TurningPoints, pendulum: PendulumOnBall) -> None:
-    refused(replace(points, u_time_s=points.u_time_s[:-1]), pendulum, "u_time_s has .* values for")
-
-
-def test_amplitudes_that_grow(points: TurningPoints, pendulum: PendulumOnBall) -> None:
-    refused(replace(points, amplitude=points.amplitude[::-1]), pendulum, "does not fall")
 
 
 def test_a_kick_is_named_in_a_warning(points: TurningPoints, pendulum: PendulumOnBall) -> None:

@@ -28,6 +28,12 @@ def test_asymptotic_fit_has_its_known_bias(flat: str) -> None:
         assert bias == pytest.approx(expected, abs=1.0), name
     assert result.arae_decay < 0.0004, "which the relative errors of Eqs. 8 and 9 do not show"
     assert result.arae_period < 0.0004
+    noisy = decay(parameters, pendulum, noise_arcsec=0.05, seed=3)
+    found = fit_asymptotic(noisy, pendulum)
+    # the mean absolute value of normal errors is sqrt(2/pi) of the standard one; a period is of two times
+    of_amplitudes = np.sqrt(2 / np.pi) * np.mean(noisy.u_amplitude / noisy.amplitude)
+    of_times = np.sqrt(4 / np.pi) * np.mean(noisy.u_time_s) / parameters.period0_s
+    assert (found.arae_decay, found.arae_period) == pytest.approx((of_amplitudes, of_times), rel=0.1)
 
 
 @pytest.mark.slow

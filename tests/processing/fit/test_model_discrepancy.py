@@ -25,6 +25,7 @@ from processing.fit import (
     with_changes,
     with_discrepancy,
 )
+from processing.fit.law_comparison import prior
 from processing.series import combine_runs
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
@@ -92,8 +93,13 @@ def test_a_true_law_costs_nothing() -> None:
         described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
         assert described.misfit is not None
         assert not described.misfit.seen
+        assert not replace(described.misfit, against_law=9.9).seen
+        assert replace(described.misfit, against_law=10.1).seen
         assert np.array_equal(described.covariance, fit.covariance)
         assert changes_of(points, fit) == ()
+        # before the data a drag is within a tenth of gravity's moment, as friction is
+        u_drag = prior(fit, PENDULUM, "drag_s")[1] * 2 * np.pi / PARAMETERS.period0_s
+        assert u_drag == pytest.approx(0.1, rel=0.05)
 
 
 @pytest.mark.slow

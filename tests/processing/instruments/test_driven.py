@@ -38,7 +38,8 @@ def driven(step_rad: float, seed: int) -> TurningPoints:
 def test_the_drive_is_seen_where_there_is_one() -> None:
     found = [drive_step(driven(4e-6, seed)) for seed in range(30)]
     assert np.median(found) == pytest.approx(4e-6, rel=0.1)
-    assert np.median([drive_step(driven(0.0, seed)) for seed in range(30)]) == 0
+    # the differences overlap: one u of their mean counts as two, and noise as a drive in one decay of sixteen
+    assert 0.015 < np.mean([drive_step(driven(0.0, seed)) > 0 for seed in range(200)]) < 0.1
 
 
 def damping_time(points: TurningPoints) -> Estimate:

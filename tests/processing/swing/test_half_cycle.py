@@ -1,4 +1,4 @@
-"""The step to the next turning point: its derivatives are those that differences find."""
+"""The step to the next turning point, whose derivatives are those that differences find; limits of flags."""
 
 import numpy as np
 import pytest
@@ -18,6 +18,10 @@ from processing.swing.half_cycle import (
     propagate,
     tabulate_state,
 )
+from processing.swing.half_cycle_fit import HalfCycleFit
+from processing.swing.judgement import judge
+from processing.swing.noise import NoiseLevel
+from processing.swing.swing import HalfCycleFlag
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
 
 REFERENCE = 100.0
@@ -53,3 +57,39 @@ def test_the_transition_is_the_derivative_of_the_step(column: int) -> None:
     behind[column] -= width
     found = (stepped(ahead)[0] - stepped(behind)[0]) / (2 * width)
     assert found == pytest.approx(transition[:, column], rel=1e-4, abs=1e-7)
+
+
+def fitted(**changed: float) -> HalfCycleFit:
+    """A half-cycle of 100 samples in 2 s without a fault, but for what has `changed`."""
+    calm = HalfCycleFit(
+        True, 1.0, 0.0, 0.001, 0.001, 0.0, 0.001, 98.0, 100, 0, 1.0, 1.0, 0.0, 0.02, STATE, np.eye(STATES)
+    )
+    return calm._replace(**changed)
+
+
+@pytest.mark.parametrize(
+    ("flag", "good", "bad"),
+    [
+        (HalfCycleFlag.GAP, {"hole_s": 0.239}, {"hole_s": 0.241}),
+        # 3.5 times the spacing of 9 samples, 0.2 s
+        (HalfCycleFlag.GAP, {"samples": 9, "chi2": 7.0, "hole_s": 0.69}, {"samples": 9, "hole_s": 0.71}),
+        (HalfCycleFlag.GAP, {"samples": 7, "chi2": 5.0}, {"samples": 6, "chi2": 4.0}),
+        # 5 and 5.5 standard deviations of a normal quantity: 184.6 of 98 degrees of freedom, 60.4 of 12
+        (HalfCycleFlag.VIBRATION, {"chi2": 184.0}, {"chi2": 186.0}),
+        (HalfCycleFlag.VIBRATION, {"worst_segment": 60.0 / 12}, {"worst_segment": 63.0 / 12}),
+        (HalfCycleFlag.VIBRATION, {"outliers": 4}, {"outliers": 5}),
+        (HalfCycleFlag.VIBRATION, {"time_s": 0.299}, {"time_s": -0.301}),
+        (HalfCycleFlag.LOW_AMPLITUDE, {"u_amplitude": 0.199}, {"u_amplitude": 0.201}),
+    ],
+)
+def test_a_half_cycle_is_flagged_beyond_its_limit(
+    flag: HalfCycleFlag, good: dict[str, float], bad: dict[str, float]
+) -> None:
+    assert judge(fitted(**good), NoiseLevel(1.0), 0.0, 2.0) == 0
+    assert judge(fitted(**bad), NoiseLevel(1.0), 0.0, 2.0) & flag
+    # twice the noise is four times the chi-square; of slow noise half as many samples are independent
+    slow = NoiseLevel(2.0, concentration=2.0)
+    assert judge(fitted(chi2=4 * 230.0, worst_segment=4 * 7.8), slow, 0.0, 2.0) == 0
+    # 115.3 of 49 degrees of freedom, 47.0 of 6
+    assert judge(fitted(chi2=4 * 234.0), slow, 0.0, 2.0) == HalfCycleFlag.VIBRATION
+    assert judge(fitted(worst_segment=4 * 8.4), slow, 0.0, 2.0) == HalfCycleFlag.VIBRATION

@@ -14,6 +14,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.fit import FitResult, predicted_harmonics
 from processing.swing import HarmonicClass
 from rig.analysis import AnalysedRun, compared_laws
+from rig.analysis.results import LawMoments, ModelFreeMoments
 from rig.analysis.table_fit import _taken_as_exact
 from rig.commands.fitting import fit_records
 from rig.settings import load_configuration
@@ -122,6 +123,18 @@ def test_a_law_whose_pendulum_would_not_swing_is_compared_without_a_waveform(
     assert math.isnan(found.laws["viscous"].waveform_chance)
     assert found.laws["viscous"].excluded
     assert "excluded: viscous" in found.verdict
+
+
+def test_the_runs_that_tell_two_laws_apart_by_three_u_are_proposed() -> None:
+    phi, u, none = ARCSEC * np.array([10.0, 40.0, 100.0]), np.array([2.0, 4.0, 5.0]), np.zeros(3)
+    more = "; a larger first amplitude or more runs may decide"
+    runs = ", by 0.7 u of one run: 19 such runs, or a larger first amplitude, may decide"
+    for most, said in ((3.1, more), (0.7, runs), (0.29, more)):
+        other = LawMoments(0.2 * u, np.array([0.5 * most, -most, 0.2]) * u)
+        laws = {"one": LawMoments(none, none), "other": other}
+        free = ModelFreeMoments(phi_rad=phi, u_friction_n_m=u, u_elastic_n_m=u, laws=laws)
+        found = compared_laws._remedy(free, "one", "other")
+        assert found == f"they differ most in elastic moment at 40 arcsec{said}"
 
 
 def test_an_unknown_law_is_named_with_those_that_there_are(measured_series: Path, tmp_path: Path) -> None:

@@ -9,18 +9,21 @@ import pytest
 
 from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
 from processing.fit import FIXED_PATTERN, Refinement, fit_exact, known_motion, second_measurement
+from processing.spot import SPOT_DTYPE
 from processing.swing import HarmonicsMeasurement, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, passing_deflections, refined_half_cycles
 from rig.analysis.air import OPEN_DRAG, evidence_of
-from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.passing_deflections import PassingDeflections, _spots, deflection_change
 from rig.analysis.results_file import read_results, write_results
+from rig.instrument import optics_of
 from rig.report.drawing import svg
 from rig.report.figures_motion import position_error_figure
-from rig.settings import FitSettings
+from rig.settings import FitSettings, load_configuration
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 from tests.processing.position_map.runs import Run, fringes, nothing, run
+from tests.rig.command_line import CONFIGS
 
 
 def in_blocks(one: Run) -> list[Deflections]:
@@ -145,3 +148,22 @@ def test_every_pass_has_the_same_frames(short: int, asked: int, monkeypatch: pyt
         assert joined(passing, passing.unit).times_ns.tolist() == list(range(20))
     assert passing.frames == 20
     assert record.asked == asked
+
+
+def test_changed_deflections_are_those_of_spots_that_were_there_from_the_start() -> None:
+    config = load_configuration(CONFIGS / "demo.toml")
+    random = np.random.default_rng(4)
+    spots = np.zeros(30, [("time_ns", np.int64), *SPOT_DTYPE.descr])
+    spots["time_ns"] = 20_000_000 * np.arange(30)
+    spots["x_px"], spots["y_px"] = random.uniform(50, 70, (2, 30))
+    spots["u_x_px"], spots["u_y_px"] = 0.02, 0.03
+    moved = spots.copy()
+    moved["x_px"] += random.normal(0.4, 0.1, 30)
+    moved["y_px"] -= random.normal(0.7, 0.1, 30)
+    moved["u_x_px"], moved["u_y_px"] = 0.05, 0.07
+    of_spots = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
+    before, after = (of_spots(table["time_ns"], _spots(table)) for table in (spots, moved))
+    # some frames, as a run that is read in blocks gives them
+    found = deflection_change(config, spots, moved)(before[7:20])
+    for name in ("x", "y", "u_x", "u_y"):
+        assert getattr(found, name) == pytest.approx(getattr(after, name)[7:20], rel=1e-9), name

@@ -84,6 +84,12 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
     assert "not constant (χ²/dof 1.5" in printed
 
 
+def test_half_cycles_that_scatter_less_than_the_noise_can_be_are_said(tmp_path: Path) -> None:
+    t = np.arange(0.0, 60.0, 0.25)
+    path = write(tmp_path / "few.txt", t, 100.0 * np.exp(-0.004 * t) * np.cos(1.55 * t))
+    assert "far less than the estimated noise" in " ".join(rig("fit", path, "--unit", "mm").stdout.split())
+
+
 def test_absolute_times_keep_every_nanosecond(tmp_path: Path) -> None:
     start = 1_763_800_000_123_456_789
     (tmp_path / "t.csv").write_text("".join(f"{start + 1001 * i},{i % 2}\n" for i in range(9)))

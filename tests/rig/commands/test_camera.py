@@ -119,7 +119,7 @@ def test_show_set_snap_focus_expose(tmp_path: Path) -> None:
     assert rrd.stat().st_size > 10_000
     done = run(app, ["camera", "expose", DEMO])
     # the line can be put where it is said to belong
-    assert "below [camera]:\nexposure_us = " in done.output
+    assert re.search(r"^peak \d\d\.\d % of .*below \[camera\]:\nexposure_us = ", done.output)
 
 
 @pytest.mark.parametrize("command", ["align", "snap"])

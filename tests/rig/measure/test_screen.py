@@ -130,6 +130,7 @@ def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit
         assert values["u_remaining_s"] > 0
         assert 300 < values["remaining_s"] < 1500
         assert "to 2 arcsec" in output.getvalue()
+        assert shown.values(replace(seen, amplitude=math.sqrt(92.6 * 2.0)))["done"] == pytest.approx(0.5)
 
 
 def test_before_the_amplitude_tells_the_end_the_limit_is_said() -> None:
@@ -191,6 +192,7 @@ def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:
 def test_the_page_is_told_what_it_has_no_place_for() -> None:
     found = display(io.StringIO())
     seen = RunNow(phase=Phase.MEASURING, amplitude=124.0, estimates={"c": Estimate(1e-8, 1e-10)})
+    assert dict(found.rows(replace(seen, record_bytes=2_500_000)))["record"].endswith(" MB/s, 2.5 MB")
     names, facts = ([name for name, _ in rows] for rows in (found.rows(seen), found.facts(seen)))
     assert "amplitude" in names
     assert set(names) - set(facts) >= {"amplitude", *(name for name, _ in estimate_rows(seen, ()))}

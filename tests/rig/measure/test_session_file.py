@@ -14,6 +14,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.devices import Devices
 from rig.measure import session
+from rig.measure.run import _check_place
 from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.measure.session_file import RunState, SessionFile, read_session
 from tests.disk_without_locks import NO_LOCKS, without_locks
@@ -79,12 +80,14 @@ def test_a_record_that_came_to_its_end_is_complete(ended: Path) -> None:
 def test_a_disk_without_room_is_said_in_one_line_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.measure.run.LEAST_FREE_BYTES", 1 << 62)
+    monkeypatch.setattr("rig.measure.run.free_bytes", lambda _: 50 * 2**20 - 1)
     done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out")
     assert done.returncode == 2 or done.returncode == 1
     assert done.stderr.count("\n") == 1
-    assert "MiB of disk are free" in done.stderr
+    assert "49 MiB of disk are free, 50 MiB are needed" in done.stderr
     assert not (tmp_path / "out").exists()
+    monkeypatch.setattr("rig.measure.run.free_bytes", lambda _: 50 * 2**20)
+    _check_place(tmp_path / "run.mcap")
 
 
 def test_a_record_whose_folder_is_removed_ends_the_run_and_is_saved(

@@ -195,7 +195,7 @@ def test_stages_and_answers_that_are_none() -> None:
         [found(False), {"kind": "wrong", "problem": "no"}, ASK], [], running=True, failed=False
     )
     assert wrong.problem == "no"
-    failed = balance_dialogue([], ["a", "rig: no camera"], running=False, failed=True)
+    failed = balance_dialogue([], ["b", "a", "rig: no camera"], running=False, failed=True)
     assert (failed.stage, failed.detail) == (BalanceStage.FAILED, "a rig: no camera")
 
 

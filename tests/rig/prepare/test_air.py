@@ -11,6 +11,7 @@ from calibration import read_calibration
 from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError, DataError
 from processing.fit import drag_verdict
+from processing.fit.vanes import VanedRun
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.analysis.air import expected_drag
 from rig.instrument import complete, pendulum_on_ball
@@ -62,7 +63,8 @@ def test_the_drag_is_measured_filed_and_used(
     assert abs(drag_s - DRAG_S) < 4 * u_drag_s < 0.5 * DRAG_S
     assert found.method == "2 runs, 2 areas of vanes"
     assert [source.name for source in found.sources] == ["vanes.toml", "0.mcap", "1.mcap"]
-    assert any("at three" in note for note in found.notes)
+    (note,) = found.notes
+    assert "at three" in note
     assert found.details["expected_drag_s"] == pytest.approx(DRAG_S, rel=0.2)
     stated = configuration(0.0, calibration={"air": str(path)})
     fit = complete(stated).fit
@@ -141,6 +143,27 @@ def test_a_run_that_was_not_measured_twice_is_named(
             any("turning points of run 2 could not be measured a second time" in one for one in notes)
             == named
         )
+
+
+@pytest.mark.slow
+def test_runs_at_two_pressures_are_compared_by_the_drag_of_the_room(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[float] = []
+
+    def only_given(runs: list[VanedRun], *_: object, **by: bool) -> None:
+        given.extend(run.exposure for run in runs)
+        raise DataError("enough")
+
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    monkeypatch.setattr("rig.prepare.lever.air_of_vanes", only_given)
+    path = vanes.parent / "pressures.toml"
+    runs = ("record = '0.mcap'\npressure_pa = 2.5e4", "record = '1.mcap'\npressure_pa = 1e5")
+    path.write_text("".join(f"[[run]]\n{run}\n" for run in runs))
+    with pytest.raises(DataError, match="enough"):
+        calibrate_air(path, Filing(tmp_path / "c"))
+    # of air that moves in layers the drag goes with the root of its density
+    assert given == pytest.approx([0.5, 1.0], rel=0.1)
 
 
 @pytest.mark.slow

@@ -17,13 +17,14 @@ from processing.fit import AIR, LinearisedFit, drift_effects
 from processing.series import EndSide, to_coordinates
 from processing.units import ARCSEC_RAD
 from rig.analysis import TableDecay, analyse_record, read_results
+from rig.analysis.result_rows import Determinacy, ResultRow
 from rig.archive import ordered_runs
 from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import session_rows
 from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
-from rig.report.campaign_input import FoundRun, runs_of_archive
+from rig.report.campaign_input import FoundRun, runs_of_archive, stated_model
 from rig.report.campaign_page import effects_table
-from rig.report.likelihoods import compress
+from rig.report.likelihoods import _bound, compress
 from tests.rig.command_line import SAMPLES, rig
 from tests.rig.report.made_sessions import (
     ENERGY_OVER_C,
@@ -170,6 +171,10 @@ def test_what_a_run_hardly_determines_is_a_bound(value: float, u: float, is_boun
         assert bound.side is EndSide.UPPER
         # its likelihood is one at the limit less its softness, and falls over as much
         assert bound.limit + bound.softness == pytest.approx(np.log(value + 2 * u))
+    row = ResultRow(quantity="c", lower=2e-9, verdict=Determinacy.LOWER_BOUND)
+    bound = _bound("c", value, u, row)
+    assert bound is not None
+    assert (bound.limit, bound.side) == (np.log(2e-9), EndSide.LOWER)
 
 
 def test_short_sessions_can_enter() -> None:
@@ -186,6 +191,9 @@ def test_without_priors_stands_beside(tmp_path: Path) -> None:
     value = fit_model(runs_of_folders(folders), stated).results.contacts["monday"]["p"]
     assert value.value > 0.955
     assert value.without_priors.value == pytest.approx(0.944, abs=0.002)
+    of_c = StatedCampaign.model_validate({"parameters": ["c"], "prior": {"c": {"value": 1e-8, "u": 2e-9}}})
+    level = stated_model(of_c, 60 * ARCSEC_RAD, []).levels["c"]
+    assert tuple(level) == pytest.approx((np.log(1e-8), 0.2))
 
 
 EFFECT = '[[effect]]\nparameter = "c"\nform = "linear"\n'

@@ -68,6 +68,7 @@ def test_without_calibration_the_report_is_in_pixels_and_says_so(tmp_path: Path)
     head = (files / "half-cycles.csv").read_text().splitlines()[0]
     assert head == "index,time_s,u_time_s,amplitude_px,u_amplitude_px"
     assert "log decrement 0.04" in page
+    assert "<summary>The record and its circumstances</summary>" in page
     assert (files / "damping.svg").exists()
 
 

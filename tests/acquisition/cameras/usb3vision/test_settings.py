@@ -232,6 +232,14 @@ def test_a_rate_that_exposure_or_bus_do_not_allow_is_said_with_the_one_that_is_p
     ]
 
 
+def test_a_setting_that_differs_by_more_than_a_thousandth_is_said() -> None:
+    asked = CameraSettings(exposure_us=1000.0, frame_rate_hz=999.5)
+    assert setting_differences(asked, CameraSettings(exposure_us=1000.9, frame_rate_hz=1000.4)) == []
+    slow, fast = setting_differences(asked, CameraSettings(exposure_us=1001.6, frame_rate_hz=999.5))
+    assert slow == "camera.exposure_us = 1000.0 was requested, the camera reports 1001.6"
+    assert fast.endswith("an exposure of 1001.6 µs leaves at most 998.403 Hz")
+
+
 def test_exposure_and_rate_that_fit_together_are_set_in_either_direction(camera: Usb3VisionCamera) -> None:
     """Each limits the other: 500 Hz do not fit while an exposure takes 40 ms."""
     for exposure_us, rate_hz in ((40_000.0, 20.0), (1000.0, 500.0), (40_000.0, 20.0)):

@@ -49,6 +49,9 @@ def test_a_start_that_is_ten_times_off_finds_the_law_too() -> None:
         assert own.estimate(ours).value == pytest.approx(
             expected.value, abs=0.02 * expected.standard_uncertainty
         )
+        assert own.estimate(ours).standard_uncertainty == pytest.approx(
+            expected.standard_uncertainty, rel=0.02
+        )
 
 
 def test_an_elastic_moment_of_ones_own_is_that_of_a_shorter_period() -> None:
