@@ -74,7 +74,9 @@ def test_runs_that_share_no_contact_are_seen(runs: list[VanedRun]) -> None:
 def test_a_scatter_that_chance_may_explain_enlarges_too(runs: list[VanedRun], found: MeasuredAir) -> None:
     """As if each run had taken the ground for quieter than it is: k was up to 1.3 u off, of many seeds."""
     quieter = (found.chi2 / (1.7 * found.dof)) ** 0.5
-    quiet = [replace(run, fit=replace(run.fit, widened=np.full(len(run.fit.names), quieter))) for run in runs]
+    quiet = [
+        replace(run, fit=replace(run.fit, u_inflation=np.full(len(run.fit.names), quieter))) for run in runs
+    ]
     doubted = air_of_vanes(quiet, PENDULUM)
     assert 0.01 < doubted.chance < 0.2
     assert not doubted.disagree
