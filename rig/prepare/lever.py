@@ -21,7 +21,7 @@ from processing.ambient import AmbientConditions, humid_air
 from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
-from rig.analysis import analyse_record, expected_drag, refuse_copies, stated_surroundings
+from rig.analysis import analyse_record, expected_drag, refuse_copies, stated_ambient
 from rig.instrument import balls, pendulum_on_ball, recorded_configuration
 from rig.prepare.calibration_inputs import (
     Filing,
@@ -179,7 +179,7 @@ def vanes_to_cut(config: Configuration, period_s: float) -> VanesToCut | None:
     pendulum = pendulum_on_ball(config)
     if pendulum is None:
         return None
-    found = stated_surroundings(config)
+    found = stated_ambient(config)
     bar = expected_drag(found, pendulum, period_s, config)
     distance_m = 0.5 * bar.length_m
     usual = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
@@ -212,7 +212,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         with RecordReader(record) as reader:
             config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
         began = at if began is None else max(began, at)
-        shown = shown or _air_details(run.surroundings, pendulum, config, fit.mean_period_s.value)
+        shown = shown or _air_details(run.ambient, pendulum, config, fit.mean_period_s.value)
         exposure = listed_run.exposure
         if table.by_pressure:
             exposure = _drag_at(exposure, pendulum, config, fit.mean_period_s.value)
@@ -256,7 +256,7 @@ def _air_details(
 
 def _drag_at(pressure_pa: float, pendulum: PendulumOnBall, config: Configuration, period_s: float) -> float:
     """Drag of a bar in the pendulum's place in air of this pressure; only ratios are used."""
-    stated = stated_surroundings(config).known() | {"pressure_pa": pressure_pa}
+    stated = stated_ambient(config).known() | {"pressure_pa": pressure_pa}
     return expected_drag(AmbientConditions(**stated), pendulum, period_s, config).drag_s
 
 
