@@ -30,6 +30,13 @@ _MIN_RELATIVE_AMPLITUDE: Final = 1e-9
 _ENDS: Final = np.array([0.0, 1.0])
 _FLOOR_CHI2: Final = 12.0
 """Smallest reduction of chi-square by a noise floor; by chance it occurs once in 2000 decays."""
+_MORE_THAN_NOISE: Final = 4.0
+"""Mean square, in its variances, from which on a residual is more than noise."""
+_STRETCHES, _FEWEST_STRETCHES, _FEWEST_OF_STRETCH = 12, 4, 5
+"""Number of equal stretches of a decay whose own rates are compared with the fitted one, and the fewest of
+them and of their amplitudes."""
+_FLOORS_ABOVE: Final = 3.0
+"""Amplitude in noise floors from which on the floor hardly changes the rate."""
 
 
 class DampingTerm(NamedTuple):
@@ -44,7 +51,8 @@ class DampingTerm(NamedTuple):
 class DampingTerms:
     """Parts of dA/dt = -(constant + linear A + quadratic A^2), in the amplitude's unit and s.
 
-    Uncertainties and `covariance` (3, 3) of the parts are enlarged by `chi2_per_dof` above 1. `floor` is the
+    Uncertainties and `covariance` (3, 3) of the parts are enlarged by `chi2_per_dof` above 1, and where the
+    parts do not describe the loss, by as much as the rates of stretches of the decay lie off. `floor` is the
     noise floor of the amplitude, added in power; NaN if the end of the decay shows none. `first` and `last`
     are the fitted amplitudes at both ends, without the floor. `exponential` is the time constant of the
     linear part alone, s; its uncertainty includes the variation of the time constant over the fall. The
@@ -171,6 +179,18 @@ def fit_damping(
     # amplitude in `unit`, time in spans: constant unit/span, linear 1/span, quadratic 1/(unit span)
     sizes = np.array([unit, 1.0, 1.0 / unit]) / span_s
     covariance = bare.covariance[1:4, 1:4] * np.outer(sizes, sizes) * excess
+    ends = amplitude_at(_ENDS, *bare.values[:4])
+    if chi2_per_dof > _MORE_THAN_NOISE:
+        above = amplitude_at(t / span_s, *bare.values[:4])
+        shown = np.hypot(above, level) if np.isfinite(level) else above
+        clear = above > (_FLOORS_ABOVE * level if np.isfinite(level) else _MIN_RELATIVE_AMPLITUDE)
+        with np.errstate(divide="ignore"):
+            left, u_left = (
+                ((y - level_db) / (2.0 * _DB) - np.log(shown), u / (2.0 * _DB))
+                if decibel
+                else (y / scale / shown - 1.0, u / scale / shown)
+            )
+        covariance *= _misfit2(t[clear], left[clear], u_left[clear], above[clear] * unit, covariance)
     parts = [
         DampingTerm(
             float(bare.values[k + 1] * sizes[k]),
@@ -179,7 +199,6 @@ def fit_damping(
         )
         for k, name in enumerate(PARTS)
     ]
-    ends = amplitude_at(_ENDS, *bare.values[:4])
     single = fits[("linear",)]
     single_chi2 = single.chi2 / (freedom + 2)
     rate, u_rate = float(single.values[2]), sqrt(single.covariance[2, 2] * max(1.0, single_chi2))
@@ -200,6 +219,32 @@ def fit_damping(
         exponential=Estimate(tau_s, u_tau_s),
         exponential_chi2_per_dof=single_chi2,
     )
+
+
+def _misfit2(t_s: Floats, left: Floats, u_left: Floats, amplitude: Floats, covariance: Floats) -> float:
+    """Mean square by which the rates of stretches lie off the fitted one, in its variances; at least 1.
+
+    `left` (n,) are the residuals of ln(amplitude) with `u_left`, `covariance` (3, 3) that of the parts. Noise
+    leaves the slopes of the residuals as uncertain as each stretch by itself tells; they then count nothing.
+    """
+    count = min(_STRETCHES, len(t_s) // _FEWEST_OF_STRETCH)
+    if count < _FEWEST_STRETCHES:
+        return 1.0
+    slopes2, u2, fitted2 = np.empty((3, count))
+    for place, rows in enumerate(np.array_split(np.arange(len(t_s)), count)):
+        weight = 1.0 / u_left[rows] ** 2
+        x = t_s[rows] - np.average(t_s[rows], weights=weight)
+        y = left[rows] - np.average(left[rows], weights=weight)
+        spread = float(np.sum(weight * x**2))
+        slope = float(np.sum(weight * x * y)) / spread
+        scatter = float(np.sum(weight * (y - slope * x) ** 2)) / (len(rows) - 2)
+        at = float(np.mean(amplitude[rows]))
+        powers = np.array([1.0 / at, 1.0, at])
+        slopes2[place], u2[place] = slope**2, max(1.0, scatter) / spread
+        fitted2[place] = powers @ covariance @ powers
+    if not np.mean(slopes2 / u2) > _MORE_THAN_NOISE:
+        return 1.0
+    return max(1.0, float(np.mean((slopes2 - u2) / fitted2)))
 
 
 def _spread2(

@@ -158,8 +158,9 @@ class FitQuality:
     Attributes
     ----------
     mean_period_s
-        Mean period of the run, from the times only. It is known even if T0, the period at vanishing
-        amplitude, is too strongly correlated with n.
+        Mean period of the run, from the times only, in the second of the camera. It is known even if T0, the
+        period at vanishing amplitude, is too strongly correlated with n. The table of results has it with
+        the uncertainty of the clock and of a period that changes.
     arae_decay, arae_period
         Mean relative deviations of amplitude and period, Eqs. 8 and 9, divided by the number of terms in
         the sum.

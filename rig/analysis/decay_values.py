@@ -21,8 +21,10 @@ from rig.analysis.result_rows import ResultRow, plain_row
 
 _STORED_AMPLITUDES = 9
 """Number of amplitudes at which the curve is stored, which is smooth."""
-_SURELY_NEGATIVE_U = 3.0
-"""Minimum distance below zero, in standard uncertainties, of a part that is surely negative."""
+_SURELY_NEGATIVE_U, _SURELY_NEEDED = 2.0, 0.95
+"""Minimum distance below zero, in standard uncertainties, and minimum probability that the decay needs it, of
+a part that is surely negative. Noise alone reaches that probability at some 3.4 standard uncertainties; these
+also contain how badly all three parts together describe the loss."""
 _NEGATIVE_PARTS: Final = {
     "constant": "no force: the loss grows faster than the amplitude, as that of rolling with an exponent "
     "above 1; or something changes during the decay, or noise lifts the last amplitudes",
@@ -70,7 +72,7 @@ class AmplitudeDamping:
             value, u = getattr(self, name)
             part = f"{with_uncertainty(value, u)}{units[name]}"
             lines.append(f"damping, {name} part {part}, needed with probability {probability:.2g}")
-            if value < -_SURELY_NEGATIVE_U * u:
+            if value < -_SURELY_NEGATIVE_U * u and probability > _SURELY_NEEDED:
                 lines.append(f"a negative {name} part is {_NEGATIVE_PARTS[name]}")
         for point in (self.curve[0], self.curve[-1]) if self.curve else ():
             quality = point.quality_factor
@@ -81,9 +83,16 @@ class AmplitudeDamping:
 
 
 def amplitude_damping(
-    damping: DampingTerms, frequency_hz: float | None, shown: Callable[[float], float] = float
+    damping: DampingTerms,
+    frequency_hz: float | None,
+    shown: Callable[[float], float] = float,
+    *,
+    u_frequency: float = 0.0,
 ) -> AmplitudeDamping:
-    """The parts and the curve of a damping; `shown` converts amplitudes to the unit in which it is stored."""
+    """The parts and the curve of a damping; `shown` converts amplitudes to the unit in which it is stored.
+
+    `u_frequency` is the relative standard uncertainty of the frequency at an amplitude.
+    """
     amplitudes = damping.amplitudes(_STORED_AMPLITUDES)
     tau_s, u_tau_s = damping.time_constant_s(amplitudes)
     parts = {name: Estimate(*getattr(damping, name)[:2]) for name in PARTS}
@@ -99,7 +108,10 @@ def amplitude_damping(
                 quality_factor=(
                     None
                     if frequency_hz is None
-                    else Estimate(pi * frequency_hz * float(tau), pi * frequency_hz * float(u))
+                    else Estimate(
+                        pi * frequency_hz * float(tau),
+                        pi * frequency_hz * hypot(float(u), u_frequency * float(tau)),
+                    )
                 ),
             )
             for amplitude, tau, u in zip(amplitudes, tau_s, u_tau_s, strict=True)
@@ -158,7 +170,8 @@ def _decay_values(points: TurningPoints, unit_size: float) -> DecayValues:
     summary, damping = summarise_decay(points), None
     with suppress(DataError):
         found = fit_damping(points.time_s, points.amplitude / unit_size, points.u_amplitude / unit_size)
-        damping = amplitude_damping(found, 1.0 / summary.period_s.value)
+        period = summary.period_s
+        damping = amplitude_damping(found, 1.0 / period.value, u_frequency=period.u / period.value)
     return DecayValues(
         Estimate(summary.period_s.value, summary.period_s.u),
         Estimate(summary.decrement.value, summary.decrement.u),

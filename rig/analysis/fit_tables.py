@@ -48,6 +48,7 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
 
 
 _SOURCES = "main sources of its variance"
+_PERIOD = "mean_period_s"
 _COLUMNS = ("parameter", "value", "u", "u_total", "lower_95", "upper_95", "verdict", "unit")
 
 
@@ -82,22 +83,30 @@ def combined_table(results: SessionResults) -> Table | None:
     )  # fmt: skip
 
 
-def quality_table(fits: Mapping[str, Fit]) -> Table:
-    """The quantities of `FitQuality` and the outliers, a column for each fit."""
+def quality_table(run: RunResults) -> Table:
+    """The quantities of `FitQuality` and the outliers, a column for each fit, below the run's mean period.
+
+    The period is that of the table of results, whose uncertainty contains the clock's and the change of the
+    period; it is the same for every fit.
+    """
+    fits = run.fits
     methods = _in_order(fits)
     lines = []
+    if (period := run.rows.get(_PERIOD)) is not None:
+        lines.append(
+            TableRow(
+                [_PERIOD, *[period.value] * len(methods)],
+                [period.shown.name, *[period.text] * len(methods), period.shown.unit],
+            )
+        )
+        lines.append(TableRow([f"u_{_PERIOD}", *[period.u_total] * len(methods)]))
     for key in quantities_of(FitQuality):
         form = quantity(key)
-        if not form.symbol:
+        if key == _PERIOD or not form.symbol:
             continue
         values = [getattr(fits[method], key) for method in methods]
-        if isinstance(values[0], Estimate):
-            texts = [form.name, *(form.text(*one) for one in values), form.unit]
-            lines.append(TableRow([key, *(one.value for one in values)], texts))
-            lines.append(TableRow([f"u_{key}", *(one.standard_uncertainty for one in values)]))
-        else:
-            numbers = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
-            lines.append(TableRow([key, *values], [form.name, *numbers, form.unit]))
+        numbers = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
+        lines.append(TableRow([key, *values], [form.name, *numbers, form.unit]))
     outliers = [fits[method].outliers for method in methods]
     cells = ["outlying_half_cycles", *(" ".join(map(str, found)) for found in outliers)]
     lines.append(TableRow(cells, ["outlying half-cycles", *map(_listed, outliers), ""]))

@@ -78,7 +78,7 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
         print_line(f"  contact laws not fitted: {run.problem}")
     if run.fits and not short:
         parameters = parameter_table(run, full=full)
-        print_tables([parameters, quality_table(run.fits)] if full else [parameters])
+        print_tables([parameters, quality_table(run)] if full else [parameters])
     if run.laws is not None:
         print_tables([law_table(run.laws), waveform_table(run.laws)])
         print_line(f"  {run.laws.verdict}")

@@ -152,10 +152,12 @@ def last_run(folder: Path) -> dict[str, str]:
 
 def _number(row: Mapping[str, Any] | None) -> str:
     """Value and whole uncertainty in the unit shown, or the verdict on a quantity that is not determined."""
-    if row is None or row["value"] is None:
+    if row is None:
         return ""
     if row["verdict"] != "determined":
         return str(row["verdict"])
+    if row["value"] is None:
+        return ""
     factor = quantity(row["quantity"]).factor
     u = row["u"] if row["u_total"] is None else row["u_total"]
     return with_uncertainty(factor * row["value"], factor * (u or math.nan))

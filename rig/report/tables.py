@@ -136,7 +136,7 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
     if results.fits:
         tables = [
             parameter_table(results),
-            quality_table(results.fits),
+            quality_table(results),
             adhesion_table(results),
             work_table(results),
             budget_table(results.budget, results.rows),

@@ -121,7 +121,7 @@ def report_text(runs: Mapping[str, RunResults]) -> str:
             parts.append(f"no fit: {results.problem}")
         if results.fits:
             parts.append(_markdown(parameter_table(results, full=False)))
-            parts.append(_markdown(quality_table(results.fits)))
+            parts.append(_markdown(quality_table(results)))
         instrument = instrument_table(results)
         if instrument.rows:
             parts.append(_markdown(instrument))

@@ -14,7 +14,7 @@ from processing.fit import FitMethod
 from processing.spot import Spot
 from processing.swing import HalfCycle
 from processing.units import NS_PER_S, seconds
-from rig.analysis import RunResults
+from rig.analysis import DECAY, INSTRUMENT, ResultRow, RunResults
 
 _MAX_TIME_DIFFERENCE = 0.25
 """Largest time difference of two turning points that count as the same, as a fraction of a half-period."""
@@ -134,7 +134,8 @@ class ReplayComparison:
 def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[ParameterDifference]:
     """Fitted parameters that two results of a run have in common, in the order of the replayed one.
 
-    Contact parameters are named ``fits.exact.b`` and so on, quantities of other pendulums as in the table.
+    Contact parameters are named ``fits.exact.b`` and so on, quantities of other pendulums as in the table,
+    with their part of the decay; those of any decay ``decay.log_decrement`` and so on.
     """
     old, new = ({**_contact(run), **_instrument(run)} for run in (recorded, replayed))
     return [ParameterDifference(name, old[name], new[name]) for name in new if name in old]
@@ -152,7 +153,14 @@ def _contact(run: RunResults) -> dict[str, Estimate]:
 
 def _instrument(run: RunResults) -> dict[str, Estimate]:
     rows = [] if run.instrument is None else [row for row in run.table if math.isfinite(row.u_total)]
-    return {row.quantity: Estimate(*row) for row in rows}
+    return {_name(row): Estimate(*row) for row in rows}
+
+
+def _name(row: ResultRow) -> str:
+    """Name of a row with the part of the decay; a number of any decay is another than the instrument's."""
+    if row.fit == DECAY:
+        return f"{DECAY}.{row.quantity}"
+    return row.quantity + (row.fit.removeprefix(INSTRUMENT) if row.fit.startswith(INSTRUMENT) else "")
 
 
 def _max_time_difference_ns(swings: Sequence[HalfCycle]) -> float:

@@ -38,6 +38,38 @@ def test_the_solution_is_that_of_the_differential_equation(kind: str) -> None:
     np.testing.assert_allclose(amplitude_at(T, 1.0, *KINDS[kind]), true_amplitude(KINDS[kind]), atol=1e-8)
 
 
+@pytest.mark.parametrize("decibel", [False, True])
+@pytest.mark.parametrize(("exponent", "floor"), [(0.94, 0.02), (0.8, 0.05), (1.3, 0.02)])
+def test_time_constants_of_a_loss_that_the_parts_do_not_describe_are_as_uncertain_as_they_are_wrong(
+    exponent: float, floor: float, *, decibel: bool
+) -> None:
+    """A loss by A^p: time constants lay up to 40 u off, because the residuals hang together."""
+    time_s = np.linspace(0.0, 1200.0, 570)
+    rest = 1.0 - exponent
+    # dA/dt = -k A^p, from 1 to the last amplitude
+    rate = (1.0 - floor**rest) / rest / time_s[-1]
+    truth = (1.0 - rest * rate * time_s) ** (1.0 / rest)
+    u = 1e-5
+    noisy = truth + u * np.random.default_rng(2).standard_normal(len(time_s))
+    values, u_values = (
+        (20 * np.log10(noisy), 20 / np.log(10) * u / truth) if decibel else (noisy, np.full(len(truth), u))
+    )
+    found = fit_damping(time_s, values, u_values, decibel=decibel)
+    assert found.chi2_per_dof > 4
+    amplitudes = np.geomspace(1.0, floor, 9)
+    tau_s, u_tau_s = found.time_constant_s(amplitudes)
+    z = (tau_s - amplitudes**rest / rate) / u_tau_s
+    assert 0.2 < np.sqrt(np.mean(z**2)) < 2.0
+
+
+def test_noise_that_is_larger_than_stated_is_no_misfit() -> None:
+    """White residuals enlarge the uncertainties by chi-square alone."""
+    truth = true_amplitude(KINDS["all"])
+    noisy = truth + NOISE * np.random.default_rng(8).standard_normal(len(T))
+    stated, too_small = (fit_damping(T, noisy, np.full(len(T), u)) for u in (NOISE, NOISE / 10))
+    assert too_small.linear.u == pytest.approx(stated.linear.u, rel=0.1)
+
+
 def test_friction_that_does_not_depend_on_speed_ends_the_swing() -> None:
     assert amplitude_at(T, 1.0, 0.1, 0.0, 0.0)[-1] == 0.0
     assert amplitude_at(T, 1.0, 0.1, 0.0, 0.3)[-1] == 0.0

@@ -318,3 +318,16 @@ def test_the_work_of_adhesion_is_as_uncertain_as_c() -> None:
     for work in run.work_per_cycle:
         value, u = work.adhesive_4at_j
         assert u / value == pytest.approx(c.u_total / c.value, rel=1e-3)
+
+
+def test_a_quality_factor_is_as_uncertain_as_its_frequency() -> None:
+    """The period of a rolling pendulum changes with the amplitude: more than its time constant is unknown."""
+    time_s = np.linspace(0.0, 600.0, 300)
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(300)
+    found = fit_damping(time_s, 124 * np.exp(-time_s / 300) + noise, np.full(300, 1e-4))
+    for point in amplitude_damping(found, 0.25, u_frequency=0.002).curve:
+        assert point.quality_factor is not None
+        q, u = point.quality_factor
+        by_time_constant = point.time_constant_s.standard_uncertainty / point.time_constant_s.value
+        assert by_time_constant < 1e-4
+        assert u / q == pytest.approx(np.hypot(0.002, by_time_constant), rel=1e-9)

@@ -38,6 +38,7 @@ from rig.analysis import (
 from rig.analysis.result_rows import (
     SURFACE_ENERGY,
     ResultRow,
+    plain_row,
     result_rows,
     rows_of_others,
     series_rows,
@@ -228,7 +229,7 @@ def test_the_terminal_shows_the_report_s_tables_where_asked(
     printed = capsys.readouterr().out
     tables = [
         parameter_table(_RUN),
-        quality_table(_RUN.fits),
+        quality_table(_RUN),
     ]
     for table in tables:
         for row in table.shown:
@@ -285,9 +286,20 @@ def test_what_is_not_determined_has_no_value_by_any_method() -> None:
 
 
 def test_relative_errors_are_in_per_cent_and_a_count_is_a_whole_number() -> None:
-    rows = {row[0]: row[1:] for row in quality_table(_RUN.fits).shown}
+    rows = {row[0]: row[1:] for row in quality_table(_RUN).shown}
     assert rows["ARAE of the amplitudes, Eq. 8"] == ["–", "1.20", "%"]
     assert rows["degrees of freedom"] == ["0", "58", ""]
+
+
+def test_the_mean_period_is_one_number_everywhere() -> None:
+    # the second of a free-running clock is known to some 60 ppm, the times of the half-cycles far better
+    period = plain_row("mean_period_s", Estimate(4.16631, 0.0088), "run-1", "decay")
+    by_times = replace(_RUN.fits["exact"], mean_period_s=Estimate(4.158322870, 3.1e-7))
+    table = quality_table(replace(_RUN, table=(*_RUN.table, period), fits={"exact": by_times}))
+    (shown,) = [row for row in table.shown if row[0] == "mean period of the run"]
+    assert shown == ["mean period of the run", period.text, "s"]
+    rows = {str(row[0]): row[1:] for row in table.rows}
+    assert (rows["mean_period_s"], rows["u_mean_period_s"]) == ([4.16631], [0.0088])
 
 
 def test_a_fit_that_only_one_method_made_has_empty_cells_for_the_other() -> None:

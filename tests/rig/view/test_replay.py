@@ -267,6 +267,28 @@ def test_changes_of_parameters_are_counted_in_recorded_uncertainties() -> None:
     ]
 
 
+def test_a_number_of_one_part_of_a_decay_is_compared_with_that_of_the_same_part() -> None:
+    """A quantity of several parts, or of instrument and any decay, was compared by its last row alone."""
+
+    def run(start: float, whole: float) -> RunResults:
+        rows = (("instrument", whole), ("instrument, start", start), ("instrument, end", 3.0), ("decay", 4.0))
+        return RunResults(
+            record="run-1.mcap",
+            table=tuple(
+                ResultRow(quantity="log_decrement", fit=fit, value=value, u_total=0.5) for fit, value in rows
+            ),
+            instrument=InstrumentResults(kind="herbert"),
+        )
+
+    changes = parameter_changes(run(2.0, 1.0), run(2.5, 1.5))
+    assert [(change.name, change.change_u) for change in changes] == [
+        ("log_decrement", 1.0),
+        ("log_decrement, start", 1.0),
+        ("log_decrement, end", 0.0),
+        ("decay.log_decrement", 0.0),
+    ]
+
+
 def test_a_cut_record_is_replayed_and_the_remedy_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
