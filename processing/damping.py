@@ -190,7 +190,7 @@ def fit_damping(
                 if decibel
                 else (y / scale / shown - 1.0, u / scale / shown)
             )
-        covariance *= _rate_discrepancy2(t[clear], left[clear], u_left[clear], above[clear] * unit, covariance)
+        covariance *= _rates_off2(t[clear], left[clear], u_left[clear], above[clear] * unit, covariance)
     parts = [
         DampingTerm(
             float(bare.values[k + 1] * sizes[k]),
@@ -221,7 +221,7 @@ def fit_damping(
     )
 
 
-def _rate_discrepancy2(t_s: Floats, left: Floats, u_left: Floats, amplitude: Floats, covariance: Floats) -> float:
+def _rates_off2(t_s: Floats, left: Floats, u_left: Floats, amplitude: Floats, covariance: Floats) -> float:
     """Mean square by which the rates of stretches lie off the fitted one, in its variances; at least 1.
 
     `left` (n,) are the residuals of ln(amplitude) with `u_left`, `covariance` (3, 3) that of the parts. Noise
