@@ -21,7 +21,13 @@ from processing.ambient import AmbientConditions, humid_air
 from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
-from rig.analysis import analyse_record, expected_drag, refuse_copies, stated_surroundings
+from rig.analysis import (
+    analyse_record,
+    drag_at_pressure,
+    expected_drag,
+    refuse_copies,
+    stated_surroundings,
+)
 from rig.instrument import balls, pendulum_on_ball, recorded_configuration
 from rig.prepare.calibration_inputs import (
     Filing,
@@ -215,7 +221,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         shown = shown or _air_details(run.surroundings, pendulum, config, fit.mean_period_s.value)
         exposure = listed_run.exposure
         if table.by_pressure:
-            exposure = _drag_at(exposure, pendulum, config, fit.mean_period_s.value)
+            exposure = drag_at_pressure(exposure, pendulum, fit.mean_period_s.value, config)
         runs.append(VanedRun(run.points, fit, exposure, listed_run.u_area_m2))
         pendulums.append(pendulum)
         rows.append(listed_run.exposure)
@@ -252,12 +258,6 @@ def _air_details(
     """The air of the first run, and the drag expected of it."""
     known = AmbientConditions() if air is None else air
     return {**known.known(), "expected_drag_s": expected_drag(known, pendulum, period_s, config).drag_s}
-
-
-def _drag_at(pressure_pa: float, pendulum: PendulumOnBall, config: Configuration, period_s: float) -> float:
-    """Drag of a bar in the pendulum's place in air of this pressure; only ratios are used."""
-    stated = stated_surroundings(config).known() | {"pressure_pa": pressure_pa}
-    return expected_drag(AmbientConditions(**stated), pendulum, period_s, config).drag_s
 
 
 def _details(found: MeasuredAir, exposures: list[float], by_ratio: bool) -> dict[str, Any]:
