@@ -57,14 +57,14 @@ class SeriesModel:
     bad_run_chance: float = 0.02
 
     def size(self, name: str) -> float:
-        """The usual size of a coordinate."""
-        return {**USUAL_SIZE, **self.sizes}["b" if name == FRICTION else name]
+        """The usual size of a coordinate; that of friction is b's if it is not stated."""
+        known = {**USUAL_SIZE, **self.sizes}
+        return known.get(name, known["b"]) if name == FRICTION else known[name]
 
     def without_priors(self) -> "SeriesModel":
         """The same with priors so wide that the data alone decide."""
-        return replace(
-            self, sizes={name: _NO_PRIOR_FACTOR * self.size(name) for name in self.names}, levels={}
-        )
+        wide = {name: _NO_PRIOR_FACTOR * self.size(name) for name in (*self.names, FRICTION)}
+        return replace(self, sizes=wide, levels={})
 
     def with_effects(self, *effects: Effect) -> "SeriesModel":
         """The same with further effects."""

@@ -76,7 +76,12 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     """
     reference_rad = stated.reference_arcsec * ARCSEC_RAD
     tried = [(one, *compress(one, reference_rad, stated.u)) for one in found]
-    entered = [(one, run) for one, run, _ in tried if run is not None]
+    # a run that is left out keeps its place, so that a step stays where it is stated
+    entered = [
+        (one, replace(run, covariates={**run.covariates, ORDER: Estimate(float(place), 0.0)}))
+        for place, (one, run, _) in enumerate(tried)
+        if run is not None
+    ]
     left_out = tuple(problem for _, run, problem in tried if run is None)
     if not entered:
         raise DataError(f"no run can enter the campaign: {'; '.join(left_out)}")
