@@ -228,6 +228,13 @@ class Effect:
         return width
 
 
+def only_bound(runs: Sequence[CompressedRun], contact: str, name: str) -> EndSide | None:
+    """The side on which runs bound a contact's coordinate that none of them determines; else None."""
+    own = [run for run in runs if run.contact == contact]
+    sides = {run.bounds[name].side for run in own if name in run.bounds}
+    return sides.pop() if len(sides) == 1 and not any(name in run.names for run in own) else None
+
+
 def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floats]:
     """A covariate of every run and its standard uncertainty.
 

@@ -491,12 +491,3 @@ def test_what_is_not_determined_is_left_out(measured_series: Path) -> None:
     assert problem.endswith("left out: too short")
     with pytest.raises(Exception, match=r"no run can enter the campaign: .*too short"):
         fit_model([nothing], StatedCampaign())
-
-
-def test_a_run_that_is_left_out_keeps_its_place_in_the_order(measured_series: Path) -> None:
-    first, second = runs_of_folders([measured_series])
-    nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
-    (entered,) = fit_model([nothing, second], StatedCampaign()).results.runs
-    covariates = entered.likelihood["covariates"]
-    assert isinstance(covariates, dict)
-    assert covariates["order"] == [1.0, 0.0]
