@@ -204,6 +204,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     runs, sources, rows, pendulums = [], [vanes], [], []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
+    period_s = 0.0
     for number, listed_run in enumerate(table.run, 1):
         record = vanes.parent / listed_run.record
         run = analyse_record(record, air_known=False)
@@ -218,10 +219,12 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         with RecordReader(record) as reader:
             config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
         began = at if began is None else max(began, at)
-        shown = shown or _air_details(run.surroundings, pendulum, config, fit.mean_period_s.value)
+        # one period, as it stands for the pendulum's length: means of runs differ by their amplitudes
+        period_s = period_s or fit.mean_period_s.value
+        shown = shown or _air_details(run.surroundings, pendulum, config, period_s)
         exposure = listed_run.exposure
         if table.by_pressure:
-            exposure = drag_at_pressure(exposure, pendulum, fit.mean_period_s.value, config)
+            exposure = drag_at_pressure(exposure, pendulum, period_s, config)
         runs.append(VanedRun(run.points, fit, exposure, listed_run.u_area_m2))
         pendulums.append(pendulum)
         rows.append(listed_run.exposure)

@@ -204,3 +204,25 @@ def test_the_drag_falls_with_the_pressure_as_in_a_pumped_chamber() -> None:
     assert low == pytest.approx(per_length * bar.length_m**3 / 12 / weight_moment, rel=0.01)
     assert low == pytest.approx(10 * lower, rel=0.01)
     assert low < 1e-3 * room
+
+
+@pytest.mark.slow
+def test_the_ratio_of_drags_is_that_of_one_pendulum(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its length followed the mean period of each run, which depends on the run's amplitudes."""
+    seen: list[float] = []
+
+    def caught(runs: Any, *_: Any, **__: Any) -> Any:
+        seen.extend(run.exposure for run in runs)
+        raise DataError("caught")
+
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    monkeypatch.setattr("rig.prepare.lever.air_of_vanes", caught)
+    path = vanes.parent / "same.toml"
+    path.write_text(
+        "".join(f"[[run]]\nrecord = '{n}.mcap'\npressure_pa = {9e4 + n * 1e-6}\n" for n in (0, 1))
+    )
+    with pytest.raises(DataError, match="caught"):
+        calibrate_air(path, Filing(tmp_path / "c"))
+    assert seen == pytest.approx([1.0, 1.0], rel=1e-9)
