@@ -128,9 +128,9 @@ def _line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floa
     """Coefficients of a weighted fit, their covariance by the stated uncertainties, and chi-square."""
     weighted = design / u_px[:, None]
     values, *_ = np.linalg.lstsq(weighted, places_px / u_px, rcond=None)
-    misfit = (places_px - design @ values) / u_px
+    unexplained = (places_px - design @ values) / u_px
     covariance: Floats = np.linalg.pinv(weighted.T @ weighted, hermitian=True).astype(np.float64)
-    return values.astype(np.float64), covariance, float(misfit @ misfit)
+    return values.astype(np.float64), covariance, float(unexplained @ unexplained)
 
 
 def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew: bool) -> LadderSolution:

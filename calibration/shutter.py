@@ -270,15 +270,15 @@ def fit_row_time_of_pulses(
         values, *_ = np.linalg.lstsq(design, light, rcond=None)
         return np.asarray(design @ values, dtype=np.float64)
 
-    def misfit(row_time_s: float) -> float:
+    def sum_of_squares(row_time_s: float) -> float:
         return float(np.mean((light - fitted(row_time_s)) ** 2))
 
     step_s = max(exposure_s, delay_s + pulse_s) / rows / _SEARCH_STEPS
     nearest_s = step_s * min(
-        np.arange(-2 * _SEARCH_STEPS, 2 * _SEARCH_STEPS + 1), key=lambda step: misfit(step_s * step)
+        np.arange(-2 * _SEARCH_STEPS, 2 * _SEARCH_STEPS + 1), key=lambda step: sum_of_squares(step_s * step)
     )
     best = minimize_scalar(
-        misfit,
+        sum_of_squares,
         bounds=(nearest_s - step_s, nearest_s + step_s),
         method="bounded",
         options={"xatol": 1e-6 * step_s},
@@ -293,7 +293,9 @@ def fit_row_time_of_pulses(
             "laser.pulse_delay_us to 0"
         )
     near_s = 1e-3 * abs(row_time_s)
-    curvature = (misfit(row_time_s + near_s) + misfit(row_time_s - near_s) - 2.0 * least) / near_s**2
+    curvature = (
+        sum_of_squares(row_time_s + near_s) + sum_of_squares(row_time_s - near_s) - 2.0 * least
+    ) / near_s**2
     u_scatter_s = float(np.sqrt(2.0 * least / (len(light) * curvature)))
     rows_px, off, u_off = _along_path(y_px, light - fitted(row_time_s), float(np.mean(light)))
     return PulsedShutterFit(

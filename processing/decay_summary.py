@@ -302,9 +302,9 @@ class _Decay:
                 root, np.column_stack([residuals, slopes[:-1], ratio * walk_variance]), lower=True
             )
             e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
-            misfit = FactoredJacobian(a).left(e)
+            unexplained = FactoredJacobian(a).left(e)
             # amplitudes may scatter more than by their uncertainties
-            scale = max(1.0, float(misfit @ misfit) / max(count - 4, 1))
+            scale = max(1.0, float(unexplained @ unexplained) / max(count - 4, 1))
             rows = np.concatenate([e / math.sqrt(scale), -prior_rows @ (parameters - _PRIOR)])
             fit = FactoredJacobian(np.vstack([a / math.sqrt(scale), prior_rows]))
             shift, rest = fit.coefficients(rows), fit.left(rows)

@@ -1,4 +1,4 @@
-"""Oscillation of a pendulum at rest, which the ground drives, and its auxiliary seismometer (`Witness`)."""
+"""Oscillation of a pendulum at rest, which the ground drives, and its auxiliary seismometer."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -223,14 +223,14 @@ class SeismometerAtRest:
         return self.coherence > self.chance_coherence
 
 
-def witness_at_rest(time_s: Floats, deflection: Floats, witness: Seismogram) -> SeismometerAtRest:
+def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismogram) -> SeismometerAtRest:
     """Compare an auxiliary seismometer with a free pendulum at rest, along its slow mode.
 
     Parameters
     ----------
     time_s, deflection
         (n,) NaN without a spot.
-    witness
+    seismometer
         Record of the seismometer, on the same clock within a quarter of a period.
 
     Raises
@@ -241,7 +241,7 @@ def witness_at_rest(time_s: Floats, deflection: Floats, witness: Seismogram) -> 
     from scipy.special import betaincinv
 
     rest = swing_at_rest(time_s, deflection)
-    signals = plain_signals(witness, rest.period_s)
+    signals = plain_signals(seismometer, rest.period_s)
     if not np.all(np.ptp(signals.value, axis=0) > 0):
         raise DataError("its values do not change")
     compared = _compare_steps(rest, signals)

@@ -60,11 +60,11 @@ class RecordedReference(NamedTuple):
         return cls(sequence, time_ns, *position, spot.amplitude_dn, spot.chi2_per_dof, spot.flags)
 
 
-class RecordedWitness(NamedTuple):
+class RecordedSeismometer(NamedTuple):
     """A sample of the auxiliary seismometer, in its own unit; NaN for columns that it lacks.
 
     `time_ns` is on the frames' clock, shifted as the newest frame; `own_time_s` is the instrument's own time,
-    NaN without one. The configuration names the columns (witness.columns).
+    NaN without one. The configuration names the columns (seismometer.columns).
     """
 
     time_ns: int
@@ -326,7 +326,7 @@ class TimedMessage(Protocol):
 _VALUE_CLASSES: Final[dict[str, type[TimedMessage] | None]] = {
     "/environment": Environment,
     "/reference": RecordedReference,
-    "/witness": RecordedWitness,
+    "/seismometer": RecordedSeismometer,
     "/note": RecordedNote,
     "/losses": RecordedLosses,
     "/clock": ClockAnchor,
@@ -347,8 +347,8 @@ KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
     if value_class is not None
 }
 """Types of the messages that hold one value each, by the class of the value."""
-ENVIRONMENT, REFERENCE, WITNESS, CLOCK = (
-    KIND_OF[one] for one in (Environment, RecordedReference, RecordedWitness, ClockAnchor)
+ENVIRONMENT, REFERENCE, SEISMOMETER, CLOCK = (
+    KIND_OF[one] for one in (Environment, RecordedReference, RecordedSeismometer, ClockAnchor)
 )
 Topics: TypeAlias = dict[str, MessageType | None]
 """Message types of a file by topic, in the order of the channels 1, 2, ...; None: a type of Foxglove's."""

@@ -299,7 +299,7 @@ class SimulatedSeismometer:
     def __init__(self, settings: SimulationSettings) -> None:
         if settings.ground.model == "none":
             raise ConfigurationError(
-                "a simulated witness feels the simulated ground: set simulation.ground.model"
+                "a simulated seismometer feels the simulated ground: set simulation.ground.model"
             )
         self._settings = settings
         self._run = -1
@@ -309,7 +309,7 @@ class SimulatedSeismometer:
 
     def until(self, time_s: float, run: int) -> SeismometerSamples:
         """The samples since the last call, up to a time of a run; they begin anew with another run."""
-        truth = self._settings.witness
+        truth = self._settings.seismometer
         if run != self._run:
             ground = ground_of(self._settings, run)
             assert ground is not None

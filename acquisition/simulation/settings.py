@@ -335,7 +335,7 @@ class GroundTruth(SimulationSection, frozen=True):
 
 
 class SeismometerTruth(SimulationSection, frozen=True):
-    """An instrument beside the rig that feels the ground; for witness.kind = 'simulated'."""
+    """An instrument beside the rig that feels the ground; for seismometer.kind = 'simulated'."""
 
     rate_hz: float = Field(default=20.0, gt=0, le=1000, description="of its samples")
     counts_per_m_per_s2: float = Field(default=1e9, gt=0, description="what it writes")
@@ -388,7 +388,7 @@ class SimulationSettings(SimulationSection, frozen=True):
     disturbances: DisturbanceTruth = DisturbanceTruth()
     ground: GroundTruth = GroundTruth()
     person: PersonTruth = PersonTruth()
-    witness: SeismometerTruth = SeismometerTruth()
+    seismometer: SeismometerTruth = SeismometerTruth()
     stated: StatedTruth = StatedTruth()
 
     @model_validator(mode="after")

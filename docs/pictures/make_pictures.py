@@ -83,11 +83,11 @@ def draw_plan(picture: Path) -> None:
 
 
 def draw_vault(picture: Path) -> None:
-    """Measure in the vault, and save what its witness explains."""
+    """Measure in the vault, and save what its seismometer explains."""
     with tempfile.TemporaryDirectory() as made:
         run = [sys.executable, "-m", "rig", "run", str(VAULT), "-o", f"{made}/session"]
         subprocess.run(run, check=True)
-        picture.write_bytes(figures_of(Path(made) / "session")["witness"])
+        picture.write_bytes(figures_of(Path(made) / "session")["seismometer"])
     print(f"{picture.name}: {picture.stat().st_size / 1000:.0f} kB")
 
 

@@ -237,10 +237,10 @@ class BalanceEstimator:
         value = table[:, column] - np.average(table[:, column], weights=weight)
         spread = float(weight @ time**2)
         slope = float(weight @ (time * value)) / spread
-        misfit = float(weight @ (value - slope * time) ** 2) / (len(table) - 2)
+        chi2_per_dof = float(weight @ (value - slope * time) ** 2) / (len(table) - 2)
         lever = time * np.sqrt(weight)
         shared = 2.0 * _OVERLAP_CORRELATION * float(lever[1:] @ lever[:-1])
-        return slope, math.sqrt(max(misfit, 1.0) * (spread + shared)) / spread
+        return slope, math.sqrt(max(chi2_per_dof, 1.0) * (spread + shared)) / spread
 
 
 def _is_same_motion(whole: TwoModes, later: TwoModes) -> bool:

@@ -2,7 +2,7 @@
 
 from processing.contact.asymptotic import decay_path, fit_decay, frequency_drop, period, period_start
 from processing.contact.free_swing import (
-    STEEPER_DRAG,
+    BOUNDARY_LAYER_DRAG,
     ExpectedDrag,
     bar_of,
     expected_drag_s,

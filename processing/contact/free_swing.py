@@ -25,8 +25,8 @@ from processing.contact.law import DRAG, Law, PendulumOnBall, weight_moment
 from processing.errors import DataError
 from processing.swing import PIECE_HALF_CYCLES, HarmonicTerms
 
-STEEPER_DRAG = "steeper_drag"
-"""Key of a drag that grows with the 3/2 power of the speed, in s^1.5: ``-m g R steeper |phi'|^0.5 phi'``."""
+BOUNDARY_LAYER_DRAG = "boundary_layer_drag"
+"""Key of a drag that grows with the 3/2 power of the speed, in s^1.5: ``-m g R drag |phi'|^0.5 phi'``."""
 _NODES = 256
 """Nodes of a half-swing; with these numbers the third harmonic is right within 1e-4 of itself."""
 _MAX_ITERATIONS, _TOLERANCE = 30, 1e-10
@@ -56,7 +56,7 @@ def free_swing(
 ) -> FreeSwing:
     """Free swings from turning points at positive `amplitudes_rad` (n,) over `halves` half-swings.
 
-    `values` are the law's parameters by key in SI units, and optionally ``drag_s`` and `STEEPER_DRAG`.
+    `values` are the law's parameters by key in SI units, and optionally ``drag_s`` and `BOUNDARY_LAYER_DRAG`.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def free_swing(
     whole, part = -np.diff(np.cos(edge)), np.cos(edge[:-1]) - np.cos(middle)
     cos, sin, forward = np.cos(middle), np.sin(middle), middle < 0.5 * np.pi
     weight, rate = weight_moment(pendulum), 2 * np.pi / values["period0_s"]
-    drag, steeper = values.get(DRAG.key, 0.0) * rate, values.get(STEEPER_DRAG, 0.0) * rate**1.5
+    drag, boundary_layer = values.get(DRAG.key, 0.0) * rate, values.get(BOUNDARY_LAYER_DRAG, 0.0) * rate**1.5
     a, begins, side = amplitudes_rad[:, None], np.zeros((len(amplitudes_rad), 1)), 1.0
     ratio, relative_speed = np.ones_like(a), sin
     parts = []
@@ -82,7 +82,7 @@ def free_swing(
                 half = 0.5 * (a + following)
                 phi = 0.5 * (a - following) + half * cos
                 friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)
-                moment = half * ((friction + elastic) / weight + drag * speed + steeper * speed**1.5)
+                moment = half * ((friction + elastic) / weight + drag * speed + boundary_layer * speed**1.5)
                 cells = moment * whole
                 work = np.cumsum(cells, axis=1) - cells + moment * part
                 total = np.sum(cells, axis=1, keepdims=True)

@@ -158,7 +158,7 @@ def profile_likelihood(
     if not np.isfinite(u):
         u = abs(value) or 1.0
     scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
-    u_inflation = 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
+    u_inflation = 1.0 if result.u_inflation is None else float(result.u_inflation[result.names.index(name)])
     scale *= u_inflation**2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     held = _ConditionalModel(model, name, best)

@@ -15,7 +15,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.decay_summary import mean_period
 from processing.fit.effects import loss_shares
-from processing.fit.exact_model import LawErrors
+from processing.fit.exact_model import DiscrepancyColumns
 from processing.fit.ground import Noise
 from processing.fit.result import (
     DISCREPANCY,
@@ -60,26 +60,28 @@ def with_discrepancy(at: LinearisedFit, fit: FitResult | None = None) -> FitResu
     `fit` is the fit that receives the term, where it has terms that `at.fit` has not.
     """
     fit = at.fit if fit is None else fit
-    misfit, by = _discrepancy(at)
+    discrepancy, by = _discrepancy(at)
     if by is None:
-        return replace(fit, misfit=misfit)
+        return replace(fit, discrepancy=discrepancy)
     wider = fit.with_term(DISCREPANCY, by)
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.nan_to_num(wider.standard_uncertainty / fit.standard_uncertainty, nan=1.0)
-    misfit = replace(misfit, widened=dict(zip(fit.names, factor.tolist(), strict=True)))
-    return replace(wider, misfit=misfit, warnings=(*fit.warnings, *_warnings(misfit, factor)))
+    discrepancy = replace(discrepancy, u_inflation=dict(zip(fit.names, factor.tolist(), strict=True)))
+    return replace(wider, discrepancy=discrepancy, warnings=(*fit.warnings, *_warnings(discrepancy, factor)))
 
 
-def _warnings(misfit: DiscrepancySize, factor: Floats) -> tuple[str, ...]:
+def _warnings(discrepancy: DiscrepancySize, factor: Floats) -> tuple[str, ...]:
     parts = [
         f"its {name} by {float(f'{100 * size:.2g}'):g} %"
         for name, size in (
-            ("losses", misfit.loss), ("durations", misfit.duration), ("harmonics", misfit.waveform),
+            ("losses", discrepancy.loss),
+            ("durations", discrepancy.duration),
+            ("harmonics", discrepancy.waveform),
         )
         if size
-    ]  # fmt: skip
+    ]
     text = (
-        f"the law does not describe this decay (chi2 {misfit.against_law:.0f} against it): it misses "
+        f"the law does not describe this decay (chi2 {discrepancy.against_law:.0f} against it): it misses "
         f"{', '.join(parts)}; uncertainties are widened for it by up to {factor.max():.2g}"
     )
     return (text,)
@@ -92,7 +94,7 @@ def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
     model = at.model
     nodes = _HatFunctions(at.points.amplitude / model.reference)
     of_waveform = _by_harmonics(at, nodes)
-    errors = LawErrors(nodes, nodes)
+    errors = DiscrepancyColumns(nodes, nodes)
 
     def driven(noise: Noise) -> DrivenRows | None:
         found = DrivenRows.of(model, at.coordinates, noise, errors, of_waveform)
@@ -107,13 +109,13 @@ def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
     if not against > DISCREPANCY_SEEN:
         return DiscrepancySize(against_law=max(against, 0.0)), None
     loss, duration, waveform = best.averaged.tolist()
-    misfit = DiscrepancySize(loss=loss, duration=duration, waveform=waveform, against_law=float(against))
+    discrepancy = DiscrepancySize(loss=loss, duration=duration, waveform=waveform, against_law=float(against))
     # the effect of errors of these sizes on the values, which were fitted with the law's own weights
     here = driven(at.noise)
     assert here is not None
     here = here.in_scatter(at.scale)
     by = FactoredJacobian(here.jacobian).coefficients(here.by_errors * np.repeat(best.averaged, nodes.count))
-    return misfit, at.to_physical @ by
+    return discrepancy, at.to_physical @ by
 
 
 class _HatFunctions:
@@ -356,7 +358,7 @@ class _ChangeScan:
             knock = _impulses(node_s, here_s) / lasting[:, None]
             return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
 
-        at, errors = self._at, LawErrors(loss_errors, duration_errors)
+        at, errors = self._at, DiscrepancyColumns(loss_errors, duration_errors)
         changes = DrivenRows.of(at.model, at.coordinates, self._noise, errors).by_errors / self._scale
         if not whole:
             changes = self._law.left(changes)

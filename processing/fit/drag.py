@@ -175,8 +175,8 @@ def _test(
 
     value, u = alone.estimate(DRAG.key)
     scale = max(1.0, alone.chi2_per_dof) if alone.loss == "linear" else 1.0
-    if alone.widened is not None:
-        scale *= float(alone.widened[alone.names.index(DRAG.key)]) ** 2
+    if alone.u_inflation is not None:
+        scale *= float(alone.u_inflation[alone.names.index(DRAG.key)]) ** 2
     f_statistic = max(0.0, 2 * (without.cost - alone.cost)) / scale
     p_value = float(fdtrc(1, alone.dof, f_statistic))
     upper_95 = max(0.0, value) + float(stdtrit(alone.dof, 0.95)) * u if u < inf else inf
@@ -191,12 +191,14 @@ def _test(
 
 def _at_least_as_uncertain(alone: FitResult, fit: FitResult) -> FitResult:
     """The fit of the data alone, its uncertainties enlarged at least as much as those of the reported fit."""
-    if alone is fit or fit.widened is None or len(fit.widened) != len(alone.names):
+    if alone is fit or fit.u_inflation is None or len(fit.u_inflation) != len(alone.names):
         return alone
-    widened = fit.widened if alone.widened is None else np.maximum(fit.widened, alone.widened)
-    before = np.ones_like(widened) if alone.widened is None else alone.widened
-    more = np.outer(widened / before, widened / before)
-    return replace(alone, widened=widened, covariance=alone.covariance * more)
+    u_inflation = (
+        fit.u_inflation if alone.u_inflation is None else np.maximum(fit.u_inflation, alone.u_inflation)
+    )
+    before = np.ones_like(u_inflation) if alone.u_inflation is None else alone.u_inflation
+    more = np.outer(u_inflation / before, u_inflation / before)
+    return replace(alone, u_inflation=u_inflation, covariance=alone.covariance * more)
 
 
 def _shift(before: float, after: float) -> float:

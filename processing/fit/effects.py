@@ -26,9 +26,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import DRAG, STEEPER_DRAG
+from processing.contact import BOUNDARY_LAYER_DRAG, DRAG
 from processing.estimate import Estimate
-from processing.fit.exact_model import ExactModel, LawErrors
+from processing.fit.exact_model import DiscrepancyColumns, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.reported import RigQuantities
 from processing.fit.result import BOUNDARY_LAYER, FITTED_DRIFTS, FIXED_PATTERN, BoundaryLayerDrag, FitResult
@@ -101,7 +101,7 @@ def rows_with_drifts(model: ExactModel, columns: Floats, noise: Noise) -> Driven
             moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWTH_STEP
             reduced = waveform.reduced(since * moved)
             of_waveform[: len(reduced), column] = reduced
-    return DrivenRows.of(model, columns, noise, LawErrors(loss_errors, duration_errors), of_waveform)
+    return DrivenRows.of(model, columns, noise, DiscrepancyColumns(loss_errors, duration_errors), of_waveform)
 
 
 def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
@@ -128,19 +128,19 @@ def boundary_layer_drag(at: LinearisedFit) -> BoundaryLayerDrag:
     per_unit = _UNIT_DRAG_RATIO / (at.model.reference**0.5 * rate**1.5)
     # a softer pendulum is duration_errors by the root of its stiffness
     lost = _UNIT_DRAG_RATIO * _BOUNDARY_LAYER_INTEGRAL * sqrt(period_s / period0_s)
-    more = at.by_loss(lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {STEEPER_DRAG: per_unit})
+    more = at.by_loss(lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {BOUNDARY_LAYER_DRAG: per_unit})
     found = at.solved(Term(BOUNDARY_LAYER, more))
     # enlarged as the parameters of the fit are: by the scatter, and by the factors of their uncertainties
     scatter = sqrt(max(1.0, fit.chi2_per_dof)) if fit.loss == "linear" else 1.0
-    widened = 1.0 if fit.widened is None else float(np.max(fit.widened))
-    u = sqrt(found.covariance[0, 0]) * widened * scatter / at.scale
+    u_inflation = 1.0 if fit.u_inflation is None else float(np.max(fit.u_inflation))
+    u = sqrt(found.covariance[0, 0]) * u_inflation * scatter / at.scale
     if not 0 < u < inf:
         return BoundaryLayerDrag()
     moved = at.to_physical @ found.moved
     value, drag_s = float(found.values[0]), fit.estimate(DRAG.key).value
     first = float(at.points.amplitude[0]) * rate
     return BoundaryLayerDrag(
-        steeper=Estimate(value * per_unit, u * per_unit),
+        coefficient=Estimate(value * per_unit, u * per_unit),
         p_value=float(fdtrc(1, fit.dof, (value / u) ** 2)),
         share=_share(value * per_unit * first**0.5, drag_s),
         relative_shift_b=float(moved[0] / fit.values[0]),
@@ -155,18 +155,18 @@ def with_boundary_layer_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitRes
     The values and their curves stay: the linear step is right only to some tenths of itself.
     """
     if not found.seen:
-        return replace(fit, steeper=found)
+        return replace(fit, boundary_layer=found)
     percent = float(f"{100 * found.relative_shift_b:.3g}")
     said = (
         f"a drag with the 3/2 power of the speed is in the data (chance without: {plain(found.p_value, 1)}); "
         f"with it b changes by {percent:+g} %, which its uncertainty covers"
     )
-    return fit.with_term(BOUNDARY_LAYER, np.array(found.shift)[:, None], said, steeper=found)
+    return fit.with_term(BOUNDARY_LAYER, np.array(found.shift)[:, None], said, boundary_layer=found)
 
 
-def _share(steeper_s: float, drag_s: float) -> float:
+def _share(coefficient: float, drag_s: float) -> float:
     """Ratio of both drags' work in a half-swing, by the integrals of ``sin^2.5`` and ``sin^2``."""
-    return _BOUNDARY_LAYER_INTEGRAL * steeper_s / (0.5 * pi * drag_s) if drag_s else nan
+    return _BOUNDARY_LAYER_INTEGRAL * coefficient / (0.5 * pi * drag_s) if drag_s else nan
 
 
 _MAX_NEGLIGIBLE_ERROR_U = 1e-3

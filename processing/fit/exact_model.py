@@ -53,7 +53,7 @@ class _LinearEvidence(NamedTuple):
         return self.scale * self.residuals + jacobian @ (columns - self.at), jacobian
 
 
-class LawErrors(NamedTuple):
+class DiscrepancyColumns(NamedTuple):
     """Relative errors that a law may have, one a column, as functions of the nodes of a half-swing.
 
     Each takes falling amplitudes in units of the reference and the times in s at which a free decay passes
@@ -234,7 +234,7 @@ class ExactModel:
         gains: Floats | None = None,
         *,
         with_rho: bool = False,
-        errors: LawErrors | None = None,
+        errors: DiscrepancyColumns | None = None,
     ) -> FilterResult:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 

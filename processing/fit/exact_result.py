@@ -140,22 +140,22 @@ def result_of(
     chi2_per_dof = solution.chi2 / solution.dof
     scatter = solution.covariance * (max(1.0, chi2_per_dof) if loss == "linear" else 1.0)
     covariance = propagate(to_physical, scatter)
-    widened = np.ones(len(covariance))
+    u_inflation = np.ones(len(covariance))
     if likeliest is not None and averaged is not None:
         # never smaller: a drive that was seen may still be larger than the likeliest one
-        widened *= np.maximum(1.0, _factor(to_physical, averaged, likeliest))
+        u_inflation *= np.maximum(1.0, _factor(to_physical, averaged, likeliest))
     of_points = solution.residuals[: 2 * len(points)]
     white = whiteness(of_points / np.sqrt(max(1.0, chi2_per_dof)))
     if np.all(np.isfinite(covariance)):
         factor = _by_correlation(to_physical, solution, white, len(points))
-        white = replace(white, widened=float(factor.max()))
-        widened *= factor
-    covariance = covariance * np.outer(widened, widened)
+        white = replace(white, u_inflation=float(factor.max()))
+        u_inflation *= factor
+    covariance = covariance * np.outer(u_inflation, u_inflation)
     terms = {MEASUREMENT: _by_measurement(model, solution, to_physical)}
     by_air = _by_air(model, solution)
     if by_air is not None:
         scale = max(1.0, chi2_per_dof) ** 0.5 if loss == "linear" else 1.0
-        terms[AIR] = (widened * scale * (to_physical @ by_air))[:, None]
+        terms[AIR] = (u_inflation * scale * (to_physical @ by_air))[:, None]
 
     count = len(points)
     normalised = np.abs(of_points)
@@ -186,11 +186,11 @@ def result_of(
         ),
         half_cycles=count,
         ground=ground,
-        widened=widened,
+        u_inflation=u_inflation,
         terms=terms,
         whiteness=white,
         evidence=model.evidence_at(solution.values, scatter),
-        worth=_gain_factors(model, solution, to_physical),
+        information_gain=_gain_factors(model, solution, to_physical),
     )
 
 
@@ -212,7 +212,7 @@ def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: W
             "half-swing by more than a tenth of its amplitude"
         )
     if white.correlated:
-        wider = f"widened by up to {white.widened:.2g}" if white.widened >= 1.05 else "hardly wider"
+        wider = f"widened by up to {white.u_inflation:.2g}" if white.u_inflation >= 1.05 else "hardly wider"
         chance = plain(min(white.p_amplitude, white.p_time), 1)
         yield (
             f"the residuals of neighbouring half-cycles are correlated (chance {chance}): "

@@ -247,13 +247,13 @@ def drive_filter(
     a_by, t_by = start_by[0].copy(), start_by[1].copy()
     p_aa, p_at, p_tt = 0.0, 0.0, 0.0
     s2 = step * step
-    witnessed = known.shape[1] > 0
+    is_driven = known.shape[1] > 0
     k = 0
     if last < 1:
         return innovations, jacobian, state, log_det
     for i in range(count):
         halves = index[i] - index[i - 1] if i > 0 else 0
-        if i == 0 and witnessed:
+        if i == 0 and is_driven:
             a += known[0, 0]
             t += known[1, 0] / a
             for j in range(columns):
@@ -263,7 +263,7 @@ def drive_filter(
             if not a > 0.0:
                 return innovations, jacobian, state, log_det
             number = index[i] - halves + 1 + half
-            if witnessed:
+            if is_driven:
                 s2 = step * step + unknown[number]
             # the interval of the nodes that holds the amplitude, or the outermost one
             while k > 0 and a > nodes[0, k]:
@@ -292,7 +292,7 @@ def drive_filter(
             p_at = keep * (p_at + time_slope * p_aa)
             p_aa = keep * keep * p_aa + s2
             a += 0.5 * s2 / a - loss - loss_slope * beyond
-            if witnessed:
+            if is_driven:
                 # the amplitude changes while the half-swing lasts, on average in its middle
                 t += 0.5 * time_slope * known[0, number]
                 for j in range(columns):
@@ -312,7 +312,7 @@ def drive_filter(
             g_tt = p_tt  # covariance of the measured time with the state that goes on
             step_of_time = s2 / (rate * rate * a * a)
             following = step_of_time
-            if witnessed:
+            if is_driven:
                 to_come = unknown[index[i] + 1] if index[i] + 1 < len(unknown) else 0.0
                 following = (step * step + to_come) / (rate * rate * a * a)
             if averaged:

@@ -160,7 +160,7 @@ class LawComparison:
         best = self.trials[0].fit
         if best is None or best.whiteness is None or best.whiteness.correlated:
             return False
-        return best.misfit is None or not best.misfit.seen
+        return best.discrepancy is None or not best.discrepancy.seen
 
     def text(self, remedy: str = "a higher start or more runs may") -> str:
         """The verdict in words; `remedy` says what would tell the remaining laws apart."""
@@ -213,9 +213,9 @@ def compare_laws(
         bic, aic = deviance + count * log(2 * len(points)), deviance + 2 * count
         trials.append(LawTrial(law, fit, bic, aic, log_evidence(fit, pendulum)))
     first, *others = sorted(trials, key=lambda trial: trial.bic)
-    if first.fit is not None and first.fit.misfit is None:
-        misfit = with_discrepancy(LinearisedFit.of(points, pendulum, first.fit)).misfit
-        first = replace(first, fit=replace(first.fit, misfit=misfit))
+    if first.fit is not None and first.fit.discrepancy is None:
+        discrepancy = with_discrepancy(LinearisedFit.of(points, pendulum, first.fit)).discrepancy
+        first = replace(first, fit=replace(first.fit, discrepancy=discrepancy))
     return LawComparison((first, *others))
 
 

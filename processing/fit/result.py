@@ -23,13 +23,13 @@ MEASUREMENT = "swings"
 """Name of a fit's term: the measurement of the turning points, on ground at rest."""
 FIXED_PATTERN = "position_errors"
 """Name of a fit's term: what the correction leaves of the fixed-pattern position errors of the sensor."""
-DISCREPANCY = "misfit"
+DISCREPANCY = "discrepancy"
 """Name of a fit's term: the discrepancy of the law from the decay."""
 FRICTION_STEP = "friction_step"
 """Name of a fit's term: a possible step of the friction during the run that was not found."""
 FITTED_DRIFTS = "drifts"
 """Name of a fit's term: drifts of contact, air and period that were fitted about zero."""
-BOUNDARY_LAYER = "steeper_drag"
+BOUNDARY_LAYER = "boundary_layer_drag"
 """Name of a fit's term: a boundary layer's drag, with the 3/2 power of the speed, that the data show."""
 
 DISCREPANCY_SEEN = 10.0
@@ -47,7 +47,7 @@ class DiscrepancySize:
         are not seen.
     against_law
         Increase of -2 ln L for the law without errors.
-    widened
+    u_inflation
         Factor by which the uncertainty of each parameter grew, by its name; empty where nothing is seen.
     """
 
@@ -55,7 +55,7 @@ class DiscrepancySize:
     duration: float = 0.0
     waveform: float = 0.0
     against_law: float = 0.0
-    widened: Annotated[Mapping[str, float], PLAIN] = field(default_factory=dict)
+    u_inflation: Annotated[Mapping[str, float], PLAIN] = field(default_factory=dict)
 
     @property
     def seen(self) -> bool:
@@ -104,14 +104,14 @@ _SIGNIFICANT_CHANCE = 0.003
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryLayerDrag:
-    """A boundary layer's drag, moment ``-m g R steeper |phi'|^0.5 phi'``, in addition to a fit's law.
+    """A boundary layer's drag, moment ``-m g R coefficient |phi'|^0.5 phi'``, in addition to a fit's law.
 
     `share` is its loss over that of the linear drag at the first amplitude, `p_value` the probability of so
     large a value without it. `relative_shift_b` and `shift_drag_s` are the changes of b and of the linear
     drag with it, `shift` those of all values of the fit, in their order.
     """
 
-    steeper: Annotated[Estimate, Quantity("drag 3/2", "drag with the 3/2 power", unit="s^1.5")] = (
+    coefficient: Annotated[Estimate, Quantity("drag 3/2", "drag with the 3/2 power", unit="s^1.5")] = (
         NOT_DETERMINED
     )
     p_value: float = nan
@@ -135,7 +135,7 @@ class Whiteness:
     """Test of Ljung and Box on the residuals of amplitudes and of times, in the order of the half-cycles.
 
     `p_amplitude` and `p_time` are the chances of autocorrelations at least as large in pure noise, over
-    `lags` neighbours, and `first_amplitude`, `first_time` the correlations of next neighbours. `widened`
+    `lags` neighbours, and `first_amplitude`, `first_time` the correlations of next neighbours. `u_inflation`
     is the largest factor by which correlation enlarged a standard uncertainty of the fit.
     """
 
@@ -144,7 +144,7 @@ class Whiteness:
     p_time: float = nan
     first_amplitude: float = nan
     first_time: float = nan
-    widened: float = 1.0
+    u_inflation: float = 1.0
 
     @property
     def correlated(self) -> bool:
@@ -174,14 +174,14 @@ class FitQuality:
         How strongly the ground drove the pendulum; None for a fit that does not estimate it.
     whiteness
         Test whether the residuals are correlated.
-    misfit
+    discrepancy
         The law's discrepancy from the decay; None where it was not estimated.
     changes
         Events during the run: knocks, and steps of friction or period.
-    worth
+    information_gain
         The factor by which each uncertainty would be larger without the waveform, or without the prior of the
         air; empty where there is neither.
-    steeper
+    boundary_layer
         Boundary layer's drag in addition to the fit; None where it was not estimated.
     outliers
         Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
@@ -197,10 +197,10 @@ class FitQuality:
     bias: Mapping[str, float] | None = None
     ground: Ground | None = None
     whiteness: Whiteness | None = None
-    misfit: DiscrepancySize | None = None
+    discrepancy: DiscrepancySize | None = None
     changes: tuple[Change, ...] = ()
-    worth: Annotated[Mapping[str, Mapping[str, float]], PLAIN] = field(default_factory=dict)
-    steeper: BoundaryLayerDrag | None = None
+    information_gain: Annotated[Mapping[str, Mapping[str, float]], PLAIN] = field(default_factory=dict)
+    boundary_layer: BoundaryLayerDrag | None = None
     outliers: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -228,7 +228,7 @@ class FitResult(FitQuality):
         Number of turning points fitted, counted from the first; 0 if it is not known.
     ground
         That of `FitQuality`, with its likelihood.
-    widened
+    u_inflation
         Factor by which each standard uncertainty exceeds that by the likelihood; None where nothing did.
     terms
         Named parts of the covariance: of each term the changes (values, m) of the values by one standard
@@ -249,7 +249,7 @@ class FitResult(FitQuality):
     cost: float
     half_cycles: int = 0
     ground: GroundFit | None = None
-    widened: Floats | None = None
+    u_inflation: Floats | None = None
     terms: Mapping[str, Floats] = field(default_factory=dict)
     evidence: Evidence = NO_EVIDENCE
 
@@ -286,7 +286,7 @@ class FitResult(FitQuality):
         return replace(
             self,
             covariance=self.covariance + added,
-            widened=factor if self.widened is None else self.widened * factor,
+            u_inflation=factor if self.u_inflation is None else self.u_inflation * factor,
             terms={**self.terms, name: by},
             warnings=(*self.warnings, *warnings),
             **fields,

@@ -180,7 +180,7 @@ class SeismometerFit:
 def fit_with_seismometer(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
-    witness: Seismogram,
+    seismometer: Seismogram,
     alone: FitResult,
     *,
     averaged: bool = True,
@@ -199,15 +199,15 @@ def fit_with_seismometer(
         they explain nothing as they stand, an offset is sought.
     """
     search = _Search(points.first(alone.half_cycles), pendulum, alone, averaged)
-    found = search.with_corrected_clock(witness, MIN_PREDICTION_GAIN)
+    found = search.with_corrected_clock(seismometer, MIN_PREDICTION_GAIN)
     if found.use.used or offset_known:
         return found
     try:
-        offset_s, tried = best_offset(search.points, pendulum, witness, alone, averaged=averaged)
+        offset_s, tried = best_offset(search.points, pendulum, seismometer, alone, averaged=averaged)
     except DataError as error:
         return replace(found, use=replace(found.use, reason=str(error)))
     # the best of many offsets gains by chance, so that more is asked of it
-    found = search.with_corrected_clock(witness.delayed(offset_s), MIN_PREDICTION_GAIN + 2 * log(tried))
+    found = search.with_corrected_clock(seismometer.delayed(offset_s), MIN_PREDICTION_GAIN + 2 * log(tried))
     return replace(
         found,
         use=replace(found.use, offset_s=offset_s if found.use.used else 0.0, offsets_tried=tried),
@@ -229,7 +229,7 @@ class _Search:
     alone: FitResult
     averaged: bool
 
-    def with_corrected_clock(self, witness: Seismogram, min_gain: float) -> SeismometerFit:
+    def with_corrected_clock(self, seismometer: Seismogram, min_gain: float) -> SeismometerFit:
         """The fit with the seismometer, its clock corrected where the run shows an error of it.
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
@@ -238,7 +238,7 @@ class _Search:
         middle_s = 0.5 * float(self.points.time_s[0] + self.points.time_s[-1])
         delay_s = drift = 0.0
         for left in reversed(range(_MAX_CORRECTIONS + 1)):
-            moved = witness.delayed(delay_s, drift, middle_s)
+            moved = seismometer.delayed(delay_s, drift, middle_s)
             try:
                 drives = SignalDrives(self.points, moved, averaged=self.averaged)
             except DataError as error:
@@ -251,7 +251,7 @@ class _Search:
             )
             count = len(drives.every.missing)
             if use.missing_half_cycles > (1 - _MIN_COVERED_SHARE) * count:
-                reason = f"{use.missing_half_cycles} of {count} half-swings have no witness"
+                reason = f"{use.missing_half_cycles} of {count} half-swings have no seismometer"
                 return SeismometerFit(
                     self.alone, replace(use, verdict=SeismometerVerdict.ABSENT, reason=reason)
                 )

@@ -45,7 +45,7 @@ class SeismometerSpectra:
         Rising, on both sides of the pendulum's.
     pendulum
         Drive of the pendulum from one turning point to the next, the noise of their measurement included.
-    witness
+    seismometer
         Drive by the auxiliary seismometer's prediction.
     left
         Drive of the pendulum less the prediction.
@@ -62,7 +62,7 @@ class SeismometerSpectra:
 
     frequency_hz: Annotated[tuple[float, ...], Quantity("", "frequency", unit="Hz")] = ()
     pendulum_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
-    witness_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
+    seismometer_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
     left_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
     measurement_rad_per_s2_rthz: Annotated[tuple[float, ...], _DRIVE] = ()
     coherence: Annotated[tuple[float, ...], Quantity("", "squared coherence")] = ()
@@ -93,11 +93,12 @@ def seismometer_spectra(
         return np.asarray(np.fft.fftshift(np.fft.fft(cut, axis=1), axes=1) / np.sqrt(np.sum(window**2)))
 
     observed_spectrum, remainder_spectrum = spectrum(observed), spectrum(remainder)
-    witness_spectrum = observed_spectrum - remainder_spectrum
+    seismometer_spectrum = observed_spectrum - remainder_spectrum
     powers = [
-        np.mean(np.abs(one) ** 2, axis=0) for one in (observed_spectrum, witness_spectrum, remainder_spectrum)
+        np.mean(np.abs(one) ** 2, axis=0)
+        for one in (observed_spectrum, seismometer_spectrum, remainder_spectrum)
     ]
-    cross = np.mean(observed_spectrum * np.conj(witness_spectrum), axis=0)
+    cross = np.mean(observed_spectrum * np.conj(seismometer_spectrum), axis=0)
     nu = np.fft.fftshift(np.fft.fftfreq(length))
     # an error of a turning point is in the step to it and, with the other sign, in the step from it
     measured = _measurement(points) * 4 * np.sin(np.pi * nu) ** 2
@@ -114,7 +115,7 @@ def seismometer_spectra(
     return SeismometerSpectra(
         frequency_hz=tuple(frequency[shown].tolist()),
         pendulum_rad_per_s2_rthz=density(powers[0]),
-        witness_rad_per_s2_rthz=density(powers[1]),
+        seismometer_rad_per_s2_rthz=density(powers[1]),
         left_rad_per_s2_rthz=density(powers[2]),
         measurement_rad_per_s2_rthz=density(measured),
         coherence=tuple(squared[shown].tolist()),

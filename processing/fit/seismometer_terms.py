@@ -79,12 +79,12 @@ def columns_of(component: int, kinds: Sequence[int]) -> list[int]:
     return [component * SIGNALS + kind for kind in kinds]
 
 
-def signals_of(witness: Seismogram, period_s: float) -> Signals:
+def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
     """Every component's signals.
 
     Raises DataError for samples that are too few or too far apart.
     """
-    time, value, step_s = _even(witness, period_s)
+    time, value, step_s = _even(seismometer, period_s)
     good = np.all(np.isfinite(value), axis=1)
     if np.count_nonzero(good) * step_s < 4 * period_s:
         raise DataError(
@@ -108,14 +108,14 @@ def signals_of(witness: Seismogram, period_s: float) -> Signals:
     return Signals(time[usable], np.ascontiguousarray(found[usable]), _MIN_GAP_STEPS * step_s)
 
 
-def plain_signals(witness: Seismogram, period_s: float) -> Signals:
+def plain_signals(seismometer: Seismogram, period_s: float) -> Signals:
     """Every component unchanged but for its drift, which is removed."""
-    return signals_of(witness, period_s).only([one * SIGNALS for one in range(len(witness.names))])
+    return signals_of(seismometer, period_s).only([one * SIGNALS for one in range(len(seismometer.names))])
 
 
-def _even(witness: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
+def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
     """Times, values (NaN where missing) and step in s of the samples at an even rate."""
-    time, value = witness.time_s, witness.value
+    time, value = seismometer.time_s, seismometer.value
     if len(time) < 3:
         raise DataError(f"the seismometer has {len(time)} samples beside the run: their times do not overlap")
     steps = np.diff(time)
@@ -165,11 +165,11 @@ _MIN_COVERED_AT_OFFSET = 0.6
 class SignalDrives:
     """The signals of a seismometer, and the drive of a run's turning points by `every` one of them."""
 
-    def __init__(self, points: TurningPoints, witness: Seismogram, *, averaged: bool) -> None:
+    def __init__(self, points: TurningPoints, seismometer: Seismogram, *, averaged: bool) -> None:
         self.period_s = mean_period(points)
         margin_s = _MARGIN_PERIODS * self.period_s
-        beside = witness.between(points.time_s[0] - margin_s, points.time_s[-1] + margin_s)
-        self.names = witness.names
+        beside = seismometer.between(points.time_s[0] - margin_s, points.time_s[-1] + margin_s)
+        self.names = seismometer.names
         self.signals = signals_of(beside, self.period_s)
         self._points, self._averaged = points, averaged
         self.every = known_drive(points, self.signals, averaged=averaged)
@@ -299,7 +299,7 @@ def clock_correction(
 def best_offset(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
-    witness: Seismogram,
+    seismometer: Seismogram,
     alone: FitResult,
     *,
     averaged: bool = True,
@@ -312,7 +312,7 @@ def best_offset(
         The record is shorter than the part of the run to cover, or so long that its offset must be stated.
     """
     period_s = mean_period(points)
-    signals = signals_of(witness, period_s)
+    signals = signals_of(seismometer, period_s)
     length_s = float(points.time_s[-1] - points.time_s[0])
     first_s, last_s = float(signals.time_s[0]), float(signals.time_s[-1])
     lowest = points.time_s[0] + _MIN_COVERED_AT_OFFSET * length_s - last_s
@@ -329,7 +329,7 @@ def best_offset(
             f"the seismometer lasts {last_s - first_s:.4g} s, too long to search for its offset: state it to "
             f"{0.5 * _MAX_OFFSETS_TRIED * step_s:.3g} s, or shorten its record"
         )
-    signals = signals.only([k for one in range(len(witness.names)) for k in columns_of(one, PAIR)])
+    signals = signals.only([k for one in range(len(seismometer.names)) for k in columns_of(one, PAIR)])
     drive = known_drive(points, signals, averaged=averaged)
     model = model_of(points, pendulum, alone, drive)
 

@@ -17,7 +17,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import FitMethod
-from processing.fit.exact_model import ExactModel, LawErrors
+from processing.fit.exact_model import DiscrepancyColumns, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian
@@ -186,7 +186,7 @@ class DrivenRows(NamedTuple):
         model: ExactModel,
         coordinates: Floats,
         noise: Noise,
-        errors: LawErrors | None = None,
+        errors: DiscrepancyColumns | None = None,
         of_waveform: Floats | None = None,
     ) -> "DrivenRows":
         """The rows of a model for a drive, with their derivatives with respect to errors of the law.
@@ -295,7 +295,9 @@ class LinearisedFit:
         """
         model, at = self.model, self.coordinates
         _, lost = model.losses(at)
-        further = LawErrors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 0)))
+        further = DiscrepancyColumns(
+            lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 0))
+        )
         of_waveform = model.evidence_residuals(at, waveform) - model.evidence_residuals(at)
         rows = DrivenRows.of(model, at, self.noise, further, of_waveform[:, None])
         return rows.in_scatter(self.scale).by_errors[:, 0]

@@ -225,8 +225,8 @@ def _run_model(run: VanedRun, pendulum: PendulumOnBall) -> _RunModel:
     """The model of a run, its residuals scaled so that the drag has the uncertainty of the run's own fit."""
     model, columns = ExactModel.of(run.points, pendulum, run.fit)
     size = max(1.0, run.fit.chi2_per_dof) ** 0.5
-    if run.fit.widened is not None:
-        size *= float(run.fit.widened[run.fit.names.index(DRAG.key)])
+    if run.fit.u_inflation is not None:
+        size *= float(run.fit.u_inflation[run.fit.names.index(DRAG.key)])
     return _RunModel(run, model, columns, size)
 
 

@@ -107,7 +107,7 @@ def workspace_of(array: Floats) -> Workspace:
 
 
 @kernel
-def misfit_limit(pixels: float) -> float:
+def chi2_limit(pixels: float) -> float:
     """Chi-square per degree of freedom of `pixels` pixels above which a beam is not one Gaussian.
 
     Chi-square of n pixels has the standard deviation sqrt(2 n). A further 5 % is allowed for a beam that is

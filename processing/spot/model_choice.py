@@ -13,7 +13,7 @@ from statistics import median
 import numpy as np
 
 from processing.arrays import Floats
-from processing.spot.fit_values import Image, Spot, SpotFlag, misfit_limit
+from processing.spot.fit_values import Image, Spot, SpotFlag, chi2_limit
 from processing.spot.profile import ROUNDS, BeamProfile, Sample, Shape, learn
 from processing.spot.sensor_model import PixelNoise
 
@@ -63,7 +63,7 @@ class ModelChoice:
         self._frames = 0
         self._two = False
         self._sum = 0.0
-        self._misfit = 1.0
+        self._chi2_per_dof = 1.0
         self._pieces = 1
         self._windows: list[tuple[Image, tuple[int, int]]] = []
         self._learning: Generator[None, None, BeamProfile | None] | None = None
@@ -92,8 +92,8 @@ class ModelChoice:
         wanted = min(max(_SAMPLED_PX // self._windows[0][0].size, _FEWEST_SAMPLES), _MOST_SAMPLES)
         if self._frames < _SAMPLE_INTERVAL * wanted:
             return
-        self._misfit = self._sum / self._frames
-        if self._misfit <= misfit_limit(pixels * self._frames):
+        self._chi2_per_dof = self._sum / self._frames
+        if self._chi2_per_dof <= chi2_limit(pixels * self._frames):
             self._settle()
             return
         self._pieces = max(1, _PIECE_PX // self._windows[0][0].size)
@@ -102,7 +102,7 @@ class ModelChoice:
 
     def changed(self, chi2_per_dof: float, poor_frames: float) -> bool:
         """Whether the beam has changed since the choice."""
-        return poor_frames >= _CHANGED_FRAMES and chi2_per_dof > _CHANGED_RATIO * self._misfit
+        return poor_frames >= _CHANGED_FRAMES and chi2_per_dof > _CHANGED_RATIO * self._chi2_per_dof
 
     def _learn(self) -> None:
         assert self._learning is not None
@@ -112,8 +112,8 @@ class ModelChoice:
         except StopIteration as end:
             profile: BeamProfile | None = end.value
             # the same test as for a second spot: the excess of chi-square falls by at least half
-            if profile is not None and profile.misfit - 1.0 < 0.5 * (self._misfit - 1.0):
-                self.profile, self._misfit = profile, max(profile.misfit, 1.0)
+            if profile is not None and profile.chi2_per_dof - 1.0 < 0.5 * (self._chi2_per_dof - 1.0):
+                self.profile, self._chi2_per_dof = profile, max(profile.chi2_per_dof, 1.0)
             self._settle()
 
     def _settle(self) -> None:

@@ -30,10 +30,10 @@ from processing.spot.fit_values import (
     X,
     Y,
     as_kind,
+    chi2_limit,
     cholesky,
     forget,
     inverse_diagonal,
-    misfit_limit,
     nothing_hidden,
     poor_fit_limit,
     remember,
@@ -101,7 +101,7 @@ def finish(
     spots: if it were chosen in every frame, it would change with the noise, and the position with it.
     """
     p = work.parameters
-    limit = misfit_limit(fitted.pixels) * max(fitted.pixels - UPRIGHT, 1)
+    limit = chi2_limit(fitted.pixels) * max(fitted.pixels - UPRIGHT, 1)
     if fitted.chi2 > limit or fitted.outliers >= FEWEST_OUTLIERS:
         seen, fitted = fit_uncovered(image, work, noise, fitted)
         if seen == HIDDEN:
@@ -170,7 +170,7 @@ def _report(
     # u^2 = (information^-1)_kk max(1, excess): noise beyond the model's enlarges the uncertainty, but a
     # chi-square that happens to be small does not reduce it
     excess = chi2_per_dof
-    if chi2_per_dof > misfit_limit(fitted.pixels):
+    if chi2_per_dof > chi2_limit(fitted.pixels):
         excess = min(excess, excess_noise(image, p, fitted.two, noise, chi2_per_dof))
     inflate = math.sqrt(max(1.0, excess))
     u_x = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, X))
@@ -299,7 +299,7 @@ def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) ->
     scatter = two.chi2 / (two.pixels - _TWO)
     if (
         scatter - 1.0 < 0.5 * excess
-        and scatter < misfit_limit(two.pixels)
+        and scatter < chi2_limit(two.pixels)
         and 0.0 < trial[SECOND_AMPLITUDE] <= trial[AMPLITUDE]
         and apart > 1.2
     ):

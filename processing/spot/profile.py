@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats, Singles
-from processing.spot.fit_values import GATE, Image, misfit_limit, poor_fit_limit
+from processing.spot.fit_values import GATE, Image, chi2_limit, poor_fit_limit
 from processing.spot.hot_pixels import HotPixels
 from processing.spot.outcome import principal_axes
 from processing.spot.profile_fit import (
@@ -75,7 +75,7 @@ class BeamProfile:
     half_px: tuple[int, int]
     """Half-widths (x, y) of the window that is fitted."""
     shape: Shape
-    misfit: float
+    chi2_per_dof: float
     """Mean chi2/dof of the samples from which it was learned."""
 
 
@@ -160,17 +160,17 @@ def learn(
     spline = to_spline_y @ _gaussian(size_x, size_y, centre, shape) @ to_spline_x.T
     yield
     starts = [np.array([s.amplitude_dn, s.x_px, s.y_px, s.background_dn, 0.0, 0.0]) for s in samples]
-    misfit = offset_x = offset_y = 0.0
+    chi2_per_dof = offset_x = offset_y = 0.0
     for count in range(ROUNDS + 1):
         profile = BeamProfile(spline.astype(np.float32), centre, half_px, shape, math.nan)
         left = _MeanResidual(profile, noise)
-        misfit = offset_x = offset_y = 0.0
+        chi2_per_dof = offset_x = offset_y = 0.0
         for k, sample in enumerate(samples):
             fit = fit_at(profile, sample.pixels, sample.origin_px, starts[k], noise_values)
             if fit is None:
                 return None
             starts[k] = fit.p
-            misfit += fit.chi2_per_dof / len(samples)
+            chi2_per_dof += fit.chi2_per_dof / len(samples)
             offset_x += (fit.p[CENTRE_X] - sample.x_px) / len(samples)
             offset_y += (fit.p[CENTRE_Y] - sample.y_px) / len(samples)
             if count < ROUNDS:
@@ -181,7 +181,7 @@ def learn(
     if max(abs(offset_x), abs(offset_y)) > LARGEST_OFFSET_PX:
         return None
     # the centre is where the Gaussian has it, so that the position does not jump at the change
-    return BeamProfile(profile.spline, centre - (offset_x, offset_y), half_px, shape, misfit)
+    return BeamProfile(profile.spline, centre - (offset_x, offset_y), half_px, shape, chi2_per_dof)
 
 
 def dark_variance(level_dn: float, noise: PixelNoise) -> float:
@@ -200,7 +200,7 @@ def compile_kernels(noise: PixelNoise) -> None:
     deque(learn([sample], shape, noise), maxlen=0)
     principal_axes(*shape)
     poor_fit_limit(1.0)
-    misfit_limit(1.0)
+    chi2_limit(1.0)
 
 
 class _MeanResidual:

@@ -137,12 +137,12 @@ def separate_modes(
     if not fit.p[SLOW_RATE] * samples.span_s > 1.8 * math.pi:
         return None
     dof = max(len(t) - len(fit.active) / 2.0, 1.0)
-    misfit_x = float((fit.residual_x**2 * samples.weights_x).sum()) / dof
-    misfit_y = float((fit.residual_y**2 * samples.weights_y).sum()) / dof
-    if min(misfit_x, misfit_y) > 0.0 and max(misfit_x, misfit_y) > 1.0:
+    chi2_per_dof_x = float((fit.residual_x**2 * samples.weights_x).sum()) / dof
+    chi2_per_dof_y = float((fit.residual_y**2 * samples.weights_y).sum()) / dof
+    if min(chi2_per_dof_x, chi2_per_dof_y) > 0.0 and max(chi2_per_dof_x, chi2_per_dof_y) > 1.0:
         # Each coordinate gets its own scatter: friction and anharmonicity distort the motion along the major
         # axis and hardly the one across it.
-        samples = samples.rescaled(max(misfit_x, 1.0), max(misfit_y, 1.0))
+        samples = samples.rescaled(max(chi2_per_dof_x, 1.0), max(chi2_per_dof_y, 1.0))
         fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW_RATE]))
         if FAST_RATE in fit.active and not fast_mode_seen(fit, len(t)):
             # a misfit of one coordinate had passed for a mode of both

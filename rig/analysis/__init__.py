@@ -49,8 +49,8 @@ if TYPE_CHECKING:
         evidence_of,
         expected_drag,
         known_drag,
-        recorded_surroundings,
-        stated_surroundings,
+        recorded_ambient,
+        stated_ambient,
     )
     from rig.analysis.compared_laws import (
         Curves,
@@ -85,8 +85,8 @@ else:
     _LAZY = {
         name: module
         for module, names in {
-            "air": "HISTORY_KEYS drag_at_pressure evidence_of expected_drag known_drag recorded_surroundings "
-            "stated_surroundings",
+            "air": "HISTORY_KEYS drag_at_pressure evidence_of expected_drag known_drag recorded_ambient "
+            "stated_ambient",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
             "contact_fits": "loss_of refined_half_cycles",
             "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC base_motion with_contact",

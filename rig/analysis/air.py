@@ -35,30 +35,30 @@ HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
 """Keys of [session] whose times begin the contact's history."""
 
 
-def stated_surroundings(config: Configuration) -> AmbientConditions:
+def stated_ambient(config: Configuration) -> AmbientConditions:
     """The ambient conditions that the configuration states; NaN where it states none."""
     stated = {name: getattr(config.environment, name) for name in type(config.environment).model_fields}
     return AmbientConditions(**{name: float(value) for name, value in stated.items() if value is not None})
 
 
-def table_surroundings(config: Configuration, began_s: float | None) -> AmbientConditions:
+def table_ambient(config: Configuration, began_s: float | None) -> AmbientConditions:
     """Stated ambient conditions, with the contact's history up to the first row of a table.
 
     `began_s` is that row's time in s since 1970, None where the table does not have it.
     """
     since = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
     known = {} if began_s is None else {name: began_s - at.timestamp() for name, at in since.items() if at}
-    return replace(stated_surroundings(config), **known)
+    return replace(stated_ambient(config), **known)
 
 
-def recorded_surroundings(reader: RecordReader, config: Configuration | None = None) -> AmbientConditions:
+def recorded_ambient(reader: RecordReader, config: Configuration | None = None) -> AmbientConditions:
     """Ambient conditions of a record: its readings, else those stated in `config` or else in the record."""
     if config is None:
         air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
         session = reader.metadata.get("session", {})
         times = {name: session.get(key, "") for name, key in HISTORY_KEYS.items()}
     else:
-        air = asdict(stated_surroundings(config))
+        air = asdict(stated_ambient(config))
         stated = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
         times = {name: at.isoformat() if at is not None else "" for name, at in stated.items()}
     return AmbientConditions(**_air_readings(reader, air), **_contact_history(reader, times))
@@ -145,7 +145,7 @@ def drag_at_pressure(
     Flow of a continuum and of free molecules resist one after the other, as their inverses add up. Drags at
     two pressures have a ratio that is known better than they are.
     """
-    air = {**_USUAL_AIR, **stated_surroundings(config).known()}
+    air = {**_USUAL_AIR, **stated_ambient(config).known()}
     # pumped air keeps its composition: the vapour has its share of the pressure
     humidity = air["humidity_percent"] * pressure_pa / _USUAL_AIR["pressure_pa"]
     ambient = AmbientConditions(

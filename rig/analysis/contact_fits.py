@@ -195,13 +195,13 @@ def fit_decay(
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
     drifts: Mapping[str, float] | None = None,
-    witness: tuple[Seismogram, bool] | None = None,
+    seismometer: tuple[Seismogram, bool] | None = None,
 ) -> tuple[Mapping[str, FitResult], TurningPoints, SeismometerUse | None]:
     """Asymptotic and exact fit of turning points, by name; the points fitted; the use of a seismometer.
 
     `exact` is an exact fit of these points, if there is one; otherwise `drag` is whether a drag is fitted,
-    and `evidence` restrains the fit. `witness` is an auxiliary seismometer on the clock of the points, and
-    whether that clock is known; Eqs. 5 and 6 keep the paper's procedure.
+    and `evidence` restrains the fit. `seismometer` is its record on the clock of the points, and whether
+    that clock is known; Eqs. 5 and 6 keep the paper's procedure.
     Raises DataError for a decay that cannot be fitted.
     """
     if pendulum is None:
@@ -212,7 +212,9 @@ def fit_decay(
     if exact is None:
         exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
     exact, points = _without_rolling_shutter(points, pendulum, exact)
-    steeper = boundary_layer_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
+    boundary_layer = (
+        boundary_layer_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
+    )
     asymptotic = fit_asymptotic(
         points,
         pendulum,
@@ -228,14 +230,14 @@ def fit_decay(
         terms = [] if drifts is None else [drift_term(at, drifts)]
         fit = with_discrepancy(at, at.with_terms(*terms))
         # a deviation that smooth errors of the law explain is no change
-        explained = 0.0 if fit.misfit is None else fit.misfit.against_law
+        explained = 0.0 if fit.discrepancy is None else fit.discrepancy.against_law
         fit = with_changes(at, settings.u_ageing, explained, fit)
         fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
-        return fit if steeper is None else with_boundary_layer_drag(fit, steeper)
+        return fit if boundary_layer is None else with_boundary_layer_drag(fit, boundary_layer)
 
     use, alone = None, exact
-    if witness is not None:
-        seen, clock_known = witness
+    if seismometer is not None:
+        seen, clock_known = seismometer
         found = fit_with_seismometer(points, pendulum, seen, alone, offset_known=clock_known)
         use = found.use
         exact = found.fit.with_terms_of(alone, FIXED_PATTERN) if use.used else found.fit

@@ -43,15 +43,15 @@ def analyse_swings(
     config: Configuration,
     air: AmbientConditions,
     u_clock: float = 0.0,
-    witness: SeismometerRecord | None = None,
+    seismometer: SeismometerRecord | None = None,
     *,
     u_common_rad: float = 0.0,
 ) -> AnalysedRun:
     """Results of one run, or of one decay of a table, for its kind of pendulum; without rows of the decay.
 
     `path` is their file, `followed` has them in their plane of swing, with their deflections, `air` are the
-    ambient conditions, `u_clock` the relative standard uncertainty of the second of the times, `witness` an
-    auxiliary seismometer. `u_common_rad` is the standard uncertainty of an error that all amplitudes share.
+    ambient conditions, `u_clock` the relative standard uncertainty of the second of the times, `seismometer`
+    the record of one. `u_common_rad` is the standard uncertainty of an error that all amplitudes share.
     """
     deflections, unit = followed.deflections, followed.deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
@@ -79,7 +79,9 @@ def analyse_swings(
                 drag=drag.fitted,
                 evidence=evidence_of(drag, refined.harmonics),
                 drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
-                witness=None if witness is None or first_ns is None else witness.seismogram(first_ns),
+                seismometer=None
+                if seismometer is None or first_ns is None
+                else seismometer.seismogram(first_ns),
             )
     except DataError as error:
         problem = str(error)
@@ -97,8 +99,8 @@ def analyse_swings(
         "plane_of_swing_rad": InputQuantity(0.0, followed.u_rad),
         **({} if config.fit.drifts else believed),
     }
-    if of_ground is not None and witness is not None:
-        of_ground = replace(of_ground, source=witness.name, understood=witness.understood)
+    if of_ground is not None and seismometer is not None:
+        of_ground = replace(of_ground, source=seismometer.name, understood=seismometer.understood)
     run = AnalysedRun(
         **_head(path, points, unit),
         measured_again_on=refined.motion,
@@ -107,7 +109,7 @@ def analyse_swings(
         warnings=tuple(warnings),
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, refined.swings, unit, clock_rate),
-        witness=of_ground,
+        seismometer=of_ground,
         notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
         fitted=fits,
         rig=rig_quantities(config, ratio, rest_rad, u_clock, **inputs),

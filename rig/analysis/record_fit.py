@@ -21,7 +21,7 @@ from processing.fit import FitMethod, Ground
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from processing.units import seconds
-from rig.analysis.air import ambient_warnings, recorded_surroundings
+from rig.analysis.air import ambient_warnings, recorded_ambient
 from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings, u_second
 from rig.analysis.passing_deflections import (
@@ -32,7 +32,7 @@ from rig.analysis.passing_deflections import (
 )
 from rig.analysis.results import RunResults
 from rig.analysis.run_values import Beam, RunClock
-from rig.analysis.seismometer import recorded_witness
+from rig.analysis.seismometer import recorded_seismometer
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import (
@@ -55,12 +55,12 @@ def analyse_record(
     overrides: Sequence[str] = (),
     *,
     air_known: bool = True,
-    witness: SeismometerRecord | None = None,
+    seismometer: SeismometerRecord | None = None,
 ) -> AnalysedRun:
     """Results of one closed record; `overrides` change its configuration (fit settings, pendulum) for them.
 
-    Without `air_known` the drag has no prior, whatever the record's own configuration states. `witness` is an
-    auxiliary seismometer; without it the one in the record is used, if there is one.
+    Without `air_known` the drag has no prior, whatever the record's own configuration states. `seismometer`
+    is the record of one; without it the one in the run's own record is used, if there is one.
     """
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
@@ -79,7 +79,7 @@ def analyse_record(
             reader.deflection_unit,
             blocks.beam,
             lambda frames: blocks.following - frames,
-            witness=witness,
+            seismometer=seismometer,
             watched=watched,
         )
 
@@ -113,7 +113,7 @@ def analyse_run(
     beam: BeamUse,
     dropped: Callable[[int], int],
     *,
-    witness: SeismometerRecord | None = None,
+    seismometer: SeismometerRecord | None = None,
     watched: KeyUseMonitor | None = None,
 ) -> AnalysedRun:
     """Results of half-cycles and deflections of a record, as recorded or by a replay.
@@ -127,21 +127,21 @@ def analyse_run(
         if one is not None and one.used:
             blocks = ChangedDeflections(blocks, one.change)
             swings = swings_of_blocks(blocks)
-    deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
+    deflections, ambient = PassingDeflections(blocks, unit), recorded_ambient(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
     kind = config.instrument.description()
     followed = follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
-    if witness is None:
-        witness = recorded_witness(reader, config)
+    if seismometer is None:
+        seismometer = recorded_seismometer(reader, config)
     else:
         utc_ns = reader.epoch_offset_ns
-        witness = replace(witness, to_file_ns=-deflections.first_ns, to_utc_ns=utc_ns)
-    run = analyse_swings(reader.path, followed, config, surroundings, u_clock, witness)
+        seismometer = replace(seismometer, to_file_ns=-deflections.first_ns, to_utc_ns=utc_ns)
+    run = analyse_swings(reader.path, followed, config, ambient, u_clock, seismometer)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.warnings, *doubts, *reader.doubts(), *ambient_warnings(surroundings)]
+    warnings = [*run.warnings, *doubts, *reader.doubts(), *ambient_warnings(ambient)]
     end = end_of(reader.events())
     judged = Beam.of(beam, noise_is_known=config.sensor is not None)
     light = None if pulled is None else pulled.verdict
@@ -168,7 +168,7 @@ def analyse_run(
         calibration=calibration,
         ended=None if end is None else end.text,
         inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
-        surroundings=surroundings,
+        ambient=ambient,
         clock=clock,
         watched=watched,
     )

@@ -175,9 +175,9 @@ class RunResults(RowsByName):
     compares several laws, if requested. `adhesion` names the theory that the Tabor parameter selects for the
     contact spot, if c is determined and the spot's radius is Hertz's; the rows have the spot by every theory.
     `ended` is the reason of the run's end in its record. `clock` compares the camera's clock with the
-    computer's; None for frames made on demand. `surroundings` are the air and the history of the contact;
-    `conditions` are verdicts on the conditions of the run. `witness` is the use of an auxiliary seismometer,
-    if there was one. Results of a fit (`pendulum` to `notes`) are empty without one. `damping` is the damping
+    computer's; None for frames made on demand. `ambient` are the air and the history of the contact;
+    `conditions` are verdicts on the conditions of the run. `seismometer` is the use of an auxiliary one, if
+    there was one. Results of a fit (`pendulum` to `notes`) are empty without one. `damping` is the damping
     as a function of the amplitude, in `amplitude_unit`; None for fewer than twelve half-cycles, and for
     amplitudes that do not fall. `decay` is None for a record.
     """
@@ -211,9 +211,9 @@ class RunResults(RowsByName):
     position_errors: PositionErrors | None = None
     laws: ComparedLaws | None = None
     ended: str | None = None
-    surroundings: AmbientConditions | None = None
+    ambient: AmbientConditions | None = None
     clock: RunClock | None = None
-    witness: SeismometerUse | None = None
+    seismometer: SeismometerUse | None = None
     damping: Annotated[AmplitudeDamping | None, _IN_AMPLITUDE_UNIT] = None
     decay: TableDecay | None = None
 

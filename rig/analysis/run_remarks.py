@@ -76,8 +76,8 @@ _MIN_SHOWN_SHARE = 0.02
 _LIMITS_FROM = 0.25
 _STEPS: Final[Mapping[str, str]] = {
     "swings": "measure longer, or make more runs",
-    "ground": "measure while the ground is quieter, or record it beside the run (rig fit --witness)",
-    "misfit": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
+    "ground": "measure while the ground is quieter, or record it beside the run (rig fit --seismometer)",
+    "discrepancy": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
     "position_errors": "correct the sensor's errors of position",
     "friction_step": "fit the parts of the decay on their own, or make more runs",
     "ageing": "wait until the contact has settled, or state its history",
@@ -216,14 +216,14 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
         yield Remark("clock", detail, f"Camera's clock: {run.clock.text}.")
     if ground is not None:
         yield Remark("ground", result if ground.seen else detail, ground_sentence(ground))
-    for line in () if run.witness is None else witness_sentences(run.witness):
-        yield Remark("witness", result, line)
+    for line in () if run.seismometer is None else seismometer_sentences(run.seismometer):
+        yield Remark("seismometer", result, line)
     row = run.rows.get(DRAG.key)
     is_withheld = row is not None and row.verdict is Determinacy.UNDETERMINED
     if run.drag is not None and not (run.drag.significant and is_withheld):
         yield Remark("drag", detail, _drag_sentence(run.drag, run.rows, fitted=is_fitted))
     if exact is not None:
-        yield Remark("waveform", detail, _waveform_sentence(exact.worth))
+        yield Remark("waveform", detail, _waveform_sentence(exact.information_gain))
         yield Remark("correlation", detail, _correlation_sentence(exact.correlation))
         yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
     for row in run.contact:
@@ -287,12 +287,12 @@ def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
 
 def _ground_cost(ground: Ground) -> str:
     """Sentence on the ground's part of the uncertainties, with remedies; empty where it is small."""
-    widened = {name: factor for name, factor in ground.widening.items() if factor > _MIN_NAMED_FACTOR}
-    if not widened or not ground.seen:
+    u_inflation = {name: factor for name, factor in ground.widening.items() if factor > _MIN_NAMED_FACTOR}
+    if not u_inflation or not ground.seen:
         return ""
     listed = ", ".join(
         f"{plain(factor, 2)} ({quantity(name).symbol})"
-        for name, factor in sorted(widened.items(), key=lambda item: -item[1])
+        for name, factor in sorted(u_inflation.items(), key=lambda item: -item[1])
     )
     return (
         f" It enlarges the uncertainties by factors of {listed}. "
@@ -306,7 +306,7 @@ _NAMED_FACTOR = 1.05
 """Factor by which an uncertainty is smaller, above which it is named."""
 
 
-def witness_sentences(use: SeismometerUse) -> list[str]:
+def seismometer_sentences(use: SeismometerUse) -> list[str]:
     """Sentences on the use of a seismometer, or its refusal, and on samples that were left out."""
     lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
     return [*_use_sentences(use), *([f"Of the seismometer {use.source}: {'; '.join(lost)}."] if lost else [])]
@@ -361,9 +361,11 @@ def _response_text(response: Response) -> str:
     )
 
 
-def _waveform_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
+def _waveform_sentence(information_gain: Mapping[str, Mapping[str, float]]) -> str:
     """Sentence on the information gain by the waveform; empty where it is small."""
-    gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MIN_NAMED_FACTOR}
+    gained = {
+        name: one for name, one in information_gain.get(WAVEFORM, {}).items() if one > _MIN_NAMED_FACTOR
+    }
     if not gained:
         return ""
     ordered = sorted(gained.items(), key=lambda item: -item[1])

@@ -114,7 +114,7 @@ class TableOptions(NamedTuple):
     overrides: Sequence[str] = ()
     report: ReportWriter | None = None
     laws: Sequence[str] = ()
-    witness: SeismometerRecord | None = None
+    seismometer: SeismometerRecord | None = None
 
 
 def fit_several(
@@ -172,7 +172,7 @@ def _fit(
         stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
         watched = KeyUseMonitor(stated, wanted.overrides, "a table holds neither frames nor spots")
         table = analyse_trajectory(
-            path, trajectory, fill_from_files(watched.config), compared, wanted.witness
+            path, trajectory, fill_from_files(watched.config), compared, wanted.seismometer
         )
         if not table.longest.results.problem:
             watched.refuse_unread()

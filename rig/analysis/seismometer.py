@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import WITNESS
+from acquisition.record.topics import SEISMOMETER
 from processing.arrays import Floats, Ints
 from rig.analysis.run_remarks import CLOCK_SET
 from rig.intake import SeismometerRecord
@@ -27,20 +27,20 @@ _WAITED, _MOST_TURNS = 5.0, 30
 """Lateness of a line that had waited, in distances of the earliest from the usual arrivals, and most fits."""
 
 
-def recorded_witness(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
-    """A record's seismometer samples on the frames' clock; None without any, or for witness.kind = 'none'."""
-    if config.witness.kind == "none":
+def recorded_seismometer(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
+    """A record's seismometer samples on the frames' clock; None without any, or where none is configured."""
+    if config.seismometer.kind == "none":
         return None
-    table = reader.table(WITNESS.topic)
+    table = reader.table(SEISMOMETER.topic)
     if len(table) < _MIN_ARRIVALS:
         return None
-    names = config.witness.components
+    names = config.seismometer.components
     times_ns, steps_s = sample_times(table["time_ns"], table["own_time_s"])
     order = np.concatenate([[True], np.diff(times_ns) > 0])
     stray = int(np.count_nonzero(~order))
     value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
     return SeismometerRecord(
-        f"{reader.path.name}: {WITNESS.topic}",
+        f"{reader.path.name}: {SEISMOMETER.topic}",
         times_ns[order] - times_ns[0],
         value[order],
         names,

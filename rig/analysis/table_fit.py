@@ -28,7 +28,7 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis.air import ambient_warnings, stated_surroundings, table_surroundings
+from rig.analysis.air import ambient_warnings, stated_ambient, table_ambient
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import amplitude_damping, decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings
@@ -103,13 +103,13 @@ def analyse_trajectory(
     trajectory: Trajectory,
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw] = (),
-    witness: SeismometerRecord | None = None,
+    seismometer: SeismometerRecord | None = None,
 ) -> AnalysedTable:
     """Results of positions that were read from a table or a film.
 
     Its half-cycles are detected, its decays separated, each analysed as a run is. Two positions are first
     turned onto the direction of the larger motion. The contact's law is fitted where unit and pendulum allow,
-    with the auxiliary seismometer `witness` if there is one, and compared with further `laws`. Raises
+    with the auxiliary `seismometer` if there is one, and compared with further `laws`. Raises
     DataError with the reason where there is no decay.
     """
     judge_sign(path, trajectory)
@@ -137,7 +137,7 @@ def analyse_trajectory(
         )
     judge_time_unit(path, trajectory, usable)
     both = _both_deflections(trajectory.times_ns, across, deflection, scatter)
-    decays = [_analyse(path, part, trajectory, both, scatter, config, laws, witness) for part in usable]
+    decays = [_analyse(path, part, trajectory, both, scatter, config, laws, seismometer) for part in usable]
     runs = tuple(decay.results for decay in decays)
     # decays of one run are numbered by the run's number if it has one, else by place
     numbers = [int(trajectory.run)] * len(runs) if trajectory.run.isdecimal() else ()
@@ -221,7 +221,7 @@ def _analyse(
     scatter: SampleScatter,
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw],
-    witness: SeismometerRecord | None,
+    seismometer: SeismometerRecord | None,
 ) -> AnalysedDecay:
     """Results of one decay, by the same steps as those of a record."""
     u_common = trajectory.u_common_in_noises * scatter.noise
@@ -240,15 +240,15 @@ def _analyse(
     run = AnalysedRun(path=path, record=relative_record(path, Path.cwd()), sha256=sha256, problem=problem)
     if config is not None and not problem:
         zero_ns = trajectory.first_ns
-        if witness is not None:
+        if seismometer is not None:
             utc_ns = zero_ns if seconds(zero_ns) > FIRST_UTC_S else None
-            witness = replace(witness, to_file_ns=zero_ns, to_utc_ns=utc_ns)
+            seismometer = replace(seismometer, to_file_ns=zero_ns, to_utc_ns=utc_ns)
         run = analyse_swings(
             path,
             followed,
             config,
-            stated_surroundings(config),
-            witness=witness,
+            stated_ambient(config),
+            seismometer=seismometer,
             u_common_rad=u_common,
         )
         run = with_laws(run, laws) if laws else run
@@ -280,8 +280,8 @@ def _analyse(
     session: dict[str, str] = {}
     if config is not None:
         began_s = seconds(trajectory.first_ns)
-        found = table_surroundings(config, began_s if began_s > FIRST_UTC_S else None)
-        run = replace(run, surroundings=found)
+        found = table_ambient(config, began_s if began_s > FIRST_UTC_S else None)
+        run = replace(run, ambient=found)
         session = {key: text for key in _STATED if (text := getattr(config.session, key))}
         warnings += ambient_warnings(found)
         warnings += strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config)

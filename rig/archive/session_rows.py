@@ -21,7 +21,7 @@ from rig.analysis import (
     RunResults,
     TableDecay,
     read_results,
-    recorded_surroundings,
+    recorded_ambient,
     results_path,
 )
 
@@ -67,7 +67,9 @@ COLUMNS: Final[Mapping[str, str]] = {
     """),
     **{column: "double" for name in PARAMETERS for column in row_columns(name)},
     **{f"verdict_{name}": "varchar" for name in PARAMETERS},
-    **_typed("witness varchar, witness_explained double, chi2_per_dof double, degrees_of_freedom bigint"),
+    **_typed(
+        "seismometer varchar, seismometer_explained double, chi2_per_dof double, degrees_of_freedom bigint"
+    ),
     **_estimated(("mean_period_s",)),
     **{column: "double" for name in DERIVED for column in row_columns(name)},
     **{f"verdict_{name}": "varchar" for name in DERIVED},
@@ -140,7 +142,7 @@ def _table_row(folder: Path, decay: RunResults, identity: RunIdentity) -> Row:
         "flaw": "",
     }
     row |= {name: text for name, text in place.session.items() if name != "notes"}
-    row |= decay.surroundings.known() if decay.surroundings is not None else {}
+    row |= decay.ambient.known() if decay.ambient is not None else {}
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
     elif cached_sha256(path) != decay.sha256:
@@ -183,7 +185,7 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
             row["code_version"] = versions.get("optical-pendulum-rig")
             row["code_commit"] = versions.get("commit")
             row["noted"] = "; ".join(note.event.text for note in reader.notes()) or None
-            row |= recorded_surroundings(reader).known()
+            row |= recorded_ambient(reader).known()
     except RecordError as error:
         row |= {"state": "unreadable", "flaw": str(error).removeprefix(f"{path}: ")}
     return row
@@ -207,8 +209,11 @@ def results_row(run: RunResults) -> Row:
     for name in ("mean_period_s", "log_decrement"):
         found = run.number(name)
         row |= _estimate(name, found) if found.value > 0 else {}
-    if run.witness is not None:
-        row |= {"witness": run.witness.verdict.value, "witness_explained": _number(run.witness.explained)}
+    if run.seismometer is not None:
+        row |= {
+            "seismometer": run.seismometer.verdict.value,
+            "seismometer_explained": _number(run.seismometer.explained),
+        }
     for one in run.contact:
         if one.quantity in (*PARAMETERS, *DERIVED):
             numbers = map(_number, (one.value, one.u, one.u_total, one.lower, one.upper))

@@ -83,24 +83,24 @@ def fit(
         list[str] | None,
         typer.Option(help="Compare the paper's law with another one, all or none; may be repeated."),
     ] = None,
-    witness: Annotated[
+    seismometer: Annotated[
         Path | None,
         input_option(
             "Record of a seismometer or tiltmeter beside the run: CSV (time_s and columns in any unit), "
             "miniSEED, SAC."
         ),
     ] = None,
-    witness_column: Annotated[
+    seismometer_column: Annotated[
         list[str] | None,
         typer.Option(help="Column or channel of the seismometer; may be repeated; default: all of them."),
     ] = None,
-    witness_offset: Annotated[
+    seismometer_offset: Annotated[
         float | None,
         typer.Option(
             help="Seconds to add to the seismometer's times; default: searched for if they do not fit."
         ),
     ] = None,
-    witness_time_unit: Annotated[
+    seismometer_time_unit: Annotated[
         str,
         typer.Option(help="Unit of the time of a seismometer's table, as --time-unit.", show_default=False),
     ] = "",
@@ -131,16 +131,18 @@ def fit(
     Examples:
       rig fit runs/first -o runs/fit
       rig fit decay.csv --unit arcsec --config mine.toml
-      rig fit runs/first --witness seismometer.csv
+      rig fit runs/first --seismometer ground.csv
       rig fit swing.mp4 --pixel '0.142 mm' -o runs/swing
     """
-    of_witness = {
-        "--witness-column": witness_column, "--witness-offset": witness_offset is not None,
-        "--witness-time-unit": witness_time_unit,
+    of_seismometer = {
+        "--seismometer-column": seismometer_column, "--seismometer-offset": seismometer_offset is not None,
+        "--seismometer-time-unit": seismometer_time_unit,
     }  # fmt: skip
-    if witness is None:
-        refuse_stated("without --witness", of_witness)
-    seismometer = partial(_seismometer, witness, witness_column or (), witness_offset, witness_time_unit)
+    if seismometer is None:
+        refuse_stated("without --seismometer", of_seismometer)
+    read = partial(
+        _seismometer, seismometer, seismometer_column or (), seismometer_offset, seismometer_time_unit
+    )
     columns = {
         "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
         "--decimal": decimal, "--envelope": envelope, "--frequency": frequency,
@@ -154,13 +156,13 @@ def fit(
         same = [one for one in records if sum(one.resolve() == other.resolve() for other in records) > 1]
         if same:
             raise ConfigurationError(f"{same[0]}: named twice; a run counts once in a series")
-        raise typer.Exit(fit_records(records, output, set_ or [], law or [], seismometer()))
+        raise typer.Exit(fit_records(records, output, set_ or [], law or [], read()))
     if rate is not None and not rate > 0:
         raise ConfigurationError(f"--rate {rate:g}: the number of rows or frames per second must be above 0")
     if kind == "film":
         from rig.intake import FilmOptions
 
-        refuse_stated("on a film; leave it out", columns, {"--witness": witness})
+        refuse_stated("on a film; leave it out", columns, {"--seismometer": seismometer})
         asked = FilmOptions(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
         raise typer.Exit(fit_film(files[0], asked, output, config, run, set_ or [], law or []))
     if files[0].suffix.lower() in (".json", ".toml"):
@@ -178,11 +180,11 @@ def fit(
     if decimal not in ("", ".", ","):
         raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
     asked_of = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal, run)
-    if witness is not None and (config is None or envelope is not None):
-        raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
+    if seismometer is not None and (config is None or envelope is not None):
+        raise ConfigurationError("--seismometer: has no effect without --config, which gives the pendulum")
     if envelope is not None:
         raise typer.Exit(fit_envelope_table(files[0], output, asked_of, envelope, frequency))
-    wanted = TableOptions(config, set_ or [], table_report, law or [], seismometer())
+    wanted = TableOptions(config, set_ or [], table_report, law or [], read())
     inputs = [(each.run, files[0], lambda each=each: each) for each in asked_of.read_runs(files[0])]
     raise typer.Exit(fit_several(inputs, output, wanted))
 
@@ -200,11 +202,11 @@ def fit_records(
     output: Path | None,
     overrides: Sequence[str],
     laws: Sequence[str] = (),
-    witness: "SeismometerRecord | None" = None,
+    seismometer: "SeismometerRecord | None" = None,
 ) -> int:
     """Fit records; results.json in `output` or beside the first record. Returns the exit status.
 
-    `laws` are names of the registry, to be compared with the default one; `witness` saw the ground.
+    `laws` are names of the registry, to be compared with the default one; `seismometer` saw the ground.
     """
     from rig.analysis import (
         RESULTS_NAME,
@@ -221,7 +223,7 @@ def fit_records(
 
     compared = chosen_laws(laws) if laws else ()
     refuse_copies(paths)
-    runs = [analyse_record(path, overrides, witness=witness) for path in paths]
+    runs = [analyse_record(path, overrides, seismometer=seismometer) for path in paths]
     if compared:
         runs = [with_laws(run, compared) for run in runs]
     folder = output or paths[0].parent

@@ -243,12 +243,12 @@ def plan(
     contact: Annotated[
         Path | None, input_option("Configuration: results.json with the expected contact.")
     ] = None,
-    witness: Annotated[
+    seismometer: Annotated[
         float | None,
         typer.Option(
             min=0.0,
             help="Noise of a seismometer over the ground it sees, at the swing's frequency: 0.1; "
-            "default: that of [witness].",
+            "default: that of [seismometer].",
         ),
     ] = None,
     wait: Annotated[
@@ -269,7 +269,7 @@ def plan(
       rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
       rig plan configs/basement.toml --runs 1 --runs 3
       rig plan fits/decay
-      rig plan configs/basement.toml --witness 0.05
+      rig plan configs/basement.toml --seismometer 0.05
     """
     firsts, lasts = first or [300.0, 124.0, 60.0], last or [30.0, 15.0, 8.0, 4.0, 2.0]
     counts = runs or [1]
@@ -310,7 +310,7 @@ def plan(
         run = analyse_record(one_record(source), set_ or [])
         expected = planned_contact_of_run(run)
         refuse_unread([run])
-    planned = make_plan(expected, firsts, lasts, ground, counts, witness)
+    planned = make_plan(expected, firsts, lasts, ground, counts, seismometer)
     waits_s = [60.0 * minutes for minutes in ([0.0, 60.0] if wait is None else wait)]
     ageing = ageing_table(planned, waits_s)
     print_tables([plan_table(planned), ageing])

@@ -197,7 +197,7 @@ class FileTail:
 
     def write(self, data: bytes) -> None:
         """Raise PortLost: nothing can be written to the file."""
-        raise PortLost(f"{self._path}: nothing is written to the file of a witness")
+        raise PortLost(f"{self._path}: nothing is written to the file of a seismometer")
 
     def read(self, timeout_s: float) -> bytes:
         """The appended bytes, at least one; b"" after timeout_s."""
@@ -249,7 +249,7 @@ class SeismometerLines(SensorLines):
     def __init__(self, settings: SeismometerSettings) -> None:
         self._settings = settings
         self._samples: deque[SeismometerSample] = deque(maxlen=_MAX_WAITING)
-        super().__init__("rig-witness", self._opened, settings.stale_after_s)
+        super().__init__("rig-seismometer", self._opened, settings.stale_after_s)
 
     def take_samples(self) -> list[SeismometerSample]:
         """Samples since the last call, oldest first. Never blocks; only one thread may call it."""

@@ -1,4 +1,4 @@
-"""Sections [controller], [environment_sensor] and [witness]."""
+"""Sections [controller], [environment_sensor] and [seismometer]."""
 
 import re
 from pathlib import Path

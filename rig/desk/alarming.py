@@ -40,7 +40,7 @@ _UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BAL
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class AlarmInputs:
     """State of session, devices and picture at one moment, as the desk knows it.
 
     `news` is what the running session said `news_age_s` ago, empty without one, and `beat_age_s` how long ago
@@ -59,13 +59,13 @@ class Seen:
     picture_late_s: float = 0.0
 
 
-def conditions(seen: Seen) -> dict[AlarmKey, str]:
+def conditions(seen: AlarmInputs) -> dict[AlarmKey, str]:
     """The alarms whose conditions hold, each with its cause.
 
     A press of LIGHT OFF is no alarm, and consequences of a trip are no alarms beside the trip, nor while a
     person who has acknowledged it has not asked for light.
     """
-    found = dict([*_of_light(seen), *_of_session(seen)])
+    found = dict([*_light_alarms(seen), *_session_alarms(seen)])
     if seen.picture_late_s > STALE_S:
         found[AlarmKey.CAMERA] = "the live picture is frozen"
     tripped = seen.safety.trip is not None or seen.safety.to_be_asked
@@ -97,7 +97,7 @@ def _is_own(trip: LatchedTrip) -> bool:
     return trip.cause is TripCause.PERSON
 
 
-def _of_light(seen: Seen) -> Iterator[RaisedAlarm]:
+def _light_alarms(seen: AlarmInputs) -> Iterator[RaisedAlarm]:
     safety = seen.safety
     if safety.trip is not None and not _is_own(safety.trip):
         yield AlarmKey.TRIP, safety.trip.text
@@ -114,7 +114,7 @@ def _of_light(seen: Seen) -> Iterator[RaisedAlarm]:
         yield AlarmKey.CONTROLLER, str(seen.controller)
 
 
-def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
+def _session_alarms(seen: AlarmInputs) -> Iterator[RaisedAlarm]:
     news = seen.news
     if not news:
         return
@@ -130,7 +130,7 @@ def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
         dark = AlarmKey.LASER_UNKNOWN if seen.safety.light in _SILENT else AlarmKey.LASER_DARK
         yield (dark if news.get("darkness") else AlarmKey.STALLED), crying
     if state.get("phase") in _WITH_FRAMES:
-        yield from _of_frames(news)
+        yield from _frame_alarms(news)
     if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
         yield AlarmKey.ENVIRONMENT, "the sensor of the environment does not answer"
     failed_checks = (news.get("balance") or {}).get("failed_checks") or ()
@@ -139,10 +139,10 @@ def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
     failed = [str(row["name"]) for row in news.get("preflight") or () if not row.get("ok", True)]
     if failed and state.get("phase") == Phase.PREFLIGHT:
         yield AlarmKey.PREFLIGHT, ", ".join(failed)
-    yield from _of_forecast(state)
+    yield from _disk_alarms(state)
 
 
-def _of_frames(news: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
+def _frame_alarms(news: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
     rate_hz = ((news.get("camera") or {}).get("applied") or {}).get("frame_rate_hz")
     patience_s = max(_FRAMES_S, 3.0 / float(rate_hz)) if rate_hz else _FRAMES_S
     if float(news.get("frames_age_s") or 0.0) > patience_s:
@@ -151,7 +151,7 @@ def _of_frames(news: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
         yield AlarmKey.SPOT, "the beam is blocked or misses the sensor, or the swing is too large"
 
 
-def _of_forecast(state: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
+def _disk_alarms(state: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
     left_s, free_bytes, rate = (
         state.get(key) for key in ("remaining_s", "disk_free_bytes", "record_bytes_per_s")
     )
@@ -181,13 +181,13 @@ class Alarming:
 
     def start(self) -> None:
         """Begin to look."""
-        threading.Thread(target=self._again, name="alarms", daemon=True).start()
+        threading.Thread(target=self._look_repeatedly, name="alarms", daemon=True).start()
 
     def stop(self) -> None:
         """Look no more."""
         self._ended.set()
 
-    def _again(self) -> None:
+    def _look_repeatedly(self) -> None:
         while not self._ended.is_set():
             try:
                 self._look()
@@ -205,14 +205,14 @@ class Alarming:
         trip, self._trip = self._desk.safety.trip or self._trip, self._desk.safety.trip
         events = taken_from(following.unheard)
         ends = [*taken_from(following.ended), *self._start_alarms()]
-        self.alarms.see(conditions(self._seen()), happened(events, ends, trip))
+        self.alarms.see(conditions(self._inputs()), happened(events, ends, trip))
 
-    def _seen(self) -> Seen:
+    def _inputs(self) -> AlarmInputs:
         desk, following = self._desk, self._desk.following
         news, safety = following.news, desk.safety.now
         running = following.running and bool(news)
         age_s = time.monotonic() - following.heard_s if running else 0.0
-        return Seen(
+        return AlarmInputs(
             safety=safety,
             lit_by=self._lit_by(age_s),
             news=news if running else {},

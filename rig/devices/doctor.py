@@ -29,7 +29,7 @@ from rig.control import (
     udev_board,
     udev_matches,
 )
-from rig.devices.ground_seismometer import check_witness
+from rig.devices.ground_seismometer import check_seismometer
 from rig.devices.lit_devices import LEFT_LIT
 from rig.devices.session_devices import Devices
 from rig.instrument import check_materials, complete
@@ -89,7 +89,7 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
                 fails = key == "start.way"
                 yield Verdict("controller", not fails, reason, f"set controller.kind, or another {key}")
     yield from check_environment(config.environment_sensor)
-    yield check_witness(config)
+    yield check_seismometer(config)
     if config.camera.driver == "usb3vision":
         yield from check_usb_cameras(cast(Usb3VisionSettings, config.camera.driver_settings()).serial)
     yield from check_camera(config, devices)

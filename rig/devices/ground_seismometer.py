@@ -7,7 +7,7 @@ from typing import Self
 
 from acquisition.camera import Camera, Frame
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.record.topics import RecordedWitness
+from acquisition.record.topics import RecordedSeismometer
 from acquisition.simulation.ground import SimulatedSeismometer
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import ConfigurationError, RigError
@@ -23,7 +23,7 @@ class GroundSeismometer(ABC):
     """An auxiliary seismometer, sampled together with a camera's frames; a context manager."""
 
     def __init__(self) -> None:
-        self._looked_at: list[RecordedWitness] = []
+        self._looked_at: list[RecordedSeismometer] = []
 
     def __enter__(self) -> Self:
         return self
@@ -35,19 +35,19 @@ class GroundSeismometer(ABC):
         """Relate the samples to the clock of a camera, if its frames do not state their arrival."""
         return
 
-    def take(self, frame: Frame) -> list[RecordedWitness]:
+    def take(self, frame: Frame) -> list[RecordedSeismometer]:
         """Samples since the last call, up to a frame. Never blocks."""
         looked_at, self._looked_at = self._looked_at, []
         return [*looked_at, *self._new(frame)]
 
-    def recent(self, frame: Frame, last_s: float) -> list[RecordedWitness]:
+    def recent(self, frame: Frame, last_s: float) -> list[RecordedSeismometer]:
         """Samples of the last seconds before a frame, which `take` returns again; older are dropped."""
         from_ns = frame.time_ns - nanoseconds(last_s)
         self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
         return list(self._looked_at)
 
     @abstractmethod
-    def _new(self, frame: Frame) -> list[RecordedWitness]:
+    def _new(self, frame: Frame) -> list[RecordedSeismometer]:
         """Samples that have come since the last call."""
 
     def take_events(self) -> tuple[str, ...]:
@@ -60,47 +60,49 @@ class GroundSeismometer(ABC):
         return ""
 
 
-def ground_witness(config: Configuration) -> GroundSeismometer | None:
+def opened_seismometer(config: Configuration) -> GroundSeismometer | None:
     """The configured auxiliary seismometer; None if none is configured.
 
     Raises ConfigurationError for one that does not fit the camera.
     """
-    settings = config.witness
+    settings = config.seismometer
     if settings.kind == "none":
         return None
     if settings.kind == "simulated":
         if not config.simulated:
             raise ConfigurationError(
-                f"witness.kind = 'simulated' needs the simulated rig, but camera.driver = "
+                f"seismometer.kind = 'simulated' needs the simulated rig, but camera.driver = "
                 f"{config.camera.driver!r}: set serial, file or none"
             )
         return _SimulatedSeismometer(config.simulation)
     if config.on_demand:
         raise ConfigurationError(
-            f"witness.kind = {settings.kind!r} samples in real time, but the frames come on demand: set "
+            f"seismometer.kind = {settings.kind!r} samples in real time, but the frames come on demand: set "
             "simulation.real_time = true, or 'simulated'"
         )
     return _ConnectedSeismometer(settings)
 
 
-def check_witness(config: Configuration) -> Verdict:
+def check_seismometer(config: Configuration) -> Verdict:
     """Verdict for `rig doctor`; it waits for the first sample for at most `stale_after_s`."""
-    kind = config.witness.kind
+    kind = config.seismometer.kind
     if kind == "none":
-        return Verdict("witness", True, "none is configured", made=False)
+        return Verdict("seismometer", True, "none is configured", made=False)
     try:
-        witness = ground_witness(config)
-        assert witness is not None
-        with witness:
-            until_s = time.monotonic() + config.witness.stale_after_s
-            while witness.problem and time.monotonic() < until_s:
+        seismometer = opened_seismometer(config)
+        assert seismometer is not None
+        with seismometer:
+            until_s = time.monotonic() + config.seismometer.stale_after_s
+            while seismometer.problem and time.monotonic() < until_s:
                 time.sleep(_LOOK_S)
-            problem = "; ".join(dict.fromkeys([*filter(None, [witness.problem]), *witness.take_events()]))
-            alive = not witness.problem
+            problem = "; ".join(
+                dict.fromkeys([*filter(None, [seismometer.problem]), *seismometer.take_events()])
+            )
+            alive = not seismometer.problem
     except RigError as error:
-        return Verdict("witness", False, str(error), "see [witness]")
-    remedy = "" if alive else "see [witness]: its port, rate and columns"
-    return Verdict("witness", alive, f"{kind}, samples come" if alive else problem, remedy)
+        return Verdict("seismometer", False, str(error), "see [seismometer]")
+    remedy = "" if alive else "see [seismometer]: its port, rate and columns"
+    return Verdict("seismometer", alive, f"{kind}, samples come" if alive else problem, remedy)
 
 
 class _ConnectedSeismometer(GroundSeismometer):
@@ -118,10 +120,10 @@ class _ConnectedSeismometer(GroundSeismometer):
     def __exit__(self, *_error: object) -> None:
         self._service.close()
 
-    def _new(self, frame: Frame) -> list[RecordedWitness]:
+    def _new(self, frame: Frame) -> list[RecordedSeismometer]:
         shift_ns = frame.time_ns - frame.host_time_ns
         return [
-            RecordedWitness(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
+            RecordedSeismometer(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
             for one in self._service.take_samples()
         ]
 
@@ -146,20 +148,20 @@ class _SimulatedSeismometer(GroundSeismometer):
     def __init__(self, settings: SimulationSettings) -> None:
         super().__init__()
         self._settings = settings
-        self._witness = SimulatedSeismometer(settings)
+        self._seismometer = SimulatedSeismometer(settings)
         self._camera: SimulatedCamera | None = None
 
     def relate_to(self, camera: Camera) -> None:
         self._camera = camera if isinstance(camera, SimulatedCamera) else None
 
-    def _new(self, frame: Frame) -> list[RecordedWitness]:
+    def _new(self, frame: Frame) -> list[RecordedSeismometer]:
         if self._camera is None:
             return []
         clock = self._settings.clock
         rate = 1 + 1e-6 * clock.drift_ppm
-        found = self._witness.until((seconds(frame.time_ns) - clock.start_s) / rate, self._camera.run)
+        found = self._seismometer.until((seconds(frame.time_ns) - clock.start_s) / rate, self._camera.run)
         times_ns = nanoseconds(clock.start_s + rate * found.time_s)
         return [
-            RecordedWitness(time_ns, frame.host_time_ns, math.nan, *counts)
+            RecordedSeismometer(time_ns, frame.host_time_ns, math.nan, *counts)
             for time_ns, counts in zip(times_ns.tolist(), found.counts.tolist(), strict=True)
         ]

@@ -25,7 +25,7 @@ from rig.control import (
 )
 from rig.devices.clocks import wait_for_network_clock
 from rig.devices.frame_stream import FrameStream
-from rig.devices.ground_seismometer import GroundSeismometer, ground_witness
+from rig.devices.ground_seismometer import GroundSeismometer, opened_seismometer
 from rig.devices.lit_devices import LitDevices
 from rig.instrument import (
     camera_settings,
@@ -100,7 +100,7 @@ class Devices(LitDevices):
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None
         self.sensor: EnvironmentService | None = None
-        self.witness: GroundSeismometer | None = None
+        self.seismometer: GroundSeismometer | None = None
         if config.controller.kind == "simulated":
             if not config.simulated or config.on_demand:
                 raise ConfigurationError(
@@ -156,8 +156,8 @@ class Devices(LitDevices):
                 self.control.wait_open()
         if config.environment_sensor.kind == "serial":
             self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
-        if (witness := ground_witness(config)) is not None:
-            self.witness = self._closing.enter_context(witness)
+        if (seismometer := opened_seismometer(config)) is not None:
+            self.seismometer = self._closing.enter_context(seismometer)
         laser = make_laser(config.laser)
         if laser is not None:
             own_interlock = config.laser.interlock == "own"
@@ -187,8 +187,8 @@ class Devices(LitDevices):
         try:
             with driver_errors(name, "open()"):
                 info = check_info(camera.open(), config.camera.driver)
-            if self.witness is not None:
-                self.witness.relate_to(camera)
+            if self.seismometer is not None:
+                self.seismometer.relate_to(camera)
             asked = camera_settings(config)
             with driver_errors(name, "configure()"):
                 applied = check_applied_settings(camera.configure(asked), config.camera.driver)
@@ -248,8 +248,8 @@ class Devices(LitDevices):
             found += [(EventKind.LASER, text) for text in self.laser.take_events()]
         if self.sensor is not None:
             found += [(EventKind.SENSOR, text) for text in self.sensor.take_events()]
-        if self.witness is not None:
-            found += [(EventKind.SENSOR, text) for text in self.witness.take_events()]
+        if self.seismometer is not None:
+            found += [(EventKind.SENSOR, text) for text in self.seismometer.take_events()]
         return found
 
     def environment(self) -> tuple[float, float, float]:

@@ -24,7 +24,7 @@ _MAX_CUT = 0.1
 """Fraction of the peak that may be missing in the flank of a beam before the verdict is no-go."""
 _MAX_LOPSIDED = 2.0
 _MAX_CHI2 = 4.0
-"""Chi2 per degree of freedom of a no-go: u is doubled then, and a misfit moving with the spot is worse."""
+"""Chi2 per degree of freedom of a no-go: u is doubled then, and one that moves with the spot is worse."""
 _MAX_PICTURES = 16
 _CLEAN = "clean laser window, lenses and mirrors; a spatial filter"
 NO_STRAY_LIGHT = "block it, or tilt what reflects: window, filter, cover glass"

@@ -34,8 +34,8 @@ _TWICE = "samples of records that overlap others"
 _REMEDIES: Final = {
     ", or the rows in a second: --rate HZ --position COLUMN": "",
     "name the time column with --time": "call the time column time_s",
-    "--time-unit": "--witness-time-unit",
-    "--position": "--witness-column",
+    "--time-unit": "--seismometer-time-unit",
+    "--position": "--seismometer-column",
 }
 """Options in messages on a table that is fitted, and those to name instead for a seismometer's table."""
 
@@ -89,7 +89,7 @@ def read_seismometer(
         found = _read_table(path, columns, time_unit)
     elif time_unit:
         raise ConfigurationError(
-            f"--witness-time-unit {time_unit}: {path} has times of its own; leave the option out"
+            f"--seismometer-time-unit {time_unit}: {path} has times of its own; leave the option out"
         )
     else:
         found = _read_seismic(path, columns)
@@ -103,8 +103,8 @@ def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> Seismomet
         table = read_columns(path, columns, time_unit)
     except RigError as error:
         message = str(error)
-        for option, of_witness in _REMEDIES.items():
-            message = message.replace(option, of_witness)
+        for option, of_seismometer in _REMEDIES.items():
+            message = message.replace(option, of_seismometer)
         raise type(error)(message) from None
     return SeismometerRecord(
         path.name,
@@ -118,7 +118,7 @@ def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> Seismomet
 
 
 def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
-    what = f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)"
+    what = f"{path}: --seismometer with miniSEED or SAC (a CSV needs nothing)"
     obspy = optional_module("obspy", what, "obspy", "seismic")
     try:
         data = path.read_bytes()
@@ -224,7 +224,7 @@ def _chosen_channels(path: Path, known: Sequence[str], wanted: Sequence[str]) ->
         if len(sensors) > 1:
             raise ConfigurationError(
                 f"{path}: holds {len(sensors)} sensors{f' named {one}' if wanted else ''}: "
-                f"{', '.join(sensors)}; state one: --witness-column '{sensors[0]}'"
+                f"{', '.join(sensors)}; state one: --seismometer-column '{sensors[0]}'"
             )
         chosen += [name for name in matching if name not in chosen]
     return chosen, [name for name in known if name not in chosen]

@@ -267,12 +267,12 @@ class PhasesBeforeRecord:
 
     def _seismometer_verdict(self, look: TrialFrames) -> Verdict:
         """The verdict on the auxiliary seismometer during these frames."""
-        witness, stated = self._devices.witness, self._config.witness
+        seismometer, stated = self._devices.seismometer, self._config.seismometer
         samples = []
-        if witness is not None and look.frames:
-            samples = witness.recent(look.frames[-1], _preflight_s(self._config))
-        problem = None if witness is None else witness.problem
-        return rest_checks.witness(look, problem, stated, samples, self._config.reference)
+        if seismometer is not None and look.frames:
+            samples = seismometer.recent(look.frames[-1], _preflight_s(self._config))
+        problem = None if seismometer is None else seismometer.problem
+        return rest_checks.seismometer(look, problem, stated, samples, self._config.reference)
 
     def _release(self) -> None:
         """Release the pendulum or ask the operator to, and wait until it moves."""

@@ -44,7 +44,7 @@ from rig.analysis import (
     follow_plane,
     known_drag,
     loss_of,
-    stated_surroundings,
+    stated_ambient,
 )
 from rig.instrument import (
     BeamCorrection,
@@ -285,7 +285,7 @@ class FollowedRun:
         self._taken, self._new_deflections = len(self._swings), []
         with suppress(DataError):
             period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
-            drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
+            drag, _ = known_drag(config, stated_ambient(config), pendulum, period_s)
             evidence = evidence_of(drag, self._waveform.harmonics())
             decay_fit = DecayFit(
                 pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit)

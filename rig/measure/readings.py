@@ -15,7 +15,7 @@ from acquisition.record.topics import (
     ClockAnchor,
     Environment,
     RecordedLosses,
-    RecordedWitness,
+    RecordedSeismometer,
     TimedMessage,
 )
 from processing.deflections import DeflectionUnit
@@ -145,10 +145,10 @@ class SideReadings:
         before, self._has_air = self._has_air, not all(map(math.isnan, reading))
         return Environment(time_ns, *reading) if before or self._has_air else None
 
-    def _seismometer_samples(self, frame: Frame) -> list[RecordedWitness]:
+    def _seismometer_samples(self, frame: Frame) -> list[RecordedSeismometer]:
         """Samples of the auxiliary seismometer since the last call, up to a frame; empty without one."""
-        witness = self._parts.devices.witness
-        return [] if witness is None else witness.take(frame)
+        seismometer = self._parts.devices.seismometer
+        return [] if seismometer is None else seismometer.take(frame)
 
 
 _MIN_REST_STEP = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}

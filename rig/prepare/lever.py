@@ -26,7 +26,7 @@ from rig.analysis import (
     drag_at_pressure,
     expected_drag,
     refuse_copies,
-    stated_surroundings,
+    stated_ambient,
 )
 from rig.instrument import balls, pendulum_on_ball, recorded_configuration
 from rig.prepare.calibration_inputs import (
@@ -185,7 +185,7 @@ def vanes_to_cut(config: Configuration, period_s: float) -> VanesToCut | None:
     pendulum = pendulum_on_ball(config)
     if pendulum is None:
         return None
-    found = stated_surroundings(config)
+    found = stated_ambient(config)
     bar = expected_drag(found, pendulum, period_s, config)
     distance_m = 0.5 * bar.length_m
     usual = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
@@ -221,7 +221,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         began = at if began is None else max(began, at)
         # one period, as it stands for the pendulum's length: means of runs differ by their amplitudes
         period_s = period_s or fit.mean_period_s.value
-        shown = shown or _air_details(run.surroundings, pendulum, config, period_s)
+        shown = shown or _air_details(run.ambient, pendulum, config, period_s)
         exposure = listed_run.exposure
         if table.by_pressure:
             exposure = drag_at_pressure(exposure, pendulum, period_s, config)

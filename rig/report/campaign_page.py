@@ -212,8 +212,8 @@ def _budget_table(results: CampaignResults) -> Table:
 
 def _source_words(source: str) -> str:
     """A source of a budget, or an effect, in words."""
-    if source.startswith("misfit of "):
-        return f"model discrepancy ({quantity(source.removeprefix('misfit of ')).symbol})"
+    if source.startswith("discrepancy of "):
+        return f"model discrepancy ({quantity(source.removeprefix('discrepancy of ')).symbol})"
     return {"between runs": "scatter between runs", **SOURCES}.get(source, source)
 
 

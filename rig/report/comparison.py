@@ -70,7 +70,7 @@ def ambient_condition_name(name: str) -> str:
 def runs_with_condition(sessions: Mapping[str, SessionResults], name: str) -> list[RunAtCondition]:
     """The fitted runs for which an ambient condition is known; raises RecordError for fewer than two."""
     fitted = [
-        RunAtCondition(label, run, getattr(run.surroundings, name, nan))
+        RunAtCondition(label, run, getattr(run.ambient, name, nan))
         for label, one in sessions.items()
         for run in one.runs
         if run.fits
@@ -331,7 +331,7 @@ def _seismometer_note(sessions: Mapping[str, SessionResults]) -> str:
     """Number of runs of each series fitted with an auxiliary seismometer, in words; empty if none."""
     notes = []
     for label, session in sessions.items():
-        used = sum(run.witness is not None and run.witness.used for run in session.runs)
+        used = sum(run.seismometer is not None and run.seismometer.used for run in session.runs)
         notes += [f"{label}: {used} of {len(session.runs)} runs"] if used else []
     return f" With a seismometer: {', '.join(notes)}." if notes else ""
 

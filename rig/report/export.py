@@ -154,7 +154,7 @@ def _read_table_decay(folder: Path, decay: RunResults, place: TableDecay, name: 
     spots |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
     provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
     provenance |= {f"session.{name}": text for name, text in place.session.items()}
-    air = {} if decay.surroundings is None else decay.surroundings.known()
+    air = {} if decay.ambient is None else decay.ambient.known()
     provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
     swings: dict[str, NDArray[Any]] = {
         "index": stored.index,

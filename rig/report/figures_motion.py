@@ -335,14 +335,14 @@ def _binned(
     )
 
 
-def witness_figure(spectra: SeismometerSpectra) -> ReportFigure:
+def seismometer_figure(spectra: SeismometerSpectra) -> ReportFigure:
     """Spectra near the pendulum's frequency, and the squared coherence of pendulum and seismometer."""
     frequency_hz = spectra.frequency_hz
     figure = canvas(2.9)
     left, right = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
     for density, colour, line, name in (
         (spectra.pendulum_rad_per_s2_rthz, DATA, "-", "pendulum"),
-        (spectra.witness_rad_per_s2_rthz, ASYMPTOTIC, "-", "seismometer"),
+        (spectra.seismometer_rad_per_s2_rthz, ASYMPTOTIC, "-", "seismometer"),
         (spectra.left_rad_per_s2_rthz, EXACT, "-", "remainder"),
         (spectra.measurement_rad_per_s2_rthz, INK, ":", "measurement alone"),
     ):
@@ -360,7 +360,7 @@ def witness_figure(spectra: SeismometerSpectra) -> ReportFigure:
         axes.set_xlabel("frequency / Hz")
     figure.subplots_adjust(left=0.1, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
     return ReportFigure(
-        "witness",
+        "seismometer",
         "What the auxiliary seismometer explains",
         "Left: the drive near the pendulum's frequency (dotted) as its turning points show it, as "
         "the seismometer predicts it with the fitted response, and the remainder; also the apparent drive "

@@ -30,7 +30,7 @@ from processing.series import (
 from rig.analysis import Fit, JsonObject, ResultRow, RunResults
 from rig.report.campaign_input import SURROUNDING_COVARIATES, FoundRun
 
-_AIR, _MISFIT = "air", "misfit"
+_AIR, _DISCREPANCY = "air", "discrepancy"
 _RUN_SOURCES = ("period_drift", "drag_drift", "plane_of_swing_rad")
 """Sources of uncertainty that are independent from run to run."""
 _MAX_SHARED = 0.9999
@@ -182,12 +182,14 @@ def _without_model_discrepancy(
     keep, shared = np.ones(len(names)), {}
     for place, name in enumerate(names):
         sources = _budget_sources(run, name)
-        part = sum(one.share for one in sources if one.source == _MISFIT)
+        part = sum(one.share for one in sources if one.source == _DISCREPANCY)
         whole = sum(one.share for one in sources if one.type == "A" or one.source == _AIR)
         if part > 0 and isfinite(whole):
             share = min(part / whole, _MAX_SHARED)
             keep[place] = (1 - share) ** 0.5
-            shared[f"{_MISFIT} of {name}"] = (share * own[place, place]) ** 0.5 * np.eye(len(names))[place]
+            shared[f"{_DISCREPANCY} of {name}"] = (share * own[place, place]) ** 0.5 * np.eye(len(names))[
+                place
+            ]
     return own * np.outer(keep, keep), shared
 
 
@@ -209,7 +211,7 @@ def _asymmetry(fit: Fit, names: Sequence[str], rows: Mapping[str, ResultRow]) ->
 
 
 def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float], duration_s: float) -> dict[str, Estimate]:
-    known = {} if run.surroundings is None else asdict(run.surroundings)
+    known = {} if run.ambient is None else asdict(run.ambient)
     found = {name: float(known[name]) for name in SURROUNDING_COVARIATES if isfinite(known.get(name, inf))}
     for name in ("dwell_s", "age_s"):
         if name in found:

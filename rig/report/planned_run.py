@@ -17,7 +17,7 @@ from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsMeasurement, TurningPoints, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, nanoseconds
-from rig.analysis import AnalysedRun, Fit, known_drag, read_results, stated_surroundings
+from rig.analysis import AnalysedRun, Fit, known_drag, read_results, stated_ambient
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
@@ -53,7 +53,7 @@ def planned_contact(config: Configuration, frame_noise_rad: float | None = None)
     if pendulum is None:
         raise ConfigurationError("rig plan needs [pendulum]: state mass_kg and ball_radius_m")
     contact = config.simulation.contact
-    drag, _ = known_drag(config, stated_surroundings(config), pendulum, contact.period0_s)
+    drag, _ = known_drag(config, stated_ambient(config), pendulum, contact.period0_s)
     truth = contact.model_dump() | {DRAG.key: contact.whole_drag_s}
     values = {name: float(truth[name]) for name in DEFAULT_LAW.names(drag=drag.fitted)}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
@@ -64,7 +64,7 @@ def planned_contact(config: Configuration, frame_noise_rad: float | None = None)
         _drive(config, pendulum),
         sine_covariance=harmonics_covariance,
         known_drag_s=drag.known_s,
-        seismometer_noise=_witness_noise(config),
+        seismometer_noise=_seismometer_noise(config),
     )
     return PlannedContact(values, pendulum, conditions, config.session.max_duration_s)
 
@@ -255,17 +255,17 @@ def _reference_share_and_noise(config: Configuration) -> tuple[float, float]:
     return truth.air_common**2, 2 * (u_px * _rad_per_px(config)) ** 2 / _frame_rate_hz(config)
 
 
-def _witness_noise(config: Configuration) -> float | None:
+def _seismometer_noise(config: Configuration) -> float | None:
     """Noise of the auxiliary seismometer relative to the ground at the pendulum's frequency; None without
     one.
 
     For a seismometer without stated noise it is the difference of two real instruments at one place;
-    `--witness` states another.
+    `--seismometer` states another.
     """
-    kind = config.witness.kind
+    kind = config.seismometer.kind
     if kind == "none":
         return None
-    noise = config.simulation.witness.noise_m_per_s2_per_sqrt_hz if kind == "simulated" else 0.0
+    noise = config.simulation.seismometer.noise_m_per_s2_per_sqrt_hz if kind == "simulated" else 0.0
     level = _ground_level(config)
     return max(LEAST_UNEXPLAINED, noise / level) if level > 0 else LEAST_UNEXPLAINED
 

@@ -33,7 +33,7 @@ from rig.intake import write_positions
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure
 from rig.report.figures_contact import instrument_figures
-from rig.report.figures_motion import damped_figure, position_error_figure, witness_figure
+from rig.report.figures_motion import damped_figure, position_error_figure, seismometer_figure
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.tables import headline, run_tables, series_tables
 from rig.terminal import latex_rows, plain, quantity, written
@@ -114,7 +114,7 @@ _ORDER = (
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
     "fig13-period", "residuals", "position-errors",
-    "spectrum", "witness", "table4-loops", "work", "losses", "laws", "waveform", "moments",
+    "spectrum", "seismometer", "table4-loops", "work", "losses", "laws", "waveform", "moments",
  "correlation", "budget",
 )  # fmt: skip
 """Order of the tables and figures of a run; small tables in a tuple stand side by side."""
@@ -194,9 +194,9 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             drawings.append(
                 figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
             )
-        witness = run.results.witness
-        if witness is not None and witness.spectra is not None:
-            drawings.append(witness_figure(witness.spectra))
+        seismometer = run.results.seismometer
+        if seismometer is not None and seismometer.spectra is not None:
+            drawings.append(seismometer_figure(seismometer.spectra))
     return drawings
 
 
@@ -348,7 +348,7 @@ def _duration_text(run: RunData) -> str:
 
 def _ambient_conditions(run: RunData) -> str:
     """The ambient conditions of a run, in words."""
-    found = run.results.surroundings
+    found = run.results.ambient
     texts = []
     for name, value in ({} if found is None else found.known()).items():
         shown = quantity(name)

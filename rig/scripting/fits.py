@@ -29,7 +29,7 @@ def fit(
     source: RecordSource | Sequence[RecordSource],
     overrides: Mapping[str, object] | None = None,
     *,
-    witness: str | Path | None = None,
+    seismometer: str | Path | None = None,
     law: StatedMoment | None = None,
     elastic: StatedMoment | None = None,
 ) -> SessionResults:
@@ -42,7 +42,7 @@ def fit(
         combined as a series.
     overrides
         Changes of the recorded configuration for this fit, by dotted key: ``{"fit.drag": "open"}``.
-    witness
+    seismometer
         What a seismometer or tiltmeter recorded beside the runs: CSV, miniSEED or SAC.
     law
         A friction of your own, ``f(phi_rad, c=1e-8, k=6e-3)``: its moment against the motion over m g R at
@@ -66,8 +66,8 @@ def fit(
     changes = overrides_of(overrides)
     paths = [path for one in several(source, (Record, Session), "source") for path in _paths(one)]
     refuse_copies(paths)
-    ground = None if witness is None else read_seismometer(path_of(witness, "witness"))
-    runs = [analyse_record(path, changes, witness=ground) for path in paths]
+    ground = None if seismometer is None else read_seismometer(path_of(seismometer, "seismometer"))
+    runs = [analyse_record(path, changes, seismometer=ground) for path in paths]
     if laws := _laws(law, elastic):
         runs = [with_laws(run, laws) for run in runs]
     return session_results(runs, Path.cwd())
@@ -171,7 +171,7 @@ def fit_table(
     positions: str | int | Sequence[str | int] = (),
     time_unit: str = "",
     run: str = "",
-    witness: str | Path | None = None,
+    seismometer: str | Path | None = None,
     law: StatedMoment | None = None,
     elastic: StatedMoment | None = None,
 ) -> SessionResults:
@@ -193,7 +193,7 @@ def fit_table(
         name ends (time_ms), else s. Times may be absolute.
     run
         Which of the runs, where the file holds several.
-    witness
+    seismometer
         What a seismometer or tiltmeter recorded beside the decays, as for `fit`; needs a configuration.
     law, elastic
         Moments of your own, as for `fit`; need a configuration.
@@ -206,14 +206,14 @@ def fit_table(
     Raises
     ------
     RigError
-        The table has no numbers or lacks a column, or the samples are not a free decay; a witness without a
-        configuration.
+        The table has no numbers or lacks a column, or the samples are not a free decay; a seismometer
+        without a configuration.
     """
-    for name, stated in (("witness", witness), ("law", law)):
+    for name, stated in (("seismometer", seismometer), ("law", law)):
         if stated is not None and configuration is None:
             raise ConfigurationError(f"{name}: has no effect without configuration, which gives the pendulum")
     table = path_of(path, "path")
-    ground = None if witness is None else read_seismometer(path_of(witness, "witness"))
+    ground = None if seismometer is None else read_seismometer(path_of(seismometer, "seismometer"))
     config = _configuration(configuration)
     columns = TableColumns(
         None if time is None else columns_of(time, "time")[0],

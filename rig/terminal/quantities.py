@@ -107,11 +107,11 @@ def law_parameters() -> Mapping[str, "Parameter"]:
 SOURCES: Final[Mapping[str, str]] = {
     "swings": "half-cycles",
     "ground": "motion of the ground",
-    "misfit": "model discrepancy",
+    "discrepancy": "model discrepancy",
     "friction_step": "a step of the friction",
     "position_errors": "fixed-pattern error",
     "drifts": "drifts over the run, as fitted",
-    "steeper_drag": "boundary-layer drag",
+    "boundary_layer_drag": "boundary-layer drag",
     "air": "drag of the air, as known",
     "mass_kg": "mass",
     "ball_radius_m": "ball radius R",

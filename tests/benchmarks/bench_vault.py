@@ -3,7 +3,7 @@
 Run as ``python -m tests.benchmarks vault [--quick]``. Decays are
 integrated step by step, with the ground as a force; the fit shares no formula with that. The recorded
 ground is that of two real seismometers at one place: one drives the pendulum, the other, whose response
-nobody states, is the witness.
+nobody states, is the seismometer.
 """
 
 import gzip
@@ -32,12 +32,12 @@ STEP_S = 0.05
 
 
 class Ground(NamedTuple):
-    """What drives a pendulum, and what a witness records of it: times, rad/s^2, any unit."""
+    """What drives a pendulum, and what a seismometer records of it: times, rad/s^2, any unit."""
 
     time_s: Floats
     drive: Floats
-    witness: Floats
-    witness_time_s: Floats | None = None
+    seismometer: Floats
+    seismometer_time_s: Floats | None = None
 
 
 class Case(NamedTuple):
@@ -49,11 +49,11 @@ class Case(NamedTuple):
 
 
 def white(q: float, noise: float) -> Callable[[int], Ground]:
-    """A white drive, and a witness with so much white noise of its own."""
+    """A white drive, and a seismometer with so much white noise of its own."""
 
     def ground(seed: int) -> Ground:
         rng = np.random.default_rng([seed, 35])
-        # a witness that begins with the first turning point would lack the first half-swing
+        # a seismometer that begins with the first turning point would lack the first half-swing
         time = np.arange(-30.0, 2500.0, STEP_S)
         drive = q * np.sqrt(0.5 / STEP_S) * rng.standard_normal(len(time))
         own = noise * q * np.sqrt(0.5 / STEP_S) * rng.standard_normal(len(time))
@@ -88,18 +88,18 @@ def recorded(q: float, *, same: bool = False, late_s: float = 0.0) -> Callable[[
 
 
 def unrelated(q: float) -> Callable[[int], Ground]:
-    """The witness of another run."""
+    """The seismometer of another run."""
 
     def ground(seed: int) -> Ground:
         found, other = white(q, 0.0)(seed), white(q, 0.0)(seed + 100_000)
-        return Ground(found.time_s, found.drive, other.witness)
+        return Ground(found.time_s, found.drive, other.seismometer)
 
     return ground
 
 
 def cases() -> Iterator[Case]:
     for noise in (0.0, 0.1, 0.3, 1.0):
-        yield Case(f"white 1e-7, witness noise {noise:g}", white(1e-7, noise))
+        yield Case(f"white 1e-7, seismometer noise {noise:g}", white(1e-7, noise))
     yield Case("unrelated, white 1e-7", unrelated(1e-7))
     yield Case("unrelated, white 1e-8", unrelated(1e-8))
     if SEISMOMETERS.exists():
@@ -124,7 +124,7 @@ def decay(ground: Ground, seed: int, last_arcsec: float) -> TurningPoints:
 
 
 class Run(NamedTuple):
-    """The fits of a decay, without and with the witness."""
+    """The fits of a decay, without and with the seismometer."""
 
     alone: FitResult
     fit: FitResult
@@ -136,14 +136,14 @@ def one_run(case: Case, seed: int) -> Run:
     pendulum = paper_pair(FLAT)[1]
     points = decay(ground, seed, case.last_arcsec)
     alone = fit_exact(points, pendulum, averaged=False)
-    times = ground.time_s if ground.witness_time_s is None else ground.witness_time_s
-    witness = Seismogram(times, ground.witness[:, None], ("Z",))
-    found = fit_with_seismometer(points, pendulum, witness, alone, averaged=False)
+    times = ground.time_s if ground.seismometer_time_s is None else ground.seismometer_time_s
+    seismometer = Seismogram(times, ground.seismometer[:, None], ("Z",))
+    found = fit_with_seismometer(points, pendulum, seismometer, alone, averaged=False)
     return Run(alone, found.fit, found.use)
 
 
 def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
-    """What the witness explains, what it saves, and whether intervals and scatter are right with it."""
+    """What the seismometer explains, what it saves, and whether intervals and scatter are right with it."""
     runs, failed = each_seed(lambda seed: one_run(case, seed), seeds, first)
     at = [runs[0].alone.names.index(name) for name in SHOWN]
     true = truth(paper_pair(FLAT)[0], runs[0].alone.names)[at]
@@ -164,7 +164,7 @@ def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
 
 
 def _fits(runs: list[Run]) -> tuple[list[FitResult], list[FitResult]]:
-    """Without and with the witness."""
+    """Without and with the seismometer."""
     return [run.alone for run in runs], [run.fit for run in runs]
 
 

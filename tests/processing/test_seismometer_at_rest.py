@@ -1,4 +1,4 @@
-"""What a short piece of a witness says of its worth, against integrated oscillators that are driven."""
+"""What a short piece of a seismometer says of its worth, against integrated oscillators that are driven."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from processing.errors import DataError
 from processing.fit import Seismogram
-from processing.pendulum_at_rest import SeismometerAtRest, witness_at_rest
+from processing.pendulum_at_rest import SeismometerAtRest, seismometer_at_rest
 from processing.units import ARCSEC_RAD
 
 PERIOD_S, FRAMES_PER_S, STEPS = 4.08, 25.0, 4
@@ -44,7 +44,7 @@ def judged(
     own = noise * Q * np.sqrt(0.5 * FRAMES_PER_S) * rng.standard_normal(drive.shape)
     at_s = time_s - 0.5 / FRAMES_PER_S + late_s
     return [
-        witness_at_rest(time_s, one, Seismogram(at_s, 1e9 * of[:, None], ("Z",)))
+        seismometer_at_rest(time_s, one, Seismogram(at_s, 1e9 * of[:, None], ("Z",)))
         for one, of in zip(seen, drive + own, strict=True)
     ]
 
@@ -88,8 +88,8 @@ def test_two_components_tell_together_what_neither_does(minutes: tuple[Floats, F
     time_s, seen, drive = minutes
     other = np.roll(drive[0], 700) * 2
     both = Seismogram(time_s - 0.02, np.column_stack([drive[0] + other, drive[0] - other]), ("N", "E"))
-    one = witness_at_rest(time_s, seen[0], Seismogram(both.time_s, both.value[:, :1], ("N",)))
-    found = witness_at_rest(time_s, seen[0], both)
+    one = seismometer_at_rest(time_s, seen[0], Seismogram(both.time_s, both.value[:, :1], ("N",)))
+    found = seismometer_at_rest(time_s, seen[0], both)
     assert found.coherence > 0.95 > one.coherence
     assert found.chance_coherence > one.chance_coherence
 
@@ -97,8 +97,10 @@ def test_two_components_tell_together_what_neither_does(minutes: tuple[Floats, F
 def test_a_gap_costs_its_periods(minutes: tuple[Floats, Floats, Floats]) -> None:
     time_s, seen, drive = minutes
     there = (time_s < 20.0) | (time_s > 26.0)
-    found = witness_at_rest(time_s, seen[0], Seismogram(time_s[there] - 0.02, drive[0][there, None], ("Z",)))
-    whole = witness_at_rest(time_s, seen[0], Seismogram(time_s - 0.02, drive[0][:, None], ("Z",)))
+    found = seismometer_at_rest(
+        time_s, seen[0], Seismogram(time_s[there] - 0.02, drive[0][there, None], ("Z",))
+    )
+    whole = seismometer_at_rest(time_s, seen[0], Seismogram(time_s - 0.02, drive[0][:, None], ("Z",)))
     assert whole.steps - 6 <= found.steps <= whole.steps - 2
     assert found.coherence > 0.9
 
@@ -106,9 +108,9 @@ def test_a_gap_costs_its_periods(minutes: tuple[Floats, Floats, Floats]) -> None
 def test_what_cannot_be_judged_is_said(minutes: tuple[Floats, Floats, Floats]) -> None:
     time_s, seen, drive = minutes
     with pytest.raises(DataError, match="its values do not change"):
-        witness_at_rest(time_s, seen[0], Seismogram(time_s, np.full((len(time_s), 1), 7.0), ("Z",)))
+        seismometer_at_rest(time_s, seen[0], Seismogram(time_s, np.full((len(time_s), 1), 7.0), ("Z",)))
     late = Seismogram(time_s[900:], drive[0][900:, None], ("Z",))
     with pytest.raises(DataError, match="periods in common; at least 7 are needed"):
-        witness_at_rest(time_s, seen[0], late)
+        seismometer_at_rest(time_s, seen[0], late)
     with pytest.raises(DataError, match="too short to see the ground"):
-        witness_at_rest(time_s[:200], seen[0][:200], Seismogram(time_s, drive[0][:, None], ("Z",)))
+        seismometer_at_rest(time_s[:200], seen[0][:200], Seismogram(time_s, drive[0][:, None], ("Z",)))

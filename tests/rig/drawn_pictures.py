@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from processing.fit import SeismometerSpectra
 from rig.instrument import complete
 from rig.report import draw_run, make_plan, plan_figure, planned_contact, styled
-from rig.report.figures_motion import witness_figure
+from rig.report.figures_motion import seismometer_figure
 from rig.settings import load_configuration
 from rig.view import LayoutName
 
@@ -62,12 +62,14 @@ def _small_plan() -> Figure:
 def _small_spectra() -> Figure:
     """As many curves as the picture of the vault has, of three frequencies."""
     three = (1e-8, 2e-8, 1e-8)
-    densities = {f"{name}_rad_per_s2_rthz": three for name in ("pendulum", "witness", "left", "measurement")}
+    densities = {
+        f"{name}_rad_per_s2_rthz": three for name in ("pendulum", "seismometer", "left", "measurement")
+    }
     found = SeismometerSpectra(
         frequency_hz=(0.2, 0.24, 0.28), coherence=(0.5, 1.0, 0.5), stretches=10, **densities
     )
     with styled():
-        return witness_figure(found).figure
+        return seismometer_figure(found).figure
 
 
 def _described(figure: Figure) -> list[Any]:

@@ -105,7 +105,7 @@ ROWS: tuple[Row, ...] = (
         pooled("hard_tables", "one_u", seeds=20, only=("ageing",)), "number", "%", Limit(52, 100), share=True),
     Row("coverage-jitter", _COVERAGE, "Fits of tables, times off by 1 ms", "integrated decays; by parameter",
         pooled("hard_tables", "one_u", seeds=20, only=("jitter",)), "number", "%", limit_of_share(20), share=True),
-    Row("coverage-witness", _COVERAGE, "Fits with an auxiliary seismometer",
+    Row("coverage-seismometer", _COVERAGE, "Fits with an auxiliary seismometer",
         "driven by one real seismometer, seen by another, or by white noise; intervals of n and gamma twice too wide if it has no error",
         pooled("vault", "one_u", seeds=40), "number", "%", limit_of_share(400), share=True),
     Row("coverage-stopped", _COVERAGE, "Runs that end by `session.stop_when`", "a driven pendulum, integrated",

@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.camera import Frame
-from acquisition.record.topics import RecordedWitness
+from acquisition.record.topics import RecordedSeismometer
 from calibration import Stability, stability
 from processing.arrays import Floats
 from processing.balance import BalanceEstimator, BalanceLimits
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import Seismogram
-from processing.pendulum_at_rest import SeismometerAtRest, ground_at_rest, swing_at_rest, witness_at_rest
+from processing.pendulum_at_rest import SeismometerAtRest, ground_at_rest, seismometer_at_rest, swing_at_rest
 from processing.reference_gain import ReferenceAtRest, gain_while_swinging, reference_at_rest
 from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag, SpotModel
@@ -191,11 +191,11 @@ _MAX_OFF_U = 4.0
 _VALUES = ("first", "second", "third")
 
 
-def witness(
+def seismometer(
     look: TrialFrames,
     problem: str | None,
     settings: SeismometerSettings,
-    samples: Sequence[RecordedWitness],
+    samples: Sequence[RecordedSeismometer],
     stated: ReferenceSettings | None,
 ) -> Verdict:
     """Check that samples of the auxiliary seismometer come and change, and predict its benefit at rest.
@@ -205,9 +205,11 @@ def witness(
     """
     kind, names = settings.kind, settings.components
     if problem is None:
-        return Verdict("witness", True, measured="none is configured", limit=_LIMIT, made=False)
+        return Verdict("seismometer", True, measured="none is configured", limit=_LIMIT, made=False)
     if problem:
-        return judged("witness", False, (problem, "see [witness]: its port, rate and columns"), kind, _LIMIT)
+        return judged(
+            "seismometer", False, (problem, "see [seismometer]: its port, rate and columns"), kind, _LIMIT
+        )
     if len(samples) < _MIN_SAMPLES:
         return _alive(
             f"{len(samples)} samples are too few to predict its benefit{longer_look(look.deflections)}",
@@ -216,9 +218,9 @@ def witness(
     value = np.array([[getattr(one, name) for name in _VALUES[: len(names)]] for one in samples])
     if dead := [name for name, one in zip(names, value.T, strict=True) if not np.ptp(one) > 0]:
         reason = f"{', '.join(dead)}: constant over {len(samples)} samples: dead, or its scale is wrong"
-        return judged("witness", False, (reason, "check its power, cable and range"), kind, _LIMIT)
+        return judged("seismometer", False, (reason, "check its power, cable and range"), kind, _LIMIT)
     if not look.resting:
-        return not_at_rest("witness", _LIMIT)
+        return not_at_rest("seismometer", _LIMIT)
     at = look.deflections
     arrived_ns = np.array([one.time_ns for one in samples])
     if np.any(np.diff(arrived_ns) <= 0):
@@ -228,7 +230,7 @@ def witness(
     times_ns, _ = sample_times(arrived_ns, np.array([one.own_time_s for one in samples]))
     record = Seismogram(seconds(times_ns - at.times_ns[0]), value, tuple(names))
     try:
-        found = witness_at_rest(at.times_s, _without_beam_motion(look, stated), record)
+        found = seismometer_at_rest(at.times_s, _without_beam_motion(look, stated), record)
         ground_seen = ground_at_rest(at.times_s, at.y).density.value > 0
     except DataError as error:
         return _alive(f"{error}{longer_look(look.deflections)}", kind)
@@ -258,7 +260,7 @@ def _without_beam_motion(look: TrialFrames, stated: ReferenceSettings | None) ->
 
 
 def _alive(reason: str, kind: str) -> Verdict:
-    return Verdict("witness", True, reason, measured=f"{kind}, alive", limit=_LIMIT, made=False)
+    return Verdict("seismometer", True, reason, measured=f"{kind}, alive", limit=_LIMIT, made=False)
 
 
 def _benefit_verdict(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
@@ -270,11 +272,13 @@ def _benefit_verdict(found: SeismometerAtRest, ground_seen: bool, kind: str) -> 
             return _alive(f"{hidden} ({chance})", kind)
         reason = f"it does not show what moves the pendulum: {chance}"
         remedy = "check its place, columns and clock; a fit refuses one that explains nothing"
-        return Verdict("witness", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_LIMIT)
+        return Verdict(
+            "seismometer", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_LIMIT
+        )
     falls = f"{plain(found.factor, 2)} ({plain(found.least, 2)} to {plain(found.most, 2)})"
     measured = f"{in_all}: the swing at rest would fall by {falls}, "
     measured += f"the ground's part of it by {plain(found.least, 2)} at least"
-    return Verdict("witness", True, measured=measured, limit=_LIMIT)
+    return Verdict("seismometer", True, measured=measured, limit=_LIMIT)
 
 
 class _ReferenceAxis(NamedTuple):

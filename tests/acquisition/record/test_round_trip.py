@@ -21,12 +21,12 @@ from acquisition.record.topics import (
     ENVIRONMENT,
     EVENT,
     REFERENCE,
+    SEISMOMETER,
     SPOT,
     SPOT_UNCALIBRATED,
     SWING,
     SWING_UNCALIBRATED,
     WINDOW,
-    WITNESS,
     Environment,
 )
 from acquisition.record.writer import RecordWriter
@@ -45,7 +45,7 @@ from tests.acquisition.record.samples import (
 )
 
 OF_DEFLECTIONS = [SPOT, SPOT_UNCALIBRATED, SWING, SWING_UNCALIBRATED, BALANCE, BALANCE_UNCALIBRATED]
-ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT, WITNESS, REFERENCE]
+ALL_TYPES = [*OF_DEFLECTIONS, WINDOW, EVENT, ENVIRONMENT, SEISMOMETER, REFERENCE]
 ANY_DOUBLE = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True, width=64)
 ANY_INT = st.integers(-(2**63), 2**63 - 1)
 VALUES = {"double": ANY_DOUBLE, "int": ANY_INT, "text": st.text(), "bytes": st.binary()}

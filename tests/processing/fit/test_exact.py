@@ -165,7 +165,7 @@ def test_where_the_model_does_not_describe_the_decay_it_says_so() -> None:
     result = fit_exact(points, None)
     assert result.whiteness is not None
     assert result.whiteness.p_time < 1e-30
-    assert result.whiteness.widened > 2
+    assert result.whiteness.u_inflation > 2
     assert any("the model does not describe" in warning for warning in result.warnings)
     assert any(warning.startswith("n is at the limit") for warning in result.warnings)
 

@@ -53,9 +53,9 @@ OTHER_AIR = World(drag32=0.0151)
 
 
 def against_law_of(points: TurningPoints, fit: FitResult) -> float:
-    misfit = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit)).misfit
-    assert misfit is not None
-    return misfit.against_law
+    discrepancy = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit)).discrepancy
+    assert discrepancy is not None
+    return discrepancy.against_law
 
 
 def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) -> tuple[Change, ...]:
@@ -71,8 +71,8 @@ def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) ->
 def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
     points, fit = decay(world), fitted(world)
     described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
-    assert described.misfit is not None
-    assert described.misfit.seen
+    assert described.discrepancy is not None
+    assert described.discrepancy.seen
     b, u = described.estimate("b")
     assert b == fit.estimate("b").value
     assert abs(b - PARAMETERS.b) > 5 * fit.estimate("b").standard_uncertainty
@@ -80,9 +80,9 @@ def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
     assert any("does not describe" in warning for warning in described.warnings)
     # the profile, which bounds and intervals come from, knows it, too
     at = described.names.index("b")
-    assert described.widened is not None
-    assert fit.widened is not None
-    assert described.widened[at] / fit.widened[at] == pytest.approx(u / fit.standard_uncertainty[at])
+    assert described.u_inflation is not None
+    assert fit.u_inflation is not None
+    assert described.u_inflation[at] / fit.u_inflation[at] == pytest.approx(u / fit.standard_uncertainty[at])
 
 
 def test_a_true_law_costs_nothing() -> None:
@@ -90,8 +90,8 @@ def test_a_true_law_costs_nothing() -> None:
     for seed, q in ((1, 0.0), (2, 8e-9)):
         points, fit = decay(World(), seed, q), fitted(World(), seed, q)
         described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
-        assert described.misfit is not None
-        assert not described.misfit.seen
+        assert described.discrepancy is not None
+        assert not described.discrepancy.seen
         assert np.array_equal(described.covariance, fit.covariance)
         assert changes_of(points, fit) == ()
 
@@ -116,9 +116,9 @@ def test_what_a_law_lacks_is_a_term_of_every_fit_of_it() -> None:
     assert added == pytest.approx(described.part(DISCREPANCY)[at, at])
     with pytest.raises(DataError):
         LinearisedFit.of(points, PENDULUM, other)
-    assert described.misfit is not None
+    assert described.discrepancy is not None
     # a smooth error of the law is no slip
-    assert changes_of(points, fit, described.misfit.against_law) == ()
+    assert changes_of(points, fit, described.discrepancy.against_law) == ()
 
 
 def test_a_slip_is_found_and_dated() -> None:

@@ -110,7 +110,7 @@ def test_other_laws_are_planned_too() -> None:
 
 
 @pytest.mark.parametrize(("noise", "left"), [(1.0, np.sqrt(0.5)), (0.1, 0.0995)])
-def test_a_witness_leaves_of_the_ground_what_its_own_noise_hides(noise: float, left: float) -> None:
+def test_a_seismometer_leaves_of_the_ground_what_its_own_noise_hides(noise: float, left: float) -> None:
     ground = conditions(1e-7)
     amplitudes = (124 * ARCSEC, 30 * ARCSEC)
     with_seismometer = planned_run(VALUES, PENDULUM, replace(ground, seismometer_noise=noise), *amplitudes)

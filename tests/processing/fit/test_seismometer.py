@@ -14,7 +14,7 @@ from acquisition.simulation.true_path import noisy, true_path
 from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.fit import FitResult, Seismogram, fit_exact, fit_with_seismometer
-from processing.fit.exact_model import ExactModel, LawErrors
+from processing.fit.exact_model import DiscrepancyColumns, ExactModel
 from processing.fit.seismometer import SeismometerFit, SeismometerVerdict
 from processing.swing import TurningPoints, swings_of, turning_points
 from processing.units import ARCSEC_RAD
@@ -41,7 +41,7 @@ CLOCK: Floats = STEP_S * np.arange(12_000, dtype=np.float64)
 
 
 def decay(time_s: Floats, drive: Floats, last_arcsec: float = 15.0) -> tuple[TurningPoints, FitResult]:
-    """Turning points with noise, and the fit without a witness."""
+    """Turning points with noise, and the fit without a seismometer."""
     time, turn, _ = driven_path(
         PARAMETERS,
         PENDULUM,
@@ -65,14 +65,14 @@ def pulls(fit: FitResult) -> Floats:
     return np.asarray((fit.values[: len(true)] - true) / fit.standard_uncertainty[: len(true)])
 
 
-def witness(value: Floats, time_s: Floats = CLOCK) -> Seismogram:
+def seismometer(value: Floats, time_s: Floats = CLOCK) -> Seismogram:
     return Seismogram(time_s, UNIT * value.reshape(len(time_s), -1), ("E", "N")[: value.ndim])
 
 
 @cache
 def with_all_of_the_drive() -> SeismometerFit:
     points, alone = on_white()
-    return fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    return fit_with_seismometer(points, PENDULUM, seismometer(white(3)), alone, averaged=False)
 
 
 def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
@@ -91,8 +91,8 @@ def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
     assert found.fit.dof == alone.dof - 2
 
 
-def test_derivatives_by_errors_of_the_law_know_nothing_of_the_witness() -> None:
-    """The filter has columns of the drive for all that it derives by, zero but for the witness itself."""
+def test_derivatives_by_errors_of_the_law_know_nothing_of_the_seismometer() -> None:
+    """The filter has columns of the drive for all that it derives by, zero but for the seismometer itself."""
     fit = with_all_of_the_drive().fit
     model, columns = ExactModel.of(on_white()[0], PENDULUM, fit)
     assert model.known_drive is not None
@@ -100,7 +100,7 @@ def test_derivatives_by_errors_of_the_law_know_nothing_of_the_witness() -> None:
     def errors(amplitude: Floats, _: Floats) -> Floats:
         return np.ones((len(amplitude), 64))
 
-    found = model.filtered(columns, model.noise_of(fit), errors=LawErrors(errors, errors))
+    found = model.filtered(columns, model.noise_of(fit), errors=DiscrepancyColumns(errors, errors))
     by_law, by_errors = np.split(found.jacobian, [len(columns)], axis=1)
     assert np.array_equal(by_law, model.filtered(columns, model.noise_of(fit)).jacobian)
     # all of a kind are the same error
@@ -111,7 +111,7 @@ def test_derivatives_by_errors_of_the_law_know_nothing_of_the_witness() -> None:
 
 def test_its_own_noise_leaves_what_it_must() -> None:
     points, alone = on_white()
-    found = fit_with_seismometer(points, PENDULUM, witness(white(3) + white(4)), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, seismometer(white(3) + white(4)), alone, averaged=False)
     (response,) = found.use.responses
     # Wiener's gain, and half of the drive's power
     assert response.gain * UNIT == pytest.approx(0.5, abs=0.1)
@@ -122,21 +122,21 @@ def test_its_own_noise_leaves_what_it_must() -> None:
 @pytest.mark.parametrize("seed", range(5, 11))
 def test_one_that_is_unrelated_is_refused_and_changes_nothing(seed: int) -> None:
     points, alone = on_white()
-    found = fit_with_seismometer(points, PENDULUM, witness(white(seed)), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, seismometer(white(seed)), alone, averaged=False)
     assert found.use.verdict is SeismometerVerdict.NO_GAIN
     assert found.fit is alone
 
 
 def test_of_two_components_the_unrelated_one_is_left_out() -> None:
     points, alone = on_white()
-    both = witness(np.column_stack([white(5), white(3)]))
+    both = seismometer(np.column_stack([white(5), white(3)]))
     found = fit_with_seismometer(points, PENDULUM, both, alone, averaged=False)
     assert [response.name for response in found.use.responses] == ["N"]
 
 
 def test_one_of_another_hour_is_refused() -> None:
     points, alone = on_white()
-    found = fit_with_seismometer(points, PENDULUM, witness(white(3), CLOCK + 1e5), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, seismometer(white(3), CLOCK + 1e5), alone, averaged=False)
     assert found.use.verdict is SeismometerVerdict.ABSENT
     assert "do not overlap" in found.use.reason
     assert found.fit is alone
@@ -144,9 +144,9 @@ def test_one_of_another_hour_is_refused() -> None:
 
 def test_an_unknown_offset_is_found() -> None:
     points, alone = on_white()
-    # a witness that lacks the beginning of the run has few offsets
+    # a seismometer that lacks the beginning of the run has few offsets
     part = slice(2000, 6800)
-    late = witness(white(3)[part], CLOCK[part] + 37.3)
+    late = seismometer(white(3)[part], CLOCK[part] + 37.3)
     assert not fit_with_seismometer(points, PENDULUM, late, alone, averaged=False).use.used
     found = fit_with_seismometer(points, PENDULUM, late, alone, averaged=False, offset_known=False)
     assert found.use.used
@@ -158,7 +158,7 @@ def test_an_unknown_offset_is_found() -> None:
 def test_a_delay_and_a_drift_of_its_clock_are_found() -> None:
     points, alone = on_white()
     middle_s = 0.5 * points.time_s[-1]
-    wrong = witness(white(3), CLOCK + 0.3 + 1e-3 * (CLOCK - middle_s))
+    wrong = seismometer(white(3), CLOCK + 0.3 + 1e-3 * (CLOCK - middle_s))
     use = fit_with_seismometer(points, PENDULUM, wrong, alone, averaged=False).use
     assert use.delay_s.value == pytest.approx(-0.3, abs=4 * use.delay_s.standard_uncertainty)
     assert use.clock_drift.value == pytest.approx(-1e-3, abs=4 * use.clock_drift.standard_uncertainty)
@@ -169,7 +169,7 @@ def test_a_gap_costs_what_is_not_known() -> None:
     points, alone = on_white()
     value = white(3)
     value[(CLOCK > 100) & (CLOCK < 160)] = np.nan
-    found = fit_with_seismometer(points, PENDULUM, witness(value), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, seismometer(value), alone, averaged=False)
     whole = with_all_of_the_drive()
     assert 29 <= found.use.missing_half_cycles <= 36
     assert found.use.used
@@ -204,12 +204,12 @@ def test_a_real_seismometer_of_unknown_response_tells_what_drove_the_pendulum() 
 
 
 def delay_found(seed: int, late_s: float) -> Estimate:
-    """Of a witness that is late, beside turning points that the detector has found in samples."""
+    """Of a seismometer that is late, beside turning points that the detector has found in samples."""
     settings = SimulationSettings.model_validate(
         {
             "seed": seed,
             "ground": {"model": "white", "white_m_per_s2_per_sqrt_hz": 2e-5},
-            "witness": {"noise_m_per_s2_per_sqrt_hz": 1e-12, "delay_s": late_s},
+            "seismometer": {"noise_m_per_s2_per_sqrt_hz": 1e-12, "delay_s": late_s},
             "fast": {"amplitude_arcsec": 0.0},
             "axes": {"leakage": 0.0},
         }

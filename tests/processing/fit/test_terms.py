@@ -88,9 +88,9 @@ def test_a_fit_with_terms_does_not_ask_for_their_order() -> None:
         assert set(fit.terms) == {*at.fit.terms, "shared", "late"}
         np.testing.assert_allclose(fit.covariance, fits[0].covariance, rtol=1e-9)
         np.testing.assert_allclose(fit.covariance, at.fit.covariance + by @ both.covariance @ by.T, rtol=1e-9)
-        assert fit.widened is not None
-        assert at.fit.widened is not None
+        assert fit.u_inflation is not None
+        assert at.fit.u_inflation is not None
         wider = fit.standard_uncertainty / at.fit.standard_uncertainty
-        np.testing.assert_allclose(fit.widened, at.fit.widened * wider, rtol=1e-9)
+        np.testing.assert_allclose(fit.u_inflation, at.fit.u_inflation * wider, rtol=1e-9)
     with pytest.raises(DataError, match="do not determine nothing"):
         at.with_terms(Term("nothing", np.zeros(len(at.residuals))))

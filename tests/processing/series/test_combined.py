@@ -103,7 +103,7 @@ def test_the_doubt_of_the_air_is_in_a_series_as_in_each_run() -> None:
     assert sum(line.share for line in alone.values()) == pytest.approx(1.0)
     assert alone["air"].share > 0.5
     # without what is known of the air the drag would be open
-    assert results[0].worth["air"]["drag_s"] > 1.5
+    assert results[0].information_gain["air"]["drag_s"] > 1.5
 
 
 @pytest.mark.parametrize("between", [0.0, 3.0])

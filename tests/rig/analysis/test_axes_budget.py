@@ -19,7 +19,7 @@ from processing.errors import ConfigurationError
 from processing.fit import InputQuantity
 from processing.fit.reported import FittedContact
 from processing.fit.uncertainty import budgets
-from rig.analysis.air import ambient_warnings, recorded_surroundings
+from rig.analysis.air import ambient_warnings, recorded_ambient
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.instrument import complete, recorded_configuration
@@ -118,23 +118,23 @@ def test_dwell_and_age_are_counted_to_the_first_frame(measured_series: Path) -> 
             "environment.humidity_percent=43",
             "environment.pressure_pa=98500",
         ]
-        found = recorded_surroundings(reader, recorded_configuration(reader, stated))
+        found = recorded_ambient(reader, recorded_configuration(reader, stated))
         assert found.dwell_s == pytest.approx(7200.0)
         assert found.age_s == pytest.approx(86400.0)
         assert (found.humidity_percent, found.pressure_pa) == (43.0, 98500.0)
         assert isnan(found.temperature_c)
         assert ambient_warnings(found) == []
         later = [f"session.contact_made={(began + timedelta(minutes=10)).isoformat()}"]
-        (doubt,) = ambient_warnings(recorded_surroundings(reader, recorded_configuration(reader, later)))
+        (doubt,) = ambient_warnings(recorded_ambient(reader, recorded_configuration(reader, later)))
         assert doubt == "session.contact_made lies 600 s after the run began: correct its date or offset"
         exchanged = [
             f"session.contact_made={cleaned.isoformat()}",
             f"session.surfaces_cleaned={made.isoformat()}",
         ]
-        (doubt,) = ambient_warnings(recorded_surroundings(reader, recorded_configuration(reader, exchanged)))
+        (doubt,) = ambient_warnings(recorded_ambient(reader, recorded_configuration(reader, exchanged)))
         assert doubt.startswith("session.surfaces_cleaned lies 79200 s after session.contact_made")
         # the record's own texts, for who has no configuration
-        assert recorded_surroundings(reader) == AmbientConditions()
+        assert recorded_ambient(reader) == AmbientConditions()
 
 
 def test_a_time_without_its_offset_is_refused() -> None:
@@ -150,7 +150,7 @@ def test_results_have_the_drag_of_air_beside_the_fitted_one(measured_series: Pat
     assert found["air_density_kg_per_m3"] == pytest.approx(1.199, rel=0.01)
     assumed = ["temperature_c", "humidity_percent", "pressure_pa", "length_m", "width_m"]
     assert found["assumed"] == assumed
-    assert set(run["surroundings"]) == {
+    assert set(run["ambient"]) == {
         "temperature_c",
         "humidity_percent",
         "pressure_pa",
@@ -167,6 +167,6 @@ def test_readings_that_are_all_alike_have_not_changed(
     readings = np.array([(23.46, 41.3, 99870.0)] * 37, kind)
     monkeypatch.setattr(RecordReader, "table", lambda *_: readings)
     with RecordReader(measured_series / "run-1.mcap") as reader:
-        found = recorded_surroundings(reader)
+        found = recorded_ambient(reader)
     assert found.temperature_change_k == 0.0
     assert found.temperature_c == pytest.approx(23.46)

@@ -145,7 +145,9 @@ def test_a_drag_that_is_seen_stands_in_the_headline_and_vacuum_too() -> None:
 
 
 def test_what_the_waveform_gave_is_said() -> None:
-    fit = Fit(parameters={"drag_s": Estimate(2e-3, 1e-4)}, worth={"waveform": {"b": 12.0, "p": 1.1}})
+    fit = Fit(
+        parameters={"drag_s": Estimate(2e-3, 1e-4)}, information_gain={"waveform": {"b": 12.0, "p": 1.1}}
+    )
     said = remarks(RunResults(record="run-1.mcap", fits={"exact": fit}))
     assert (
         "Without the waveform of the swing the uncertainties would be larger, by factors of 12 (b)."

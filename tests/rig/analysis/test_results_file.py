@@ -93,12 +93,12 @@ def test_what_a_law_does_not_describe_is_stored(measured_series: Path) -> None:
     change = Change(
         kind=ChangeKind.FRICTION, half_cycle=143, time_s=296.0, size=0.047, u_size=0.001, gain=445.0
     )
-    misfit = DiscrepancySize(loss=0.04, against_law=278.0, widened={"b": 10.4})
-    fits = {**run.fits, "exact": replace(run.fits["exact"], changes=(change,), misfit=misfit)}
+    discrepancy = DiscrepancySize(loss=0.04, against_law=278.0, u_inflation={"b": 10.4})
+    fits = {**run.fits, "exact": replace(run.fits["exact"], changes=(change,), discrepancy=discrepancy)}
     written = replace(session, runs=(replace(run, fits=fits), *session.runs[1:]))
     again = decoded(json.loads(json.dumps(encoded(written))), measured_series)
     assert again.runs[0].fits["exact"].changes == (change,)
-    assert again.runs[0].fits["exact"].misfit == misfit
+    assert again.runs[0].fits["exact"].discrepancy == discrepancy
 
 
 @pytest.mark.parametrize(

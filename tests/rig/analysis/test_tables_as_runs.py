@@ -200,7 +200,7 @@ def test_what_the_configuration_states_of_air_and_sample_goes_with_the_table(tmp
     done = rig("fit", table, "--config", tmp_path / "mine.toml", "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     (run,) = read_results(tmp_path / "out").runs
-    assert run.surroundings == AmbientConditions(humidity_percent=45.0, dwell_s=7200.0)
+    assert run.ambient == AmbientConditions(humidity_percent=45.0, dwell_s=7200.0)
     (row,) = session_rows(tmp_path / "out")[0]
     assert (row["sample"], row["operator"], row["humidity_percent"]) == ("A7", "O.", 45.0)
     (found,) = runs_of_folders([tmp_path / "out"], by_sample=True)

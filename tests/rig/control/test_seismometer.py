@@ -110,11 +110,11 @@ def test_a_longer_file_in_its_place_is_read_from_its_begin(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"witness.kind": "serial"}, "port is missing"),
-        ({"witness.kind": "file"}, "file is missing"),
-        ({"witness.columns": ("time_s",)}, "one to 3 different names"),
-        ({"witness.columns": ("a", "a")}, "one to 3 different names"),
+        ({"seismometer.kind": "serial"}, "port is missing"),
+        ({"seismometer.kind": "file"}, "file is missing"),
+        ({"seismometer.columns": ("time_s",)}, "one to 3 different names"),
+        ({"seismometer.columns": ("a", "a")}, "one to 3 different names"),
     ],
 )
 def test_what_is_missing_is_said(keys: dict[str, object], said: str) -> None:
-    assert said in " ".join(keys_with_faults(keys, "witness"))
+    assert said in " ".join(keys_with_faults(keys, "seismometer"))

@@ -10,16 +10,18 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from acquisition.record.events import EventKind
 from rig.control import ControlState, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey
-from rig.desk.alarming import Seen, conditions, happened
+from rig.desk.alarming import AlarmInputs, conditions, happened
 from rig.instrument import Phase
 
 MEASURING = {"phase": Phase.MEASURING, "temperature_c": 20.0}
 FRESH = {"frames_age_s": 0.1, "spot_lost_s": 0.0}
 
 
-def told(state: dict[str, Any] | None = None, **news: Any) -> Seen:
+def told(state: dict[str, Any] | None = None, **news: Any) -> AlarmInputs:
     """A session that measures, and says this."""
-    return Seen(news={**FRESH, "state": {**MEASURING, **(state or {})}, **news}, session="run-of-today")
+    return AlarmInputs(
+        news={**FRESH, "state": {**MEASURING, **(state or {})}, **news}, session="run-of-today"
+    )
 
 
 LIT = SafetyNow(light=Light.ON, light_age_s=0.1, interlock=Loop.CLOSED, interlock_age_s=0.1)
@@ -27,7 +29,7 @@ TRIP = LatchedTrip(5, TripCause.INTERLOCK, "the interlock opened", True)
 PRESSED = LatchedTrip(6, TripCause.PERSON, "LIGHT OFF was pressed at the desk", True)
 
 
-def dark(trip: LatchedTrip) -> Seen:
+def dark(trip: LatchedTrip) -> AlarmInputs:
     """A session whose light was taken: it sees no spot."""
     news = told({"alarm": "the laser is dark"}, darkness="LIGHT OFF", spot_lost_s=3.0)
     return replace(news, safety=replace(LIT, light=Light.OFF, trip=trip))
@@ -36,21 +38,24 @@ def dark(trip: LatchedTrip) -> Seen:
 @pytest.mark.parametrize(
     ("seen", "keys"),
     [
-        (Seen(), set()),
+        (AlarmInputs(), set()),
         (told(), set()),
-        (Seen(safety=LIT, lit_by="the live picture"), set()),
-        (Seen(safety=replace(LIT, trip=TRIP)), {AlarmKey.TRIP}),
+        (AlarmInputs(safety=LIT, lit_by="the live picture"), set()),
+        (AlarmInputs(safety=replace(LIT, trip=TRIP)), {AlarmKey.TRIP}),
         # an own act, and what follows from it
-        (Seen(safety=replace(LIT, trip=PRESSED)), set()),
+        (AlarmInputs(safety=replace(LIT, trip=PRESSED)), set()),
         (dark(PRESSED), set()),
         (dark(TRIP), {AlarmKey.TRIP}),
         # acknowledged, and dark until somebody asks for light
         (replace(dark(TRIP), safety=replace(LIT, light=Light.OFF, to_be_asked=True)), set()),
-        (Seen(safety=replace(LIT, interlock=Loop.OPEN)), {AlarmKey.INTERLOCK}),
-        (Seen(safety=replace(LIT, light=Light.DISAGREES)), {AlarmKey.LIGHT_DISAGREES}),
-        (Seen(safety=replace(LIT, light_age_s=2.5), lit_by="the live picture"), {AlarmKey.LASER_UNKNOWN}),
-        (Seen(safety=replace(LIT, light_age_s=2.5)), set()),
-        (Seen(controller=ControlState.LOST), {AlarmKey.CONTROLLER}),
+        (AlarmInputs(safety=replace(LIT, interlock=Loop.OPEN)), {AlarmKey.INTERLOCK}),
+        (AlarmInputs(safety=replace(LIT, light=Light.DISAGREES)), {AlarmKey.LIGHT_DISAGREES}),
+        (
+            AlarmInputs(safety=replace(LIT, light_age_s=2.5), lit_by="the live picture"),
+            {AlarmKey.LASER_UNKNOWN},
+        ),
+        (AlarmInputs(safety=replace(LIT, light_age_s=2.5)), set()),
+        (AlarmInputs(controller=ControlState.LOST), {AlarmKey.CONTROLLER}),
         (replace(told(), news_age_s=2.1), {AlarmKey.SESSION_FROZEN}),
         # a busy machine: the news are late, the session lives
         (replace(told(), news_age_s=4.0, beat_age_s=0.3), set()),
@@ -88,10 +93,10 @@ def dark(trip: LatchedTrip) -> Seen:
         ),
         (told(balance={"failed_checks": []}), set()),
         (told({"phase": Phase.RELEASE}, balance={"failed_checks": ["plane of swing"]}), set()),
-        (Seen(picture_late_s=2.1), {AlarmKey.CAMERA}),
+        (AlarmInputs(picture_late_s=2.1), {AlarmKey.CAMERA}),
     ],
 )
-def test_conditions(seen: Seen, keys: set[AlarmKey]) -> None:
+def test_conditions(seen: AlarmInputs, keys: set[AlarmKey]) -> None:
     assert set(conditions(seen)) == keys
 
 

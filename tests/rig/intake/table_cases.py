@@ -32,10 +32,10 @@ def analyse_table(
     path: Path,
     config: Configuration | None,
     columns: TableColumns,
-    witness: SeismometerRecord | None = None,
+    seismometer: SeismometerRecord | None = None,
 ) -> AnalysedTable:
     """Results of a table that is read by these columns."""
-    return analyse_trajectory(path, columns.read(path), config, witness=witness)
+    return analyse_trajectory(path, columns.read(path), config, seismometer=seismometer)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquisition.record.topics import RecordedWitness
+from acquisition.record.topics import RecordedSeismometer
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.control import SeismometerSettings
-from rig.devices.ground_seismometer import check_witness
+from rig.devices.ground_seismometer import check_seismometer
 from rig.measure import preflight_rig
 from rig.measure.preflight import TrialFrames, rest_checks
 from rig.settings import ReferenceSettings, load_configuration
@@ -40,20 +40,20 @@ def look_at(time_s: Floats, y: Floats, *, resting: bool = True) -> TrialFrames:
     return TrialFrames([], [], at, resting)
 
 
-def samples(values: Floats) -> list[RecordedWitness]:
+def samples(values: Floats) -> list[RecordedSeismometer]:
     step_ns = round(1e9 / FRAMES_PER_S)
     # late by a fixed time, in bursts of four
     return [
-        RecordedWitness(5_080_000_000 + step_ns * (k - k % 4 + 4) + k % 4, 0, k / FRAMES_PER_S, one)
+        RecordedSeismometer(5_080_000_000 + step_ns * (k - k % 4 + 4) + k % 4, 0, k / FRAMES_PER_S, one)
         for k, one in enumerate(values.tolist())
     ]
 
 
-def judged(look: TrialFrames, of: Sequence[RecordedWitness], problem: str | None = "") -> Verdict:
-    return rest_checks.witness(look, problem, SETTINGS, of, None)
+def judged(look: TrialFrames, of: Sequence[RecordedSeismometer], problem: str | None = "") -> Verdict:
+    return rest_checks.seismometer(look, problem, SETTINGS, of, None)
 
 
-def test_a_witness_says_what_it_would_give(minute: tuple[TrialFrames, Floats]) -> None:
+def test_a_seismometer_says_what_it_would_give(minute: tuple[TrialFrames, Floats]) -> None:
     look, drive = minute
     verdict = judged(look, samples(1e9 * drive))
     assert verdict.ok
@@ -137,7 +137,7 @@ def test_the_vault_before_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[st
         "simulation.ground.white_m_per_s2_per_sqrt_hz=2e-5",
         "simulation.optics.reference_y_px=319.5",
         "simulation.reference.x_px=80",
-        "witness.kind='simulated'",
+        "seismometer.kind='simulated'",
     )
     config = load_configuration(CONFIGS / "vault.toml", wanted)
     preflight_rig(config)
@@ -145,7 +145,7 @@ def test_the_vault_before_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "squared coherence 0.9" in said
     assert "the swing at rest" in said
     assert "px fall by" in said
-    assert check_witness(config).ok
+    assert check_seismometer(config).ok
 
 
 def test_the_doctor_waits_for_a_sample_and_says_that_none_came(tmp_path: Path) -> None:
@@ -153,13 +153,13 @@ def test_the_doctor_waits_for_a_sample_and_says_that_none_came(tmp_path: Path) -
     lines.write_text("")
     wanted = (
         "simulation.real_time=true",
-        "witness.kind='file'",
-        f"witness.file='{lines.as_posix()}'",
-        "witness.stale_after_s=0.3",
+        "seismometer.kind='file'",
+        f"seismometer.file='{lines.as_posix()}'",
+        "seismometer.stale_after_s=0.3",
     )
     config = load_configuration(CONFIGS / "demo.toml", wanted)
-    verdict = check_witness(config)
+    verdict = check_seismometer(config)
     assert (verdict.ok, verdict.reason) == (False, "no line has come")
     assert "port, rate and columns" in verdict.remedy
-    assert not check_witness(load_configuration(CONFIGS / "demo.toml")).made
-    assert math.isclose(config.witness.stale_after_s, 0.3)
+    assert not check_seismometer(load_configuration(CONFIGS / "demo.toml")).made
+    assert math.isclose(config.seismometer.stale_after_s, 0.3)

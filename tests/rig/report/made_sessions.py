@@ -60,7 +60,7 @@ def run(
         fits={FitMethod.EXACT: fit},
         pendulum=PENDULUM,
         budget=budget,
-        surroundings=AmbientConditions(temperature_c=20.0, humidity_percent=humidity_percent),
+        ambient=AmbientConditions(temperature_c=20.0, humidity_percent=humidity_percent),
         turning_points=StoredTurningPoints(
             index=np.arange(len(time_s)), time_s=time_s, u_time_s=time_s * 0 + 1e-3,
             amplitude=np.linspace(6e-4, 1e-5, len(time_s)), u_amplitude=time_s * 0 + 1e-8,

@@ -243,7 +243,7 @@ def test_what_some_runs_were_measured_under_is_not_known_is_said(tmp_path: Path)
     """Half of the humidities were guessed without a word."""
     rng = np.random.default_rng(5)
     runs = [run(number, GLASS, rng, humidity_percent=30.0 + 5 * number) for number in range(1, 7)]
-    runs[3:] = [replace(one, surroundings=None) for one in runs[3:]]
+    runs[3:] = [replace(one, ambient=None) for one in runs[3:]]
     folder = session(tmp_path / "monday", runs)
     path = tmp_path / "campaign.toml"
     path.write_text(STATED)
@@ -467,7 +467,7 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
                 sign * found.shared["air"], air, rtol=0.1, atol=0.05 * float(np.max(np.abs(air)))
             )
     for source, column in found.shared.items():
-        if source == "air" or source.startswith("misfit"):
+        if source == "air" or source.startswith("discrepancy"):
             again += np.outer(column, column)
     u, u_again = np.sqrt(np.diag(whole)), np.sqrt(np.diag(again))
     assert np.all(u_again > 0.9 * u)

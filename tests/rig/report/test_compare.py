@@ -120,16 +120,16 @@ def test_a_simulated_series_is_called_so(tmp_path: Path) -> None:
     assert differences.rows[0][0] == "a (SIMULATED)"
 
 
-def test_a_series_fitted_with_a_witness_is_called_so(tmp_path: Path) -> None:
+def test_a_series_fitted_with_a_seismometer_is_called_so(tmp_path: Path) -> None:
     folders = [session(tmp_path / name) for name in ("a", "b")]
     tree = json.loads((folders[0] / "results.json").read_text())
-    tree["runs"][1]["witness"] = {"verdict": "used"}
-    tree["runs"][2]["witness"] = {"verdict": "refused: it does not cover the run"}
+    tree["runs"][1]["seismometer"] = {"verdict": "used"}
+    tree["runs"][2]["seismometer"] = {"verdict": "refused: it does not cover the run"}
     (folders[0] / "results.json").write_text(json.dumps(tree))
     values, _ = compare(folders, None)
     assert values.note.endswith("With a seismometer: a: 1 of 3 runs.")
     (folders[0] / "results.json").write_text(json.dumps(tree | {"runs": tree["runs"][:1]}))
-    assert "witness" not in compare(folders, None)[0].note
+    assert "seismometer" not in compare(folders, None)[0].note
 
 
 def test_what_a_series_does_not_determine_is_a_bound(tmp_path: Path) -> None:
@@ -214,7 +214,7 @@ def at_humidities(folder: Path, percent: list[float | None]) -> Path:
         exact = {"c": {"value": c, "standard_uncertainty": 2e-11}}
         exact["b"] = {"value": 3.7e-3 + 1e-6 * (-1) ** number, "standard_uncertainty": 2e-6}
         run = {"record": f"run-{number + 1}.mcap", "fits": {"exact": exact}}
-        tree["runs"].append(run | {"surroundings": {"humidity_percent": humidity}})
+        tree["runs"].append(run | {"ambient": {"humidity_percent": humidity}})
     (made / "results.json").write_text(json.dumps(tree))
     return made
 

@@ -151,10 +151,10 @@ def conditions_of(*overrides: str) -> Conditions:
 VAULT = CONFIGS / "vault.toml"
 
 
-def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
+def test_a_plan_of_a_configuration_has_its_own_seismometer_and_reference() -> None:
     both, bare = (
         planned_contact_of_file(VAULT, overrides, None, None).conditions
-        for overrides in ((), ("witness.kind='none'",))
+        for overrides in ((), ("seismometer.kind='none'",))
     )
     assert bare.seismometer_noise is None
     assert both.seismometer_noise == pytest.approx(LEAST_UNEXPLAINED, rel=0.2)
@@ -166,13 +166,15 @@ def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
     assert less.u_amplitude_rad < 0.6 * airy.u_amplitude_rad
 
 
-def test_a_witness_that_hears_itself_more_than_the_ground_is_planned_so() -> None:
-    noisy = ("simulation.witness.noise_m_per_s2_per_sqrt_hz=2.5e-4",)
+def test_a_seismometer_that_hears_itself_more_than_the_ground_is_planned_so() -> None:
+    noisy = ("simulation.seismometer.noise_m_per_s2_per_sqrt_hz=2.5e-4",)
     found = planned_contact_of_file(VAULT, noisy, None, None).conditions
     assert found.seismometer_noise is not None
     assert found.seismometer_noise > 10
     louder = found.on_ground(100 * found.ground_rad_per_s2_rthz)
     assert louder.seismometer_noise == pytest.approx(0.01 * found.seismometer_noise)
     assert louder.on_ground(1e9).seismometer_noise == LEAST_UNEXPLAINED
-    unknown = planned_contact_of_file(VAULT, ("witness.kind='serial'", "witness.port='/dev/any'"), None, None)
+    unknown = planned_contact_of_file(
+        VAULT, ("seismometer.kind='serial'", "seismometer.port='/dev/any'"), None, None
+    )
     assert unknown.conditions.seismometer_noise == LEAST_UNEXPLAINED

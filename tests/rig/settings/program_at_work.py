@@ -31,7 +31,7 @@ from rig.control import (
 )
 from rig.control.settings import SerialFaults
 from rig.devices import Devices, FrameStream, OpenCamera
-from rig.devices.ground_seismometer import ground_witness
+from rig.devices.ground_seismometer import opened_seismometer
 from rig.instrument import camera_settings, complete, make_camera, optics_of
 from rig.instrument.configured_camera import shift_to_light_ns
 from rig.measure.phases import PhasesBeforeRecord
@@ -81,7 +81,7 @@ class _Stubs:
     """Devices with a controller and a laser that are not there."""
 
     control = _Obedient()
-    witness = None
+    seismometer = None
     permit = SimpleNamespace(latched=None)
 
     def laser_report(self) -> LaserReport:
@@ -251,8 +251,8 @@ def suffer_every_fault() -> None:
 
 
 def listen_to_the_ground(folder: Path) -> None:
-    """Witnesses at a port that is not there, in a file, and beside the simulated rig."""
-    file = folder / "witness.txt"
+    """Seismometers at a port that is not there, in a file, and beside the simulated rig."""
+    file = folder / "seismometer.txt"
     file.touch()
     for settings in (
         SeismometerSettings(kind="serial", port=NOWHERE),
@@ -268,10 +268,10 @@ def listen_to_the_ground(folder: Path) -> None:
     truth = SimulationSettings.model_validate({"ground": {"model": "white"}})
     assert len(SimulatedSeismometer(truth).until(1.0, 0).counts)
     port = f"'{NOWHERE}'"
-    config = configuration(witness__kind="'serial'", witness__port=port, simulation__real_time="true")
-    witness = ground_witness(config)
-    assert witness is not None
-    assert witness.problem
+    config = configuration(seismometer__kind="'serial'", seismometer__port=port, simulation__real_time="true")
+    seismometer = opened_seismometer(config)
+    assert seismometer is not None
+    assert seismometer.problem
 
 
 def see_a_reference(folder: Path) -> None:

@@ -106,7 +106,7 @@ def test_a_law_that_does_not_describe_the_data_shows_in_its_residuals() -> None:
     wrong = fit_exact(points, pendulum, law=CONSTANT_MOMENT)
     assert wrong.whiteness is not None
     assert wrong.whiteness.p_amplitude < 1e-100
-    assert wrong.whiteness.widened > 2
+    assert wrong.whiteness.u_inflation > 2
     assert any("the model does not describe all of the motion" in warning for warning in wrong.warnings)
 
 

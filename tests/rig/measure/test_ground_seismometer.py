@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import WITNESS
+from acquisition.record.topics import SEISMOMETER
 from processing.errors import ConfigurationError
 from rig.analysis import analyse_record, read_results
-from rig.analysis.seismometer import recorded_witness
+from rig.analysis.seismometer import recorded_seismometer
 from rig.instrument import recorded_configuration
 from rig.intake import read_seismometer
 from rig.measure import measure_session
@@ -28,9 +28,9 @@ GROUND = (
     "session.max_duration_s=200",
     "simulation.ground.model='white'",
     "simulation.ground.white_m_per_s2_per_sqrt_hz=2e-5",
-    "witness.kind='simulated'",
-    "simulation.witness.noise_m_per_s2_per_sqrt_hz=1e-6",
-    "simulation.witness.delay_s=0.05",
+    "seismometer.kind='simulated'",
+    "simulation.seismometer.noise_m_per_s2_per_sqrt_hz=1e-6",
+    "simulation.seismometer.delay_s=0.05",
     "fit.drag='vacuum'",
 )
 
@@ -51,9 +51,9 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_its_samples_stand_in_the_record_on_the_clock_of_the_frames(vault: Path) -> None:
     with RecordReader(vault / "run-1.mcap") as reader:
-        table, spots = reader.table(WITNESS.topic), reader.spots()
+        table, spots = reader.table(SEISMOMETER.topic), reader.spots()
         config = recorded_configuration(reader)
-        found = recorded_witness(reader, config)
+        found = recorded_seismometer(reader, config)
     assert len(table) == pytest.approx(20 * 200, abs=50)
     assert np.all(np.diff(table["time_ns"]) == 50_000_000)
     assert 0 <= table["time_ns"][0] - spots["time_ns"][0] < 50_000_000
@@ -67,18 +67,18 @@ def test_its_samples_stand_in_the_record_on_the_clock_of_the_frames(vault: Path)
 @pytest.mark.slow
 def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> None:
     (run,) = read_results(vault).runs
-    assert run.witness is not None
-    assert run.witness.used
-    assert [response.name for response in run.witness.responses] == ["along"]
-    assert run.witness.explained > 0.9
+    assert run.seismometer is not None
+    assert run.seismometer.used
+    assert [response.name for response in run.seismometer.responses] == ["along"]
+    assert run.seismometer.explained > 0.9
     # it is late by 0.05 s, which is in the response's phase; so short a run bounds it
-    delay_s, u_s = run.witness.delay_s
+    delay_s, u_s = run.seismometer.delay_s
     assert abs(delay_s + 0.05) < 3 * u_s < 0.5
-    alone = analyse_record(vault / "run-1.mcap", ["witness.kind='none'"])
-    assert alone.witness is None
+    alone = analyse_record(vault / "run-1.mcap", ["seismometer.kind='none'"])
+    assert alone.seismometer is None
     exact = alone.fits["exact"]
     assert exact.ground is not None
-    before, left = run.witness.ground_alone_rad_per_s2_rthz, run.witness.ground_left_rad_per_s2_rthz
+    before, left = run.seismometer.ground_alone_rad_per_s2_rthz, run.seismometer.ground_left_rad_per_s2_rthz
     assert before == exact.ground.density_rad_per_s2_rthz
     # lever of the mass centre over the stiffness, times the ground's acceleration
     assert before.value == pytest.approx(2e-5 * 2e-4 / (9.81 * 6.05e-3) * (2 * np.pi / 4.16) ** 2, rel=0.35)
@@ -89,7 +89,7 @@ def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> N
 def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: Path) -> None:
     record = vault / "run-1.mcap"
     with RecordReader(record) as reader:
-        table = reader.table(WITNESS.topic)
+        table = reader.table(SEISMOMETER.topic)
         first_ns, epoch_ns = int(reader.spots()["time_ns"][0]), reader.epoch_offset_ns
     # by UTC, and in seconds of which nobody says when they began
     for name, zero_ns in (("utc.csv", -epoch_ns), ("relative.csv", first_ns)):
@@ -97,29 +97,29 @@ def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: 
         lines = [f"{time_ns // 10**9}.{time_ns % 10**9:09d},{value:.9g}" for time_ns, value in rows]
         (tmp_path / name).write_text("\n".join(["time_s,counts", *lines]))
     (own,) = read_results(vault).runs
-    assert own.witness is not None
+    assert own.seismometer is not None
     for name in ("utc.csv", "relative.csv"):
-        found = analyse_record(record, witness=read_seismometer(tmp_path / name))
-        assert found.witness is not None
-        assert found.witness.used, name
-        assert [response.name for response in found.witness.responses] == ["counts"]
-        assert found.witness.explained == pytest.approx(own.witness.explained, abs=0.01)
+        found = analyse_record(record, seismometer=read_seismometer(tmp_path / name))
+        assert found.seismometer is not None
+        assert found.seismometer.used, name
+        assert [response.name for response in found.seismometer.responses] == ["counts"]
+        assert found.seismometer.explained == pytest.approx(own.seismometer.explained, abs=0.01)
         one, other = (run.fits["exact"].estimate("b") for run in (own, found))
         assert other.value == pytest.approx(one.value, abs=0.3 * one.standard_uncertainty)
 
 
 def test_one_that_does_not_go_with_the_camera_is_said(tmp_path: Path) -> None:
     source = CONFIGS / "demo.toml"
-    serial = load_configuration(source, ("witness.kind='serial'", "witness.port='/dev/none'"))
-    with pytest.raises(ConfigurationError, match=r"witness\.kind = 'serial' samples in real time"):
+    serial = load_configuration(source, ("seismometer.kind='serial'", "seismometer.port='/dev/none'"))
+    with pytest.raises(ConfigurationError, match=r"seismometer\.kind = 'serial' samples in real time"):
         measure_session(serial, source, tmp_path / "run")
-    still = load_configuration(source, ("witness.kind='simulated'",))
+    still = load_configuration(source, ("seismometer.kind='simulated'",))
     with pytest.raises(ConfigurationError, match=r"set simulation\.ground\.model"):
         measure_session(still, source, tmp_path / "run")
 
 
 @pytest.mark.slow
-def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_path: Path) -> None:
+def test_a_serial_seismometer_is_recorded_beside_frames_that_come_in_real_time(tmp_path: Path) -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
@@ -144,9 +144,9 @@ def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_p
         *(f"{key}={value}" for key, value in {**QUICK, "session.max_duration_s": "8"}.items()),
         "simulation.real_time=true",
         "preflight.when='never'",
-        "witness.kind='serial'",
-        f"witness.port='{os.ttyname(slave)}'",
-        "witness.columns=['time_s', 'z', 'n']",
+        "seismometer.kind='serial'",
+        f"seismometer.port='{os.ttyname(slave)}'",
+        "seismometer.columns=['time_s', 'z', 'n']",
     )
     source, folder = CONFIGS / "demo.toml", tmp_path / "run"
     try:
@@ -157,8 +157,8 @@ def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_p
         os.close(master)
         os.close(slave)
     with RecordReader(folder / "run-1.mcap") as reader:
-        table, spots = reader.table(WITNESS.topic), reader.spots()
-        found = recorded_witness(reader, recorded_configuration(reader))
+        table, spots = reader.table(SEISMOMETER.topic), reader.spots()
+        found = recorded_seismometer(reader, recorded_configuration(reader))
     assert found is not None
     assert found.names == ("z", "n")
     number = found.value[:, 0]

@@ -20,7 +20,7 @@ from processing.fit.seismometer import SeismometerVerdict
 from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
-from rig.analysis.run_remarks import witness_sentences
+from rig.analysis.run_remarks import seismometer_sentences
 from rig.analysis.seismometer import sample_times
 from rig.analysis.table_fit import TableColumns
 from rig.archive.session_rows import results_row
@@ -55,8 +55,8 @@ def ground(seed: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def decay(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A decay on a white drive, as a table, with its configuration and witnesses beside it."""
-    folder = tmp_path_factory.mktemp("witness")
+    """A decay on a white drive, as a table, with its configuration and seismometeres beside it."""
+    folder = tmp_path_factory.mktemp("seismometer")
     parameters, pendulum = paper_pair("glass_k8")
     clock = STEP_S * np.arange(4000)
     _, _, path = driven_path(
@@ -71,7 +71,7 @@ def decay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     seen = path / ARCSEC + 0.005 * np.random.default_rng(2).standard_normal(len(path))
     # the table's clock does not begin at 0
     csv(folder / "decay.csv", "time_s,y_arcsec", 500.0 + np.arange(len(seen)) / FRAMES_PER_S, seen)
-    csv(folder / "witness.csv", "time_s,east,north", 480.0 + clock, 1e9 * ground(5), -2e9 * ground(1))
+    csv(folder / "seismometer.csv", "time_s,east,north", 480.0 + clock, 1e9 * ground(5), -2e9 * ground(1))
     (folder / "rig.toml").write_text(PENDULUM)
     return folder
 
@@ -79,8 +79,8 @@ def decay(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @cache
 def analysed(folder: Path, *columns: str) -> AnalysedTable:
     config = load_configuration(folder / "rig.toml", needs_camera=False)
-    witness = read_seismometer(folder / "witness.csv", columns) if columns else None
-    return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), witness)
+    seismometer = read_seismometer(folder / "seismometer.csv", columns) if columns else None
+    return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), seismometer)
 
 
 def fitted(folder: Path, *columns: str) -> RunResults:
@@ -88,77 +88,77 @@ def fitted(folder: Path, *columns: str) -> RunResults:
 
 
 @pytest.mark.slow
-def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) -> None:
+def test_a_table_is_fitted_with_a_seismometer_and_says_what_it_saved(decay: Path) -> None:
     alone, found = fitted(decay), fitted(decay, "east", "north")
-    assert alone.witness is None
-    assert found.witness is not None
-    assert found.witness.used
-    assert [response.name for response in found.witness.responses] == ["north"]
-    assert found.witness.responses[0].gain == pytest.approx(0.5e-9, rel=0.05)
+    assert alone.seismometer is None
+    assert found.seismometer is not None
+    assert found.seismometer.used
+    assert [response.name for response in found.seismometer.responses] == ["north"]
+    assert found.seismometer.responses[0].gain == pytest.approx(0.5e-9, rel=0.05)
     before, after = (one.fits["exact"].estimate("b") for one in (alone, found))
     assert before.standard_uncertainty / after.standard_uncertainty == pytest.approx(
-        found.witness.saved["b"], rel=1e-6
+        found.seismometer.saved["b"], rel=1e-6
     )
     # of 4.5 if the first half-cycles knew nothing of the drive within them, as detected
-    assert found.witness.saved["b"] > 3
+    assert found.seismometer.saved["b"] > 3
     assert abs(after.value - paper_pair("glass_k8")[0].b) < 4 * after.standard_uncertainty
     # Eqs. 5 and 6 keep the paper's procedure
     of_eqs = [one.fits["asymptotic"].estimate("b").value for one in (found, alone)]
     assert of_eqs[0] == of_eqs[1]
-    said = " ".join(witness_sentences(found.witness))
+    said = " ".join(seismometer_sentences(found.seismometer))
     assert "it explains" in said
     assert re.search(r"reduces the uncertainties by factors of [\d.]+ \(\w+\)", said)
 
 
 @pytest.mark.slow
-def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(decay: Path) -> None:
-    words = {"configuration": decay / "rig.toml", "witness": decay / "witness.csv"}
+def test_the_python_interface_takes_a_seismometer_of_a_table_as_the_terminal_does(decay: Path) -> None:
+    words = {"configuration": decay / "rig.toml", "seismometer": decay / "seismometer.csv"}
     found = rig.fit_table(decay / "decay.csv", "arcsec", **words).runs[0]
-    assert found.witness is not None
-    assert found.witness == fitted(decay, "east", "north").witness
-    assert dict(results_row(found))["witness"] == "used"
-    assert dict(results_row(found))["witness_explained"] == found.witness.explained > 0.9
-    with pytest.raises(ConfigurationError, match="witness: has no effect without configuration"):
-        rig.fit_table(decay / "decay.csv", "arcsec", witness=decay / "witness.csv")
+    assert found.seismometer is not None
+    assert found.seismometer == fitted(decay, "east", "north").seismometer
+    assert dict(results_row(found))["seismometer"] == "used"
+    assert dict(results_row(found))["seismometer_explained"] == found.seismometer.explained > 0.9
+    with pytest.raises(ConfigurationError, match="seismometer: has no effect without configuration"):
+        rig.fit_table(decay / "decay.csv", "arcsec", seismometer=decay / "seismometer.csv")
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("figures")
-def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_path: Path) -> None:
+def test_the_report_of_a_table_draws_what_its_seismometer_explains(decay: Path, tmp_path: Path) -> None:
     table = analysed(decay, "east", "north")
     write_results(tmp_path / RESULTS_NAME, table.results)
     make_table_report(table, tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "What the auxiliary seismometer explains" in page
     assert "it explains" in page
-    assert (tmp_path / "report" / "run-1" / "witness.svg").exists()
-    assert table.longest.results.witness is not None
+    assert (tmp_path / "report" / "run-1" / "seismometer.svg").exists()
+    assert table.longest.results.seismometer is not None
 
 
 @pytest.mark.slow
-def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> None:
+def test_an_unrelated_seismometer_changes_nothing_but_what_is_said(decay: Path) -> None:
     alone, found = fitted(decay), fitted(decay, "east")
-    assert found.witness is not None
-    assert found.witness.verdict is SeismometerVerdict.NO_GAIN
-    assert encoded(replace(found, witness=None)) == encoded(alone)
-    (said,) = witness_sentences(found.witness)
+    assert found.seismometer is not None
+    assert found.seismometer.verdict is SeismometerVerdict.NO_GAIN
+    assert encoded(replace(found, seismometer=None)) == encoded(alone)
+    (said,) = seismometer_sentences(found.seismometer)
     assert said.startswith("Auxiliary seismometer refused")
     assert "offsets of its clock were tried" in said
 
 
 @pytest.mark.slow
-def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the_run(
+def test_a_record_with_a_seismometer_of_another_year_says_that_it_does_not_cover_the_run(
     analysed_series: Sequence[AnalysedRun], tmp_path: Path
 ) -> None:
     times = 1.2e9 + STEP_S * np.arange(2000)
     path = tmp_path / "w.csv"
     path.write_text("\n".join(["time_s,z", *(f"{time:.1f},{k % 7}" for k, time in enumerate(times))]))
     alone = analysed_series[0]
-    found = analyse_record(alone.path, witness=read_seismometer(path))
-    assert found.witness is not None
-    assert found.witness.verdict is SeismometerVerdict.ABSENT
+    found = analyse_record(alone.path, seismometer=read_seismometer(path))
+    assert found.seismometer is not None
+    assert found.seismometer.verdict is SeismometerVerdict.ABSENT
     results = [session_results([run], tmp_path) for run in (alone, found)]
-    without = [replace(one, runs=(replace(one.runs[0], witness=None),)) for one in results]
+    without = [replace(one, runs=(replace(one.runs[0], seismometer=None),)) for one in results]
     assert encoded(without[0]) == encoded(without[1])
 
 
@@ -166,32 +166,32 @@ def test_times_are_put_on_the_clock_of_the_turning_points(tmp_path: Path) -> Non
     begin_ns, clocks = 5_000_000_000, {"to_file_ns": -2_000_000_000, "to_utc_ns": 1_500_000_000_000_000_000}
     times = np.arange(10.0)
     relative = read_seismometer(csv(tmp_path / "a.csv", "time_s,z", 2 + times, times))
-    witness, known = replace(relative, **clocks).seismogram(begin_ns)
-    assert witness.time_s[0] == pytest.approx(-1.0)
+    seismometer, known = replace(relative, **clocks).seismogram(begin_ns)
+    assert seismometer.time_s[0] == pytest.approx(-1.0)
     assert not known
     stated = read_seismometer(tmp_path / "a.csv", offset_s=0.25)
-    witness, known = replace(stated, **clocks).seismogram(begin_ns)
-    assert witness.time_s[0] == pytest.approx(-0.75)
+    seismometer, known = replace(stated, **clocks).seismogram(begin_ns)
+    assert seismometer.time_s[0] == pytest.approx(-0.75)
     assert known
     in_ns = [f"{1_500_000_000_000_000_000 + 100_000_000 * k},{k}" for k in range(10)]
     (tmp_path / "b.csv").write_text("\n".join(["time_ns,z", *in_ns]))
     absolute = read_seismometer(tmp_path / "b.csv")
-    witness, known = replace(absolute, **clocks).seismogram(begin_ns)
-    assert witness.time_s[0] == pytest.approx(-5.0, abs=1e-6)
+    seismometer, known = replace(absolute, **clocks).seismogram(begin_ns)
+    assert seismometer.time_s[0] == pytest.approx(-5.0, abs=1e-6)
     assert known
     assert not absolute.seismogram(0)[1]
 
 
 def test_a_column_that_is_not_there_is_said(decay: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"no column 'up'; columns: time_s, east, north"):
-        read_seismometer(decay / "witness.csv", ("up",))
+        read_seismometer(decay / "seismometer.csv", ("up",))
 
 
 def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_path: Path) -> None:
     path = tmp_path / "w.csv"
     path.write_text("t,z\n" + "".join(f"{k // 60}:{k % 60:02d},{k % 7}\n" for k in range(300)))
     with pytest.raises(
-        ConfigurationError, match=r"'0:00' in 't' may be .* state --witness-time-unit m:ss or"
+        ConfigurationError, match=r"'0:00' in 't' may be .* state --seismometer-time-unit m:ss or"
     ):
         read_seismometer(path)
     for unit, step_s in (("m:ss", 1), ("h:mm", 60)):
@@ -203,16 +203,16 @@ def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_
     in_ms = read_seismometer(csv(tmp_path / "c.csv", "t,z", np.arange(9.0), np.arange(9.0)), time_unit="ms")
     assert in_ms.times_ns[-1] == 8_000_000
     with pytest.raises(
-        ConfigurationError, match=r"unit of 't', .* 1 s apart; state --witness-time-unit .* d$"
+        ConfigurationError, match=r"unit of 't', .* 1 s apart; state --seismometer-time-unit .* d$"
     ):
         read_seismometer(tmp_path / "c.csv")
-    with pytest.raises(ConfigurationError, match=r"--witness-time-unit s: .* has times of its own"):
+    with pytest.raises(ConfigurationError, match=r"--seismometer-time-unit s: .* has times of its own"):
         read_seismometer(tmp_path / "w.mseed", time_unit="s")
 
 
 @pytest.mark.slow
 def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> None:
-    rows = (decay / "witness.csv").read_text().splitlines()
+    rows = (decay / "seismometer.csv").read_text().splitlines()
     head, *samples = (f"{row},{'name' if k == 0 else 'ABC'}" for k, row in enumerate(rows))
     samples[7] = samples[7].replace(samples[7].split(",")[2], "-")
     samples[9] = "x," + samples[9].partition(",")[2]
@@ -230,10 +230,10 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     config = load_configuration(decay / "rig.toml", needs_camera=False)
     found = analyse_table(
         decay / "decay.csv", config, TableColumns(unit="arcsec"), record
-    ).longest.results.witness
+    ).longest.results.seismometer
     assert found is not None
     assert (found.source, found.understood) == ("w.csv", record.understood)
-    assert "Of the seismometer w.csv: left out" in witness_sentences(found)[-1]
+    assert "Of the seismometer w.csv: left out" in seismometer_sentences(found)[-1]
     with pytest.raises(DataError, match="column 'name' has no numbers"):
         read_seismometer(path, ("name",))
 
@@ -242,7 +242,9 @@ def test_without_obspy_a_seismic_file_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "obspy", None)
-    with pytest.raises(ConfigurationError, match=r"w\.mseed: --witness with miniSEED or SAC .* needs obspy"):
+    with pytest.raises(
+        ConfigurationError, match=r"w\.mseed: --seismometer with miniSEED or SAC .* needs obspy"
+    ):
         read_seismometer(tmp_path / "w.mseed")
 
 
@@ -309,7 +311,9 @@ def test_records_are_read_with_the_times_of_their_own(
 @pytest.mark.parametrize("other", ["XX.BBB.00.BHZ", OTHER, "XX.AAA.00.LHZ", "YY.AAA.00.BHZ"])
 def test_of_several_sensors_one_is_asked_for(tmp_path: Path, other: str) -> None:
     path = seismic(tmp_path / "w.mseed", (Z, 0.0, 300), (other, 0.0, 200))
-    with pytest.raises(ConfigurationError, match=r"holds 2 sensors.*; state one: --witness-column") as caught:
+    with pytest.raises(
+        ConfigurationError, match=r"holds 2 sensors.*; state one: --seismometer-column"
+    ) as caught:
         read_seismometer(path)
     assert {f"{Z[:-1]}?", f"{other[:-1]}?"} <= set(re.split("[ ,;']+", str(caught.value)))
     for name, count in ((Z, 300), (other, 200)):
@@ -347,7 +351,7 @@ def test_a_seismic_file_is_read_with_its_damage_and_its_components(tmp_path: Pat
         read_seismometer(seismic(tmp_path / "none.mseed", (Z, 0.0, 0)))
 
 
-def test_results_keep_what_a_witness_told_and_sentences_say_it() -> None:
+def test_results_keep_what_a_seismometer_told_and_sentences_say_it() -> None:
     use = SeismometerUse(
         verdict=SeismometerVerdict.USED,
         explained=0.98,
@@ -361,9 +365,9 @@ def test_results_keep_what_a_witness_told_and_sentences_say_it() -> None:
         clock_drift=Estimate(0.0, 1e-5),
         saved={"b": 6.1, "c": 1.0},
     )
-    results = SessionResults(runs=(RunResults(record="run.mcap", witness=use),))
-    assert decoded(encoded(results), Path("results.json")).runs[0].witness == use
-    said = " ".join(witness_sentences(use))
+    results = SessionResults(runs=(RunResults(record="run.mcap", seismometer=use),))
+    assert decoded(encoded(results), Path("results.json")).runs[0].seismometer == use
+    said = " ".join(seismometer_sentences(use))
     assert "7 half-swings have no seismometer's record" in said
     assert "the best of 300" in said
     assert "factors of 6.10 (b)." in said
