@@ -25,6 +25,8 @@ _ROUNDING_S = S_PER_NS / 12**0.5
 """Standard uncertainty of timestamps that are rounded to 1 ns."""
 _JUMP_WINDOW = 25
 """Number of frames on each side whose medians are compared."""
+_LEAST_STEP_SIGMA, _LEAST_STEP_S = 4.0, 0.5e-6
+"""Smallest step of the fit, in standard deviations of arrival times and of the step, and in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +137,18 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     # the clocks differ by some ppm, so a fit of their difference avoids rounding errors
     since_s = seconds(device_ns - device_ns[0])
     ahead_s = seconds((host_ns - host_ns[0]) - (device_ns - device_ns[0]))
-    breaks = _jumps(since_s, ahead_s)
-    segment = np.searchsorted(breaks, np.arange(len(since_s)), side="right")
-    design = np.column_stack([since_s, *(segment == k for k in range(len(breaks) + 1))]).astype(float)
-    values, covariance, sigma = _huber(design, ahead_s)
+    interval_s = np.diff(since_s)
+    gaps = np.flatnonzero(interval_s > _JUMP_WINDOW * np.median(interval_s)) + 1
+    breaks = sorted({*_jumps(since_s, ahead_s), *gaps.tolist()})
+    values, covariance, sigma = _segments(since_s, ahead_s, breaks)
+    # across a gap the rate that medians saw makes or hides a step, which the fitted rate does not
+    offsets_u2 = covariance[1:, 1:]
+    u_steps = np.sqrt(np.diag(offsets_u2)[1:] + np.diag(offsets_u2)[:-1] - 2 * np.diag(offsets_u2, 1))
+    least = np.maximum(_LEAST_STEP_SIGMA * np.maximum(u_steps, sigma), _LEAST_STEP_S)
+    small = np.abs(np.diff(values[1:])) < least
+    if np.any(small):
+        breaks = [frame for frame, is_small in zip(breaks, small, strict=True) if not is_small]
+        values, covariance, sigma = _segments(since_s, ahead_s, breaks)
     offsets = values[1:]
     period_s, frame_jitter_s = _frame_period(since_s, sequence)
     return ClockRelation(
@@ -158,6 +168,14 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     )
 
 
+def _segments(since_s: Floats, ahead_s: Floats, breaks: list[int]) -> tuple[Floats, Floats, float]:
+    """The fit of one rate, and of an offset for each segment between breaks: see `_huber`."""
+    segment = np.searchsorted(breaks, np.arange(len(since_s)), side="right")
+    return _huber(
+        np.column_stack([since_s, *(segment == k for k in range(len(breaks) + 1))]).astype(float), ahead_s
+    )
+
+
 def _jumps(since_s: Floats, ahead_s: Floats) -> list[int]:
     """Indices of frames at which host minus camera time steps permanently.
 
@@ -171,7 +189,7 @@ def _jumps(since_s: Floats, ahead_s: Floats) -> list[int]:
     views = np.median(np.lib.stride_tricks.sliding_window_view(flat, window), axis=1)
     step = views[window:] - views[:-window]
     noise = robust_scatter(np.diff(flat)) / np.sqrt(2.0)
-    limit = max(8.0 * noise, 8.0 * robust_scatter(step), 1e-6)
+    limit = max(8.0 * noise, 8.0 * robust_scatter(step), 2 * _LEAST_STEP_S)
     found: list[int] = []
     candidates = np.nonzero(np.abs(step) > limit)[0]
     while len(candidates):

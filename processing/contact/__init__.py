@@ -6,6 +6,7 @@ from processing.contact.free_swing import (
     ExpectedDrag,
     bar_of,
     expected_drag_s,
+    free_molecular_drag_s,
     law_harmonics,
     vane_drag_s_per_m2,
 )

@@ -23,6 +23,7 @@ from processing.series.runs import (
     Effect,
     EndSide,
     Form,
+    only_bound,
     parameters,
     to_coordinates,
 )

@@ -13,7 +13,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.series.model import Design, SeriesModel, design_of
-from processing.series.runs import ORDER, CompressedRun, Effect, Form
+from processing.series.runs import ORDER, CompressedRun, Effect, Form, covariate_of
 
 _LOG_2PI = float(np.log(2 * np.pi))
 _MAX_NEWTON_STEPS = 60
@@ -278,8 +278,10 @@ def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: st
     if len(runs) < 2 * _MIN_RUNS_PER_SIDE:
         raise DataError(f"{len(runs)} runs: a change needs {_MIN_RUNS_PER_SIDE} on either side")
     places = range(_MIN_RUNS_PER_SIDE, len(runs) - _MIN_RUNS_PER_SIDE + 1)
+    order, _ = covariate_of(runs, ORDER)
     steps = [
-        Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=place) for place in places
+        Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=float(order[place]))
+        for place in places
     ]
     gains, _, nothing = compare_forms(runs, model, steps)
     share = np.exp(gains - logsumexp(gains))

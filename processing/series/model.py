@@ -9,7 +9,16 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.series.runs import FRICTION, ORDER, CompressedRun, Effect, EndSide, Form, covariate_of
+from processing.series.runs import (
+    FRICTION,
+    ORDER,
+    CompressedRun,
+    Effect,
+    EndSide,
+    Form,
+    covariate_of,
+    only_bound,
+)
 
 USUAL_SIZE: Final[Mapping[str, float]] = {
     "b": 0.2, "p": 0.02, "c": 0.5, "n": 0.1, "period0_s": 0.01, "gamma_pa": 0.2, "drag_s": 5e-4,
@@ -19,6 +28,8 @@ GROWTH: Final = ("ageing", "adhesion_ageing")
 """Names of the shared inputs for a friction that grows within every run, where no effect describes it."""
 _UNKNOWN_LEVEL = 100.0
 """Prior standard deviation of an unknown level about the median of the data, in usual sizes."""
+_BOUNDED_U = 3.0
+"""Prior standard deviation of a level that runs only bound, nearly even in the parameter itself there."""
 _NO_PRIOR_FACTOR = 30.0
 """Factor by which priors are widened so that they have no influence."""
 _LONG_SIDE = 0.2
@@ -57,14 +68,14 @@ class SeriesModel:
     bad_run_chance: float = 0.02
 
     def size(self, name: str) -> float:
-        """The usual size of a coordinate."""
-        return {**USUAL_SIZE, **self.sizes}["b" if name == FRICTION else name]
+        """The usual size of a coordinate; that of friction is b's if it is not stated."""
+        known = {**USUAL_SIZE, **self.sizes}
+        return known.get(name, known["b"]) if name == FRICTION else known[name]
 
     def without_priors(self) -> "SeriesModel":
         """The same with priors so wide that the data alone decide."""
-        return replace(
-            self, sizes={name: _NO_PRIOR_FACTOR * self.size(name) for name in self.names}, levels={}
-        )
+        wide = {name: _NO_PRIOR_FACTOR * self.size(name) for name in (*self.names, FRICTION)}
+        return replace(self, sizes=wide, levels={})
 
     def with_effects(self, *effects: Effect) -> "SeriesModel":
         """The same with further effects."""
@@ -163,7 +174,8 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
             hyper.append(LatentNumber("between contacts", name))
         for contact in contacts:
             own = all_runs * np.array([run.contact == contact for run in runs])[:, None]
-            contact_prior = (0.0, 1.0, len(hyper) - 1) if alike else (*prior, -1)
+            own_prior = prior if name in model.levels else _prior_of_bounded(runs, contact, name) or prior
+            contact_prior = (0.0, 1.0, len(hyper) - 1) if alike else (*own_prior, -1)
             latent.append((LatentNumber("contact", name, contact), own, *contact_prior))
     blurred: list[Floats] = []
     blurred_by: list[int] = []
@@ -198,6 +210,21 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
         np.array([model.size(level.name) for level in hyper]), tuple(hyper), _bounds(runs, names, x),
         log_kind, np.array([1.0, *_BAD_FACTORS]),
     )  # fmt: skip
+
+
+def _prior_of_bounded(runs: Sequence[CompressedRun], contact: str, name: str) -> Estimate | None:
+    """Prior of the level of a contact that runs only bound on one side; None otherwise.
+
+    Even in a logarithm it would be far from the limit in nearly all cases, and the limit of the posterior far
+    beyond that of the runs. It rises as the parameter itself, or its inverse, towards the limit.
+    """
+    side = only_bound(runs, contact, name)
+    if side is None:
+        return None
+    limits = [run.bounds[name].limit for run in runs if run.contact == contact and name in run.bounds]
+    if side is EndSide.UPPER:
+        return Estimate(min(limits) + _BOUNDED_U**2, _BOUNDED_U)
+    return Estimate(max(limits) - _BOUNDED_U**2, _BOUNDED_U)
 
 
 def _add(row: Floats, names: Sequence[str], run: CompressedRun, moved: Floats | None) -> None:

@@ -24,7 +24,7 @@ ln b + (p - 1) ln A and ln gamma + n ln A are nearly independent of it."""
 FRICTION: Final = "friction"
 """Parameter of an effect on b and c alike, which also shows within each run (`CompressedRun.by_growth`)."""
 ORDER: Final = "order"
-"""The covariate that every run has: its place in the series, from 0."""
+"""The covariate that every run has: its place in the series, from 0, where runs that were left out count."""
 _LARGEST_EXPONENT = 200.0
 """Largest logarithm that is converted: that of a parameter which is not determined may overflow."""
 
@@ -228,6 +228,13 @@ class Effect:
         return width
 
 
+def only_bound(runs: Sequence[CompressedRun], contact: str, name: str) -> EndSide | None:
+    """The side on which runs bound a contact's coordinate that none of them determines; else None."""
+    own = [run for run in runs if run.contact == contact]
+    sides = {run.bounds[name].side for run in own if name in run.bounds}
+    return sides.pop() if len(sides) == 1 and not any(name in run.names for run in own) else None
+
+
 def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floats]:
     """A covariate of every run and its standard uncertainty.
 
@@ -235,7 +242,8 @@ def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floa
     DataError where it is known of fewer than two runs.
     """
     if name == ORDER:
-        return np.arange(len(runs), dtype=np.float64), np.zeros(len(runs))
+        places = [run.covariates.get(ORDER, Estimate(at, 0.0)).value for at, run in enumerate(runs)]
+        return np.array(places, dtype=np.float64), np.zeros(len(runs))
     known = [run.covariates[name].value for run in runs if name in run.covariates]
     if len(known) < 2:
         raise DataError(

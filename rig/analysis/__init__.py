@@ -45,6 +45,7 @@ from rig.analysis.run_values import PositionErrors, StoredTurningPoints, TableDe
 if TYPE_CHECKING:
     from rig.analysis.air import (
         HISTORY_KEYS,
+        drag_at_pressure,
         evidence_of,
         expected_drag,
         known_drag,
@@ -84,7 +85,8 @@ else:
     _LAZY = {
         name: module
         for module, names in {
-            "air": "HISTORY_KEYS evidence_of expected_drag known_drag recorded_ambient stated_ambient",
+            "air": "HISTORY_KEYS drag_at_pressure evidence_of expected_drag known_drag recorded_ambient "
+            "stated_ambient",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
             "contact_fits": "loss_of refined_half_cycles",
             "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC base_motion with_contact",

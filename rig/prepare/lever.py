@@ -22,7 +22,13 @@ from processing.ambient import AmbientConditions, humid_air
 from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
-from rig.analysis import analyse_record, expected_drag, refuse_copies, stated_ambient
+from rig.analysis import (
+    analyse_record,
+    drag_at_pressure,
+    expected_drag,
+    refuse_copies,
+    stated_ambient,
+)
 from rig.instrument import balls, pendulum_on_ball, recorded_configuration
 from rig.prepare.calibration_inputs import (
     Filing,
@@ -200,6 +206,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     as_detected: list[int] = []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
+    period_s = 0.0
     for number, listed_run in enumerate(table.run, 1):
         record = vanes.parent / listed_run.record
         run = analyse_record(record, air_known=False)
@@ -214,12 +221,14 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         with RecordReader(record) as reader:
             config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
         began = at if began is None else max(began, at)
-        shown = shown or _air_details(run.ambient, pendulum, config, fit.mean_period_s.value)
+        # one period, as it stands for the pendulum's length: means of runs differ by their amplitudes
+        period_s = period_s or fit.mean_period_s.value
+        shown = shown or _air_details(run.ambient, pendulum, config, period_s)
         if run.measured_again_on is None:
             as_detected.append(number)
         exposure = listed_run.exposure
         if table.by_pressure:
-            exposure = _drag_at(exposure, pendulum, config, fit.mean_period_s.value)
+            exposure = drag_at_pressure(exposure, pendulum, period_s, config)
         runs.append(VanedRun(run.points, fit, exposure, listed_run.u_area_m2))
         pendulums.append(pendulum)
         rows.append(listed_run.exposure)
@@ -258,12 +267,6 @@ def _air_details(
     """The air of the first run, and the drag expected of it."""
     known = AmbientConditions() if air is None else air
     return {**known.known(), "expected_drag_s": expected_drag(known, pendulum, period_s, config).drag_s}
-
-
-def _drag_at(pressure_pa: float, pendulum: PendulumOnBall, config: Configuration, period_s: float) -> float:
-    """Drag of a bar in the pendulum's place in air of this pressure; only ratios are used."""
-    stated = stated_ambient(config).known() | {"pressure_pa": pressure_pa}
-    return expected_drag(AmbientConditions(**stated), pendulum, period_s, config).drag_s
 
 
 def _details(found: MeasuredAir, exposures: list[float], by_ratio: bool) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
-from math import isfinite, nan, sqrt
+from math import inf, isfinite, nan, sqrt
 
 import numpy as np
 
@@ -17,12 +17,14 @@ from processing.series import (
     ORDER,
     SEEN,
     CompressedRun,
+    EndSide,
     LatentNumber,
     SeriesModel,
     SeriesPosterior,
     compare_forms,
     find_change,
     fit_series,
+    only_bound,
     parameters,
     sample_series,
 )
@@ -76,7 +78,12 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     """
     reference_rad = stated.reference_arcsec * ARCSEC_RAD
     tried = [(one, *compress(one, reference_rad, stated.u)) for one in found]
-    entered = [(one, run) for one, run, _ in tried if run is not None]
+    # a run that is left out keeps its place, so that a step stays where it is stated
+    entered = [
+        (one, replace(run, covariates={**run.covariates, ORDER: Estimate(float(place), 0.0)}))
+        for place, (one, run, _) in enumerate(tried)
+        if run is not None
+    ]
     left_out = tuple(problem for _, run, problem in tried if run is None)
     if not entered:
         raise DataError(f"no run can enter the campaign: {'; '.join(left_out)}")
@@ -94,7 +101,9 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     if stated.candidate:
         gains, shares, no_effect = compare_forms(runs, model, [one.effect() for one in stated.candidate])
         for one, gain, share in zip(stated.candidate, gains.tolist(), shares.tolist(), strict=True):
-            shown = _effect(one, fit(model.with_effects(one.effect())), None, stated)
+            tried_model = model.with_effects(one.effect())
+            alone = None if one.margin is None else fit(tried_model.without_priors())
+            shown = _effect(one, fit(tried_model), alone, stated)
             candidates.append(replace(shown, log_bayes_factor=gain, probability=share))
     runs_of_contact: dict[str, list[RunResults]] = {}
     for source, run in entered:
@@ -169,8 +178,21 @@ def _effect(
         chance_is_limit=by_chance <= 1 / found.effective,
         seen=by_chance * max(tried, 1) < SEEN,
         margin=one.margin,
-        equivalent=nan if one.margin is None else found.below(np.abs(draws * span), one.margin),
+        # a prior within the margin is no evidence: the data have to say it without priors, too
+        equivalent=nan
+        if one.margin is None
+        else min(
+            each.below(np.abs(each.draws(level) * span), one.margin)
+            for each in (found, without_priors)
+            if each is not None
+        ),
     )
+
+
+def _bounded_side(found: SeriesPosterior, contact: str, name: str) -> EndSide | None:
+    """The side on which a contact's level is only bounded, if no prior and no other contacts tell it."""
+    known = name in found.model.levels or LatentNumber("mean", name) in found.levels
+    return None if known else only_bound(found.runs, contact, name)
 
 
 def _differences(found: SeriesPosterior, contacts: Sequence[str]) -> tuple[CampaignDifference, ...]:
@@ -181,10 +203,18 @@ def _differences(found: SeriesPosterior, contacts: Sequence[str]) -> tuple[Campa
     for first, second in pairs:
         for name, draws in zip(names, (levels[first] - levels[second]).T, strict=True):
             low, high = found.quantiles(draws, (0.025, 0.975))
-            by_chance = found.chance(draws)
+            difference, by_chance = found.moments(draws), found.chance(draws)
+            # a level that is only bounded may lie as far as it likes beyond the data
+            of_first, of_second = (_bounded_side(found, one, name) for one in (first, second))
+            if of_first is not None or of_second is not None:
+                difference = NOT_DETERMINED
+            if of_first is EndSide.UPPER or of_second is EndSide.LOWER:
+                low, by_chance = -inf, max(by_chance, min(1.0, 2 * (1 - found.below(draws, 0.0))))
+            if of_first is EndSide.LOWER or of_second is EndSide.UPPER:
+                high, by_chance = inf, max(by_chance, min(1.0, 2 * found.below(draws, 0.0)))
             out.append(
                 CampaignDifference(
-                    first=first, second=second, parameter=name, difference=found.moments(draws),
+                    first=first, second=second, parameter=name, difference=difference,
                     lower_95=low, upper_95=high, chance=by_chance,
                     seen=by_chance * len(pairs) * len(names) < SEEN,
                 )
@@ -203,11 +233,16 @@ def _contact(
     out = {}
     for name, draws in drawn[0].items():
         low, high = posteriors[0].quantiles(draws, (0.025, 0.975))
-        value, u = _median_and_u(posteriors[0], draws)
+        (value, u), without = (
+            _median_and_u(one, own[name]) for one, own in zip(posteriors, drawn, strict=True)
+        )
+        side = _bounded_side(posteriors[0], contact, "c" if name == SURFACE_ENERGY else name)
+        if side is not None:
+            (value, u), without = NOT_DETERMINED, NOT_DETERMINED
+            low, high = (0.0, high) if side is EndSide.UPPER else (low, inf)
         out[name] = CampaignValue(
-            value=value, standard_uncertainty=u, lower_95=low, upper_95=high,
-            without_priors=_median_and_u(posteriors[1], drawn[1][name]),
-        )  # fmt: skip
+            value=value, standard_uncertainty=u, lower_95=low, upper_95=high, without_priors=without
+        )
     return out
 
 

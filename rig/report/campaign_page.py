@@ -1,7 +1,7 @@
 """Tables of a campaign for terminal, page, CSV and LaTeX, and its files: campaign.json, page, figures."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import isfinite, nan
 from pathlib import Path
 from typing import Final
@@ -13,7 +13,7 @@ from acquisition import atomic_write
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
 from processing.estimate import Estimate
-from processing.series import ABSENT, ORDER, POSITIVE, CompressedRun, Effect, Form, LatentNumber
+from processing.series import ABSENT, POSITIVE, CompressedRun, Effect, Form, LatentNumber
 from processing.units import ARCSEC_RAD
 from rig.analysis import encoded
 from rig.report import html
@@ -234,8 +234,8 @@ def _changes_table(results: CampaignResults) -> Table | None:
     return Table(
         "changes", "Changes", ["quantity", "probability", "first_run", "at_least", "at_most"],
         ("", "probability", "where"), rows,
-        "Probability of a change at some run, against none, allowing for the choice of the run. Runs count "
-        "from 0.",
+        "Probability of a change at some run, against none, allowing for the choice of the run. Runs that "
+        "entered count from 0.",
     )  # fmt: skip
 
 
@@ -295,10 +295,8 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     for axes, (effect, name) in zip(panels, shown_effects, strict=True):
         place = found.model.names.index(name)
         label, factor = _covariate_words(effect.covariate)[1:]
-        known = [
-            run for run in found.runs if _covariate(run, found.runs, effect) is not None and name in run.names
-        ]
-        at = np.array([_covariate(run, found.runs, effect) for run in known])
+        known = [run for run in found.runs if _covariate(run, effect) is not None and name in run.names]
+        at = np.array([_covariate(run, effect) for run in known])
         middle = float(np.median([run.values[run.names.index(name)] for run in known]))
         grid = np.linspace(float(at.min()), float(at.max()), _CURVE_POINTS)
         for contact in contacts:
@@ -337,9 +335,7 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     return [ReportFigure("covariates", title, words, figure)]
 
 
-def _covariate(run: CompressedRun, runs: Sequence[CompressedRun], effect: Effect) -> float | None:
-    if effect.covariate == ORDER:
-        return float([other is run for other in runs].index(True))
+def _covariate(run: CompressedRun, effect: Effect) -> float | None:
     found = run.covariates.get(effect.covariate)
     return None if found is None else found.value
 

@@ -263,7 +263,8 @@ class CampaignEffect:
     there is none (`chance_is_limit`: an upper limit, by the number of draws), `seen` whether it is below the
     5 % level, which all tried effects share. `log_bayes_factor` compares the form with no effect,
     `probability` follows from it, allowing for the choice among the tried forms; `margin` is the stated
-    negligible size, `equivalent` the probability that the effect over the span is smaller.
+    negligible size, `equivalent` the probability that the effect over the span is smaller, with or without
+    priors, whichever is less.
     """
 
     label: str

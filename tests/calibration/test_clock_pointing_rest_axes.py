@@ -42,6 +42,24 @@ def test_a_jump_of_the_clock_is_found_where_it_is() -> None:
     assert abs(found.drift_ppm - 40) < 4 * found.u_drift_ppm
 
 
+def test_frames_that_are_missing_are_no_jump_of_the_clock() -> None:
+    """Over a gap the error of a rate by medians was called a jump, of 2 us, or hid one of 1 ms."""
+    rng, sequence = np.random.default_rng(2), np.r_[0:500, 1500:3000]
+    at_ns, errors, u_ppm = 10_000_000 * sequence, [], []
+    for _ in range(12):
+        host = at_ns + np.rint(3e4 * rng.standard_normal(len(at_ns))).astype(np.int64)
+        found = relate_clocks(at_ns + sequence * 500, host, sequence)
+        assert not found.jumps
+        u_ppm.append(found.u_drift_ppm)
+        errors.append((found.drift_ppm - 50) / found.u_drift_ppm)
+        late = host + np.where(sequence >= 1500, 1_000_000, 0)
+        (jump,) = relate_clocks(at_ns + sequence * 500, late, sequence).jumps
+        assert jump.step_s == pytest.approx(1e-3, abs=2e-5)
+        assert jump.frame == 1500
+    assert np.sqrt(np.mean(np.square(errors))) < 1.5
+    assert np.median(u_ppm) < 0.12, "0.22 with an offset on either side of the gap"
+
+
 def test_times_far_from_zero_keep_their_nanoseconds() -> None:
     device, host = stamps()
     found = relate_clocks(device + 2**61, host + 2**60, np.arange(N))

@@ -314,3 +314,36 @@ def test_what_cannot_be_is_refused() -> None:
     same = [plain_run(-18.0, 0.1, covariates=dry), plain_run(-18.1, 0.1, covariates=dry)]
     with pytest.raises(DataError, match="there is nothing to see"):
         fit_series(same, SeriesModel(names=("c",), effects=(HUMIDITY,)))
+
+
+def test_friction_has_a_size_of_its_own_and_none_without_priors() -> None:
+    """A stated size of friction did nothing, and without priors it kept that of b where b is not modelled."""
+    model = SeriesModel(names=("c",), sizes={"friction": 3.0})
+    assert model.size(FRICTION) == 3.0
+    assert SeriesModel(names=("b",), sizes={"b": 0.4}).size(FRICTION) == 0.4
+    ageing = Effect(parameter=FRICTION, covariate="humidity_percent", form=Form.LINEAR, reference=45.0)
+    humid = np.linspace(25.0, 65.0, 10)
+    runs = [
+        plain_run(-18.4 - 0.05 * (x - 45), 0.3, covariates={"humidity_percent": Estimate(x, 0.0)})
+        for x in humid
+    ]
+    plain = SeriesModel(names=("c",), effects=(ageing,), scatter=(), bad_run_chance=0.0)
+    level = LatentNumber("effect", ageing.label)
+    value, u = fit_series(runs, plain.without_priors()).estimate(level)
+    assert value == pytest.approx(-0.05, abs=0.002)
+    assert u == pytest.approx(0.3 / np.sqrt(np.sum((humid - 45.0) ** 2)), rel=0.1)
+
+
+def test_a_run_that_is_left_out_keeps_its_place() -> None:
+    """A step that was stated at a run moved to a later one for each run before it that could not enter."""
+    runs = [
+        plain_run(-18.4 + (0.5 if place >= 5 else 0.0), 0.05, covariates={ORDER: Estimate(place, 0.0)})
+        for place in (0, 2, 3, 4, 5, 6, 7, 8, 9)
+    ]
+    step = Effect(parameter="c", covariate=ORDER, form=Form.STEP, reference=5)
+    model = SeriesModel(names=("c",), scatter=(), bad_run_chance=0.0)
+    value, u = fit_series(runs, model.with_effects(step)).estimate(LatentNumber("effect", step.label))
+    assert value == pytest.approx(0.5, abs=0.5 * u)
+    found = find_change(runs, model, "c")
+    # counted among the runs that entered
+    assert (found.first_run, found.at_least, found.at_most) == (4, 4, 4)

@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from calibration import read_calibration
@@ -13,7 +14,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.fit import drag_verdict
 from processing.fit.vanes import VanedRun
 from rig.analysis import AnalysedRun, analyse_record, remarks
-from rig.analysis.air import expected_drag
+from rig.analysis.air import drag_at_pressure, expected_drag
 from rig.instrument import complete, pendulum_on_ball
 from rig.measure.session import simulate_record
 from rig.prepare import Filing, calibrate_air, vanes_to_cut
@@ -218,3 +219,50 @@ def test_the_air_acts_once_on_a_pendulum_on_two_balls() -> None:
         drag_s = expected_drag(AmbientConditions(), on_ball, 4.0, config).drag_s
         expected.append((drag_s, cut.drag_s, cut.area_m2))
     assert expected[1] == pytest.approx(expected[0], rel=1e-12)
+
+
+def test_the_drag_falls_with_the_pressure_as_in_a_pumped_chamber() -> None:
+    """The vapour of the room stayed at its pressure in a vacuum, so that the drag fell below zero."""
+    config = complete(configuration(0.0))
+    pendulum = pendulum_on_ball(config)
+    assert pendulum is not None
+    room, tenth, low, lower = (
+        drag_at_pressure(pressure_pa, pendulum, 4.071, config) for pressure_pa in (101325.0, 1e4, 3e-5, 3e-6)
+    )
+    assert room == pytest.approx(expected_drag(AmbientConditions(), pendulum, 4.071, config).drag_s, rel=1e-4)
+    # air that is pumped keeps its composition: its humidity falls as its pressure
+    damp = AmbientConditions(humidity_percent=50.0 * 1e4 / 101325.0, pressure_pa=1e4)
+    assert tenth == pytest.approx(expected_drag(damp, pendulum, 4.071, config).drag_s, rel=1e-3)
+    # molecules that meet only the bar, thrown back by a rough wall: integrated over its circumference
+    bar = expected_drag(AmbientConditions(), pendulum, 4.071, config)
+    theta = 2 * np.pi * np.arange(720) / 720
+    density = 3e-5 * bar.air_density_kg_per_m3 / 101325.0
+    mean_speed = np.sqrt(8 * 3e-5 / (np.pi * density))
+    push = (1 / 2 + np.pi / 8) * np.cos(theta) ** 2 + np.sin(theta) ** 2 / 4
+    per_length = density * mean_speed * np.pi * bar.width_m * np.mean(push)
+    weight_moment = pendulum.mass_kg * pendulum.gravity_m_per_s2 * pendulum.ball_radius_m
+    assert low == pytest.approx(per_length * bar.length_m**3 / 12 / weight_moment, rel=0.01)
+    assert low == pytest.approx(10 * lower, rel=0.01)
+    assert low < 1e-3 * room
+
+
+@pytest.mark.slow
+def test_the_ratio_of_drags_is_that_of_one_pendulum(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its length followed the mean period of each run, which depends on the run's amplitudes."""
+    seen: list[float] = []
+
+    def caught(runs: Any, *_: Any, **__: Any) -> Any:
+        seen.extend(run.exposure for run in runs)
+        raise DataError("caught")
+
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    monkeypatch.setattr("rig.prepare.lever.air_of_vanes", caught)
+    path = vanes.parent / "same.toml"
+    path.write_text(
+        "".join(f"[[run]]\nrecord = '{n}.mcap'\npressure_pa = {9e4 + n * 1e-6}\n" for n in (0, 1))
+    )
+    with pytest.raises(DataError, match="caught"):
+        calibrate_air(path, Filing(tmp_path / "c"))
+    assert seen == pytest.approx([1.0, 1.0], rel=1e-9)
