@@ -4,6 +4,7 @@ from processing.contact.asymptotic import decay_path, fit_decay, frequency_drop,
 from processing.contact.free_swing import (
     BOUNDARY_LAYER_DRAG,
     ExpectedDrag,
+    UniformBar,
     bar_of,
     expected_drag_s,
     free_molecular_drag_s,

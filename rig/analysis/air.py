@@ -16,6 +16,7 @@ from processing.arrays import Floats
 from processing.contact import (
     ExpectedDrag,
     PendulumOnBall,
+    UniformBar,
     bar_of,
     expected_drag_s,
     free_molecular_drag_s,
@@ -122,9 +123,8 @@ def expected_drag(
             **{name: value for name, value in ambient.known().items() if name in _AIR_KEYS},
         }
     )
-    stated = config.pendulum
-    length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
-    bar = bar_of(pendulum, period_s, length, width)
+    bar, stated = _bar_of(config, pendulum, period_s), config.pendulum
+    sizes = ("length_m", "width_m")
     return ExpectedDrag(
         # the air acts once on what all balls carry
         drag_s=expected_drag_s(air, bar, pendulum, period_s) / balls(config),
@@ -133,28 +133,39 @@ def expected_drag(
         length_m=bar.length_m,
         width_m=bar.width_m,
         assumed=tuple(name for name in _AIR_KEYS if name not in ambient.known())
-        + tuple(name for name, value in (("length_m", length), ("width_m", width)) if value is None),
+        + tuple(name for name in sizes if getattr(stated, name, None) is None),
     )
 
 
+def _bar_of(config: Configuration, pendulum: PendulumOnBall, period_s: float) -> UniformBar:
+    """A bar of the size that is stated, or of the pendulum's inertia."""
+    stated = config.pendulum
+    length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
+    return bar_of(pendulum, period_s, length, width)
+
+
 def drag_at_pressure(
-    pressure_pa: float, pendulum: PendulumOnBall, period_s: float, config: Configuration
+    pressure_pa: float,
+    pendulum: PendulumOnBall,
+    period_s: float,
+    config: Configuration,
+    *,
+    width_factor: float = 1.0,
 ) -> float:
     """The drag of a bar in the pendulum's place in a room's air pumped to this pressure, in s.
 
     Flow of a continuum and of free molecules resist one after the other, as their inverses add up. Drags at
-    two pressures have a ratio that is known better than they are.
+    two pressures have a ratio that is known better than they are. The bar is wider by `width_factor`.
     """
-    air = {**_USUAL_AIR, **stated_ambient(config).known()}
+    stated = {**_USUAL_AIR, **stated_ambient(config).known()}
     # pumped air keeps its composition: the vapour has its share of the pressure
-    humidity = air["humidity_percent"] * pressure_pa / _USUAL_AIR["pressure_pa"]
-    ambient = AmbientConditions(
-        temperature_c=air["temperature_c"], humidity_percent=humidity, pressure_pa=pressure_pa
-    )
-    found = expected_drag(ambient, pendulum, period_s, config)
-    bar = bar_of(pendulum, period_s, found.length_m, found.width_m)
-    free_s = free_molecular_drag_s(pressure_pa, found.air_density_kg_per_m3, bar, pendulum) / balls(config)
-    return 1 / (1 / found.drag_s + 1 / free_s)
+    humidity = stated["humidity_percent"] * pressure_pa / _USUAL_AIR["pressure_pa"]
+    air = humid_air(temperature_c=stated["temperature_c"], humidity_percent=humidity, pressure_pa=pressure_pa)
+    bar = _bar_of(config, pendulum, period_s)
+    bar = bar._replace(width_m=bar.width_m * width_factor)
+    flow_s = expected_drag_s(air, bar, pendulum, period_s)
+    free_s = free_molecular_drag_s(pressure_pa, air.density_kg_per_m3, bar, pendulum)
+    return 1 / (1 / flow_s + 1 / free_s) / balls(config)
 
 
 _U_RELATIVE, _U_RELATIVE_STATED = 0.75, 0.3

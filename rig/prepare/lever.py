@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from acquisition.record.reader import RecordReader
 from calibration import (
     LadderFit,
@@ -19,6 +21,7 @@ from calibration import (
     require_rest,
 )
 from processing.ambient import AmbientConditions, humid_air
+from processing.arrays import Floats
 from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
@@ -202,7 +205,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         if not (vanes.parent / listed_run.record).is_file():
             raise ConfigurationError(f"{vanes}: {vanes.parent / listed_run.record}: no such record")
     refuse_copies([vanes.parent / listed_run.record for listed_run in table.run])
-    runs, sources, rows, pendulums = [], [vanes], [], []
+    runs, sources, rows, pendulums, configs = [], [vanes], [], [], []
     as_detected: list[int] = []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
@@ -226,18 +229,14 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         shown = shown or _air_details(run.ambient, pendulum, config, period_s)
         if run.measured_again_on is None:
             as_detected.append(number)
-        exposure = listed_run.exposure
-        if table.by_pressure:
-            exposure = drag_at_pressure(exposure, pendulum, period_s, config)
-        runs.append(VanedRun(run.points, fit, exposure, listed_run.u_area_m2))
+        runs.append(VanedRun(run.points, fit, listed_run.exposure, listed_run.u_area_m2))
         pendulums.append(pendulum)
+        configs.append(config)
         rows.append(listed_run.exposure)
         sources.append(record)
     by_ratio = table.by_pressure
     if by_ratio:
-        # exposures relative to the highest pressure, the room's, for which the drag is wanted
-        most = max(run.exposure for run in runs)
-        runs = [replace(run, exposure=run.exposure / most) for run in runs]
+        runs = _at_ratios(runs, pendulums[0], period_s, configs)
     if len(set(pendulums)) > 1:
         raise DataError(f"{vanes}: its runs are of different pendulums: mass, ball or flat have changed")
     found = air_of_vanes(runs, pendulums[0], by_ratio=by_ratio)
@@ -259,6 +258,39 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     return file_calibration(
         "air", filing, method, values, details, sources, _notes(found, table, as_detected), began
     )
+
+
+_U_WIDTH, _U_WIDTH_STATED = 0.3, 0.1
+"""Relative standard uncertainty of the width of a bar that resists at other pressures as the pendulum does,
+where the width is assumed, and where it is stated: ends, mirror and weights are no bar."""
+
+
+def _at_ratios(
+    runs: Sequence[VanedRun], pendulum: PendulumOnBall, period_s: float, configs: Sequence[Configuration]
+) -> list[VanedRun]:
+    """Runs whose exposures, stated as pressures, are drags relative to that at the highest, the room's.
+
+    A wrong width changes all ratios together. As errors of single runs they are larger by the root of the
+    number of ratios, so that together they allow as much of it.
+    """
+    stated = configs[0].pendulum is not None and configs[0].pendulum.width_m is not None
+    u_width = _U_WIDTH_STATED if stated else _U_WIDTH
+
+    def ratios(width_factor: float) -> Floats:
+        drags = np.array(
+            [
+                drag_at_pressure(run.exposure, pendulum, period_s, config, width_factor=width_factor)
+                for run, config in zip(runs, configs, strict=True)
+            ]
+        )
+        return np.asarray(drags / drags.max())
+
+    found = ratios(1.0)
+    u = 0.5 * np.abs(ratios(1.0 + u_width) - ratios(1.0 - u_width)) * np.sqrt(np.count_nonzero(found < 1.0))
+    return [
+        replace(run, exposure=ratio, u_exposure=u_ratio)
+        for run, ratio, u_ratio in zip(runs, found.tolist(), u.tolist(), strict=True)
+    ]
 
 
 def _air_details(
