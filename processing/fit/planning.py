@@ -5,10 +5,9 @@ The information that they hold (Fisher's matrix of the driven model) bounds ever
 the fit comes near to this bound.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import hypot, inf
+from math import hypot, inf, sqrt
 
 import numpy as np
 
@@ -159,7 +158,7 @@ def _uncertainties(
     root: Floats, values: Mapping[str, float], known_drag_s: Estimate | None, count: int = 1
 ) -> dict[str, float]:
     """Standard uncertainties of the shared parameters after `count` runs, with the prior of the drag once."""
-    rows = np.vstack([math.sqrt(count) * root[:, :-1], *_drag_prior_row(known_drag_s, values)])
+    rows = np.vstack([sqrt(count) * root[:, :-1], *_drag_prior_row(known_drag_s, values)])
     u = np.sqrt(np.diag(covariance_of(rows))) * _sizes(values)
     return dict(zip(list(values)[:-2], u.tolist(), strict=False))
 

@@ -204,7 +204,7 @@ def _differences(found: SeriesPosterior, contacts: Sequence[str]) -> tuple[Campa
         for name, draws in zip(names, (levels[first] - levels[second]).T, strict=True):
             low, high = found.quantiles(draws, (0.025, 0.975))
             difference, by_chance = found.moments(draws), found.chance(draws)
-            # a level that is only bounded may lie as far as it likes beyond the data
+            # of a level that is only bounded the data tell no farther end
             of_first, of_second = (_bounded_side(found, one, name) for one in (first, second))
             if of_first is not None or of_second is not None:
                 difference = NOT_DETERMINED

@@ -489,13 +489,3 @@ def test_a_measured_series_is_a_campaign(measured_series: Path) -> None:
     assert found.results.simulated
     assert len(found.results.runs) == 2
     assert {"mass_kg", "arm_m"} <= set(found.results.shared)
-
-
-def test_what_is_not_determined_is_left_out(measured_series: Path) -> None:
-    (first, _) = runs_of_folders([measured_series])
-    nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
-    found, problem = compress(nothing, REFERENCE_RAD, {})
-    assert found is None
-    assert problem.endswith("left out: too short")
-    with pytest.raises(Exception, match=r"no run can enter the campaign: .*too short"):
-        fit_model([nothing], StatedCampaign())

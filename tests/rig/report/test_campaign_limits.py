@@ -4,9 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from processing.estimate import Estimate
+from processing.units import ARCSEC_RAD
 from rig.report import StatedCampaign, fit_model, runs_of_folders
+from rig.report.likelihoods import compress
 from tests.rig.report.made_sessions import ENERGY_OVER_C, GLASS, run, session
 
 
@@ -61,3 +64,13 @@ def test_a_prior_within_the_margin_is_no_evidence_that_nothing_depends(tmp_path:
         beyond, flat = found.effects or found.candidates
         assert beyond.equivalent < 0.5
         assert flat.equivalent > 0.95, "eight runs of 0.001 show it"
+
+
+def test_what_is_not_determined_is_left_out(measured_series: Path) -> None:
+    (first, _) = runs_of_folders([measured_series])
+    nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
+    found, problem = compress(nothing, 60 * ARCSEC_RAD, {})
+    assert found is None
+    assert problem.endswith("left out: too short")
+    with pytest.raises(Exception, match=r"no run can enter the campaign: .*too short"):
+        fit_model([nothing], StatedCampaign())
