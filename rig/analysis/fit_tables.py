@@ -49,6 +49,10 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
 
 _SOURCES = "main sources of its variance"
 _PERIOD = "mean_period_s"
+_PERIOD_NOTE = (
+    "The uncertainty of the mean period contains that of the clock, and the change of the period with the "
+    "amplitude."
+)
 _COLUMNS = ("parameter", "value", "u", "u_total", "lower_95", "upper_95", "verdict", "unit")
 
 
@@ -111,7 +115,8 @@ def quality_table(run: RunResults) -> Table:
     cells = ["outlying_half_cycles", *(" ".join(map(str, found)) for found in outliers)]
     lines.append(TableRow(cells, ["outlying half-cycles", *map(_listed, outliers), ""]))
     head = ("", *map(_heading, methods), "unit")
-    return Table("quality", "Quality of the fits", ("quantity", *methods), head, lines)
+    note = "" if period is None else _PERIOD_NOTE
+    return Table("quality", "Quality of the fits", ("quantity", *methods), head, lines, note)
 
 
 def _in_order(fits: Mapping[str, Fit]) -> list[str]:
