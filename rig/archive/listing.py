@@ -3,6 +3,7 @@
 import contextlib
 import datetime
 import json
+import os
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -72,7 +73,23 @@ def reading(archive: Path) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def writing(archive: Path) -> Iterator[Any]:
-    """A connection in one transaction, which is committed when the block ends without an error."""
+    """A connection in one transaction, which is committed when the block ends without an error.
+
+    The archive is made where it is missing: under another name first, since one that is opened while DuckDB
+    writes its first bytes counts as damaged.
+    """
+    if not os.path.lexists(archive):
+        if not os.access(archive.parent, os.W_OK):
+            raise ConfigurationError(
+                f"{archive}: cannot be made: {archive.parent} is no folder that may be written; make it first"
+            )
+        # where it exists at the end, another process has made it meanwhile
+        with (
+            contextlib.suppress(FileExistsError),
+            atomic_write.being_written(archive) as made,
+            _connected(made) as connection,
+        ):
+            connection.execute(_TABLES_SQL)
     with _connected(archive) as connection:
         connection.execute(f"begin transaction; {_TABLES_SQL}")
         if _is_of_another_version(connection):

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import pytest
 
 from acquisition.record.reader import RecordReader
@@ -238,6 +239,8 @@ def test_what_is_no_archive_is_said(sessions: Path, tmp_path: Path) -> None:
     assert "holds no session" in rig("archive", "add", tmp_path / "empty", cwd=tmp_path).stderr
     (tmp_path / "text").write_text("no database " * 1000)
     assert "text: cannot be used" in rig("archive", "list", "--archive", tmp_path / "text").stderr
+    in_no_folder = rig("archive", "add", sessions, "--archive", tmp_path / "none" / "a.duckdb").stderr
+    assert "none is no folder that may be written" in in_no_folder
 
 
 def test_an_archive_of_another_version_is_made_again_from_its_folders(archive: Path) -> None:
@@ -320,6 +323,25 @@ def test_two_that_add_at_once_lose_nothing(sessions: Path, tmp_path: Path) -> No
     subprocess.run(words, cwd=ROOT, check=True)
     assert len(rows(archive)) == 3
     assert update_archive(archive).startswith("0 sessions read (0 runs), 2 unchanged")
+
+
+def test_an_archive_that_is_being_made_is_never_found_half_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = tmp_path / "archive.duckdb"
+    connect, opened = duckdb.connect, list[str]()
+
+    def watched(file: str, *settings: Any) -> Any:
+        # what does not exist yet, DuckDB makes in several steps
+        assert Path(file) != archive or archive.is_file()
+        opened.append(file)
+        return connect(file, *settings)
+
+    monkeypatch.setattr(duckdb, "connect", watched)
+    with writing(archive):
+        pass
+    assert str(archive) in opened
+    assert [path.name for path in tmp_path.iterdir()] == [archive.name]
 
 
 def test_numbers_are_kept_to_the_last_digit(tmp_path: Path) -> None:
