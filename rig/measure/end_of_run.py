@@ -134,7 +134,7 @@ class SessionSummary:
     next_steps: Sequence[str] = ()
     """What to do next."""
     others: Sequence[tuple[str, str]] = ()
-    """Further results of the last run, as (label, text)."""
+    """Further results of the series, else of the last fitted run, as (label, text)."""
     report: Path | None = None
     """The newest HTML report."""
     remarks: Sequence[str] = field(default_factory=tuple)
@@ -182,6 +182,7 @@ def session_summary(folder: Path) -> SessionSummary:
     # a run that was stopped too early hides no result of one before it
     run = next((one for one in reversed(results.runs) if not one.problem), results.runs[-1])
     whole = whole_result(run, results.series)
+    rows = results.contact if results.series is not None and results.series.table else run.contact
     unmet = [f"{one.name}: {one.judgement_text}" for one in run.conditions if not one.ok or one.remedy]
     no_fit = [f"no fit of {one.record}: {one.problem}" for one in results.runs if one.problem]
     return replace(
@@ -190,7 +191,7 @@ def session_summary(folder: Path) -> SessionSummary:
         of="" if run.problem else whole.of,
         limits=whole.limits,
         next_steps=[*steps, *whole.next_steps],
-        others=[(row.shown.label, row.text) for row in run.contact],
+        others=[(row.shown.label, row.text) for row in rows],
         remarks=[*no_fit, *run.warnings, *unmet],
     )
 

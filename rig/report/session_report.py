@@ -19,6 +19,7 @@ from rig.analysis import (
     AnalysedTable,
     Curves,
     RowsByName,
+    RunResults,
     Series,
     SessionResults,
     curves_of,
@@ -257,16 +258,16 @@ def _title_of(source: ReportSource) -> tuple[str, str]:
 def _summary_of(source: ReportSource, decay: str) -> list[str]:
     """The verdict with the parameters beside the first decay; below it the circumstances."""
     run, series = source.runs[0].results, source.series
+    found, quoted = _quoted(source)
     body = []
     if any(data.results.simulated for data in source.runs):
         body.append(
             html.warning("SIMULATED: every number comes from the simulated rig; nothing was measured.")
         )
     first = [html.verdict(_verdict(source))]
-    found = series if series is not None and series.table else run
     if found.contact:
         first.append(html.key_values(_key_results(found, found.budget)))
-        what = "combined over the runs" if found is series else "of the run"
+        what = "combined over the runs" if found is series else f"of {quoted[0].title}"
         first.append(
             html.paragraph(
                 f"Exact fit {what}, value ± standard uncertainty: of swings and apparatus together where the "
@@ -289,13 +290,20 @@ def _summary_of(source: ReportSource, decay: str) -> list[str]:
             body.append(html.notes(decay_lines(data.results)))
     if len(source.runs) == 1:
         body.append(html.notes(_notes_of(source.runs[0])))
-    return body + (_text_to_copy(source, found) if found.contact else [])
+    return body + (_text_to_copy(source, found, quoted) if found.contact else [])
+
+
+def _quoted(source: ReportSource) -> tuple[Series | RunResults, Sequence[RunData]]:
+    """The results that the page quotes, and their runs: the series, else the first run with a fit."""
+    if source.series is not None and source.series.table:
+        return source.series, source.series.combined(source.runs)
+    run = next((one for one in source.runs if one.results.contact), source.runs[0])
+    return run.results, [run]
 
 
 def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     """The result, its largest uncertainties, the next step, and whether conditions were met, as lines."""
-    first = source.runs[0].results
-    found = whole_result(first, source.series)
+    found = whole_result(_quoted(source)[1][0].results, source.series)
     lines = [(found.text or "Nothing was fitted", "")]
     if found.limits:
         limited = ", ".join(f"{one.name} {100 * one.share:.0f} %" for one in found.limits[:2])
@@ -366,14 +374,14 @@ def _key_results(found: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[
     return shown
 
 
-def _text_to_copy(source: ReportSource, found: RowsByName) -> list[str]:
-    """A sentence with the values and the reference to cite, and a row for a table in LaTeX."""
+def _text_to_copy(source: ReportSource, found: RowsByName, quoted: Sequence[RunData]) -> list[str]:
+    """A sentence with the values of the `quoted` runs and the reference to cite, and a row for LaTeX."""
     rows = [found.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in found.rows]
     first = source.runs[0]
-    several = f"{len(source.runs)} runs" if len(source.runs) > 1 else "one run"
-    half_cycles = sum(data.results.half_cycles for data in source.runs)
+    several = f"{len(quoted)} runs" if len(quoted) > 1 else "one run"
+    half_cycles = sum(data.results.half_cycles for data in quoted)
     version = first.provenance.get("versions", {}).get("optical-pendulum-rig", "")
-    simulated = "SIMULATED: " if any(data.results.simulated for data in source.runs) else ""
+    simulated = "SIMULATED: " if any(data.results.simulated for data in quoted) else ""
     values = ", ".join(row.equation for row in rows)
     text = (
         f"{simulated}From {several} with {half_cycles} half-cycles: {values} (standard uncertainties of "

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from processing.errors import ConfigurationError
+from rig.analysis import read_results
 from rig.measure import RunState, session_summary
 from rig.measure.session_file import SessionFile
 
@@ -34,6 +35,13 @@ def test_a_run_that_was_stopped_too_early_hides_no_result_before_it(tmp_path: Pa
     found = session_summary(folder)
     assert found.headline == session_summary(SAMPLES / "first").headline
     assert "no fit of run-2.mcap: 4 usable half-cycles" in found.remarks
+
+
+def test_all_results_of_a_series_are_those_of_the_series(measured_series: Path) -> None:
+    """Below the headline of the series stood the parameters of its last run."""
+    found, results = session_summary(measured_series), read_results(measured_series)
+    assert results.series is not None
+    assert [text for _, text in found.others] == [row.text for row in results.series.table]
 
 
 def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:

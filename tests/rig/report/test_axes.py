@@ -16,7 +16,7 @@ from processing.units import ARCSEC_RAD
 from rig.analysis import Curves, ResultRow, RunResults
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled
 from rig.report.figures_contact import instrument_figures
-from rig.report.figures_laws import decay_figure, period_figure
+from rig.report.figures_laws import decay_figure, period_figure, residual_figure
 from rig.report.figures_motion import seismometer_figure, spectrum_figure
 from rig.report.source import ShownUnit
 
@@ -102,6 +102,14 @@ def test_no_label_is_cut() -> None:
     assert box.x0 >= 0
     assert box.y0 >= 0
     assert box.x1 <= figure.get_figwidth()
+
+
+def test_the_rms_of_residuals_contains_their_mean() -> None:
+    """It was the standard deviation: residuals that all lie 3 u to one side stood as 0.00."""
+    points, found = curves(124.0, 2.0)
+    off = replace(found, exact_rad=points.amplitude - 3 * points.u_amplitude)
+    words = [text.get_text() for axes in residual_figure(points, off, ()).figure.axes for text in axes.texts]
+    assert words == ["rms 3.00", "rms 0.00"]
 
 
 def test_threads_that_draw_at_once_leave_no_style_behind() -> None:

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 
 from processing.errors import RecordError
-from rig.analysis import read_results
+from rig.analysis import read_results, write_results
 from rig.report.session_report import make_report
 
 FIGURES = (
@@ -163,6 +164,27 @@ def test_a_changed_record_is_said(measured_series: Path, tmp_path: Path) -> None
     shutil.copy(measured_series / "results.json", copy)
     page = make_report(copy)
     assert "its hash differs" in parsed(page).text
+
+
+def test_what_is_quoted_names_the_runs_that_it_is_of(measured_series: Path, tmp_path: Path) -> None:
+    """A series of two fitted runs of three was said to be "From 3 runs"; one fitted run after another: none."""
+    found = read_results(measured_series)
+    one, two = (replace(run, record=str((measured_series / run.record).resolve())) for run in found.runs)
+    unfitted = replace(one, fits={}, table=(), budget={}, half_cycles=7, problem="too short")
+    assert found.series is not None
+    series = replace(found.series, combined_runs=(2, 3))
+    for runs, of_runs, together in (
+        ((unfitted, one, two), "From 2 runs with 66 half-cycles", series),
+        ((unfitted, two), "From one run with 33 half-cycles", None),
+    ):
+        results = replace(found, runs=runs, series=together)
+        folder = tmp_path / str(len(runs))
+        folder.mkdir()
+        write_results(folder / "results.json", results)
+        text = parsed(make_report(folder)).text
+        assert of_runs in text
+        assert "Nothing was fitted" not in text
+        assert results["gamma"].text in text.partition("Summary")[0]
 
 
 @pytest.mark.parametrize(
