@@ -123,7 +123,6 @@ class Replay:
         self.was_restarted = False
         self._table: NDArray[Any] = head[:0]
         self._row = 0
-        self._comparison = ReplayComparison(self.start_ns)
         self._begin(self._from_ns)
 
     @property
@@ -215,7 +214,8 @@ class Replay:
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
         self._first_sequence, self._last_sequence = -1, -1
-        self._comparison = ReplayComparison(self.start_ns)
+        is_one_unit = self._config.deflection_unit is self._reader.deflection_unit
+        self._comparison = ReplayComparison(self.start_ns, is_one_unit=is_one_unit)
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:

@@ -66,10 +66,13 @@ class ParameterDifference(NamedTuple):
 
 
 class ReplayComparison:
-    """Collects differences during a replay; `start_ns` is the time of the record's first frame."""
+    """Collects differences during a replay; `start_ns` is the time of the record's first frame.
 
-    def __init__(self, start_ns: int) -> None:
-        self._start_ns = start_ns
+    Of half-cycles whose amplitudes have two units (not `is_one_unit`) only the times are compared.
+    """
+
+    def __init__(self, start_ns: int, *, is_one_unit: bool) -> None:
+        self._start_ns, self._is_one_unit = start_ns, is_one_unit
         self._frames = 0
         self._spots = Differences()
 
@@ -79,10 +82,9 @@ class ReplayComparison:
         y_px = np.array([spot.y_px for spot in spots])
         changed = ~(_are_same(rows["x_px"], x_px) & _are_same(rows["y_px"], y_px))
         recorded, replayed, before = np.isfinite(rows["x_px"]), np.isfinite(x_px), self._spots
-        with np.errstate(invalid="ignore", divide="ignore"):
-            x_u, y_u = (x_px - rows["x_px"]) / rows["u_x_px"], (y_px - rows["y_px"]) / rows["u_y_px"]
-        change_u = np.maximum(np.abs(x_u), np.abs(y_u))
-        change_u[~np.isfinite(change_u)] = 0.0
+        change_u = np.maximum(
+            _in_u(x_px - rows["x_px"], rows["u_x_px"]), _in_u(y_px - rows["y_px"], rows["u_y_px"])
+        )
         row = int(np.argmax(change_u))
         largest_u, largest_at = before.largest_u, before.largest_at
         if change_u[row] > largest_u:
@@ -114,10 +116,8 @@ class ReplayComparison:
             if (from_start or swing.turn_time_ns >= first_ns) and (to_end or swing.turn_time_ns <= last_ns)
         ]
         pairs = _pairs(wanted, replayed, max_difference_ns)
-        changes = [(_swing_change_u(old, new), old.turn_time_ns) for old, new in pairs]
-        # NaN is no change
-        large = (change for change in changes if change[0] > 0)
-        largest_u, at_ns = max(large, key=lambda change: change[0], default=(0.0, 0))
+        changes = [(self._swing_change_u(old, new), old.turn_time_ns) for old, new in pairs]
+        largest_u, at_ns = max(changes, key=lambda change: change[0], default=(0.0, 0))
         once = len(wanted) + len(replayed) - 2 * len(pairs)
         half_cycles = Differences(
             len(wanted),
@@ -129,6 +129,12 @@ class ReplayComparison:
         )
         flagged = sum(swing.flags != 0 for swing in replayed)
         return ReplayDifferences(self._frames, self._spots, half_cycles, flagged)
+
+    def _swing_change_u(self, old: HalfCycle, new: HalfCycle) -> float:
+        """The larger change of amplitude and time, in standard uncertainties of the old half-cycle."""
+        amplitude_u = _in_u(np.float64(new.amplitude - old.amplitude), old.u_amplitude)
+        time_u = _in_u(np.float64(seconds(new.turn_time_ns - old.turn_time_ns)), old.u_turn_time_s)
+        return float(max(amplitude_u, time_u) if self._is_one_unit else time_u)
 
 
 def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[ParameterDifference]:
@@ -186,12 +192,11 @@ def _pairs(
     return pairs
 
 
-def _swing_change_u(old: HalfCycle, new: HalfCycle) -> float:
-    """The larger change of amplitude and time, in standard uncertainties of the old half-cycle."""
-    return max(
-        abs(new.amplitude - old.amplitude) / old.u_amplitude,
-        seconds(abs(new.turn_time_ns - old.turn_time_ns)) / old.u_turn_time_s,
-    )
+def _in_u(change: Any, u: Any) -> Any:
+    """Sizes of changes in standard uncertainties; 0 where one of them is not known."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = np.abs(change) / u
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def _are_same(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
-from processing.spot import SpotFlag
+from processing.spot import Spot, SpotFlag
+from processing.swing import HalfCycle
 from rig.analysis import Fit, InstrumentResults, RunResults
 from rig.analysis.result_rows import ResultRow
 from rig.instrument.provenance import recorded_configuration
@@ -21,7 +23,7 @@ from rig.instrument.run_now import RunNow
 from rig.terminal.quantities import KeyParser, Keys
 from rig.view.record_replay import replay_record, speed_of
 from rig.view.replay import Replay
-from rig.view.replay_comparison import parameter_changes
+from rig.view.replay_comparison import ReplayComparison, parameter_changes
 from rig.view.replay_player import Player, ReplayLine
 from tests.rig.view.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, WITHOUT_FIT, make_record
 
@@ -140,6 +142,31 @@ def test_a_record_without_a_calibration_is_replayed_in_px(
     assert "equal bit for bit" in said
     assert "contact laws not fitted: the record has no calibration" in said
     assert re.search(r"run 1: \d+ half-cycles, \d+\.\d\d to \d+\.\d\d px, 999 frames, 1 dropped", said)
+
+
+def test_angles_are_not_compared_with_px(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A record replayed with the lever that it lacked had half-cycles changed by 1.5 × 10⁵ u."""
+    path = make_record(tmp_path / "px.mcap", 20.0, calibrated=False, overrides=WITHOUT_FIT)
+    replay_record(path, None, retrack=False, overrides=["lever.arm_m=1.0", "lever.pixel_pitch_m=4.8e-6"])
+    said = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("half-cycles"))
+    assert "10 " in said
+    assert float(re.findall(r"(\S+) u,|$", said)[0] or 0) < 0.1
+
+
+def test_an_unknown_uncertainty_hides_no_other_change() -> None:
+    """NaN for the first of two changes made the comparison say "only in uncertainties or flags"."""
+    old = HalfCycle(1, 2_000_000_000, 1e-5, 100.0, math.nan, 2.0, 1e-5, 0.0, 1, 0)
+    new = replace(old, turn_time_ns=old.turn_time_ns + 30_000)
+    comparison = ReplayComparison(0, is_one_unit=True)
+    found = comparison.finish([old], [new], from_start=True, to_end=True).half_cycles
+    assert found.largest_u == pytest.approx(3.0)
+    rows = np.array(
+        [(7, 10.0, math.nan, 20.0, 0.5)],
+        dtype=[("sequence", int), *((name, float) for name in ("x_px", "u_x_px", "y_px", "u_y_px"))],
+    )
+    comparison.spots(rows, [Spot(10.0, 21.0, *[1.0] * 8, 0)])
+    spots = comparison.finish([], [], from_start=True, to_end=True).spots
+    assert (spots.largest_u, spots.largest_at) == (2.0, 7.0)
 
 
 def test_the_line_says_how_long_it_will_take() -> None:
