@@ -25,6 +25,20 @@ PAGES = (".html", ".htm")
 
 def existing(paths: _Paths) -> _Paths:
     """Check that files and folders exist; their readers check the contents."""
+    return _existing(paths, "")
+
+
+def existing_toml(remedy: str) -> Callable[[Path | None], Path | None]:
+    """A check that a TOML file exists which is no configuration; `remedy` says where one comes from."""
+
+    def checked(path: Path | None) -> Path | None:
+        return _existing(path, remedy)
+
+    return checked
+
+
+def _existing(paths: _Paths, toml_remedy: str) -> _Paths:
+    """Check paths; `toml_remedy` says where a TOML file comes from that is no configuration."""
     for path in _path_list(paths):
         try:
             path.stat()
@@ -34,7 +48,7 @@ def existing(paths: _Paths) -> _Paths:
                     f"{path}: no such file; a key of the configuration is changed by --set {path}"
                 ) from None
             kind = _KINDS.get(path.suffix.lower(), "file")
-            raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path)}") from None
+            raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path, toml_remedy)}") from None
         except (OSError, ValueError):
             continue  # inaccessible, or not a valid name: the reader's message is better
     return paths
@@ -149,14 +163,14 @@ def _path_list(paths: Path | list[Path] | None) -> Sequence[Path]:
     return paths if isinstance(paths, list) else [] if paths is None else [paths]
 
 
-def _instead_of(path: Path) -> str:
+def _instead_of(path: Path, toml_remedy: str) -> str:
     """Words on a missing file: others of its kind in the folder, and how such a file is made."""
     how = {
         "": "; put a name with spaces in quotes",
-        ".toml": "; rig init writes a configuration",
+        ".toml": f"; {toml_remedy or 'rig init writes a configuration'}",
         ".mcap": "; give the path of a record, which rig run makes",
     }.get(path.suffix.lower(), "")
-    if path.suffix.lower() == ".toml":
+    if path.suffix.lower() == ".toml" and not toml_remedy:
         from rig.settings import shipped_names
 
         if path.stem in shipped_names():
@@ -299,9 +313,9 @@ def input_argument(help_: str, check: Callable[..., object] = existing, **stated
     return typer.Argument(help=help_, show_default=False, callback=check, **stated)
 
 
-def input_option(help_: str, *names: str, **stated: Any) -> Any:
+def input_option(help_: str, *names: str, check: Callable[..., object] = existing, **stated: Any) -> Any:
     """The option for a path that a command reads."""
-    return typer.Option(*names, help=help_, show_default=False, callback=existing, **stated)
+    return typer.Option(*names, help=help_, show_default=False, callback=check, **stated)
 
 
 def output_option(

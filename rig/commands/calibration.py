@@ -10,6 +10,7 @@ import typer
 
 from rig.commands.arguments import (
     Record,
+    existing_toml,
     folder_without,
     group,
     in_json,
@@ -28,6 +29,7 @@ Folder = Annotated[Path, output_option("Folder for the calibration file.", folde
 Days = Annotated[
     float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.")
 ]
+_LIST = existing_toml("docs/calibrate.md shows such a list")
 By = Annotated[str, typer.Option("--by", help="Who made the calibration; default: the user's name.")]
 Side = Annotated[
     Literal["+", "-"] | None,
@@ -39,7 +41,8 @@ of the command's help; its docstring is that help."""
 
 
 def lever(
-    ladder: Annotated[Path, input_argument(f"Steps or geometry of the lever {_SHOWN}")], filing: "Filing"
+    ladder: Annotated[Path, input_argument(f"Steps or geometry of the lever {_SHOWN}", _LIST)],
+    filing: "Filing",
 ) -> Path:
     """Calibrate pixels to radians.
 
@@ -69,7 +72,7 @@ def axes(record: Record, filing: "Filing", slow_began: Side = None, fast_began: 
 
 
 def sensor(
-    frames: Annotated[Path, input_argument(f"List of dark and evenly lit frames {_SHOWN}")],
+    frames: Annotated[Path, input_argument(f"List of dark and evenly lit frames {_SHOWN}", _LIST)],
     filing: "Filing",
 ) -> Path:
     """Measure the sensor: gain, read noise, dark level.
@@ -117,7 +120,9 @@ def shutter(record: Record, filing: "Filing") -> Path:
 
 
 def air(
-    vanes: Annotated[Path | None, input_argument(f"Runs with their vanes or pressures {_SHOWN}")] = None,
+    vanes: Annotated[
+        Path | None, input_argument(f"Runs with their vanes or pressures {_SHOWN}", _LIST)
+    ] = None,
     *,
     filing: "Filing",
     config: Annotated[
@@ -167,9 +172,15 @@ def pointing(record: Record, filing: "Filing") -> Path:
 
 
 def check(
-    ladder: Annotated[Path, input_argument(f"Known tilts {_SHOWN}")],
+    ladder: Annotated[Path, input_argument(f"Known tilts {_SHOWN}", _LIST)],
     *,
-    lever: Annotated[Path, input_option("Calibration file of the lever to be checked.")],
+    lever: Annotated[
+        Path,
+        input_option(
+            "Calibration file of the lever to be checked.",
+            check=existing_toml("rig calibrate lever makes one"),
+        ),
+    ],
     filing: "Filing",
 ) -> Path:
     """Check the lever against known tilts.

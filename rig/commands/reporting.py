@@ -11,7 +11,7 @@ from rig.commands.arguments import (
     PAGES,
     Set,
     Where,
-    existing,
+    existing_toml,
     folder_without,
     in_json,
     input_argument,
@@ -192,7 +192,11 @@ def model_runs(
     )
     from rig.terminal import answer, print_tables, say
 
-    stated = StatedCampaign() if model == DEFAULT else read_campaign(existing(Path(model)))
+    if model == DEFAULT:
+        stated = StatedCampaign()
+    else:
+        existing_toml("docs/many-runs.md shows such a file")(Path(model))
+        stated = read_campaign(Path(model))
     if archive is None:
         runs = runs_of_folders(folders, by_sample=by_sample)
     else:

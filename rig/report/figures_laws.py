@@ -146,7 +146,14 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
         right.plot(normal, grey, color=INK, lw=0.9)
         right.tick_params(labelleft=False)
         right.set_xticks([])
-        right.text(0.95, 0.92, f"rms {np.sqrt(np.mean(values**2)):.2f}", transform=right.transAxes, ha="right", va="top")
+        right.text(
+            0.95,
+            0.92,
+            f"rms {np.sqrt(np.mean(values**2)):.2f}",
+            transform=right.transAxes,
+            ha="right",
+            va="top",
+        )
         if row == 0:
             left.tick_params(labelbottom=False)
             right.set_title("and the normal law")

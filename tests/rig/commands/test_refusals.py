@@ -38,8 +38,17 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         (("run", DEMO, "--view", "tv"), "--view tv: 'tv' is not one of 'window', 'web'"),
         (
             ("calibrate", "lever", "no.toml"),
-            "no.toml: no such file; rig init writes",
+            "no.toml: no such file; docs/calibrate.md shows such a list",
         ),
+        (
+            ("calibrate", "check", DEMO, "--lever", "no.toml"),
+            "no.toml: no such file; rig calibrate lever makes one",
+        ),
+        (
+            ("compare", "--archive", "a.duckdb", "--model", "no.toml"),
+            "no.toml: no such file; docs/many-runs.md shows",
+        ),
+        (("run", "no.toml"), "no.toml: no such file; rig init writes"),
         (("plan", DEMO, "--first=ten"), "--first ten: should be a number\n"),
         (("export", ".", "-o", "x", "--format", "xml"), "--format xml: 'xml' is not one of 'csv', 'parquet'"),
         (("run",), "--help shows what is needed, for example rig run configs/demo.toml -o runs/first"),

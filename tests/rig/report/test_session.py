@@ -167,7 +167,7 @@ def test_a_changed_record_is_said(measured_series: Path, tmp_path: Path) -> None
 
 
 def test_what_is_quoted_names_the_runs_that_it_is_of(measured_series: Path, tmp_path: Path) -> None:
-    """A series of two fitted runs of three was said to be "From 3 runs"; one fitted run after another: none."""
+    """Two fitted runs of three were said to be "3 runs"; a fitted run after one that is not stood nowhere."""
     found = read_results(measured_series)
     one, two = (replace(run, record=str((measured_series / run.record).resolve())) for run in found.runs)
     unfitted = replace(one, fits={}, table=(), budget={}, half_cycles=7, problem="too short")
