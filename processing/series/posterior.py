@@ -27,7 +27,15 @@ from processing.series.density import (
     spread,
 )
 from processing.series.model import Design, LatentNumber, SeriesModel, design_of
-from processing.series.runs import POSITIVE, CompressedRun, at_own_exponent, parameters
+from processing.series.runs import (
+    ORDER,
+    POSITIVE,
+    CompressedRun,
+    Form,
+    at_own_exponent,
+    parameters,
+    u_slope_by_covariate,
+)
 
 DRAWS = 1000
 _ENOUGH_SHARE = 0.2
@@ -42,6 +50,8 @@ _BURN_IN_SHARE = 0.3
 _MAX_LOG_SCATTER_CHANGE = 12.0
 """Largest distance of a walker from the likeliest scatters, in their logarithms."""
 _MAX_DRAWS = 4000
+_MAX_LOG_SLOPE_U = 1.0
+"""Largest standard uncertainty of a slope's logarithm by that of its covariate's scatter."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +84,19 @@ class SeriesPosterior:
     def draws(self, level: LatentNumber) -> Floats:
         """Draws (M,) of a latent number, or of a scatter."""
         if level in self.levels:
-            return np.asarray(self.w[:, self.levels.index(level)])
+            found = np.asarray(self.w[:, self.levels.index(level)])
+            return found * self._slope_factors(level.name) if level.kind == "effect" else found
         return np.exp(self.h[:, self.hyper.index(level)])
+
+    def _slope_factors(self, label: str) -> Floats | float:
+        """Factors (M,) on a slope of about 1: the scatter of its covariate is itself uncertain."""
+        effect = next(one for one in self.model.effects if one.label == label)
+        if effect.form is Form.DURING or effect.covariate == ORDER:
+            return 1.0
+        u = min(u_slope_by_covariate(self.runs, effect.covariate), _MAX_LOG_SLOPE_U)
+        # normal in the logarithm: it turns no sign
+        z = np.random.default_rng(0).standard_normal(len(self.w))
+        return np.exp(u * z - 0.5 * u**2) if u > 0 else 1.0
 
     def level_draws(self, contact: str) -> Floats:
         """Draws (M, k) of a contact's coordinates where all effects are zero."""

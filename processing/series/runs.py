@@ -25,6 +25,7 @@ FRICTION: Final = "friction"
 """Parameter of an effect on b and c alike, which also shows within each run (`CompressedRun.by_growth`)."""
 ORDER: Final = "order"
 """The covariate that every run has: its place in the series, from 0, where runs that were left out count."""
+_SCATTER_STEPS = 100
 _LARGEST_EXPONENT = 200.0
 """Largest logarithm that is converted: that of a parameter which is not determined may overflow."""
 
@@ -221,6 +222,8 @@ class Effect:
         if self.form is Form.STEP:
             return 1.0
         x, _ = covariate_of(runs, self.covariate)
+        if self.covariate != ORDER:
+            x, _ = np.array(_measured(runs, self.covariate)).T
         low, high = float(np.min(x)), float(np.max(x))
         width = log(high / low) if self.form is Form.LOGARITHM else high - low
         if not width > 0:
@@ -236,20 +239,53 @@ def only_bound(runs: Sequence[CompressedRun], contact: str, name: str) -> EndSid
 
 
 def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floats]:
-    """A covariate of every run and its standard uncertainty.
+    """A covariate of every run and its standard uncertainty, given what was measured of all runs.
 
-    Where it is missing, it has the mean of the other runs and their scatter as its uncertainty. Raises
-    DataError where it is known of fewer than two runs.
+    A measured value that is uncertain scatters more than the true one, which lies nearer to the mean: with the
+    measured values slopes would be too flat. Where a value is missing, it is the mean, with the scatter
+    between runs as its uncertainty. Raises DataError where it is known of fewer than two runs.
     """
     if name == ORDER:
         places = [run.covariates.get(ORDER, Estimate(at, 0.0)).value for at, run in enumerate(runs)]
         return np.array(places, dtype=np.float64), np.zeros(len(runs))
-    known = [run.covariates[name].value for run in runs if name in run.covariates]
-    if len(known) < 2:
+    mean, scatter2 = _distribution(runs, name)
+    x, u = np.array([(_measured([run], name) or [(mean, inf)])[0] for run in runs]).T
+    true_share = _true_share(scatter2, u)
+    return mean + true_share * (x - mean), np.sqrt(scatter2 * (1 - true_share))
+
+
+def u_slope_by_covariate(runs: Sequence[CompressedRun], name: str) -> float:
+    """Relative standard uncertainty of a slope, as few values tell the true scatter of its covariate."""
+    _, scatter2 = _distribution(runs, name)
+    _, u = np.array(_measured(runs, name)).T
+    noise2 = float(np.mean(u**2))
+    return noise2 / max(scatter2, 1e-9 * noise2) * (2 / (len(u) - 1)) ** 0.5 if noise2 > 0 else 0.0
+
+
+def _measured(runs: Sequence[CompressedRun], name: str) -> list[tuple[float, float]]:
+    """Values and standard uncertainties of a covariate where it is known; 0 where that of a value is not."""
+    found = [run.covariates[name] for run in runs if name in run.covariates]
+    return [(value, u if np.isfinite(u) else 0.0) for value, u in found]
+
+
+def _true_share(scatter2: float, u: Floats) -> Floats:
+    """Share (n,) of the true values' variance in that of measured ones; 1 where they are exact."""
+    return np.where(u > 0, scatter2 / np.where(u > 0, scatter2 + u**2, 1.0), 1.0)
+
+
+def _distribution(runs: Sequence[CompressedRun], name: str) -> tuple[float, float]:
+    """Mean and variance of the true values of a covariate, by expectation and maximisation."""
+    measured = _measured(runs, name)
+    if len(measured) < 2:
         raise DataError(
-            f"{name}: known of {len(known)} of {len(runs)} runs, two are needed: leave the effect out, or "
+            f"{name}: known of {len(measured)} of {len(runs)} runs, two are needed: leave the effect out, or "
             "state it"
         )
-    usual = Estimate(float(np.mean(known)), float(np.std(known, ddof=1)))
-    x, u = np.array([tuple(run.covariates.get(name, usual)) for run in runs], dtype=np.float64).T
-    return x, np.where(np.isfinite(u), u, 0.0)
+    x, u = np.array(measured).T
+    mean, scatter2 = float(x.mean()), float(x.var(ddof=1))
+    for _ in range(_SCATTER_STEPS if scatter2 > 0 and np.any(u > 0) else 0):
+        true_share = _true_share(scatter2, u)
+        mean = float(np.average(x, weights=np.maximum(true_share, 1e-12)))
+        whole = (true_share * (x - mean)) ** 2 + scatter2 * (1 - true_share)
+        scatter2 = float(whole.sum()) / (len(x) - 1)
+    return mean, scatter2

@@ -135,7 +135,12 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         changes=tuple(find_change(runs, model, name) for name in stated.change_points),
         shared=_estimates(posterior, posterior.levels, "shared"),
         budgets={
-            contact: {name: _budget(posterior, name, contact) for name in model.names} for contact in contacts
+            contact: {
+                name: _budget(posterior, name, contact)
+                for name in model.names
+                if _bounded_side(posterior, contact, name) is None
+            }
+            for contact in contacts
         },
         draws=len(posterior.weight),
         draws_that_count=posterior.effective,
@@ -315,6 +320,8 @@ def _runs(
                 alone={name: fit.estimate(name) for name in own},
                 together={
                     name: Estimate(float(values[row, place]), float(u_values[row, place]))
+                    if _bounded_side(found, run.contact, name) is None
+                    else NOT_DETERMINED
                     for place, name in enumerate(names)
                 },
                 residuals={name: float(found.residuals[row, names.index(name)]) for name in own},

@@ -309,6 +309,7 @@ class CampaignDifference:
 class CampaignRun:
     """One run: its parameters alone and together with the campaign, and its probability of being bad.
 
+    What all runs of its contact only bound has no value together, and their contact no budget of it.
     `likelihood` is the input of the model, in coordinates, made of the results with hash `results_sha256`.
     `residuals` are deviations from the model in units of the uncertainty of run and scatter.
     """

@@ -155,6 +155,25 @@ def test_an_unknown_humidity_costs_and_does_not_mislead() -> None:
         assert abs(found.value - slope) < 3 * found.standard_uncertainty
 
 
+def test_a_humidity_as_uncertain_as_it_varies_flattens_no_slope() -> None:
+    """A slope came out half as steep as it was, 20 u off."""
+    slope, rng, u = -0.02, np.random.default_rng(3), 12.0
+    true = rng.normal(45.0, 12.0, 200)
+    runs = [
+        plain_run(
+            slope * (x - 45.0) + 0.05 * rng.normal(),
+            0.05,
+            covariates={"humidity_percent": Estimate(x + u * rng.normal(), u)},
+        )
+        for x in true.tolist()
+    ]
+    model = SeriesModel(names=("c",), effects=(HUMIDITY,), sizes={"c": 10.0}, scatter=(), bad_run_chance=0.0)
+    found = fit_series(runs, model).estimate(LatentNumber("effect", HUMIDITY.label))
+    # by the 200 values that say how far the true ones scatter: 10 %
+    assert 0.002 < found.standard_uncertainty < 0.004
+    assert abs(found.value - slope) < 2 * found.standard_uncertainty
+
+
 def test_an_unknown_side_of_a_step_costs_and_does_not_mislead() -> None:
     """Runs of which nobody knows on which side they were: that of the mean is a guess, not knowledge."""
     rng = np.random.default_rng(12)

@@ -42,6 +42,9 @@ def test_a_contact_that_is_only_bounded_has_the_runs_limit_and_differs_on_one_si
         assert np.isnan(of_c.without_priors.value)
         assert of_c.lower_95 == 0.0
         assert 0.5e-8 * factor < of_c.upper_95 < 2e-8 * factor
+    assert set(found.budgets["rough"]) - set(found.budgets["bounded"]) == {"c"}, 'it was all "between runs"'
+    for one in found.runs:
+        assert np.isnan(one.together["c"].value) == (one.contact == "bounded"), "by the prior of the level"
     by = {(one.first, one.second): one for one in found.differences if one.parameter == "c"}
     assert by["rough", "bounded"].seen
     assert by["rough", "bounded"].lower_95 > 1
