@@ -241,9 +241,9 @@ def only_bound(runs: Sequence[CompressedRun], contact: str, name: str) -> EndSid
 def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floats]:
     """A covariate of every run and its standard uncertainty, given what was measured of all runs.
 
-    A measured value that is uncertain scatters more than the true one, which lies nearer to the mean: with the
-    measured values slopes would be too flat. Where a value is missing, it is the mean, with the scatter
-    between runs as its uncertainty. Raises DataError where it is known of fewer than two runs.
+    A measured value that is uncertain scatters more than the true one, which lies nearer to the mean: slopes
+    by measured values would be too flat. Where a value is missing, it is the mean, with the scatter between
+    runs as its uncertainty. Raises DataError where it is known of fewer than two runs.
     """
     if name == ORDER:
         places = [run.covariates.get(ORDER, Estimate(at, 0.0)).value for at, run in enumerate(runs)]
