@@ -25,6 +25,8 @@ _MIN_SIGNAL_U, _MIN_SIGNAL_DN = 5.0, 0.02
 """A level is lit if its mean exceeds that of the dark frames by so many standard uncertainties, and DN."""
 _MIN_SLOPE_U = 5.0
 """Smallest slope, in its standard uncertainties, that gives a gain (to 20 %)."""
+_U_NON_LINEARITY = 0.01
+"""Standard uncertainty of the fraction by which the response at full scale differs from a straight one."""
 _MIN_LEVELS = 4
 """Smallest number of levels; beside a straight line, two degrees of freedom show whether it is one."""
 _MAX_FIT_PART = 0.7
@@ -49,7 +51,9 @@ class SensorCalibration:
     if the noise in the dark is below 0.24 DN, so that rounding to integers hides it; read noise and dark
     level then have large uncertainties. `full_well_e` is only a lower limit if `saturates` is False (no
     level was bright enough). `linearity_error` is the largest relative deviation of the signal from a
-    straight line in the exposure, NaN with fewer than three exposures. `prnu` is the relative standard
+    straight line in the exposure, NaN with fewer than three exposures. `non_linearity` is the fraction by
+    which the signal at full scale is below a straight line, as the noise of the levels shows it; the
+    uncertainty of the gain allows for it. `prnu` is the relative standard
     deviation of the pixels' responses (photo response non-uniformity). `points` are the levels used,
     `hot_pixels` (n, 2) the coordinates (x, y) of pixels with a high dark value. `rejected` names the
     unusable pairs with the reasons.
@@ -65,6 +69,7 @@ class SensorCalibration:
     full_well_e: float
     saturates: bool
     linearity_error: float
+    non_linearity: float
     prnu: float
     u_prnu: float
     chi2_per_dof: float
@@ -173,8 +178,8 @@ def photon_transfer(
             f"sensor: {len(fitted)} usable levels up to {100 * _MAX_FIT_PART:.0f} % of full scale, at least "
             f"{_MIN_LEVELS} are needed{detail}"
         )
-    slope, u_slope, intercept, u_intercept, chi2_per_dof = _line(
-        fitted, dark_variance if resolved else None, u_dark_variance
+    slope, u_slope, intercept, u_intercept, chi2_per_dof, non_linearity = _line(
+        fitted, dark_variance if resolved else None, u_dark_variance, full_scale_dn
     )
     gain = 1.0 / slope
     read_variance = max(intercept - _QUANTISATION_DN2, 0.0)
@@ -196,6 +201,7 @@ def photon_transfer(
         full_well_e=max(top, saturated_level) * gain,
         saturates=saturated_level > 0,
         linearity_error=_linearity(points, [exposures_us[n] for n in usable] if exposures_us else []),
+        non_linearity=non_linearity,
         prnu=prnu,
         u_prnu=u_prnu,
         chi2_per_dof=chi2_per_dof,
@@ -284,11 +290,14 @@ def _knee(points: Sequence[TransferPoint]) -> float | None:
 
 
 def _line(
-    points: Sequence[TransferPoint], dark_variance: float | None, u_dark_variance: float
-) -> tuple[float, float, float, float, float]:
+    points: Sequence[TransferPoint], dark_variance: float | None, u_dark_variance: float, full_scale_dn: int
+) -> tuple[float, float, float, float, float, float]:
     """Weighted fit of variance = intercept + slope * signal, with the dark frames as a point at signal 0.
 
-    Returns slope, its uncertainty, intercept, its uncertainty, and chi-square per degree of freedom.
+    A signal that is lower by the fraction e s, where s is its part of full scale, has a variance lower by the
+    fraction 3 e s: e is fitted, as a number about 0 by `_U_NON_LINEARITY`.
+
+    Returns slope, its uncertainty, intercept, its uncertainty, chi-square per degree of freedom, and e.
     """
     x = np.array([point.signal_dn for point in points])
     y = np.array([point.variance_dn2 for point in points])
@@ -298,14 +307,18 @@ def _line(
     u = np.maximum(u, 1e-12)
     # from the model, because uncertainties from measured variances favour those that are low by chance
     common = np.median(u[: len(points)] / y[: len(points)])
+    bend = np.zeros_like(x)
     for last in (False, False, False, True):
-        design = np.column_stack([np.ones_like(x), x]) / u[:, None]
-        values, *_ = np.linalg.lstsq(design, y / u, rcond=None)
-        model = values[0] + values[1] * x
+        design = np.column_stack([np.ones_like(x), x, bend]) / u[:, None]
+        design = np.vstack([design, [0.0, 0.0, 1.0 / _U_NON_LINEARITY]])
+        measured = np.append(y / u, 0.0)
+        values, *_ = np.linalg.lstsq(design, measured, rcond=None)
+        bend = -3.0 * values[1] * x**2 / full_scale_dn
+        model = values[0] + values[1] * x + values[2] * bend
         if not last and np.all(model > 0):
             u[: len(points)] = common * model[: len(points)]
     dof = len(x) - 2
-    chi2_per_dof = float(np.sum((design @ values - y / u) ** 2)) / dof
+    chi2_per_dof = float(np.sum((design @ values - measured) ** 2)) / dof
     covariance = np.linalg.inv(design.T @ design) * birge_ratio(chi2_per_dof * dof, dof) ** 2
     u_slope = float(np.sqrt(covariance[1, 1]))
     if not values[1] > _MIN_SLOPE_U * u_slope:
@@ -320,6 +333,7 @@ def _line(
         float(values[0]),
         float(np.sqrt(covariance[0, 0])),
         chi2_per_dof,
+        float(values[2]),
     )
 
 

@@ -162,13 +162,19 @@ def _steps(details: Mapping[str, Any]) -> Table:
 def _transfer(values: Mapping[str, Any], details: Mapping[str, Any]) -> Table:
     """Table of the levels: variance, and its deviation from read noise and shot noise."""
     gain = values["gain_e_per_dn"]
+    bend_per_dn = 3.0 * details.get("non_linearity", 0.0) / values["full_scale_dn"]
     dark_dn2 = (values["read_noise_e"] / gain) ** 2 + _ROUNDING_DN2
     return _table(
         "residuals",
         "residuals of the levels",
         ("signal, DN", "variance, DN²", "off the line, DN²", "off the line, u"),
         [
-            (signal, variance, rest := variance - dark_dn2 - signal / gain, rest / u)
+            (
+                signal,
+                variance,
+                rest := variance - dark_dn2 - signal / gain * (1.0 - bend_per_dn * signal),
+                rest / u,
+            )
             for signal, variance, u in zip(
                 details["signal_dn"], details["variance_dn2"], details["u_variance_dn2"], strict=True
             )

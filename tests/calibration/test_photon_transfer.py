@@ -92,6 +92,26 @@ def test_agrees_with_the_emva_1288_formulas() -> None:
     assert found.linearity_error < 0.01
 
 
+@pytest.mark.parametrize("bend", [0.0, 0.01])
+def test_a_response_that_bends_by_one_per_cent_moves_the_gain_by_no_more_than_is_said(bend: float) -> None:
+    """It came out 4 u too large: as if no sensor bent."""
+    z, electrons_per_dn = [], 20.0
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+
+        def frame(level_dn: float, rng: np.random.Generator = rng) -> np.ndarray:
+            electrons = rng.poisson(level_dn * electrons_per_dn, (200, 200)) + rng.normal(0, 20.0, (200, 200))
+            dn = electrons / electrons_per_dn
+            return np.clip(np.rint(12.0 + dn * (1.0 - bend * dn / 255)), 0, 255).astype(np.uint8)
+
+        pairs = [(frame(level), frame(level)) for level in np.linspace(12.0, 165.0, 8)]
+        found = photon_transfer(pairs, [frame(0.0) for _ in range(8)], 255)
+        assert found.u_gain_e_per_dn < 0.012 * electrons_per_dn
+        z.append((found.gain_e_per_dn - electrons_per_dn) / found.u_gain_e_per_dn)
+    assert abs(np.mean(z)) < 1.0
+    assert np.sqrt(np.mean(np.square(z))) < 1.5
+
+
 def test_hot_pixels_and_prnu_are_found() -> None:
     truth = random_sensor(np.random.default_rng(3)).model_copy(update={"hot_pixels": 12, "prnu": 0.02})
     pairs, darks, _ = transfer_frames(truth, 9)
