@@ -117,6 +117,8 @@ _MIN_PERIODS = 2.0
 """Smallest number of slow periods; with fewer the slow mode looks like a drift of the rest position."""
 _LONGEST_FAST = 0.4
 """Longest period of a fast mode that is sought, over the slow one."""
+_MIN_SLOW = 0.05
+"""Smallest amplitude of a slow mode across a larger fast one, relative to it; less may be a drift."""
 _MIN_RATIO = 2.6
 """Smallest ratio of the modes' frequencies; one at the edge of the search is that of no fast mode."""
 _MAX_U_FAST = 0.2
@@ -312,7 +314,7 @@ def fit_axes(
 
 
 def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
-    """Angular frequencies (rad/s) of the slow mode, along the largest motion, and of the fast one."""
+    """Angular frequencies (rad/s) of the slow mode, and of the fast one, which may be the larger motion."""
     span_s = float(t[-1] - t[0])
     centred = np.column_stack([x - x.mean(), y - y.mean()])
     _, vectors = np.linalg.eigh(centred.T @ centred)
@@ -323,6 +325,10 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
         raise DataError(
             "axes: the spot does not swing; release the pendulum and push it across the slow direction too"
         )
+    other = strongest_oscillation(t[early], across[early], span_s / _MIN_PERIODS)
+    is_swing = other.explained > 0.5 and other.amplitude > _MIN_SLOW * slow.amplitude
+    if is_swing and slow.period_s < _LONGEST_FAST * other.period_s:
+        slow, across = other, along
     fast = strongest_oscillation(t[early], across[early], _LONGEST_FAST * slow.period_s)
     return 2.0 * math.pi / slow.period_s, 2.0 * math.pi / fast.period_s
 

@@ -214,6 +214,22 @@ def test_axes_that_do_not_stay_are_refused_with_the_cause(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("fast_px", [150.0, 1500.0])
+def test_a_fast_mode_that_is_pushed_harder_than_the_slow_one_is_still_the_fast_one(fast_px: float) -> None:
+    """It was taken for the slow one, and the axes stood a right angle off, as known to 0.03 rad."""
+    t, angle = np.arange(0, 60, 0.01), 0.1
+    slow = 100.0 * np.exp(-t / 300) * np.cos(2 * np.pi * t / 4.07 + 0.3)
+    fast = fast_px * np.exp(-t / 60) * np.cos(2 * np.pi * t / 0.807 + 0.7)
+    noise = np.random.default_rng(1).normal(0, 0.02, (2, len(t)))
+    x = slow * np.sin(angle) + fast * np.cos(angle) + noise[0]
+    y = -slow * np.cos(angle) + fast * np.sin(angle) + noise[1]
+    found = fit_axes(t, x, y, slow_began="+", fast_began="+")
+    assert found.slow_period_s == pytest.approx(4.07, rel=1e-2)
+    assert found.axes.u_slow_angle_rad < 2e-4
+    assert abs(found.axes.slow_angle_rad - angle) < 4 * found.axes.u_slow_angle_rad
+    assert not found.axes.mirrored
+
+
 @pytest.mark.parametrize(("period_ratio", "fast_arcsec"), [(2.97, 3.0), (5.0, 0.3)])
 def test_an_overtone_of_the_slow_mode_near_the_fast_mode_s_frequency_is_in_the_uncertainty(
     period_ratio: float, fast_arcsec: float
