@@ -94,7 +94,7 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
         Must be evenly spaced, except for lost samples.
     values, u_values : (n,), any unit
         Samples and their standard uncertainties; NaN for lost ones. These are left out: for the Allan
-        deviation and the spectrum, the samples on both sides of a gap count as neighbours.
+        deviation, the samples on both sides of a gap count as neighbours.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
     drift, u_drift = _drift(times_s, values)
     detrended = values - np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
     allan = allan_deviation(values, interval_s)
-    frequency, density = _spectrum(detrended, interval_s)
+    frequency, density = _spectrum(times_s, detrended, interval_s)
     return Stability(
         noise=float(allan.deviation[0]),
         drift_per_s=drift,
@@ -134,12 +134,19 @@ def _drift(times_s: Floats, values: Floats) -> tuple[float, float]:
     return float(solution[0]), u_wandering_slope(design, means - design @ solution)
 
 
-def _spectrum(detrended: Floats, interval_s: float) -> tuple[Floats, Floats]:
-    """Frequencies and one-sided power spectral density, with a Hann window, without the zero frequency."""
-    window = np.hanning(len(detrended))
-    power = np.abs(np.fft.rfft(detrended * window)) ** 2
-    density = 2.0 * power * interval_s / np.sum(window**2)
-    return np.fft.rfftfreq(len(detrended), interval_s)[1:].astype(np.float64), density[1:].astype(np.float64)
+def _spectrum(times_s: Floats, detrended: Floats, interval_s: float) -> tuple[Floats, Floats]:
+    """Frequencies and one-sided power spectral density, with a Hann window, without the zero frequency.
+
+    Lost samples keep their place, with the value 0: without it lines would be at other frequencies.
+    """
+    steps = np.maximum(np.rint(np.diff(times_s) / interval_s), 1.0).astype(np.int64)
+    place = np.concatenate([[0], np.cumsum(steps)])
+    count = int(place[-1]) + 1
+    window, even = np.hanning(count), np.zeros(count)
+    even[place] = detrended
+    power = np.abs(np.fft.rfft(even * window)) ** 2
+    density = 2.0 * power * interval_s / np.sum(window[place] ** 2)
+    return np.fft.rfftfreq(count, interval_s)[1:].astype(np.float64), density[1:].astype(np.float64)
 
 
 def _lines(frequency: Floats, density: Floats) -> tuple[SpectralLine, ...]:

@@ -131,6 +131,18 @@ def test_lines_of_the_spectrum_are_named() -> None:
     assert found.claimed_ratio == pytest.approx(0.02 / there, rel=4 / np.sqrt(8000))
 
 
+def test_lost_spots_shift_no_line() -> None:
+    """Of 1 % lost, a line stood at a frequency 1 % too high, without its name; of 10 % it was gone."""
+    rng = np.random.default_rng(4)
+    times_s = np.arange(8000) / 250.0
+    values = 0.02 * rng.standard_normal(8000) + 0.03 * np.sin(2 * np.pi * 50.0 * times_s)
+    for lost in (0.01, 0.1):
+        there = rng.random(8000) > lost
+        (line,) = stability(times_s[there], values[there], np.full(there.sum(), 0.02)).lines
+        assert line.name == "mains, 1 x 50 Hz"
+        assert line.amplitude == pytest.approx(0.03, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("frequency_hz", "name"),
     [
