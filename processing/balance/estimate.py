@@ -112,6 +112,8 @@ class BalanceEstimator:
         if modes is None or modes.slow.period_s * _WINDOW_PERIODS > span_s * 1.05:
             self._look_again(until_ns)
             return None
+        # also of what may be a harmonic: the fast mode, which the next samples may see stop
+        fast_period_s = modes.fast.period_s if modes.fast is not None else math.nan
         modes = _without_harmonic(modes)
         if not known:
             later = self._modes(until_ns - nanoseconds(0.5 * span_s), until_ns, modes.slow.period_s)
@@ -123,7 +125,7 @@ class BalanceEstimator:
                 self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
                 return None
         self._period_s = modes.slow.period_s
-        self._fast_period_s = modes.fast.period_s if modes.fast is not None else math.nan
+        self._fast_period_s = fast_period_s
         self._next_ns = until_ns + nanoseconds(self._period_s)
         self._head = self._position(until_ns - nanoseconds(1.5 * span_s))
         return self._balance(modes, unit)

@@ -37,6 +37,9 @@ from processing.units import seconds
 
 _FEWEST_SAMPLES = 20
 """Fewest samples, of two coordinates each, for the 18 terms of both modes."""
+_SHARE_OF_STOPPED = 0.6
+"""Squared error by the end of a fast mode within the samples, over that by white noise of the same size;
+times the squared number of its cycles, over the number of samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +71,7 @@ class TwoModes:
 
     `fast` is None if no fast mode is significant; `fast_limit` is then the amplitude in X of the strongest
     spectral line in the residuals. Standard uncertainties (`u_`) of each coordinate are multiplied by the
-    square root of its chi-square per degree of freedom where that exceeds 1.
+    square root of its chi-square per degree of freedom where that exceeds 1; by more if the fast mode stops.
     """
 
     time_ns: int
@@ -97,7 +100,8 @@ def separate_modes(
     times_ns : (n,) int64, ns, ascending
     x, y : (n,) coordinates, any unit; samples where either is NaN are ignored
     u_x, u_y : (n,) standard uncertainties, positive
-    slow_period_s, fast_period_s : start values; NaN if unknown
+    slow_period_s, fast_period_s : start values; NaN if unknown. A fast mode that has a start value and is not
+        seen has stopped within the samples.
 
     Returns
     -------
@@ -136,21 +140,39 @@ def separate_modes(
         fit, limit = with_fast_mode(slow, samples)
     if not fit.p[SLOW_RATE] * samples.span_s > 1.8 * math.pi:
         return None
-    dof = max(len(t) - len(fit.active) / 2.0, 1.0)
+    found = _with_scatter(fit, samples, fast_period_s)
+    if FAST_RATE in fit.active and found is not fit and not fast_mode_seen(found, len(t)):
+        # a misfit of one coordinate had passed for a mode of both
+        slow = slow_fit(samples, 2.0 * math.pi / float(fit.p[SLOW_RATE]))
+        if slow is None:
+            return None
+        limit = float(np.hypot(found.p[X + FAST_COSINE], found.p[X + FAST_SINE]))
+        found = _with_scatter(slow, samples, fast_period_s)
+    return _result(middle_ns, found, limit)
+
+
+def _with_scatter(fit: ModeFit, samples: ModeSamples, fast_period_s: float) -> ModeFit:
+    """The fit with each coordinate's uncertainties enlarged by its scatter; the same fit if that is none.
+
+    Across the slow mode scatter is what the fit leaves of a fast mode that ends within the samples: of the
+    one in the fit, or of one that had this period (NaN: none). It moves the slow mode by more than noise.
+    """
+    dof = max(len(samples.t) - len(fit.active) / 2.0, 1.0)
     chi2_per_dof_x = float((fit.residual_x**2 * samples.weights_x).sum()) / dof
     chi2_per_dof_y = float((fit.residual_y**2 * samples.weights_y).sum()) / dof
-    if min(chi2_per_dof_x, chi2_per_dof_y) > 0.0 and max(chi2_per_dof_x, chi2_per_dof_y) > 1.0:
-        # Each coordinate gets its own scatter: friction and anharmonicity distort the motion along the major
-        # axis and hardly the one across it.
-        samples = samples.rescaled(max(chi2_per_dof_x, 1.0), max(chi2_per_dof_y, 1.0))
-        fit = fit_terms(fit.p, fit.active, samples, float(fit.p[SLOW_RATE]))
-        if FAST_RATE in fit.active and not fast_mode_seen(fit, len(t)):
-            # a misfit of one coordinate had passed for a mode of both
-            slow = slow_fit(samples, 2.0 * math.pi / float(fit.p[SLOW_RATE]))
-            if slow is None:
-                return None
-            fit, limit = slow, float(np.hypot(fit.p[X + FAST_COSINE], fit.p[X + FAST_SINE]))
-    return _result(middle_ns, fit, limit)
+    if not (min(chi2_per_dof_x, chi2_per_dof_y) > 0.0 and max(chi2_per_dof_x, chi2_per_dof_y) > 1.0):
+        return fit
+    # Each coordinate gets its own scatter: friction and anharmonicity distort the motion along the major
+    # axis and hardly the one across it.
+    more = np.ones(2)
+    if FAST_RATE in fit.active:
+        fast_period_s = 2.0 * math.pi / float(fit.p[FAST_RATE])
+    if not math.isnan(fast_period_s):
+        sizes = [np.hypot(fit.p[at + SLOW_COSINE], fit.p[at + SLOW_COSINE + 1]) for at in (X, Y)]
+        cycles = samples.span_s / fast_period_s
+        more[int(np.argmin(sizes))] = max(_SHARE_OF_STOPPED * len(samples.t) / cycles**2, 1.0)
+    scatter = 1.0 + more * np.maximum(np.array([chi2_per_dof_x, chi2_per_dof_y]) - 1.0, 0.0)
+    return fit_terms(fit.p, fit.active, samples.rescaled(*scatter.tolist()), float(fit.p[SLOW_RATE]))
 
 
 def _ellipse(parts: Floats) -> Floats:
