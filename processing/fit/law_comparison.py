@@ -271,14 +271,15 @@ _HELD_U = 1e-4
 """Relative uncertainty of a drag that is held fixed."""
 _MARGIN = 1.1
 """Factor by which the angles shown stay inside both ends of the amplitudes."""
+_ALL_GRAVITY = Estimate(1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class FreeMoments:
     """Friction against the motion, and elastic moment in the direction of phi, at angles `phi_rad` > 0.
 
-    The elastic moment is the departure from proportionality: it vanishes at `reference_rad`, where the period
-    is that of gravity alone by definition. `u_` are standard uncertainties; bands of 1 u cover 68 %.
+    The elastic moment is the departure from proportionality: it vanishes at `reference_rad`. `u_` are
+    standard uncertainties; bands of 1 u cover 68 %.
     """
 
     phi_rad: Floats
@@ -291,12 +292,17 @@ class FreeMoments:
 
 @dataclass(frozen=True, slots=True)
 class ModelFreeFit:
-    """The fit of splines to one decay, and the moments by it."""
+    """The fit of splines to one decay, and the moments by it.
+
+    `gravity` is gravity's part of the stiffness at the reference, by the T0 of a law: splines cannot tell it
+    from what the contact takes off. Where it is not known it counts as all, 1.
+    """
 
     points: TurningPoints
     pendulum: PendulumOnBall
     splines: MomentSplines
     fit: FitResult
+    gravity: Estimate = _ALL_GRAVITY
 
     def moments(self, phi_rad: Floats | None = None) -> FreeMoments:
         """Moments with bands; by default at 41 angles between the lowest and the highest amplitude."""
@@ -306,19 +312,24 @@ class ModelFreeFit:
         return self._of(phi_rad, self.fit.values, self.fit.covariance)
 
     def _of(self, phi_rad: Floats, values: Floats, covariance: Floats) -> FreeMoments:
-        unit_rad, weight = self.splines.unit_rad, weight_moment(self.pendulum)
+        unit_rad, weight = self.splines.unit_rad, weight_moment(self.pendulum) * self.gravity.value
         x = phi_rad / unit_rad
         friction, elastic = weight * self.splines.friction(x), weight * unit_rad * self.splines.elastic(x)
         of_friction = slice(0, self.splines.friction_count)
         of_elastic = slice(of_friction.stop, of_friction.stop + self.splines.elastic_count)
-        return FreeMoments(
-            phi_rad,
-            friction @ values[of_friction],
-            _uncertainty(friction, covariance[of_friction, of_friction]),
-            elastic @ values[of_elastic],
-            _uncertainty(elastic, covariance[of_elastic, of_elastic]),
-            unit_rad,
+        found = friction @ values[of_friction], elastic @ values[of_elastic]
+        u_friction, u_elastic = (
+            np.hypot(u, self.gravity.standard_uncertainty / self.gravity.value * moment)
+            for moment, u in zip(
+                found,
+                (
+                    _uncertainty(friction, covariance[of_friction, of_friction]),
+                    _uncertainty(elastic, covariance[of_elastic, of_elastic]),
+                ),
+                strict=True,
+            )
         )
+        return FreeMoments(phi_rad, found[0], u_friction, found[1], u_elastic, unit_rad)
 
     def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
         """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
@@ -366,8 +377,9 @@ def fit_model_free(
 ) -> ModelFreeFit:
     """Friction and elastic moment of one decay as splines, with the drive of the ground that they leave.
 
-    `like` is an exact fit of these points: the splines have its evidence, and its drag if it has both.
-    Without evidence splines would take a drag for friction, so that none is fitted then.
+    `like` is an exact fit of these points: the splines have its evidence, and its drag if it has both, and
+    the moments its T0 (see `ModelFreeFit.gravity`). Without evidence splines would take a drag for friction,
+    so that none is fitted then.
 
     Raises
     ------
@@ -381,4 +393,9 @@ def fit_model_free(
         evidence = replace(evidence, drag_s=Estimate(*(factor * number for number in evidence.drag_s)))
     drag = like is not None and like.has_drag and evidence != NO_EVIDENCE
     fit = fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
-    return ModelFreeFit(points.first(fit.half_cycles), pendulum, splines, fit)
+    gravity = _ALL_GRAVITY
+    if like is not None:
+        period0_s, u_period0_s = like.estimate("period0_s")
+        part = 1 / _drag_ratio(like, fit.estimate("period0_s").value)
+        gravity = Estimate(part, 2 * part * u_period0_s / period0_s)
+    return ModelFreeFit(points.first(fit.half_cycles), pendulum, splines, fit, gravity)

@@ -115,8 +115,9 @@ class ModelFreeMoments:
     """Friction against the motion and elastic moment at the angles `phi_rad`, as splines of the angle.
 
     `u_friction_n_m` and `u_elastic_n_m` are standard uncertainties: bands that cover 68 %. A moment
-    proportional to the angle counts as gravity's, so the elastic moment vanishes at `reference_rad`. `laws`
-    has the fitted laws in the same terms. `ground_rad_per_s2_rthz` is the drive with which the splines fit.
+    proportional to the angle is not told from gravity's, so the elastic moment vanishes at `reference_rad`;
+    gravity's part of the stiffness follows from T0 of the exact fit. `laws` has the fitted laws in the same
+    terms. `ground_rad_per_s2_rthz` is the drive with which the splines fit.
     """
 
     phi_rad: Floats = field(default_factory=lambda: np.empty(0))

@@ -25,7 +25,10 @@ NOISE_ARCSEC = 0.005
 
 
 def true_moments(found: FreeMoments, parameters: ContactParameters, pendulum: PendulumOnBall) -> np.ndarray:
-    """Friction and elastic moment of the paper's law where gravity has all that is proportional there."""
+    """Friction and elastic moment of the paper's law where gravity has all that is proportional there.
+
+    They are those of a fit that knows no T0.
+    """
     phi, at = found.phi_rad, found.reference_rad
     weight = pendulum.mass_kg * pendulum.gravity_m_per_s2 * pendulum.ball_radius_m
     every = np.append(phi, at)
