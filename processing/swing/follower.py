@@ -4,7 +4,7 @@ Each half-cycle is predicted (`prediction`), measured (`half_cycle_fit`) and jud
 undisturbed one updates the state. The process noise has two adaptive scales. `_process_noise` multiplies the
 variance by which all terms may change and grows while the normalised innovations of the turning points are
 too large. `_drift_noise` multiplies that of the drift of the rest position and grows while the corrections of
-the centre are larger than expected.
+the centre and of its drift are larger than expected.
 """
 
 import math
@@ -105,7 +105,7 @@ class OscillationTracker:
         self._process_noise = 1.0
         self._mean_innovation = 1.0
         self._drift_noise = _DRIFT_NOISE_AT_FIRST
-        self._correction = 1.0
+        self._corrections = np.ones(2)
         # with a known motion, frequency and shape are fixed and no refits are needed
         learns = RATE in arc.active
         self._history: list[HalfCycleSamples] | None = list(onset.halves) if learns else None
@@ -232,19 +232,25 @@ class OscillationTracker:
         return judge(result, self.noise.level, float(self._x[TIME]), self.half_period_s)
 
     def _learn_drift_noise(self, result: HalfCycleFit) -> None:
-        """Adapt the process noise of the drift so that the centre's corrections are as large as expected.
+        """Adapt the process noise of the drift so that centre and drift are corrected as much as expected.
 
-        If the filter is consistent, a correction has the variance P - P', the covariance of the centre before
-        and after the measurement. The running mean of correction^2/(P - P') should be 1.
+        If the filter is consistent, a correction has the variance P - P', the covariance before and after
+        the measurement. The running means of correction^2/(P - P') should be 1. Slow noise of the samples
+        corrects the centre more than expected however large the noise of the drift is: the smaller of both
+        means counts.
         """
-        expected = self._covariance[CENTRE, CENTRE] - result.covariance[CENTRE, CENTRE]
-        if expected > 0.0:
-            correction = (result.state[CENTRE] - self._x[CENTRE]) ** 2 / expected
-            self._correction += (min(correction, 16.0) - self._correction) / 8.0
-            if self._correction > 1.8:
-                self._drift_noise *= max(2.0, min(correction, 16.0))
-            elif self._correction < 1.0:
-                self._drift_noise = max(self._drift_noise * 0.8, 1.0)
+        before, after = (
+            covariance.diagonal()[[CENTRE, DRIFT]] for covariance in (self._covariance, result.covariance)
+        )
+        if not np.all(after < before):
+            return
+        corrections = np.minimum((result.state - self._x)[[CENTRE, DRIFT]] ** 2 / (before - after), 16.0)
+        self._corrections += (corrections - self._corrections) / 8.0
+        mean = self._corrections.min()
+        if mean > 1.8:
+            self._drift_noise *= max(2.0, corrections.min())
+        elif mean < 1.0:
+            self._drift_noise = max(self._drift_noise * 0.8, 1.0)
 
     def _learn(self, result: HalfCycleFit) -> HalfCycleFlag:
         jumped = (
@@ -295,7 +301,8 @@ class OscillationTracker:
         self._covariance *= self.walk.excess
         self._covariance[AMPLITUDE, AMPLITUDE] += self.walk.variance
         self._covariance[TIME, TIME] += self.walk.variance / to_arc**2
-        self._process_noise = self._mean_innovation = self._correction = 1.0
+        self._process_noise = self._mean_innovation = 1.0
+        self._corrections = np.ones(2)
         self._drift_noise = min(self._drift_noise, _DRIFT_NOISE_AT_FIRST)
         # a joint fit of the half-cycles would ignore the drive
         self._history = None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.contact import ContactParameters, PendulumOnBall
-from processing.swing import HalfCycle, TurningPointDetector
+from processing.swing import HalfCycle, KnownMotion, TurningPointDetector
 from tests.processing.fit.driven import driven_path
 
 Floats = NDArray[np.float64]
@@ -134,9 +134,9 @@ def _integrated(contact: str, first_arcsec: float, frames_per_s: float) -> tuple
     )
 
 
-def detect(record: Record, block: int = 10_000) -> list[HalfCycle]:
+def detect(record: Record, block: int = 10_000, known: KnownMotion | None = None) -> list[HalfCycle]:
     """All swings of a record."""
-    detector = TurningPointDetector()
+    detector = TurningPointDetector(known)
     swings: list[HalfCycle] = []
     for i in range(0, len(record.times_ns), block):
         j = i + block
