@@ -126,6 +126,9 @@ _SHIFT_U = 1.0
 """Smallest shift, in standard uncertainties of a position, that matters."""
 _REACH_SIGMAS = 5.5
 """Distance from the spot's centre within which light shifts its fit: the window and the light's width."""
+_SINGLE_PIXEL_HEIGHT = 0.1
+"""Height of a single pixel above its neighbours, in the spot's amplitude, from which it is a hot pixel, which
+every fit of a spot leaves out as an outlier, and no light."""
 _LIT_SIGMAS = 6.0
 """Standard deviations of the mean picture above which a pixel is lit."""
 
@@ -206,13 +209,17 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
         return None
     mean = total / np.maximum(count, 1.0)
     light = np.where(known, mean - np.median(mean[known]), 0.0)
-    shifts = np.array([_shift(light, spot, sigma, height) for spot in found])
-    shift_px = float(np.abs(shifts).max())
-    if shift_px < max(_SHIFT_U * u_px, _CHANCE_U * u_px / np.sqrt(float(np.median(count[known])))):
+    least_px = max(_SHIFT_U * u_px, _CHANCE_U * u_px / np.sqrt(float(np.median(count[known]))))
+    if max(_shift(light, spot, sigma, height) for spot in found) < least_px:
         return None
     # imported here, because it would slow down fits of records without fixed light
-    from scipy.ndimage import gaussian_filter
+    from scipy.ndimage import gaussian_filter, median_filter
 
+    around = median_filter(light, size=3)
+    light = np.where(light - around > _SINGLE_PIXEL_HEIGHT * height, around, light)
+    shift_px = max(_shift(light, spot, sigma, height) for spot in found)
+    if shift_px < least_px:
+        return None
     # smoothing by its own width leaves half the height of a spot
     smooth = 2.0 * gaussian_filter(light, sigma)
     near = np.zeros(shape, dtype=np.bool_)

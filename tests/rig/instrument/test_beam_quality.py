@@ -1,7 +1,7 @@
 """Verdicts on the beam (go, caution and no-go, with the reason that is theirs) and on the balance."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from processing.balance import Balance, BalanceLimits
 from processing.deflections import DeflectionUnit
 from processing.spot import SpotFlag, SpotModel, SpotTracker, fixed_light
+from processing.spot.fit_values import Image, Spot
 from rig.instrument import beam_quality
 from rig.instrument.balance import balance_failures, balance_verdicts, run_balance_verdicts
 from rig.settings import PreflightSettings
@@ -63,18 +64,34 @@ def judged(beam: Light, frames: int = 16, x_px: float = 60.0) -> Verdict:
     return beam_quality(images[-32:], spots, tracker.model, 255.0, PreflightSettings())
 
 
-def test_light_that_stays_where_it_is_is_a_caution() -> None:
+def moving(still: NDArray[np.float64], hot: Sequence[tuple[int, int]] = ()) -> list[tuple[Image, Spot]]:
+    """Pictures of a spot that moves through light which does not, on a sensor with hot pixels (y, x)."""
     rng, tracker = np.random.default_rng(8), SpotTracker(LIT_EIGHT_BIT)
     pictures = []
     for k in range(48):
-        still = 0.03 * good(70.0, 54.0)
         image = exposed(good(60.0 + 40.0 * math.sin(0.3 * k), 54.0) + still, rng, sensor=LIT_EIGHT_BIT)
+        for place in hot:
+            image[place] = 120
         pictures.append((image, tracker.track(image)))
+    return pictures
+
+
+def test_a_hot_pixel_is_no_light_that_shifts_the_spot() -> None:
+    """Fits leave it out."""
+    none = np.zeros_like(good(60.0, 54.0))
+    places = [(spot.x_px, spot.y_px) for _, spot in moving(none)]
+    hot = moving(none, [(52, 70), (56, 51), (57, 51)])
+    assert np.abs(np.array([(spot.x_px, spot.y_px) for _, spot in hot]) - places).max() < 0.02
+    assert fixed_light(hot) is None
+
+
+def test_light_that_stays_where_it_is_is_a_caution() -> None:
+    pictures = moving(0.03 * good(70.0, 54.0), [(52, 70)])
     found = fixed_light(pictures)
     assert found is not None
     assert found.relative_height == pytest.approx(0.03, rel=0.2)
     images, spots = zip(*pictures, strict=True)
-    verdict = beam_quality(images, spots, tracker.model, 255.0, PreflightSettings(), light=found)
+    verdict = beam_quality(images, spots, SpotModel.ONE, 255.0, PreflightSettings(), light=found)
     assert "light that stays where it is" in verdict.reason
     assert "block it" in verdict.remedy
     # of a spot that hardly moves it cannot be told
