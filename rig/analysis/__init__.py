@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from rig.analysis.seismometer import sample_times
     from rig.analysis.series import (
         AnalysedRun,
-        combined_series,
+        fitted_series,
         refuse_copies,
         refuse_unread,
         session_results,
@@ -95,7 +95,7 @@ else:
             "record_fit": "analyse_record analyse_run",
             "screen": "TableOptions fit_envelope_table fit_several print_results",
             "seismometer": "sample_times",
-            "series": "AnalysedRun combined_series refuse_copies refuse_unread session_results",
+            "series": "AnalysedRun fitted_series refuse_copies refuse_unread session_results",
             "table_fit": "AnalysedTable analyse_trajectory",
             "turning_plane": "PlaneBalances follow_plane",
         }.items()

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from processing.decay_summary import DecayMean
+from processing.decay_summary import DecayMean, summarise_decay
 from processing.errors import ConfigurationError, DataError, DeviceError, MissingPackage
 from processing.swing import HalfCycleFlag, turning_points
 from processing.units import seconds
@@ -21,13 +21,8 @@ from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionRes
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
 from rig.analysis.run_remarks import RemarkLevel, decay_lines, remark_rows
 from rig.analysis.run_values import TableDecay
-from rig.analysis.table_fit import (
-    AnalysedDecay,
-    AnalysedTable,
-    analyse_envelope,
-    analyse_trajectory,
-    series_of_runs,
-)
+from rig.analysis.series import AnalysedRun
+from rig.analysis.table_fit import AnalysedTable, analyse_envelope, analyse_trajectory, series_of_runs
 from rig.instrument import fill_from_files
 from rig.intake import SeismometerRecord, TableColumns, Trajectory
 from rig.settings import KeyUseMonitor, load_configuration
@@ -174,12 +169,12 @@ def _fit(
         table = analyse_trajectory(
             path, trajectory, fill_from_files(watched.config), compared, wanted.seismometer
         )
-        if not table.longest.results.problem:
+        if not table.longest.problem:
             watched.refuse_unread()
     else:
         table = analyse_trajectory(path, trajectory, None)
-    if laws and table.longest.results.problem:
-        raise ConfigurationError(f"--law {laws[0]}: {table.longest.results.problem}")
+    if laws and table.longest.problem:
+        raise ConfigurationError(f"--law {laws[0]}: {table.longest.problem}")
     if not alone:
         # the series of several runs is another result
         table = replace(table, results=replace(table.results, series=None))
@@ -267,10 +262,10 @@ def _print_series(series: Series | None) -> None:
             print_line(line)
 
 
-def _print_decay(number: int, decay: AnalysedDecay) -> None:
-    results, summary = decay.results, decay.summary
+def _print_decay(number: int, decay: AnalysedRun) -> None:
+    summary = summarise_decay(turning_points(decay.swings))
     flagged = len(decay.swings) - summary.half_cycles
-    rows = {row.quantity: row for row in results.table if row.fit == DECAY}
+    rows = {row.quantity: row for row in decay.table if row.fit == DECAY}
     lines = [
         f"period {_mean_text(summary.period_s, ' s', rows['mean_period_s'].u)}",
         f"log decrement {_mean_text(summary.decrement, '', rows['log_decrement'].u)}",
@@ -279,23 +274,23 @@ def _print_decay(number: int, decay: AnalysedDecay) -> None:
         lines.append("the decay is faster than a swing: no quality factor")
     elif "quality_factor" in rows:
         lines.append(f"quality factor {rows['quality_factor'].text}")
-    if results.damping is not None:
-        lines += results.damping.lines(results.amplitude_unit or "")
+    if decay.damping is not None:
+        lines += decay.damping.lines(decay.amplitude_unit or "")
     if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
         lines.append(
             "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
             "a swing that estimate is too large): the uncertainties are upper limits"
         )
-    place, (first, last) = results.decay or TableDecay(), results.amplitudes
+    place, (first, last) = decay.decay or TableDecay(), decay.amplitudes
     head = (
         f"decay {number}, {place.began_s:.4g} to {place.ended_s:.4g} s: {summary.half_cycles} "
         f"half-cycles ({flagged} more flagged and left out{_reasons(decay)}), "
-        f"amplitude {first:.4g} to {last:.4g} {results.amplitude_unit}"
+        f"amplitude {first:.4g} to {last:.4g} {decay.amplitude_unit}"
     )
-    print_run(results, head, lines)
+    print_run(decay, head, lines)
 
 
-def _reasons(decay: AnalysedDecay) -> str:
+def _reasons(decay: AnalysedRun) -> str:
     """Flags of the half-cycles that are left out, with their numbers, the most frequent first."""
     counts = Counter(name for swing in decay.swings for flag, name in _FLAGS.items() if swing.flags & flag)
     return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))

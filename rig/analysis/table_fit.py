@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from acquisition.record.digest import cached_sha256
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
-from processing.decay_summary import DecaySummary, summarise_decay
+from processing.decay_summary import summarise_decay
 from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
 from processing.envelope import EnvelopeDecay, fit_envelope
 from processing.errors import ConfigurationError, DataError
@@ -71,15 +71,6 @@ much once in 10^9 half-cycles."""
 
 
 @dataclass(frozen=True)
-class AnalysedDecay:
-    """One decay of a table: its half-cycles with their means, and its results."""
-
-    swings: Sequence[HalfCycle]
-    summary: DecaySummary
-    results: AnalysedRun
-
-
-@dataclass(frozen=True)
 class AnalysedTable:
     """A table, the noise of a sample in its unit, the decays found in it, and the results.
 
@@ -88,14 +79,14 @@ class AnalysedTable:
 
     trajectory: Trajectory
     noise: float
-    decays: Sequence[AnalysedDecay]
+    decays: Sequence[AnalysedRun]
     passed_over: Sequence[Sequence[HalfCycle]]
     results: SessionResults
 
     @property
-    def longest(self) -> AnalysedDecay:
+    def longest(self) -> AnalysedRun:
         """The decay with most half-cycles."""
-        return max(self.decays, key=lambda decay: decay.summary.half_cycles)
+        return max(self.decays, key=lambda decay: len(turning_points(decay.swings)))
 
 
 def analyse_trajectory(
@@ -137,8 +128,9 @@ def analyse_trajectory(
         )
     judge_time_unit(path, trajectory, usable)
     both = _both_deflections(trajectory.times_ns, across, deflection, scatter)
-    decays = [_analyse(path, part, trajectory, both, scatter, config, laws, seismometer) for part in usable]
-    runs = tuple(decay.results for decay in decays)
+    runs = tuple(
+        _analyse(path, part, trajectory, both, scatter, config, laws, seismometer) for part in usable
+    )
     # decays of one run are numbered by the run's number if it has one, else by place
     numbers = [int(trajectory.run)] * len(runs) if trajectory.run.isdecimal() else ()
     results = SessionResults(
@@ -149,7 +141,7 @@ def analyse_trajectory(
         series=instrument_series(runs, numbers),
     )
     passed_over = [part for part in parts if part not in usable]
-    return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
+    return AnalysedTable(trajectory, noise / scale, runs, passed_over, results)
 
 
 def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionResults | None:
@@ -159,7 +151,7 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionRe
     """
     by_name = all(name.isdecimal() for name in tables)
     numbered = [
-        (int(name) if by_name else place, decay.results)
+        (int(name) if by_name else place, decay)
         for place, (name, table) in enumerate(tables.items(), start=1)
         for decay in table.decays
     ]
@@ -222,7 +214,7 @@ def _analyse(
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw],
     seismometer: SeismometerRecord | None,
-) -> AnalysedDecay:
+) -> AnalysedRun:
     """Results of one decay, by the same steps as those of a record."""
     u_common = trajectory.u_common_in_noises * scatter.noise
     edge_ns = _EDGE_HALF_PERIODS * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
@@ -286,8 +278,9 @@ def _analyse(
         warnings += ambient_warnings(found)
         warnings += strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config)
         notes += _taken_as_exact(config) if run.budget else []
-    results = replace(
+    return replace(
         run,
+        swings=swings,
         table=(*run.table, *decay_rows(points, decay, trajectory.unit, scale, path.stem)),
         frames=int(np.count_nonzero(inside)),
         half_cycles=run.half_cycles or summary.half_cycles,
@@ -304,7 +297,6 @@ def _analyse(
             session=session,
         ),
     )
-    return AnalysedDecay(swings, summary, results)
 
 
 def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:

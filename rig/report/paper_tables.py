@@ -313,11 +313,7 @@ def _drawings(series: PairSeries) -> list[ReportFigure]:
     points, motion = series.run.points, series.motion
     curves, exact = curves_of(series.run), series.run.fits[_EXACT]
     period_s = exact.mean_period_s.value
-    drawings = [
-        figures_motion.slow_figure(motion, period_s),
-        figures_motion.fast_figure(motion, period_s),
-        figures_motion.trajectory_figure(motion, period_s),
-    ]
+    drawings = figures_motion.motion_figures(motion, period_s)
     if curves is not None:
         drawings += [
             figures_laws.decay_figure(points, curves, motion.unit),

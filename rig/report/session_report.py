@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from acquisition import atomic_write
 from processing.contact.laws import DEFAULT_LAW
 from processing.decay_summary import mean_period
@@ -155,12 +153,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     period_s = period_s if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
     if len(motion.time_s) > 1:
-        drawings.append(figures_motion.slow_figure(motion, period_s))
-        if np.isfinite(motion.x).any():
-            drawings += [
-                figures_motion.fast_figure(motion, period_s),
-                figures_motion.trajectory_figure(motion, period_s),
-            ]
+        drawings += figures_motion.motion_figures(motion, period_s)
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and len(points) and not run.results.fits:

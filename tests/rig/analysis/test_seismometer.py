@@ -84,7 +84,7 @@ def analysed(folder: Path, *columns: str) -> AnalysedTable:
 
 
 def fitted(folder: Path, *columns: str) -> RunResults:
-    return analysed(folder, *columns).longest.results
+    return analysed(folder, *columns).longest
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_the_report_of_a_table_draws_what_its_seismometer_explains(decay: Path, 
     assert "What the auxiliary seismometer explains" in page
     assert "it explains" in page
     assert (tmp_path / "report" / "run-1" / "seismometer.svg").exists()
-    assert table.longest.results.seismometer is not None
+    assert table.longest.seismometer is not None
 
 
 @pytest.mark.slow
@@ -230,7 +230,7 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     config = load_configuration(decay / "rig.toml", needs_camera=False)
     found = analyse_table(
         decay / "decay.csv", config, TableColumns(unit="arcsec"), record
-    ).longest.results.seismometer
+    ).longest.seismometer
     assert found is not None
     assert (found.source, found.understood) == ("w.csv", record.understood)
     assert "Of the seismometer w.csv: left out" in seismometer_sentences(found)[-1]
