@@ -291,7 +291,7 @@ def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     found = whole_result(first, source.series)
     lines = [(found.text or "Nothing was fitted", "")]
     if found.limits:
-        limited = ", ".join(f"{one.name} {100 * one.share:.0f} %" for one in found.limits[:2])
+        limited = ", ".join(map(str, found.limits[:2]))
         lines.append((f"Its uncertainty: {limited}. Next: {'; '.join(found.next_steps)}.", ""))
     judged = [item for run in source.runs for item in run.results.conditions]
     broken = [item for item in judged if not item.ok]
