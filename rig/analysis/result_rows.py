@@ -117,7 +117,7 @@ def plain_row(
     run: str,
     fit: str = FitMethod.EXACT.value,
     unit: str = "",
-    **known: float,
+    **known: Any,
 ) -> ResultRow:
     """The row of a number, or of a value with its standard uncertainty; `known` are further numbers of it."""
     value, u = found if isinstance(found, Estimate) else (found, nan)
@@ -198,8 +198,9 @@ def _with_apparatus(
         # each surface energy is c times a factor of the apparatus
         per_c = surface_energy(Estimate(1.0, 0.0), pendulum)
         for name, factor in zip(ENERGIES, (per_c.table2.value, per_c.eq2.value), strict=True):
-            ends = {"lower_95": factor * c.lower_95, "upper_95": factor * c.upper_95}
-            found.append((Estimate(*(factor * one for one in estimate)), c._replace(name=name, **ends)))
+            lower, upper = factor * c.lower_95, factor * c.upper_95
+            energy = Estimate(*(factor * number for number in estimate))
+            found.append((energy, c._replace(name=name, lower_95=lower, upper_95=upper)))
     names = {one.name for _, one in found}
     found += [
         (Estimate(item.value, 0.0), Determination(name, Determinacy.DETERMINED, item.value, item.value))
