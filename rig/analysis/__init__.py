@@ -72,7 +72,6 @@ if TYPE_CHECKING:
         print_series,
         print_table,
     )
-    from rig.analysis.seismometer import sample_times
     from rig.analysis.series import (
         AnalysedRun,
         fitted_series,
@@ -95,7 +94,6 @@ else:
             "passing_deflections": "PassingDeflections",
             "record_fit": "analyse_record analyse_run",
             "screen": "print_results print_series print_table",
-            "seismometer": "sample_times",
             "series": "AnalysedRun fitted_series refuse_copies refuse_unread session_results",
             "table_fit": "AnalysedTable analyse_envelope analyse_trajectory series_of_runs",
             "turning_plane": "PlaneBalances follow_plane",

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rig
+from processing.arrival_times import sample_times
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, SeismometerUse
@@ -21,7 +22,6 @@ from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, session_res
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import seismometer_sentences
-from rig.analysis.seismometer import sample_times
 from rig.analysis.table_fit import TableColumns
 from rig.archive.session_rows import results_row
 from rig.intake import read_seismometer
