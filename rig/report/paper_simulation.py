@@ -123,8 +123,6 @@ class PairSeries:
     """
 
     pair: PrintedPair
-    parameters: ContactParameters
-    pendulum: PendulumOnBall
     motion: ShownTrajectory
     run: RunResults
     series: Series
@@ -167,4 +165,4 @@ def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
         shown.append(ShownTrajectory(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, unit))
     series = fitted_series(runs)
     assert series is not None  # of several fitted runs
-    return PairSeries(pair, pair.parameters, pendulum, shown[0], runs[0], series)
+    return PairSeries(pair, shown[0], runs[0], series)
