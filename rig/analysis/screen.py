@@ -90,11 +90,11 @@ _FLAGS = {
 
 def print_table(path: Path, table: AnalysedTable) -> None:
     """Print how a table was read, and the results of its decays and of their series."""
-    trajectory = table.trajectory
+    trajectory = table.positions
     print_line(
         f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {trajectory.unit}, "
         f"{'' if trajectory.time_unit == 's' else f'time in {trajectory.time_unit}, '}"
-        f"{len(table.decays)} {'decay' if len(table.decays) == 1 else 'decays'}"
+        f"{len(table.runs)} {'decay' if len(table.runs) == 1 else 'decays'}"
     )
     for line in trajectory.understood:
         print_line(f"  {line}")
@@ -106,9 +106,9 @@ def print_table(path: Path, table: AnalysedTable) -> None:
             f"  from {seconds(part[0].turn_time_ns):.4g} s on: {len(turning_points(part))} usable "
             f"half-cycles of {len(part)}, too few for a decay"
         )
-    for number, decay in enumerate(table.decays, start=1):
+    for number, decay in enumerate(table.runs, start=1):
         _print_decay(number, decay)
-    print_series(table.results.series)
+    print_series(table.series)
 
 
 def print_series(series: Series | None) -> None:

@@ -70,23 +70,23 @@ _MIN_PUSHED_U = 6.0
 much once in 10^9 half-cycles."""
 
 
-@dataclass(frozen=True)
-class AnalysedTable:
-    """A table, the noise of a sample in its unit, the decays found in it, and the results.
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class AnalysedTable(SessionResults):
+    """The results of a table, with what its report needs in addition and no file holds.
 
-    `passed_over` are decays of too few usable half-cycles.
+    `positions` are those that were read, `noise` that of a sample in their unit, `passed_over` are decays of
+    too few usable half-cycles.
     """
 
-    trajectory: Trajectory
+    runs: tuple[AnalysedRun, ...]
+    positions: Trajectory
     noise: float
-    decays: Sequence[AnalysedRun]
     passed_over: Sequence[Sequence[HalfCycle]]
-    results: SessionResults
 
     @property
     def longest(self) -> AnalysedRun:
         """The decay with most half-cycles."""
-        return max(self.decays, key=lambda decay: len(turning_points(decay.swings)))
+        return max(self.runs, key=lambda decay: len(turning_points(decay.swings)))
 
 
 def analyse_trajectory(
@@ -133,15 +133,16 @@ def analyse_trajectory(
     )
     # decays of one run are numbered by the run's number if it has one, else by place
     numbers = [int(trajectory.run)] * len(runs) if trajectory.run.isdecimal() else ()
-    results = SessionResults(
+    return AnalysedTable(
         trajectory=path.as_posix(),
         unit=trajectory.unit,
         understood=trajectory.understood,
         runs=runs,
         series=instrument_series(runs, numbers),
+        positions=trajectory,
+        noise=noise / scale,
+        passed_over=[part for part in parts if part not in usable],
     )
-    passed_over = [part for part in parts if part not in usable]
-    return AnalysedTable(trajectory, noise / scale, runs, passed_over, results)
 
 
 def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionResults | None:
@@ -153,14 +154,13 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionRe
     numbered = [
         (int(name) if by_name else place, decay)
         for place, (name, table) in enumerate(tables.items(), start=1)
-        for decay in table.decays
+        for decay in table.runs
     ]
     runs = tuple(run for _, run in numbered)
     series = instrument_series(runs, [number for number, _ in numbered])
     if series is None:
         return None
-    first = next(iter(tables.values())).results
-    return replace(first, trajectory=path.as_posix(), runs=runs, series=series)
+    return replace(next(iter(tables.values())), trajectory=path.as_posix(), runs=runs, series=series)
 
 
 def analyse_envelope(

@@ -106,9 +106,9 @@ def _fit(
         raise ConfigurationError(f"--law {laws[0]}: {table.longest.problem}")
     if not alone:
         # the series of several runs is another result
-        table = replace(table, results=replace(table.results, series=None))
+        table = replace(table, series=None)
     print_table(path, table)
-    _write(path, output, table.results)
+    _write(path, output, table)
     if output is not None:
         for name, made in make_table_report(table, output):
             answer(written=[made])

@@ -217,7 +217,7 @@ def make_table_report(table: AnalysedTable, folder: Path) -> Sequence[tuple[str,
 
     Raises RecordError if a file cannot be written.
     """
-    return [("positions", write_positions(table.trajectory, folder)), ("report", make_report(folder))]
+    return [("positions", write_positions(table.positions, folder)), ("report", make_report(folder))]
 
 
 _NOT_STATED = "not stated"

@@ -40,8 +40,8 @@ def ring_downs(starts_s: list[float], amplitudes: list[float], decrement: float)
 def test_decays_after_one_another_are_found_and_each_is_analysed(tmp_path: Path) -> None:
     t, y = ring_downs([1.0, 41.0, 79.5], [10.0, 8.0, 12.0], 0.2)
     found = analyse_table(write(tmp_path / "three.txt", t, y), None, TableColumns(unit="mm"))
-    assert len(found.results.runs) == 3
-    for decay, start in zip(found.results.runs, (1.0, 41.0, 79.5), strict=True):
+    assert len(found.runs) == 3
+    for decay, start in zip(found.runs, (1.0, 41.0, 79.5), strict=True):
         assert decay.decay is not None
         assert start < decay.decay.began_s < start + 8.0
         assert (
@@ -52,7 +52,7 @@ def test_decays_after_one_another_are_found_and_each_is_analysed(tmp_path: Path)
             abs(decay.number("mean_period_s").value - 2.0)
             < 4 * decay.number("mean_period_s").standard_uncertainty
         )
-    assert found.longest.half_cycles == max(decay.half_cycles for decay in found.results.runs)
+    assert found.longest.half_cycles == max(decay.half_cycles for decay in found.runs)
 
 
 def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Path) -> None:
@@ -60,7 +60,7 @@ def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Pat
     table = np.genfromtxt(shared_data / "ringdown" / "seismometer-11mm.txt", skip_header=2)[:1050]
     times_s = np.concatenate([table[:, 0], table[:, 0] + 105.0])
     path = write(tmp_path / "twice.txt", times_s, np.tile(table[:, 1], 2))
-    found = analyse_table(path, None, TableColumns(unit="V")).results
+    found = analyse_table(path, None, TableColumns(unit="V"))
     assert len(found.runs) == 2
     for decay in found.runs:
         assert decay.number("log_decrement").value == pytest.approx(0.5, abs=0.08)
@@ -75,7 +75,7 @@ def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Pat
 
 def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path) -> None:
     path = shared_data / "ringdown" / "camera-tracked-pendulum.txt"
-    (decay,) = analyse_table(path, None, TableColumns(positions=("2", "3"), unit="rad")).decays
+    (decay,) = analyse_table(path, None, TableColumns(positions=("2", "3"), unit="rad")).runs
     period = summarise_decay(turning_points(decay.swings)).period_s
     assert period.changes
     # of a circular pendulum T rises by A^2/16; means of the first and last third
@@ -196,7 +196,7 @@ def test_the_page_on_tables_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_what_the_laws_lack_is_said(tmp_path: Path, unit: str, problem: str) -> None:
     t, y = ring_downs([1.0], [10.0], 0.2)
     path = write(tmp_path / "one.txt", t, 1e-4 * y if unit == "rad" else y)
-    found = analyse_table(path, None, TableColumns(unit=unit) if unit else TableColumns()).results
+    found = analyse_table(path, None, TableColumns(unit=unit) if unit else TableColumns())
     assert problem in found.runs[0].problem
     assert not found.runs[0].fits
 
@@ -295,7 +295,7 @@ def test_an_angle_that_was_counted_round_a_turn_goes_on(
     found = analyse_table(path, None, TableColumns(unit=unit))
     assert found.longest.number("mean_period_s").value == pytest.approx(2.0, abs=1e-3)
     assert found.longest.amplitudes[0] == pytest.approx(19.64 * turn / 360.0, rel=2e-3)
-    assert any(re.search(r"jumps by a turn \d+ times: unwrapped", line) for line in found.results.understood)
+    assert any(re.search(r"jumps by a turn \d+ times: unwrapped", line) for line in found.understood)
     with pytest.raises(
         ConfigurationError, match=r"jumps by .* against its motion.*state its unit with --unit"
     ):
