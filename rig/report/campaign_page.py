@@ -272,7 +272,8 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     ]
     if not shown_effects:
         return []
-    figure, panels = three_columns(len(shown_effects), lambda rows: 0.6 + 2.3 * rows)
+    margins = {"left": 0.1, "wspace": 0.42, "hspace": 0.5}
+    figure, panels = three_columns(len(shown_effects), lambda rows: 0.6 + 2.3 * rows, **margins)
     contacts = list(results.contacts)
     colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
     for axes, (effect, name) in zip(panels, shown_effects, strict=True):
@@ -308,7 +309,9 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
         near = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
         title = _scaled(name)[0]
         axes.set_title(f"{title}{near}, from its middle" if name in POSITIVE else title, fontsize=7.5)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    whole_in = figure.get_figheight()
+    figure.subplots_adjust(bottom=0.5 / whole_in, top=1 - 0.6 / whole_in)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
     title = "Parameters over what the runs were measured under"
     words = (
         "Points: each run alone with its standard uncertainty. Lines and bands: the campaign's median, 68 "
@@ -328,6 +331,7 @@ def _residual_figure(campaign: Campaign) -> ReportFigure:
     names = results.parameters
     figure = canvas(2.6)
     axes = figure.subplots()
+    figure.subplots_adjust(left=0.08, right=0.86, bottom=0.17, top=0.96)
     x = np.arange(1, len(results.runs) + 1)
     for band, alpha in ((2, 0.1), (1, 0.15)):
         axes.axhspan(-band, band, color=palette.GREY, alpha=alpha, lw=0)

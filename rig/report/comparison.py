@@ -131,7 +131,8 @@ def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float
 def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
     """Figure of parameters against an ambient condition: a panel each, a point a run, a colour a series."""
     names = DEFAULT_LAW.names()
-    figure, panels = three_columns(len(names), lambda rows: 0.5 + 1.9 * rows)
+    margins = {"left": 0.1, "bottom": 0.13, "top": 0.86, "wspace": 0.5, "hspace": 0.45}
+    figure, panels = three_columns(len(names), lambda rows: 0.5 + 1.9 * rows, **margins)
     over = quantity(name)
     labels = list(dict.fromkeys(run.series for run in runs))
     colours = dict(zip(labels, (DATA, EXACT, ASYMPTOTIC, *palette.SEQUENCE) * len(labels), strict=False))
@@ -149,7 +150,7 @@ def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
         axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))
     for axes in panels[-3:]:
         axes.set_xlabel(over.label)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
     return ReportFigure(
         "against",
         f"Parameters against {over.name}",

@@ -41,6 +41,7 @@ def loop_figure(
     closed = np.append(phi, phi[0])
     figure = canvas(2.75)
     panels = figure.subplots(1, 3)
+    figure.subplots_adjust(left=0.075, right=0.99, bottom=0.165, top=0.9, wspace=0.3)
     for axes, values, title in zip(
         panels,
         (loop.friction_n_m, loop.elastic_n_m, loop.total_n_m),
@@ -81,7 +82,15 @@ def series_figure(series: Series) -> ReportFigure:
     method = FitMethod.EXACT if FitMethod.EXACT in series.fits else next(iter(series.fits))
     combined = series.fits[method]
     names = list(combined)
-    figure, panels = three_columns(len(names), lambda rows: 0.35 + 1.55 * rows)
+    figure, panels = three_columns(
+        len(names),
+        lambda rows: 0.35 + 1.55 * rows,
+        left=0.115,
+        bottom=0.11,
+        top=0.93,
+        wspace=0.55,
+        hspace=0.5,
+    )
     for axes, name in zip(panels, names, strict=True):
         scale = quantity(name).factor
         item = combined[name]
@@ -107,7 +116,9 @@ def series_figure(series: Series) -> ReportFigure:
 
 def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, ResultRow]]) -> ReportFigure:
     """Figure of several series: a panel for each parameter, a 95 % interval and value for each series."""
-    figure, panels = three_columns(len(names), lambda rows: 0.5 + 1.9 * rows)
+    figure, panels = three_columns(
+        len(names), lambda rows: 0.5 + 1.9 * rows, left=0.1, bottom=0.16, top=0.93, wspace=0.5, hspace=0.75
+    )
     x = np.arange(len(series))
     for axes, name in zip(panels, names, strict=True):
         scale = quantity(name).factor
@@ -144,7 +155,7 @@ def instrument_figures(results: RunResults, points: TurningPoints) -> list[Repor
 
 
 def _damping(rows: Mapping[str, ResultRow], points: TurningPoints) -> ReportFigure:
-    figure, axes = one_axes(3.0, "t / s", "amplitude / degrees")
+    figure, axes = one_axes(3.0, "t / s", "amplitude / degrees", bottom=0.16)
     amplitude = points.amplitude / DEGREE_RAD
     time, swings = rows["damping_time_s"], rows["damping_swings"]
     start_deg, end_deg = rows["damping_start_deg"].value, rows["damping_end_deg"].value
@@ -175,7 +186,7 @@ def _damping(rows: Mapping[str, ResultRow], points: TurningPoints) -> ReportFigu
 
 
 def _ten_swings(hardness: ResultRow | None, points: TurningPoints) -> ReportFigure:
-    figure, axes = one_axes(3.0, "t / s", "turning angle / degrees")
+    figure, axes = one_axes(3.0, "t / s", "turning angle / degrees", bottom=0.16)
     number = points.index - points.index[0]
     angle = points.amplitude / DEGREE_RAD * np.where(number % 2, -1.0, 1.0)
     axes.plot(points.time_s, angle, color=INK, lw=0.5)
@@ -191,7 +202,7 @@ def _ten_swings(hardness: ResultRow | None, points: TurningPoints) -> ReportFigu
 
 
 def _decrement(table: Mapping[str, Floats]) -> ReportFigure:
-    figure, axes = one_axes(2.8, "amplitude / degrees", "log decrement of a whole swing")
+    figure, axes = one_axes(2.8, "amplitude / degrees", "log decrement of a whole swing", bottom=0.17)
     bars = _dots(axes, table["amplitude_deg"], table["log_decrement"], table["u_log_decrement"])
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -205,7 +216,7 @@ def _decrement(table: Mapping[str, Floats]) -> ReportFigure:
 
 
 def _period(table: Mapping[str, Floats]) -> ReportFigure:
-    figure, axes = one_axes(3.2, "amplitude / degrees", "period / s")
+    figure, axes = one_axes(3.2, "amplitude / degrees", "period / s", bottom=0.15)
     amplitude = table["amplitude_deg"]
     order = np.argsort(amplitude)
     bars = _dots(axes, amplitude, table["period_s"], table["u_period_s"], label="measured")
@@ -227,7 +238,7 @@ def _period(table: Mapping[str, Floats]) -> ReportFigure:
 
 
 def _plane(table: Mapping[str, Floats]) -> ReportFigure:
-    figure, axes = one_axes(2.6, "time / s", "direction / degrees")
+    figure, axes = one_axes(2.6, "time / s", "direction / degrees", bottom=0.18)
     axes.plot(table["time_s"], table["direction_deg"], "o", color=DATA)
     return ReportFigure(
         "kind-plane",

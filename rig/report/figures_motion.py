@@ -29,12 +29,17 @@ from rig.report.drawing import (
 from rig.report.source import RecordedPicture, ShownTrajectory, ShownUnit
 from rig.terminal import palette
 
+_LEFT_MARGIN = 0.11
+"""Left edge of a wide figure's axes, as a fraction of its width."""
+
 
 def position_error_figure(found: PositionErrors) -> ReportFigure:
     """The map of position errors that was subtracted, with its standard uncertainty."""
     size, unit = found.unit.shown_size, found.unit.shown
     place, error, u_error = found.place / size, found.error / size, found.u_error / size
-    figure, axes = one_axes(2.3, f"deflection / {unit}", f"error / {unit}")
+    figure, axes = one_axes(
+        2.3, f"deflection / {unit}", f"error / {unit}", left=0.11, right=0.985, bottom=0.2
+    )
     axes.axhline(0.0, color=INK, lw=0.6, ls=":")
     axes.fill_between(place, error - u_error, error + u_error, color=DATA, alpha=0.3, lw=0)
     axes.plot(place, error, color=DATA, lw=0.9)
@@ -60,6 +65,7 @@ def frame_figure(picture: RecordedPicture) -> ReportFigure:
     figure = canvas(3.3)
     tall = rows > columns
     left, right = figure.subplots(1, 2, width_ratios=[columns / rows if tall else 1.4, 1.0])
+    figure.subplots_adjust(left=0.09, right=0.93, bottom=0.14, top=0.93, wspace=0.3)
     top = float(np.max(image)) or 1.0
     step = max(1, max(rows, columns) // 640)
     # the square root of the grey values makes the foot of the beam and the background visible
@@ -142,6 +148,7 @@ def _motion_figure(
         axes.set_xlabel("t / s")
     for axes in (whole, first):
         axes.set_ylabel(f"{name} / {unit}")
+    figure.subplots_adjust(left=0.105, right=0.985, bottom=0.115, top=0.975, hspace=0.38, wspace=0.22)
     figure.align_ylabels([whole, first])
     return figure
 
@@ -157,6 +164,7 @@ def _trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure
     """(X, Y) at equal scales, and with X stretched."""
     figure = canvas(3.6)
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
+    figure.subplots_adjust(left=0.09, right=0.985, bottom=0.12, top=0.93, wspace=0.28)
     length = motion.time_s[-1] - motion.time_s[0]
     cycles = 3 * period_s
     starts = {
@@ -190,6 +198,7 @@ def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
     amplitude, u_amplitude = points.amplitude / unit.shown_size, points.u_amplitude / unit.shown_size
     figure = canvas(4.6)
     ((top, tau), (below, period)) = figure.subplots(2, 2, height_ratios=[1.5, 1.0])
+    figure.subplots_adjust(left=_LEFT_MARGIN, right=0.985, bottom=0.1, top=0.98, hspace=0.28, wspace=0.32)
     bars: dict[str, Any] = {"color": DATA, "ecolor": DATA, "elinewidth": 0.7}
     top.errorbar(
         points.time_s, amplitude, u_amplitude, fmt="o", mfc="none", mec=DATA, ecolor=DATA, ms=3.5, lw=0.7
@@ -264,6 +273,7 @@ def spectrum_figure(
             "The point is the drive that the fit finds at the pendulum's frequency (an arrow: its bound of "
             "95 %); NLNM and NHNM are Peterson's noise models of 1993."
         )
+    figure.subplots_adjust(left=0.12, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
     return ReportFigure("spectrum", "What remains after subtracting the swing", words, figure)
 
 
@@ -348,6 +358,7 @@ def seismometer_figure(spectra: SeismometerSpectra) -> ReportFigure:
         axes.set_xlim(frequency_hz[0], frequency_hz[-1])
         axes.axvline(0.5 * (frequency_hz[0] + frequency_hz[-1]), color=INK, lw=0.7, ls=":")
         axes.set_xlabel("frequency / Hz")
+    figure.subplots_adjust(left=0.1, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
     return ReportFigure(
         "seismometer",
         "What the auxiliary seismometer explains",

@@ -231,6 +231,7 @@ def plan_figure(plan: Plan) -> "ReportFigure":
     by_amplitude.legend(ncols=2)
     styles = [Line2D([], [], color=INK, ls=line) for line in _LINE_STYLES[: len(starts)]]
     by_time.legend(styles, [f"from {first / ARCSEC_RAD:g}″" for first in starts])
+    figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
     plural = "s" if plan.counts[0] > 1 else ""
     more = ", ".join(str(count) for count in plan.counts[1:])
     words = f"Relative standard uncertainty of every parameter after {plan.counts[0]} run{plural}" + (

@@ -92,11 +92,11 @@ def test_no_label_is_cut() -> None:
     with styled():
         figure = canvas(2.0)
         axes = figure.subplots()
+        figure.subplots_adjust(left=0.02, right=0.999, bottom=0.02, top=0.999)
         axes.plot([0, 1], [4.1715123, 4.1715124])
         axes.ticklabel_format(axis="y", useOffset=False)
         axes.set_ylabel("a long label")
         axes.set_xlabel("x")
-        axes.tick_params(labelsize=30)
         assert figure.get_tightbbox().x0 < 0
         png(ReportFigure("a", "a", "a", figure), dpi=50)
         box = figure.get_tightbbox()
