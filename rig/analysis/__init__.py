@@ -15,6 +15,7 @@ from rig.analysis.results import (
     AveragedCurves,
     ComparedLaws,
     Correlation,
+    EnvelopeResults,
     Fit,
     ModelFreeMoments,
     RunIdentity,
@@ -28,6 +29,7 @@ from rig.analysis.results_file import (
     free_path,
     read_results,
     recorded_results,
+    relative_record,
     results_path,
     results_schema,
     write_results,
@@ -66,20 +68,18 @@ if TYPE_CHECKING:
     from rig.analysis.passing_deflections import PassingDeflections
     from rig.analysis.record_fit import analyse_record, analyse_run
     from rig.analysis.screen import (
-        TableOptions,
-        fit_envelope_table,
-        fit_several,
         print_results,
+        print_series,
+        print_table,
     )
-    from rig.analysis.seismometer import sample_times
     from rig.analysis.series import (
         AnalysedRun,
-        combined_series,
+        fitted_series,
         refuse_copies,
         refuse_unread,
         session_results,
     )
-    from rig.analysis.table_fit import AnalysedTable, analyse_trajectory
+    from rig.analysis.table_fit import AnalysedTable, analyse_envelope, analyse_trajectory, series_of_runs
     from rig.analysis.turning_plane import PlaneBalances, follow_plane
 else:
     _LAZY = {
@@ -93,10 +93,9 @@ else:
             "half_cycle_fits": "clock_rate_of",
             "passing_deflections": "PassingDeflections",
             "record_fit": "analyse_record analyse_run",
-            "screen": "TableOptions fit_envelope_table fit_several print_results",
-            "seismometer": "sample_times",
-            "series": "AnalysedRun combined_series refuse_copies refuse_unread session_results",
-            "table_fit": "AnalysedTable analyse_trajectory",
+            "screen": "print_results print_series print_table",
+            "series": "AnalysedRun fitted_series refuse_copies refuse_unread session_results",
+            "table_fit": "AnalysedTable analyse_envelope analyse_trajectory series_of_runs",
             "turning_plane": "PlaneBalances follow_plane",
         }.items()
         for name in names.split()

@@ -1,18 +1,19 @@
-"""Ambient conditions of a run and history of its contact, and the drag and the drifts expected from them."""
+"""Surroundings of a run: air and history of its contact, drag and drifts by them, recorded seismometer."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from datetime import datetime
 from math import isfinite, nan
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from acquisition.record.digest import utc
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ENVIRONMENT, SPOT
+from acquisition.record.topics import ENVIRONMENT, SEISMOMETER, SPOT
 from processing.ambient import AmbientConditions, doubtful_humidity, humid_air
 from processing.arrays import Floats
+from processing.arrival_times import sample_times
 from processing.contact import (
     ExpectedDrag,
     PendulumOnBall,
@@ -24,9 +25,13 @@ from processing.contact import (
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
 from processing.swing import SwingHarmonics
+from rig.analysis.run_remarks import CLOCK_SET
 from rig.instrument import balls
 from rig.settings import Configuration
 from rig.terminal import percent, quantity
+
+if TYPE_CHECKING:
+    from rig.intake import SeismometerRecord
 
 _AIR_KEYS = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL_AIR = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
@@ -250,4 +255,40 @@ def drift_note(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit:
         f"A single decay cannot reveal ageing of the contact, or a drag that drifts: {'; '.join(notes)} of "
         "the swings; the budget includes it (fit.u_ageing, u_adhesion_ageing, u_drag_drift). Runs from other "
         "first amplitudes, and after waiting, can reveal it."
+    )
+
+
+_COMPONENTS = ("first", "second", "third")
+_MIN_ARRIVALS = 3
+
+
+def recorded_seismometer(reader: RecordReader, config: Configuration) -> "SeismometerRecord | None":
+    """A record's seismometer samples on the frames' clock; None without any, or where none is configured."""
+    # not at import: the archive reads ambient conditions alone
+    from rig.intake import SeismometerRecord
+
+    if config.seismometer.kind == "none":
+        return None
+    table = reader.table(SEISMOMETER.topic)
+    if len(table) < _MIN_ARRIVALS:
+        return None
+    names = config.seismometer.components
+    times_ns, steps_s = sample_times(table["time_ns"], table["own_time_s"])
+    order = np.concatenate([[True], np.diff(times_ns) > 0])
+    stray = int(np.count_nonzero(~order))
+    value = np.column_stack([table[name] for name in _COMPONENTS[: len(names)]])
+    return SeismometerRecord(
+        f"{reader.path.name}: {SEISMOMETER.topic}",
+        times_ns[order] - times_ns[0],
+        value[order],
+        names,
+        int(times_ns[0]),
+        absolute=False,
+        # after a step it is not known which of the two clocks was right
+        offset_stated=not steps_s,
+        understood=(
+            f"columns: {', '.join(names)}",
+            *(f"{CLOCK_SET} by {step:+.4g} s; times before it follow those after it" for step in steps_s),
+            *([f"left out: {stray} samples not later than the previous one"] if stray else []),
+        ),
     )

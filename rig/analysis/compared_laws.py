@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from math import nan
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,18 +191,51 @@ _MIN_PERIODS = 8
 _MIN_POINTS = 3
 
 
+@dataclass(frozen=True, slots=True)
+class ModelCurve:
+    """Measured turning points of a run, and those of a fitted law, as arrays (n,).
+
+    The model is one free decay: on ground that moves the measured amplitudes and times wander about it by
+    more than their uncertainties, which the fit allows for. NaN where a law has no value: Eqs. 5 and 6 have
+    no times. `index` is the number of the half-cycle.
+    """
+
+    index: Ints
+    time_s: Floats
+    u_time_s: Floats
+    amplitude_rad: Floats
+    u_amplitude_rad: Floats
+    model_time_s: Floats
+    model_amplitude_rad: Floats
+
+    @classmethod
+    def of(cls, points: TurningPoints, amplitude_rad: Floats, time_s: Floats) -> Self:
+        """Turning points, and a model's amplitudes and times of them."""
+        measured = points.index, points.time_s, points.u_time_s, points.amplitude, points.u_amplitude
+        return cls(*measured, time_s, amplitude_rad)
+
+    @property
+    def amplitude_residual_rad(self) -> Floats:
+        """Measured less model."""
+        return self.amplitude_rad - self.model_amplitude_rad
+
+    @property
+    def time_residual_s(self) -> Floats:
+        """Measured less model."""
+        return self.time_s - self.model_time_s
+
+
 @dataclass(frozen=True)
 class Curves:
-    """Model values at the turning points of a run, in rad and s; NaN where a model has none.
+    """The curves of both fits of a run, and its periods against the amplitude.
 
     `period_rad` are the amplitudes at which a full period was measured, `period_s` and `u_period_s` the
     measured periods; `asymptotic_period_s` and `exact_period_s` are those of the models there, `smooth_s`
     those of a smooth curve without a model.
     """
 
-    asymptotic_rad: Floats
-    exact_rad: Floats
-    exact_time_s: Floats
+    asymptotic: ModelCurve
+    exact: ModelCurve
     period_rad: Floats
     period_s: Floats
     u_period_s: Floats
@@ -216,21 +249,21 @@ def curves_of(run: RunResults) -> Curves | None:
     pendulum, fits, points = run.pendulum, run.fits, run.points
     if pendulum is None or not set(FitMethod) <= set(fits) or len(points) < _MIN_POINTS:
         return None
-    exact_rad, exact_time_s = _exact(points, fits[FitMethod.EXACT], pendulum)
+    exact = ModelCurve.of(points, *_exact(points, fits[FitMethod.EXACT], pendulum))
+    unknown = np.full(len(points), np.nan)
     periods = full_periods(points)
     at = periods.where
     asymptotic = fits[FitMethod.ASYMPTOTIC].contact()
     amplitude = points.amplitude[at]
     printed = bool(run.settings.get("printed_055"))
     return Curves(
-        asymptotic_rad=_asymptotic(points, fits[FitMethod.ASYMPTOTIC]),
-        exact_rad=exact_rad,
-        exact_time_s=exact_time_s,
+        asymptotic=ModelCurve.of(points, _asymptotic(points, fits[FitMethod.ASYMPTOTIC]), unknown),
+        exact=exact,
         period_rad=amplitude,
         period_s=periods.period_s,
         u_period_s=periods.u_period_s,
         asymptotic_period_s=period(amplitude, asymptotic, pendulum, printed_curvature=printed),
-        exact_period_s=exact_time_s[at + 1] - exact_time_s[at - 1],
+        exact_period_s=exact.model_time_s[at + 1] - exact.model_time_s[at - 1],
         smooth_s=_smooth(amplitude, periods),
     )
 
@@ -267,34 +300,6 @@ def _asymptotic(points: TurningPoints, fit: Fit) -> Floats:
     return np.asarray(path, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ModelCurve:
-    """Measured turning points of a run, and those of a fitted law, as arrays (n,).
-
-    The model is one free decay: on ground that moves the measured amplitudes and times wander about it by
-    more than their uncertainties, which the fit allows for. NaN where a law has no value: Eqs. 5 and 6 have
-    no times. `index` is the number of the half-cycle.
-    """
-
-    index: Ints
-    time_s: Floats
-    u_time_s: Floats
-    amplitude_rad: Floats
-    u_amplitude_rad: Floats
-    model_time_s: Floats
-    model_amplitude_rad: Floats
-
-    @property
-    def amplitude_residual_rad(self) -> Floats:
-        """Measured less model."""
-        return self.amplitude_rad - self.model_amplitude_rad
-
-    @property
-    def time_residual_s(self) -> Floats:
-        """Measured less model."""
-        return self.time_s - self.model_time_s
-
-
 def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[str, ModelCurve]:
     """The curves of both fits and of the compared laws, by name; a `stated` law has its own name.
 
@@ -305,23 +310,7 @@ def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[st
         raise DataError(
             f"{run.record}: has no fit of the contact's laws: {run.problem or 'no pendulum is stated'}"
         )
-    unknown = np.full(len(points.index), np.nan)
-
-    def curve(amplitude_rad: Floats, time_s: Floats) -> ModelCurve:
-        return ModelCurve(
-            index=points.index,
-            time_s=points.time_s,
-            u_time_s=points.u_time_s,
-            amplitude_rad=points.amplitude,
-            u_amplitude_rad=points.u_amplitude,
-            model_time_s=time_s,
-            model_amplitude_rad=amplitude_rad,
-        )
-
-    found = {
-        FitMethod.EXACT.value: curve(curves.exact_rad, curves.exact_time_s),
-        FitMethod.ASYMPTOTIC.value: curve(curves.asymptotic_rad, unknown),
-    }
+    found = {FitMethod.EXACT.value: curves.exact, FitMethod.ASYMPTOTIC.value: curves.asymptotic}
     compared = {} if run.laws is None else run.laws.laws
     if stated is not None and stated.name not in compared:
         raise DataError(
@@ -338,5 +327,7 @@ def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[st
         parameters, _ = columns.map_parameters(columns.from_physical(values))
         swung = law.half_swing_map(parameters[:-2], points.index - points.index[0])
         period_s, first_s = parameters[-2:].tolist()
-        found[name] = curve(swung.amplitude * columns.reference, first_s + period_s * swung.time)
+        found[name] = ModelCurve.of(
+            points, swung.amplitude * columns.reference, first_s + period_s * swung.time
+        )
     return found

@@ -11,7 +11,7 @@ from processing.swing import ORDERS
 from processing.units import ARCSEC_RAD
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
-from rig.analysis.run_remarks import has_apparatus, main_sources
+from rig.analysis.run_remarks import limits_of, main_sources
 from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity, with_uncertainty
 
 
@@ -57,7 +57,7 @@ _COLUMNS = ("parameter", "value", "u", "u_total", "lower_95", "upper_95", "verdi
 
 
 def _whole_result_text(run: RunResults) -> str:
-    whole = any(has_apparatus(item) for item in run.budget.values())
+    whole = any(map(limits_of, run.budget.values()))
     covered = (
         "swings and apparatus together"
         if whole

@@ -78,8 +78,8 @@ class PassingDeflections:
             self.last_ns = int(block.times_ns[-1])
             self.frames += len(block)
             self.lost_spots += len(block) - int(np.count_nonzero(block.found))
-            self._x.append(block.x)
-            self._y.append(block.y)
+            self._x.append(block.x[np.isfinite(block.x)])
+            self._y.append(block.y[np.isfinite(block.y)])
             if self.frames > _MAX_FRAMES_IN_MEMORY:
                 self._kept = None
             if self._kept is not None:
@@ -101,24 +101,12 @@ class PassingDeflections:
 
 def _spread(blocks: list[NDArray[np.float64]]) -> float:
     """Root mean square about the median; `blocks` is emptied."""
-    # Joined twice: the median sorts its argument, and a copy would need more memory while the blocks exist.
-    if not any(np.isfinite(block).any() for block in blocks):
-        return 0.0
-    median = np.median(_finite(blocks), overwrite_input=True)
-    values = _finite(blocks)
+    values = np.concatenate([np.empty(0), *blocks])
     blocks.clear()
-    values -= median
+    if not len(values):
+        return 0.0
+    values -= np.median(values)
     return float(np.sqrt(np.mean(np.square(values, out=values))))
-
-
-def _finite(blocks: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    values = np.empty(sum(map(len, blocks)))
-    count = 0
-    for block in blocks:
-        good = block[np.isfinite(block)]
-        values[count : count + len(good)] = good
-        count += len(good)
-    return values[:count]
 
 
 _MIN_GAIN_U = 4.0

@@ -21,7 +21,7 @@ from processing.fit import FitMethod, Ground
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from processing.units import seconds
-from rig.analysis.air import ambient_warnings, recorded_ambient
+from rig.analysis.air import ambient_warnings, recorded_ambient, recorded_seismometer
 from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings, u_second
 from rig.analysis.passing_deflections import (
@@ -32,7 +32,6 @@ from rig.analysis.passing_deflections import (
 )
 from rig.analysis.results import RunResults
 from rig.analysis.run_values import Beam, RunClock
-from rig.analysis.seismometer import recorded_seismometer
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import (

@@ -1,7 +1,7 @@
 """The table of results: one row for every quantity, made once, and read by every output."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import exp, floor, hypot, inf, isfinite, log, log10, nan
 from typing import Annotated, Any, Final
 
@@ -119,7 +119,7 @@ def plain_row(
     unit: str = "",
     **known: Any,
 ) -> ResultRow:
-    """The row of a number, or of a value with its standard uncertainty; `known` are further fields of it."""
+    """The row of a number, or of a value with its standard uncertainty; `known` are further numbers of it."""
     value, u = found if isinstance(found, Estimate) else (found, nan)
     return ResultRow(
         quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run, **known
@@ -139,16 +139,14 @@ def result_rows(
     so small that it needs none.
     """
     known = {one.name: one for one in determinations}
-    rows = []
+    found = []
     for name in fit.contact_names:
-        value, u = fit.estimate(name)
-        found = known.get(name) or Determination(name, Determinacy.UNDETERMINED, nan, nan)
-        if name not in known and u <= WELL_DETERMINED * abs(value):
-            found = Determination(name, Determinacy.DETERMINED, *fit.interval(name))
-        more = dict[str, Any](verdict=found.verdict, by_profile=found.profile_likelihood)
-        limits = dict[str, Any](lower=found.lower_95, upper=found.upper_95)
-        rows.append(plain_row(name, Estimate(value, u), run, **limits, **more))
-    return _with_apparatus(run, rows, budget, pendulum)
+        estimate, verdict = fit.estimate(name), Determinacy.UNDETERMINED
+        if estimate.standard_uncertainty <= WELL_DETERMINED * abs(estimate.value):
+            verdict = Determinacy.DETERMINED
+        ends = fit.interval(name) if verdict is Determinacy.DETERMINED else (nan, nan)
+        found.append((estimate, known.get(name) or Determination(name, verdict, *ends)))
+    return _with_apparatus(run, found, budget, pendulum)
 
 
 def rows_of_others(
@@ -172,7 +170,7 @@ def series_rows(
     combined: Mapping[str, CombinedValue], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
     """The rows of several runs together, each with the interval of the mean."""
-    rows = []
+    found = []
     for name, item in combined.items():
         half = item.expanded_uncertainty_95
         lower, upper = item.value - half, item.value + half
@@ -181,44 +179,51 @@ def series_rows(
             verdict = Determinacy.INTERVAL
             if lower <= 0 and law_parameters()[name].lower == 0:
                 verdict, lower = Determinacy.UPPER_BOUND, 0.0
-        rows.append(plain_row(name, item.estimate, "series", lower=lower, upper=upper, verdict=verdict))
-    return _with_apparatus("series", rows, budget, pendulum)
+        found.append((item.estimate, Determination(name, verdict, lower, upper)))
+    return _with_apparatus("series", found, budget, pendulum)
 
 
 def _with_apparatus(
-    run: str, rows: list[ResultRow], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+    run: str,
+    found: list[tuple[Estimate, Determination]],
+    budget: Mapping[str, Budget],
+    pendulum: PendulumOnBall,
 ) -> tuple[ResultRow, ...]:
-    """The rows with the apparatus in them, and those of surface energies and of the apparatus alone.
+    """The rows of what was found, with the apparatus, of surface energies, and of the apparatus alone.
 
     The apparatus adds to the uncertainty, and to both sides of the interval. A quantity that is not
     determined has neither value nor uncertainty.
     """
-    for c in [row for row in rows if row.quantity == "c"]:
+    for estimate, c in [each for each in found if each[1].name == "c"]:
         # each surface energy is c times a factor of the apparatus
         per_c = surface_energy(Estimate(1.0, 0.0), pendulum)
         for name, factor in zip(ENERGIES, (per_c.table2.value, per_c.eq2.value), strict=True):
-            scaled = {key: factor * getattr(c, key) for key in ("value", "u", "u_total", "lower", "upper")}
-            rows.append(replace(c, quantity=name, unit=unit_of(name), **scaled))
-    names = {row.quantity for row in rows}
-    rows += [
-        plain_row(name, Estimate(item.value, 0.0), run, lower=item.value, upper=item.value)
+            lower, upper = factor * c.lower_95, factor * c.upper_95
+            energy = Estimate(*(factor * number for number in estimate))
+            found.append((energy, c._replace(name=name, lower_95=lower, upper_95=upper)))
+    names = {one.name for _, one in found}
+    found += [
+        (Estimate(item.value, 0.0), Determination(name, Determinacy.DETERMINED, item.value, item.value))
         for name, item in budget.items()
         if name not in names
     ]
-    found = []
-    for row in rows:
-        item = budget.get(row.quantity)
-        if item is not None and (part := item.apparatus_u) > 0:
-            lower, upper = _wider_ends(row, item.coverage_factor_95 * part)
-            row = replace(row, u_total=hypot(row.u, part), lower=lower, upper=upper)
-        found.append(row if row.determined else replace(row, value=nan, u=nan, u_total=nan))
-    return tuple(found)
+    rows = []
+    for estimate, one in found:
+        item, ends = budget.get(one.name), (one.lower_95, one.upper_95)
+        part = 0.0 if item is None else item.apparatus_u
+        if item is not None and part > 0:
+            ends = _wider_ends(one.name, estimate.value, ends, item.coverage_factor_95 * part)
+        numbers = (*estimate, hypot(estimate.standard_uncertainty, part))
+        value, u, u_total = numbers if one.verdict is Determinacy.DETERMINED else (nan, nan, nan)
+        more = dict[str, Any](verdict=one.verdict, by_profile=one.profile_likelihood, run=run)
+        more |= {"quantity": one.name, "unit": unit_of(one.name), "lower": ends[0], "upper": ends[1]}
+        rows.append(ResultRow(value=value, u=u, u_total=u_total, **more))
+    return tuple(rows)
 
 
-def _wider_ends(row: ResultRow, expanded: float) -> tuple[float, float]:
+def _wider_ends(name: str, value: float, ends: tuple[float, float], expanded: float) -> tuple[float, float]:
     """The ends of an interval with the apparatus's `expanded` uncertainty added to both sides."""
-    value, ends = row.value, (row.lower, row.upper)
-    parameter = law_parameters().get(row.quantity)
+    parameter = law_parameters().get(name)
     logarithmic = parameter is not None and parameter.logarithmic and ends[0] > 0
     relative = expanded / value if value > 0 else inf
     if logarithmic and relative < _MAX_LOGARITHMIC_U:

@@ -25,8 +25,9 @@ def _codec(kind: Any) -> Codec:
 
 def encoded(values: object) -> JsonObject:
     """The JSON tree of results, or of a part of them."""
-    # of an analysed run only the part that the file holds
-    kind: Any = RunResults if isinstance(values, RunResults) else type(values)
+    # of an analysed run or table only the part that the file holds
+    stored: tuple[Any, ...] = (RunResults, SessionResults)
+    kind: Any = next((one for one in stored if isinstance(values, one)), type(values))
     tree: JsonObject = _codec(kind).write(values)
     return tree
 

@@ -28,9 +28,26 @@ _MIN_NAMED_VARIANCE_SHARE = 0.25
 """Share of the variance above which a source is named; the largest one always is."""
 
 
-def has_apparatus(item: Budget | None) -> bool:
-    """Whether sources of the apparatus (type B) contribute to a budget."""
-    return item is not None and any(line.type == "B" and line.share > 0 for line in item.sources)
+class Limit(NamedTuple):
+    """A source of a result's uncertainty, and its share of the variance."""
+
+    source: str
+    share: float
+
+    @property
+    def name(self) -> str:
+        """Name of the source in words."""
+        return SOURCES.get(self.source, self.source)
+
+    def __str__(self) -> str:
+        return f"{self.name} {100 * self.share:.0f} %"
+
+
+def limits_of(item: Budget | None) -> list[Limit]:
+    """The sources of a budget, the largest first; none where no source of the apparatus (type B) counts."""
+    if item is None or not any(line.type == "B" and line.share > 0 for line in item.sources):
+        return []
+    return [Limit(one.source, one.share) for one in sorted(item.sources, key=lambda line: -line.share)]
 
 
 def main_sources(row: ResultRow, budget: Mapping[str, Budget]) -> str:
@@ -38,12 +55,9 @@ def main_sources(row: ResultRow, budget: Mapping[str, Budget]) -> str:
 
     It is empty for a row that is not determined, or without contributions of the apparatus.
     """
-    item = budget.get(row.quantity)
-    if item is None or not row.determined or not has_apparatus(item):
-        return ""
-    lines = sorted(item.sources, key=lambda line: -line.share)
-    named = [line for line in lines if line.share >= _MIN_NAMED_VARIANCE_SHARE] or lines[:1]
-    return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)
+    limits = limits_of(budget.get(row.quantity)) if row.determined else []
+    named = [one for one in limits if one.share >= _MIN_NAMED_VARIANCE_SHARE] or limits[:1]
+    return ", ".join(map(str, named))
 
 
 def drag_headline(drag: Drag | None, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
@@ -88,18 +102,6 @@ _STEPS: Final[Mapping[str, str]] = {
 }
 
 
-class Limit(NamedTuple):
-    """A source of a result's uncertainty, and its share of the variance."""
-
-    source: str
-    share: float
-
-    @property
-    def name(self) -> str:
-        """Name of the source in words."""
-        return SOURCES.get(self.source, self.source)
-
-
 class WholeResult(NamedTuple):
     """The main result of a run as text, and the sources of its uncertainty; empty where nothing was fitted.
 
@@ -139,13 +141,12 @@ def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
     row = next((rows[name] for name in names if rows[name].determined), None)
     if row is None:
         return WholeResult("No parameter is determined", "", [Limit("swings", 1.0)])
-    item = found.budget.get(row.quantity)
+    limits = limits_of(found.budget.get(row.quantity))
     symbol = quantity(row.quantity).symbol
     text = row.equation.replace(symbol, named(row.quantity).partition(" / ")[0], 1)
-    if item is None or not has_apparatus(item):
+    if not limits:
         return WholeResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
-    sources = sorted(item.sources, key=lambda line: -line.share)
-    limits = [Limit(one.source, one.share) for one in sources if one.share >= _MIN_SHOWN_SHARE]
+    limits = [one for one in limits if one.share >= _MIN_SHOWN_SHARE]
     exact = run.fits.get(FitMethod.EXACT)
     ground_seen = exact is None or exact.ground is None or exact.ground.seen
     return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)

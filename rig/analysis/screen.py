@@ -1,36 +1,23 @@
-"""Analysis of tables, films and envelopes, and results of these and of records on the terminal."""
+"""Results of records, tables and films on the terminal."""
 
 import logging
 import math
-import re
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
-from processing.decay_summary import DecayMean
-from processing.errors import ConfigurationError, DataError, DeviceError, MissingPackage
+from processing.decay_summary import DecayMean, summarise_decay
 from processing.swing import HalfCycleFlag, turning_points
 from processing.units import seconds
-from rig.analysis.compared_laws import chosen_laws
 from rig.analysis.decay_values import DECAY
 from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
-from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults
-from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
+from rig.analysis.results import RunResults, Series, SessionResults
+from rig.analysis.results_file import encoded
 from rig.analysis.run_remarks import RemarkLevel, decay_lines, remark_rows
 from rig.analysis.run_values import TableDecay
-from rig.analysis.table_fit import (
-    AnalysedDecay,
-    AnalysedTable,
-    analyse_envelope,
-    analyse_trajectory,
-    series_of_runs,
-)
-from rig.instrument import fill_from_files
-from rig.intake import SeismometerRecord, TableColumns, Trajectory
-from rig.settings import KeyUseMonitor, load_configuration
+from rig.analysis.series import AnalysedRun
+from rig.analysis.table_fit import AnalysedTable
 from rig.terminal import answer, print_line, print_tables, with_uncertainty
 
 logger = logging.getLogger(__name__)
@@ -60,7 +47,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
         print_tables([combined])
     if not logger.isEnabledFor(logging.INFO) and any(run.fits for run in results.runs):
         print_line("  -v, and the report, show both fits of every run, their quality, and more remarks")
-    _print_series(results.series)
+    print_series(results.series)
     for name, path in paths:
         print(f"{name:<12} {path}")
 
@@ -92,9 +79,6 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
 
 _TOO_QUIET = 0.01
 """Chi-square per degree of freedom below which the stated noise must be too large."""
-ReportWriter = Callable[[AnalysedTable, Path], Sequence[tuple[str, Path]]]
-"""Function that writes the report of a table into a folder, and returns the files with their names."""
-ENVELOPES = ("amplitude", "power")
 _FLAGS = {
     HalfCycleFlag.GAP: "with too few samples around it",
     HalfCycleFlag.VIBRATION: "disturbed",
@@ -104,147 +88,13 @@ _FLAGS = {
 }
 
 
-class TableOptions(NamedTuple):
-    """Options of a fit of tables: configuration with its overrides, laws to compare, auxiliary seismometer.
-
-    `report` writes the report.
-    """
-
-    config_path: Path | None = None
-    overrides: Sequence[str] = ()
-    report: ReportWriter | None = None
-    laws: Sequence[str] = ()
-    seismometer: SeismometerRecord | None = None
-
-
-def fit_several(
-    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableOptions
-) -> int:
-    """Analyse runs, each given by its name, file and a function that reads it; several have a folder each.
-
-    A run of several that cannot be analysed does not stop the others; 1 is returned if there was such a run.
-    """
-    if len(inputs) == 1:
-        ((_, path, read),) = inputs
-        _fit(path, read(), output, wanted, alone=True)
-        return 0
-    folders = [None if output is None else output / _folder_name(name) for name, _, _ in inputs]
-    for folder in (output, *folders):
-        if folder is not None and (folder / RESULTS_NAME).exists():
-            raise ConfigurationError(
-                f"{folder / RESULTS_NAME}: exists already and is not overwritten; choose another folder"
-            )
-    failed, tables = 0, dict[str, AnalysedTable]()
-    for (name, path, read), folder in zip(inputs, folders, strict=True):
-        print_line(f"--- run {name}")
-        try:
-            tables[name] = _fit(path, read(), folder, wanted)
-        except MissingPackage:
-            # no other run can be read either
-            raise
-        except (DataError, DeviceError) as error:
-            failed += 1
-            answer(not_analysed=[{"run": name, "reason": str(error)}])
-            print_line(f"not analysed: {error}")
-    together = series_of_runs(inputs[0][1], tables)
-    if together is not None:
-        print_line(f"--- runs {', '.join(tables)}")
-        _print_series(together.series)
-        answer(series=lambda: encoded(together)["series"])
-        if output is not None:
-            _save(output, together)
-    return int(failed > 0)
-
-
-def _folder_name(name: str) -> str:
-    """Name of the folder of a run: its name without characters that a folder's should not have."""
-    plain = re.sub(r"[^\w.-]+", "-", name).strip("-.")
-    return f"run-{plain}" if plain.isdigit() or not plain else plain
-
-
-def _fit(
-    path: Path, trajectory: Trajectory, output: Path | None, wanted: TableOptions, *, alone: bool = False
-) -> AnalysedTable:
-    """Analyse one run, print and write it; with the series of its decays if it is `alone`."""
-    laws, report = wanted.laws, wanted.report
-    compared = chosen_laws(laws) if laws else ()
-    if wanted.config_path:
-        stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
-        watched = KeyUseMonitor(stated, wanted.overrides, "a table holds neither frames nor spots")
-        table = analyse_trajectory(
-            path, trajectory, fill_from_files(watched.config), compared, wanted.seismometer
-        )
-        if not table.longest.results.problem:
-            watched.refuse_unread()
-    else:
-        table = analyse_trajectory(path, trajectory, None)
-    if laws and table.longest.results.problem:
-        raise ConfigurationError(f"--law {laws[0]}: {table.longest.results.problem}")
-    if not alone:
-        # the series of several runs is another result
-        table = replace(table, results=replace(table.results, series=None))
-    _print(path, table)
-    _write(path, output, table.results)
-    if output is not None and report is not None:
-        for name, made in report(table, output):
-            answer(written=[made])
-            print(f"{name:<12} {made}")
-    return table
-
-
-def fit_envelope_table(
-    path: Path, output: Path | None, columns: TableColumns, kind: str, frequency_hz: float | None
-) -> int:
-    """Analyse an envelope, print its time constant, write results.json. Returns the exit status."""
-    if kind not in ENVELOPES:
-        raise ConfigurationError(f"--envelope {kind!r}: take one of {', '.join(ENVELOPES)} (in dB)")
-    found, results = analyse_envelope(path, columns, decibel=kind == "power", frequency_hz=frequency_hz)
-    unit = f" {results.unit}"
-    print_line(f"{path}: an envelope of {found.samples} values, noise of one {found.noise:.3g}{unit}")
-    for line in results.understood:
-        print_line(f"  {line}")
-    floor = (
-        f"noise floor {found.floor:.3g}{unit}" if math.isfinite(found.floor) else "no noise floor is reached"
-    )
-    print_line(f"  {found.initial:.4g}{unit} at the start, {floor}")
-    of_power = with_uncertainty(0.5 * found.tau_s, 0.5 * found.u_tau_s)
-    print_line(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
-    print_line(f"  time constant of the power {of_power} s")
-    if results.damping is not None:
-        of_parts = "sqrt(power)" if kind == "power" else results.unit
-        for line in results.damping.lines(of_parts, results.unit):
-            print_line(f"  {line}")
-    if results.quality_factor is not None:
-        print_line(f"  quality factor {with_uncertainty(*results.quality_factor)}")
-    for warning in results.warnings:
-        print_line(f"  note: {warning}")
-    _write(path, output, results)
-    return 0
-
-
-def _write(path: Path, output: Path | None, results: SessionResults | EnvelopeResults) -> None:
-    if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        if isinstance(results, SessionResults):
-            record = relative_record(path, output)
-            results = replace(results, runs=tuple(replace(run, record=record) for run in results.runs))
-        _save(output, results)
-    answer(results=lambda: [encoded(results)])
-
-
-def _save(folder: Path, results: SessionResults | EnvelopeResults) -> None:
-    path = folder / RESULTS_NAME
-    write_results(path, results)
-    answer(written=[path])
-    print(f"results      {path}")
-
-
-def _print(path: Path, table: AnalysedTable) -> None:
-    trajectory = table.trajectory
+def print_table(path: Path, table: AnalysedTable) -> None:
+    """Print how a table was read, and the results of its decays and of their series."""
+    trajectory = table.positions
     print_line(
         f"{path}: {len(trajectory.times_ns)} samples, {', '.join(trajectory.names)} in {trajectory.unit}, "
         f"{'' if trajectory.time_unit == 's' else f'time in {trajectory.time_unit}, '}"
-        f"{len(table.decays)} {'decay' if len(table.decays) == 1 else 'decays'}"
+        f"{len(table.runs)} {'decay' if len(table.runs) == 1 else 'decays'}"
     )
     for line in trajectory.understood:
         print_line(f"  {line}")
@@ -256,21 +106,22 @@ def _print(path: Path, table: AnalysedTable) -> None:
             f"  from {seconds(part[0].turn_time_ns):.4g} s on: {len(turning_points(part))} usable "
             f"half-cycles of {len(part)}, too few for a decay"
         )
-    for number, decay in enumerate(table.decays, start=1):
+    for number, decay in enumerate(table.runs, start=1):
         _print_decay(number, decay)
-    _print_series(table.results.series)
+    print_series(table.series)
 
 
-def _print_series(series: Series | None) -> None:
+def print_series(series: Series | None) -> None:
+    """Print the comparison of the places on a sample, of another instrument."""
     if series is not None and series.instrument is not None:
         for line in series.instrument.text:
             print_line(line)
 
 
-def _print_decay(number: int, decay: AnalysedDecay) -> None:
-    results, summary = decay.results, decay.summary
+def _print_decay(number: int, decay: AnalysedRun) -> None:
+    summary = summarise_decay(turning_points(decay.swings))
     flagged = len(decay.swings) - summary.half_cycles
-    rows = {row.quantity: row for row in results.table if row.fit == DECAY}
+    rows = {row.quantity: row for row in decay.table if row.fit == DECAY}
     lines = [
         f"period {_mean_text(summary.period_s, ' s', rows['mean_period_s'].u)}",
         f"log decrement {_mean_text(summary.decrement, '', rows['log_decrement'].u)}",
@@ -279,23 +130,23 @@ def _print_decay(number: int, decay: AnalysedDecay) -> None:
         lines.append("the decay is faster than a swing: no quality factor")
     elif "quality_factor" in rows:
         lines.append(f"quality factor {rows['quality_factor'].text}")
-    if results.damping is not None:
-        lines += results.damping.lines(results.amplitude_unit or "")
+    if decay.damping is not None:
+        lines += decay.damping.lines(decay.amplitude_unit or "")
     if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
         lines.append(
             "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
             "a swing that estimate is too large): the uncertainties are upper limits"
         )
-    place, (first, last) = results.decay or TableDecay(), results.amplitudes
+    place, (first, last) = decay.decay or TableDecay(), decay.amplitudes
     head = (
         f"decay {number}, {place.began_s:.4g} to {place.ended_s:.4g} s: {summary.half_cycles} "
         f"half-cycles ({flagged} more flagged and left out{_reasons(decay)}), "
-        f"amplitude {first:.4g} to {last:.4g} {results.amplitude_unit}"
+        f"amplitude {first:.4g} to {last:.4g} {decay.amplitude_unit}"
     )
-    print_run(results, head, lines)
+    print_run(decay, head, lines)
 
 
-def _reasons(decay: AnalysedDecay) -> str:
+def _reasons(decay: AnalysedRun) -> str:
     """Flags of the half-cycles that are left out, with their numbers, the most frequent first."""
     counts = Counter(name for swing in decay.swings for flag, name in _FLAGS.items() if swing.flags & flag)
     return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))

@@ -36,7 +36,7 @@ from processing.instruments import (
     ratio,
 )
 from processing.series import SeriesResult, average_curves, combine_runs
-from processing.swing import SwingHarmonics, TurningPoints
+from processing.swing import HalfCycle, SwingHarmonics
 from rig.analysis.decay_values import InstrumentSeries
 from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import series_rows, withheld
@@ -48,71 +48,79 @@ from rig.terminal import with_uncertainty
 _PLANE: Final = "plane_of_swing_rad"
 
 
-def combined_series(
-    fits: Mapping[str, Sequence[FitResult]],
-    points: Sequence[TurningPoints],
-    pendulum: PendulumOnBall,
-    rig: RigQuantities | None,
-    *,
-    printed_curvature: bool = False,
-    of_runs: Sequence[Mapping[str, Budget]] = (),
-) -> Series:
-    """Parameters combined over the runs; `problems` names those that cannot be.
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class AnalysedRun(RunResults):
+    """The results of one run, with what a series of runs needs in addition and no file holds.
 
-    Parameters
-    ----------
-    fits
-        By method, one fit a run.
-    points
-        The turning points of the same runs, for the averaged curve.
-    rig
-        Apparatus of the first run.
-    of_runs
-        Budgets of the same runs; their lines for row time, film and plane of swing become the series' own.
+    `path` is the file that was analysed, `swings` are the half-cycles that were detected in a table, `fitted`
+    the fits whose numbers are in the results. `reduction` is None unless another pendulum than that of the
+    contact's laws, `rig` is None without [pendulum]. `watched` is the configuration with its overrides.
     """
+
+    path: Path
+    swings: Sequence[HalfCycle] = ()
+    fitted: Mapping[str, FitResult] = field(default_factory=dict)
+    rig: RigQuantities | None = None
+    reduction: Reduction | None = None
+    harmonics: SwingHarmonics | None = None
+    watched: KeyUseMonitor | None = None
+
+
+def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
+    """The series of the fitted runs; None for fewer than two. `problems` names what cannot be combined.
+
+    The apparatus is the first run's. Lines of the runs' budgets for row time, film and plane of swing become
+    the series' own.
+    """
+    numbers = [number for number, run in enumerate(runs, start=1) if run.fitted]
+    fitted = [runs[number - 1] for number in numbers]
+    pendulum = fitted[0].pendulum if fitted else None
+    if len(fitted) < 2 or pendulum is None:
+        return None
     combined: dict[str, SeriesResult] = {}
     problems: list[str] = []
-    for method, results in fits.items():
+    for method in fitted[0].fitted:
         try:
-            combined[method] = combine_runs(results)
+            combined[method] = combine_runs([run.fitted[method] for run in fitted])
         except DataError as error:
             problems.append(f"{method}: {error}")
     averaged = None
     try:
-        averaged = _averaged_curves(points, pendulum, combined.get(FitMethod.ASYMPTOTIC), printed_curvature)
+        averaged = _averaged_curves(fitted, pendulum, combined.get(FitMethod.ASYMPTOTIC))
     except DataError as error:
         problems.append(f"averaged curves: {error}")
     default = combined.get(FitMethod.EXACT)
-    measured = None if default is None else default.measured
+    measured, rig = None if default is None else default.measured, fitted[0].rig
     if measured is not None:
         try:
-            pairs = zip(points, fits[FitMethod.EXACT], strict=True)
-            drifts = [drift_effects(LinearisedFit.of(one, pendulum, fit)) for one, fit in pairs]
+            exact = [LinearisedFit.of(run.points, pendulum, run.fitted[FitMethod.EXACT]) for run in fitted]
+            drifts = [drift_effects(fit) for fit in exact]
             # all runs have them alike
             by_drifts = {name: np.mean([one[name] for one in drifts], axis=0) for name in DRIFTS}
             measured = replace(measured, by_inputs=by_drifts)
         except DataError as error:
             problems.append(f"the budget has no lines for drifts: {error}")
-    if measured is not None and rig is not None and of_runs and all(of_runs):
+    of_runs = [run.budget for run in fitted]
+    if measured is not None and rig is not None and all(of_runs):
         measured, rig = _with_run_sources(of_runs, measured, rig)
     budget = budgets(measured, rig) if measured and rig else {}
     table = () if default is None else series_rows(default.parameters, budget, pendulum)
     return Series(
-        runs=len(points),
+        runs=len(fitted),
+        combined_runs=tuple(numbers),
         fits={method: found.parameters for method, found in combined.items()},
         table=table,
         budget=withheld(budget, table),
-        disagreements=default.disagreements if default else (),
+        disagreements=tuple(
+            replace(each, run=numbers[each.run - 1]) for each in (default.disagreements if default else ())
+        ),
         averaged_curves=averaged,
         problems=tuple(problems),
     )
 
 
 def _averaged_curves(
-    points: Sequence[TurningPoints],
-    pendulum: PendulumOnBall,
-    of_runs: SeriesResult | None,
-    printed_curvature: bool,
+    runs: Sequence[AnalysedRun], pendulum: PendulumOnBall, of_runs: SeriesResult | None
 ) -> AveragedCurves:
     """Eqs. 5 and 6 of the average curve, with the drag of the runs' own fits of them.
 
@@ -121,10 +129,10 @@ def _averaged_curves(
     combined = {} if of_runs is None else of_runs.parameters
     drag = combined.get(DRAG.key)
     found = fit_asymptotic(
-        average_curves(points),
+        average_curves([run.points for run in runs]),
         pendulum,
         drag=drag is not None,
-        printed_curvature=printed_curvature,
+        printed_curvature=bool(runs[0].settings.get("printed_055")),
         known_drag=None if drag is None else drag.estimate,
     )
     parameters = {
@@ -232,23 +240,6 @@ def _acceptance(description: Description, glass: _Readings, lines: list[str]) ->
     return tuple(checks)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class AnalysedRun(RunResults):
-    """The results of one run, with what a series of runs needs in addition and no file holds.
-
-    `path` is the file that was analysed, `fitted` are the fits whose numbers are in the results. `reduction`
-    is None unless another pendulum than that of the contact's laws, `rig` is None without [pendulum].
-    `watched` is the configuration with its overrides.
-    """
-
-    path: Path
-    fitted: Mapping[str, FitResult] = field(default_factory=dict)
-    rig: RigQuantities | None = None
-    reduction: Reduction | None = None
-    harmonics: SwingHarmonics | None = None
-    watched: KeyUseMonitor | None = None
-
-
 def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
     """Results of one or more runs for a file; records are named relative to its folder.
 
@@ -256,7 +247,7 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
     """
     results = SessionResults(
         runs=tuple(replace(run, record=relative_record(run.path, folder)) for run in runs),
-        series=_series(runs),
+        series=instrument_series(runs) if any(run.reduction for run in runs) else fitted_series(runs),
     )
     refuse_unread(runs)
     return results
@@ -310,27 +301,6 @@ def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
     # a run that could not be fitted has a problem of its own, which matters more
     if changed and not any(run.problem for run in runs):
         changed[0].refuse_unread(changed)
-
-
-def _series(runs: Sequence[AnalysedRun]) -> Series | None:
-    """The series of the runs; None for fewer than two fitted ones, unless they are of another instrument."""
-    if any(run.reduction is not None for run in runs):
-        return instrument_series(runs)
-    numbers = [number for number, run in enumerate(runs, start=1) if run.fitted]
-    fitted = [runs[number - 1] for number in numbers]
-    pendulum = fitted[0].pendulum if fitted else None
-    if len(fitted) < 2 or pendulum is None:
-        return None
-    joint = combined_series(
-        {name: [run.fitted[name] for run in fitted] for name in fitted[0].fitted},
-        [run.points for run in fitted],
-        pendulum,
-        fitted[0].rig,
-        printed_curvature=bool(fitted[0].settings.get("printed_055")),
-        of_runs=[run.budget for run in fitted],
-    )
-    apart = tuple(replace(each, run=numbers[each.run - 1]) for each in joint.disagreements)
-    return replace(joint, combined_runs=tuple(numbers), disagreements=apart)
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from acquisition.record.digest import cached_sha256
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
-from processing.decay_summary import DecaySummary, summarise_decay
+from processing.decay_summary import summarise_decay
 from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
 from processing.envelope import EnvelopeDecay, fit_envelope
 from processing.errors import ConfigurationError, DataError
@@ -70,32 +70,23 @@ _MIN_PUSHED_U = 6.0
 much once in 10^9 half-cycles."""
 
 
-@dataclass(frozen=True)
-class AnalysedDecay:
-    """One decay of a table: its half-cycles with their means, and its results."""
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class AnalysedTable(SessionResults):
+    """The results of a table, with what its report needs in addition and no file holds.
 
-    swings: Sequence[HalfCycle]
-    summary: DecaySummary
-    results: AnalysedRun
-
-
-@dataclass(frozen=True)
-class AnalysedTable:
-    """A table, the noise of a sample in its unit, the decays found in it, and the results.
-
-    `passed_over` are decays of too few usable half-cycles.
+    `positions` are those that were read, `noise` that of a sample in their unit, `passed_over` are decays of
+    too few usable half-cycles.
     """
 
-    trajectory: Trajectory
+    runs: tuple[AnalysedRun, ...]
+    positions: Trajectory
     noise: float
-    decays: Sequence[AnalysedDecay]
     passed_over: Sequence[Sequence[HalfCycle]]
-    results: SessionResults
 
     @property
-    def longest(self) -> AnalysedDecay:
+    def longest(self) -> AnalysedRun:
         """The decay with most half-cycles."""
-        return max(self.decays, key=lambda decay: decay.summary.half_cycles)
+        return max(self.runs, key=lambda decay: len(turning_points(decay.swings)))
 
 
 def analyse_trajectory(
@@ -137,19 +128,21 @@ def analyse_trajectory(
         )
     judge_time_unit(path, trajectory, usable)
     both = _both_deflections(trajectory.times_ns, across, deflection, scatter)
-    decays = [_analyse(path, part, trajectory, both, scatter, config, laws, seismometer) for part in usable]
-    runs = tuple(decay.results for decay in decays)
+    runs = tuple(
+        _analyse(path, part, trajectory, both, scatter, config, laws, seismometer) for part in usable
+    )
     # decays of one run are numbered by the run's number if it has one, else by place
     numbers = [int(trajectory.run)] * len(runs) if trajectory.run.isdecimal() else ()
-    results = SessionResults(
+    return AnalysedTable(
         trajectory=path.as_posix(),
         unit=trajectory.unit,
         understood=trajectory.understood,
         runs=runs,
         series=instrument_series(runs, numbers),
+        positions=trajectory,
+        noise=noise / scale,
+        passed_over=[part for part in parts if part not in usable],
     )
-    passed_over = [part for part in parts if part not in usable]
-    return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
 
 
 def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionResults | None:
@@ -159,16 +152,15 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionRe
     """
     by_name = all(name.isdecimal() for name in tables)
     numbered = [
-        (int(name) if by_name else place, decay.results)
+        (int(name) if by_name else place, decay)
         for place, (name, table) in enumerate(tables.items(), start=1)
-        for decay in table.decays
+        for decay in table.runs
     ]
     runs = tuple(run for _, run in numbered)
     series = instrument_series(runs, [number for number, _ in numbered])
     if series is None:
         return None
-    first = next(iter(tables.values())).results
-    return replace(first, trajectory=path.as_posix(), runs=runs, series=series)
+    return replace(next(iter(tables.values())), trajectory=path.as_posix(), runs=runs, series=series)
 
 
 def analyse_envelope(
@@ -222,7 +214,7 @@ def _analyse(
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw],
     seismometer: SeismometerRecord | None,
-) -> AnalysedDecay:
+) -> AnalysedRun:
     """Results of one decay, by the same steps as those of a record."""
     u_common = trajectory.u_common_in_noises * scatter.noise
     edge_ns = _EDGE_HALF_PERIODS * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
@@ -286,8 +278,9 @@ def _analyse(
         warnings += ambient_warnings(found)
         warnings += strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config)
         notes += _taken_as_exact(config) if run.budget else []
-    results = replace(
+    return replace(
         run,
+        swings=swings,
         table=(*run.table, *decay_rows(points, decay, trajectory.unit, scale, path.stem)),
         frames=int(np.count_nonzero(inside)),
         half_cycles=run.half_cycles or summary.half_cycles,
@@ -304,7 +297,6 @@ def _analyse(
             session=session,
         ),
     )
-    return AnalysedDecay(swings, summary, results)
 
 
 def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:

@@ -21,7 +21,6 @@ from rig.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from rig.analysis import AnalysedTable
     from rig.intake import FilmOptions, SeismometerRecord
 
 
@@ -169,7 +168,7 @@ def fit(
         raise ConfigurationError(
             f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
         )
-    from rig.analysis import TableOptions, fit_envelope_table, fit_several
+    from rig.commands.table_fits import TableOptions, fit_envelope_table, fit_several
     from rig.intake import TableColumns
 
     refuse_stated("on a table; leave it out", of_films)
@@ -184,7 +183,7 @@ def fit(
         raise ConfigurationError("--seismometer: has no effect without --config, which gives the pendulum")
     if envelope is not None:
         raise typer.Exit(fit_envelope_table(files[0], output, asked_of, envelope, frequency))
-    wanted = TableOptions(config, set_ or [], table_report, law or [], read())
+    wanted = TableOptions(config, set_ or [], law or [], read())
     inputs = [(each.run, files[0], lambda each=each: each) for each in asked_of.read_runs(files[0])]
     raise typer.Exit(fit_several(inputs, output, wanted))
 
@@ -253,7 +252,7 @@ def fit_film(
 
     `run` is the one of a folder of films, by name or number; empty: all.
     """
-    from rig.analysis import TableOptions, fit_several
+    from rig.commands.table_fits import TableOptions, fit_several
     from rig.intake import film_trajectory, films_in
     from rig.terminal import ProgressLine, print_line
 
@@ -269,7 +268,7 @@ def fit_film(
     inputs = [
         (one.stem, one, partial(film_trajectory, one, asked, ProgressLine(f"{one}: frames"))) for one in films
     ]
-    return fit_several(inputs, output, TableOptions(config, overrides, table_report, laws))
+    return fit_several(inputs, output, TableOptions(config, overrides, laws))
 
 
 def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:
@@ -282,10 +281,3 @@ def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:
         names = ", ".join(each.name for each in inside)
         raise ConfigurationError(f"--run {run}: {film} holds no such film; there are {names}")
     return chosen or [film]
-
-
-def table_report(table: "AnalysedTable", folder: Path) -> Sequence[tuple[str, Path]]:
-    """Draw the results of a table or a film; imported here, because figures take a second."""
-    from rig.report import make_table_report
-
-    return make_table_report(table, folder)

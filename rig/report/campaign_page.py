@@ -4,7 +4,6 @@ import json
 from collections.abc import Mapping
 from math import isfinite, nan
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -14,7 +13,6 @@ from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.series import ABSENT, POSITIVE, CompressedRun, Effect, Form, LatentNumber
-from processing.units import ARCSEC_RAD
 from rig.analysis import encoded
 from rig.report import html
 from rig.report.campaign import MIN_BAD_PROBABILITY, Campaign
@@ -35,12 +33,6 @@ from rig.terminal import (
 )
 
 _MAX_SHOWN_SOURCES = 4
-_OTHER_COVARIATES: Final = {
-    "order": ("order of the runs", "run", 1.0),
-    "first_amplitude_rad": ("first amplitude", "first amplitude / arcsec", 1 / ARCSEC_RAD),
-    "load_n": ("load", "load / N", 1.0),
-}
-"""Covariates that are not ambient conditions: words, label, factor."""
 
 
 def _scaled(name: str) -> tuple[str, float]:
@@ -157,15 +149,7 @@ def _effect_words(one: CampaignEffect) -> str:
     symbol = "friction" if one.parameter == "friction" else quantity(one.parameter).symbol
     if one.form == "during":
         return f"{symbol}, growing during every run"
-    return f"{symbol} over {_covariate_words(one.covariate)[0]} ({one.form})"
-
-
-def _covariate_words(name: str) -> tuple[str, str, float]:
-    """Name of a covariate, label of its axis, and factor from stored to shown values."""
-    if name in _OTHER_COVARIATES:
-        return _OTHER_COVARIATES[name]
-    form = quantity(name)
-    return form.name, form.label, form.factor
+    return f"{symbol} over {quantity(one.covariate).name} ({one.form})"
 
 
 def _runs_table(results: CampaignResults) -> Table:
@@ -294,7 +278,8 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
     for axes, (effect, name) in zip(panels, shown_effects, strict=True):
         place = found.model.names.index(name)
-        label, factor = _covariate_words(effect.covariate)[1:]
+        over = quantity(effect.covariate)
+        factor = over.factor
         known = [run for run in found.runs if _covariate(run, effect) is not None and name in run.names]
         at = np.array([_covariate(run, effect) for run in known])
         middle = float(np.median([run.values[run.names.index(name)] for run in known]))
@@ -319,7 +304,7 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
             )  # fmt: skip
         if effect.form is Form.LOGARITHM:
             axes.set_xscale("log")
-        axes.set_xlabel(label)
+        axes.set_xlabel(over.label)
         # b, c and gamma are shown as relative changes
         near = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
         title = _scaled(name)[0]

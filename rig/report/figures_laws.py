@@ -46,8 +46,8 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
     else:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
         figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.98, hspace=0.06)
-        residual = (points.amplitude - curves.asymptotic_rad) / size * 1e3
-        exact_residual = (points.amplitude - curves.exact_rad) / size * 1e3
+        residual = curves.asymptotic.amplitude_residual_rad / size * 1e3
+        exact_residual = curves.exact.amplitude_residual_rad / size * 1e3
         dots(bottom, time, residual[shown], ASYMPTOTIC)
         dots(bottom, time, exact_residual[shown], EXACT)
         bottom.axhline(0, color=INK, lw=0.6)
@@ -55,8 +55,16 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
         bottom.set(xlabel="t / s", ylabel=f"data − fit / 10⁻³ {unit.shown}")
     _rings(top, points.time_s, points.amplitude / size, "turning points")
     if curves is not None:
-        top.plot(points.time_s, curves.asymptotic_rad / size, color=ASYMPTOTIC, lw=2.0, label="Eq. 5")
-        top.plot(points.time_s, curves.exact_rad / size, color=EXACT, lw=0.9, label=FitMethod.EXACT)
+        top.plot(
+            points.time_s,
+            curves.asymptotic.model_amplitude_rad / size,
+            color=ASYMPTOTIC,
+            lw=2.0,
+            label="Eq. 5",
+        )
+        top.plot(
+            points.time_s, curves.exact.model_amplitude_rad / size, color=EXACT, lw=0.9, label=FitMethod.EXACT
+        )
     top.set(
         ylabel=f"α / {unit.shown}",
         xlim=(0, points.time_s[-1] * 1.005),
@@ -125,8 +133,8 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
     grid = figure.add_gridspec(2, 2, width_ratios=[3.2, 1.0])
     figure.subplots_adjust(left=0.08, right=0.985, bottom=0.115, top=0.93, hspace=0.16, wspace=0.05)
     both = {
-        "amplitude": (points.amplitude - curves.exact_rad) / points.u_amplitude,
-        "time": (points.time_s - curves.exact_time_s) / points.u_time_s,
+        "amplitude": curves.exact.amplitude_residual_rad / points.u_amplitude,
+        "time": curves.exact.time_residual_s / points.u_time_s,
     }
     shown = thinned(len(points), 1200)
     outlying = np.isin(points.index, outliers)

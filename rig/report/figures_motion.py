@@ -107,24 +107,24 @@ def frame_figure(picture: RecordedPicture) -> ReportFigure:
     )
 
 
-def slow_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
-    """Y(t), the paper's Fig. 9."""
-    return ReportFigure(
+def motion_figures(motion: ShownTrajectory, period_s: float) -> list[ReportFigure]:
+    """Y(t), X(t) and the trajectory (the paper's Figs. 9 to 11), as far as both axes were measured."""
+    time_s, unit = motion.time_s, motion.unit.shown
+    slow = ReportFigure(
         "fig09-y",
         "Fig. 9: Y(t)",
         "Slow mode. Above, the whole run as the band between the extremes; below, its beginning and its end.",
-        _motion_figure(motion.time_s, motion.y, "Y", motion.unit.shown, palette.BLUE, period_s),
+        _motion_figure(time_s, motion.y, "Y", unit, palette.BLUE, period_s),
     )
-
-
-def fast_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
-    """X(t), the paper's Fig. 10."""
-    return ReportFigure(
+    if not np.isfinite(motion.x).any():
+        return [slow]
+    fast = ReportFigure(
         "fig10-x",
         "Fig. 10: X(t)",
         "Fast mode, and the part of the slow one that appears in X; drawn like Y(t), on its own scale.",
-        _motion_figure(motion.time_s, motion.x, "X", motion.unit.shown, palette.VERMILLION, period_s),
+        _motion_figure(time_s, motion.x, "X", unit, palette.VERMILLION, period_s),
     )
+    return [slow, fast, _trajectory_figure(motion, period_s)]
 
 
 def _motion_figure(
@@ -160,8 +160,8 @@ def _zoom(axes: Axes, time_s: Floats, values: Floats, start_s: float, length_s: 
     axes.set_xlim(start_s, start_s + length_s)
 
 
-def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
-    """(X, Y), the paper's Fig. 11: at equal scales, and with X stretched."""
+def _trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
+    """(X, Y) at equal scales, and with X stretched."""
     figure = canvas(3.6)
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
     figure.subplots_adjust(left=0.09, right=0.985, bottom=0.12, top=0.93, wspace=0.28)

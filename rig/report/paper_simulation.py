@@ -17,7 +17,7 @@ from acquisition.simulation.settings import (
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
-from processing.fit import FitMethod, FitResult, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
+from processing.fit import FitMethod, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis import (
@@ -25,7 +25,7 @@ from rig.analysis import (
     RunResults,
     Series,
     StoredTurningPoints,
-    combined_series,
+    fitted_series,
     refined_half_cycles,
     with_contact,
 )
@@ -123,8 +123,6 @@ class PairSeries:
     """
 
     pair: PrintedPair
-    parameters: ContactParameters
-    pendulum: PendulumOnBall
     motion: ShownTrajectory
     run: RunResults
     series: Series
@@ -139,30 +137,32 @@ def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
     end_s = float(true_turning_points(settings, _LAST_ARCSEC).time_s[-1])
     motion = true_path(settings, end_s + 0.6 * pair.period0_s)
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
-    runs, exact, shown, stored = [], [], [], []
+    rig = RigQuantities(
+        InputQuantity(MASS_KG), InputQuantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
+        InputQuantity(1.0), InputQuantity(1.0),
+    )  # fmt: skip
+    runs, shown = [], []
     for number in range(_RUNS):
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         deflections = slow_deflections(seen.times_ns, seen.y_rad, noise_rad)
         swings = swings_of_blocks([deflections])
         refined = refined_half_cycles(swings, [deflections], deflections.unit, pendulum, FitSettings())
-        runs.append(turning_points(refined.swings))
-        stored.append(StoredTurningPoints.of(runs[-1], refined.swings, deflections.unit, 1.0))
-        exact.append(refined.exact or fit_exact(runs[-1], pendulum))
+        points = turning_points(refined.swings)
+        exact = refined.exact or fit_exact(points, pendulum)
+        run = AnalysedRun(
+            path=Path(),
+            record="",
+            turning_points=StoredTurningPoints.of(points, refined.swings, deflections.unit, 1.0),
+            fitted={
+                FitMethod.ASYMPTOTIC: fit_asymptotic(points, pendulum, exact=exact),
+                FitMethod.EXACT: exact,
+            },
+            rig=rig,
+        )
+        runs.append(with_contact(run, pendulum))
         time_s = seconds(seen.times_ns - next(swing.turn_time_ns for swing in swings if swing.flags == 0))
         unit = ShownUnit("arcsec", ARCSEC_RAD)
         shown.append(ShownTrajectory(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, unit))
-    fits: dict[str, list[FitResult]] = {
-        FitMethod.ASYMPTOTIC: [
-            fit_asymptotic(points, pendulum, exact=fit) for points, fit in zip(runs, exact, strict=True)
-        ],
-        FitMethod.EXACT: exact,
-    }
-    rig = RigQuantities(
-        InputQuantity(MASS_KG), InputQuantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
-        InputQuantity(1.0), InputQuantity(1.0),
-    )  # fmt: skip
-    first_fits = {name: found[0] for name, found in fits.items()}
-    first = AnalysedRun(path=Path(), record="", turning_points=stored[0], fitted=first_fits, rig=rig)
-    run = with_contact(first, pendulum)
-    series = combined_series(fits, runs, pendulum, rig)
-    return PairSeries(pair, pair.parameters, pendulum, shown[0], run, series)
+    series = fitted_series(runs)
+    assert series is not None  # of several fitted runs
+    return PairSeries(pair, shown[0], runs[0], series)

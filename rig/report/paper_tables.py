@@ -161,8 +161,8 @@ def table4(found: Sequence[PairSeries]) -> Table:
         fits = [series.series.fits[method] for method in (_EXACT, _ASYMPTOTIC)]
         contacts = [ContactParameters(**{name: fit[name].value for name in PAPER.names()}) for fit in fits]
         works = [
-            cycle_work(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, contact, series.pendulum)
-            for contact in (series.parameters, *contacts)
+            cycle_work(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, contact, series.pair.pendulum)
+            for contact in (series.pair.parameters, *contacts)
         ]
         for what, attribute in (("4A", "dissipated_j"), ("4Aₜ", "adhesive_j")):
             expected, exact, asymptotic = (getattr(work, attribute) * 1e15 for work in works)
@@ -227,13 +227,15 @@ def _energy(series: PairSeries, form: str) -> _PrintedRow:
     """Row of the surface energy: the form of Table 2 must agree, Eq. 2 as printed is known to differ."""
     printed = series.pair.surface_energy_j_per_m2 * 1e3
     exact, asymptotic = (series.series.fits[method]["c"] for method in (_EXACT, _ASYMPTOTIC))
-    value, u = (1e3 * number for number in getattr(surface_energy(exact.estimate, series.pendulum), form))
+    value, u = (
+        1e3 * number for number in getattr(surface_energy(exact.estimate, series.pair.pendulum), form)
+    )
     other = value / exact.value * asymptotic.value
     if form == "eq2":
         label, remark = "σ, Eq. 2: m g c/(2a)", " with Table 2"
         return _PrintedRow(series.pair, label, "mJ/m²", printed, value, u, other, CONTRADICTION, remark)
     half_width = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
-    of_printed_c = surface_energy(Estimate(series.pair.c, 0.0), series.pendulum).table2.value * 1e3
+    of_printed_c = surface_energy(Estimate(series.pair.c, 0.0), series.pair.pendulum).table2.value * 1e3
     verdict = _agreement(value - printed, half_width, 0.1)
     if not verdict and abs(value - of_printed_c) <= half_width:
         off = f"{100 * abs(printed / of_printed_c - 1):.1f} %"
@@ -313,15 +315,13 @@ def _drawings(series: PairSeries) -> list[ReportFigure]:
     points, motion = series.run.points, series.motion
     curves, exact = curves_of(series.run), series.run.fits[_EXACT]
     period_s = exact.mean_period_s.value
-    drawings = [
-        figures_motion.slow_figure(motion, period_s),
-        figures_motion.fast_figure(motion, period_s),
-        figures_motion.trajectory_figure(motion, period_s),
-    ]
+    drawings = figures_motion.motion_figures(motion, period_s)
     if curves is not None:
         drawings += [
             figures_laws.decay_figure(points, curves, motion.unit),
             figures_laws.period_figure(curves),
         ]
-    loop = figures_contact.loop_figure(exact.contact(), series.pendulum, TABLE4_AMPLITUDE_ARCSEC, has_c=True)
+    loop = figures_contact.loop_figure(
+        exact.contact(), series.pair.pendulum, TABLE4_AMPLITUDE_ARCSEC, has_c=True
+    )
     return [*drawings, loop]

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from acquisition import atomic_write
 from processing.contact.laws import DEFAULT_LAW
 from processing.decay_summary import mean_period
@@ -156,12 +154,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     period_s = period_s if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
     if len(motion.time_s) > 1:
-        drawings.append(figures_motion.slow_figure(motion, period_s))
-        if np.isfinite(motion.x).any():
-            drawings += [
-                figures_motion.fast_figure(motion, period_s),
-                figures_motion.trajectory_figure(motion, period_s),
-            ]
+        drawings += figures_motion.motion_figures(motion, period_s)
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and len(points) and not run.results.fits:
@@ -225,7 +218,7 @@ def make_table_report(table: AnalysedTable, folder: Path) -> Sequence[tuple[str,
 
     Raises RecordError if a file cannot be written.
     """
-    return [("positions", write_positions(table.trajectory, folder)), ("report", make_report(folder))]
+    return [("positions", write_positions(table.positions, folder)), ("report", make_report(folder))]
 
 
 _NOT_STATED = "not stated"
@@ -306,7 +299,7 @@ def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     found = whole_result(_quoted(source)[1][0].results, source.series)
     lines = [(found.text or "Nothing was fitted", "")]
     if found.limits:
-        limited = ", ".join(f"{one.name} {100 * one.share:.0f} %" for one in found.limits[:2])
+        limited = ", ".join(map(str, found.limits[:2]))
         lines.append((f"Its uncertainty: {limited}. Next: {'; '.join(found.next_steps)}.", ""))
     judged = [item for run in source.runs for item in run.results.conditions]
     broken = [item for item in judged if not item.ok]

@@ -109,12 +109,10 @@ def read_source(source: Path | SessionResults) -> ReportSource:
     Raises RecordError for a folder without results, or if a record is missing.
     """
     if isinstance(source, SessionResults):
-        folder = Path.cwd()
-        runs = [_read_run(folder, run, number) for number, run in enumerate(source.runs, start=1)]
-        return ReportSource(folder, ("results", ""), source.series, runs)
-    results = read_results(source)
-    folder, path = source if source.is_dir() else source.parent, results_path(source)
-    name = path.name, cached_sha256(path)
+        results, folder, name = source, Path.cwd(), ("results", "")
+    else:
+        results, path = read_results(source), results_path(source)
+        folder, name = path.parent, (path.name, cached_sha256(path))
     runs = [
         _read_run(folder, run, number) if run.decay is None else decay_of_table(folder, results, run, number)
         for number, run in zip(results.numbers, results.runs, strict=True)

@@ -237,9 +237,9 @@ def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
     if curves is not None:
         columns += [f"asymptotic_{unit.shown}", f"exact_{unit.shown}", "exact_time_s"]
         arrays += [
-            curves.asymptotic_rad / size,
-            curves.exact_rad / size,
-            curves.exact_time_s,
+            curves.asymptotic.model_amplitude_rad / size,
+            curves.exact.model_amplitude_rad / size,
+            curves.exact.model_time_s,
         ]
     lines = [TableRow(row) for row in zip(*(array.tolist() for array in arrays), strict=True)]
     return Table("half-cycles", "Half-cycles", columns, (), lines)

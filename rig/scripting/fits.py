@@ -134,7 +134,7 @@ def fit_film(
     config = _configuration(configuration)
     size = text_of(pixel, "pixel", "0.142 mm")
     asked = FilmOptions(rate_hz=rate_hz, dark=dark, size=size, begin_s=begin_s, end_s=end_s)
-    return analyse_trajectory(film, film_trajectory(film, asked), config).results
+    return analyse_trajectory(film, film_trajectory(film, asked), config)
 
 
 def _configuration(path: str | Path | None) -> Configuration | None:
@@ -222,7 +222,7 @@ def fit_table(
         text_of(time_unit, "time_unit", "ms"),
         run=run,
     )
-    return analyse_trajectory(table, columns.read(table), config, _laws(law, elastic), ground).results
+    return analyse_trajectory(table, columns.read(table), config, _laws(law, elastic), ground)
 
 
 def campaign(

@@ -136,7 +136,8 @@ SOURCES: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class PlottedQuantities:
-    """Quantities plotted by the desk's page; amplitude and period are declared in `Balance`."""
+    """Quantities plotted by the desk's page, and covariates of a campaign; others are declared in `Balance`,
+    and ambient conditions."""
 
     elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
     deflection_x: Annotated[float, Quantity("X", "deflection across the swing", *_ANGLE)]
@@ -150,6 +151,9 @@ class PlottedQuantities:
     sharpness_per_px: Annotated[float, Quantity("sharpness", "larger is sharper", "1/px", "1/px")]
     level_dn: Annotated[float, Quantity("level", "grey value of a pixel", "DN", "DN")]
     pixels: Annotated[float, Quantity("lg(1 + pixels)", "pixels of a grey value, as a logarithm", unit="1")]
+    order: Annotated[float, Quantity("run", "order of the runs", unit="1")]
+    first_amplitude_rad: Annotated[float, Quantity("first amplitude", "first amplitude", "arcsec")]
+    load_n: Annotated[float, Quantity("load", "load", unit="N")]
 
 
 class RerunStyle(NamedTuple):

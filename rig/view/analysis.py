@@ -87,8 +87,8 @@ def analysis_curves(runs: Mapping[str, RunResults]) -> list[AnalysisCurve]:
             AnalysisCurve("period", data, at, curves.period_s, u_period_s if single else None, "points")
         )
         models = {
-            FitMethod.ASYMPTOTIC: (curves.asymptotic_rad / size, curves.asymptotic_period_s),
-            FitMethod.EXACT: (curves.exact_rad / size, curves.exact_period_s),
+            FitMethod.ASYMPTOTIC: (curves.asymptotic.model_amplitude_rad / size, curves.asymptotic_period_s),
+            FitMethod.EXACT: (curves.exact.model_amplitude_rad / size, curves.exact_period_s),
         }
         for method, (decay, period_s) in models.items():
             exact = method is FitMethod.EXACT

@@ -16,6 +16,7 @@ from acquisition.camera import Frame
 from acquisition.record.topics import RecordedSeismometer
 from calibration import Stability, stability
 from processing.arrays import Floats
+from processing.arrival_times import sample_times
 from processing.balance import BalanceEstimator, BalanceLimits
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
@@ -25,7 +26,7 @@ from processing.reference_gain import ReferenceAtRest, gain_while_swinging, refe
 from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag, SpotModel
 from processing.units import seconds
-from rig.analysis import base_motion, drive_text, sample_times
+from rig.analysis import base_motion, drive_text
 from rig.control import SeismometerSettings
 from rig.instrument import PLANE_OF_SWING, balance_verdicts
 from rig.settings import PendulumSettings, PreflightSettings, ReferenceSettings

@@ -128,4 +128,4 @@ def analysed_table(seen: Deflections, config: Configuration | None, file: Path) 
     rows = np.column_stack([seen.times_s, seen.shown_x, seen.shown_y])
     header = "time_s,x_arcsec,y_arcsec"
     np.savetxt(file, rows, delimiter=",", header=header, comments="", fmt=["%.4f", "%.6f", "%.6f"])
-    return analyse_table(file, config, TableColumns()).results.runs[0]
+    return analyse_table(file, config, TableColumns()).runs[0]

@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 
 from processing.errors import ConfigurationError
 from processing.instruments.descriptions import INSTRUMENTS
-from rig.analysis import TableOptions, fit_several, read_results
+from rig.analysis import read_results
 from rig.cli import app
 from rig.commands.fitting import fit_records
+from rig.commands.table_fits import TableOptions, fit_several
 from rig.intake import TableColumns
 from rig.measure.session import measure_session, simulate_record
 from rig.settings import load_configuration

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rig
+from processing.arrival_times import sample_times
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, SeismometerUse
@@ -21,7 +22,6 @@ from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, session_res
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import seismometer_sentences
-from rig.analysis.seismometer import sample_times
 from rig.analysis.table_fit import TableColumns
 from rig.archive.session_rows import results_row
 from rig.intake import read_seismometer
@@ -84,7 +84,7 @@ def analysed(folder: Path, *columns: str) -> AnalysedTable:
 
 
 def fitted(folder: Path, *columns: str) -> RunResults:
-    return analysed(folder, *columns).longest.results
+    return analysed(folder, *columns).longest
 
 
 @pytest.mark.slow
@@ -126,13 +126,13 @@ def test_the_python_interface_takes_a_seismometer_of_a_table_as_the_terminal_doe
 @pytest.mark.usefixtures("figures")
 def test_the_report_of_a_table_draws_what_its_seismometer_explains(decay: Path, tmp_path: Path) -> None:
     table = analysed(decay, "east", "north")
-    write_results(tmp_path / RESULTS_NAME, table.results)
+    write_results(tmp_path / RESULTS_NAME, table)
     make_table_report(table, tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "What the auxiliary seismometer explains" in page
     assert "it explains" in page
     assert (tmp_path / "report" / "run-1" / "seismometer.svg").exists()
-    assert table.longest.results.seismometer is not None
+    assert table.longest.seismometer is not None
 
 
 @pytest.mark.slow
@@ -230,7 +230,7 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     config = load_configuration(decay / "rig.toml", needs_camera=False)
     found = analyse_table(
         decay / "decay.csv", config, TableColumns(unit="arcsec"), record
-    ).longest.results.seismometer
+    ).longest.seismometer
     assert found is not None
     assert (found.source, found.understood) == ("w.csv", record.understood)
     assert "Of the seismometer w.csv: left out" in seismometer_sentences(found)[-1]

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from processing.decay_summary import summarise_decay
 from processing.envelope import fit_envelope, unsigned_period_s
 from processing.errors import ConfigurationError, DataError
+from processing.swing import turning_points
 from rig.analysis.table_fit import analyse_envelope
 from rig.intake.table import TableColumns
 from rig.settings import Configuration
@@ -38,8 +40,8 @@ def ring_downs(starts_s: list[float], amplitudes: list[float], decrement: float)
 def test_decays_after_one_another_are_found_and_each_is_analysed(tmp_path: Path) -> None:
     t, y = ring_downs([1.0, 41.0, 79.5], [10.0, 8.0, 12.0], 0.2)
     found = analyse_table(write(tmp_path / "three.txt", t, y), None, TableColumns(unit="mm"))
-    assert len(found.results.runs) == 3
-    for decay, start in zip(found.results.runs, (1.0, 41.0, 79.5), strict=True):
+    assert len(found.runs) == 3
+    for decay, start in zip(found.runs, (1.0, 41.0, 79.5), strict=True):
         assert decay.decay is not None
         assert start < decay.decay.began_s < start + 8.0
         assert (
@@ -50,7 +52,7 @@ def test_decays_after_one_another_are_found_and_each_is_analysed(tmp_path: Path)
             abs(decay.number("mean_period_s").value - 2.0)
             < 4 * decay.number("mean_period_s").standard_uncertainty
         )
-    assert found.longest.results.half_cycles == max(decay.half_cycles for decay in found.results.runs)
+    assert found.longest.half_cycles == max(decay.half_cycles for decay in found.runs)
 
 
 def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Path) -> None:
@@ -58,7 +60,7 @@ def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Pat
     table = np.genfromtxt(shared_data / "ringdown" / "seismometer-11mm.txt", skip_header=2)[:1050]
     times_s = np.concatenate([table[:, 0], table[:, 0] + 105.0])
     path = write(tmp_path / "twice.txt", times_s, np.tile(table[:, 1], 2))
-    found = analyse_table(path, None, TableColumns(unit="V")).results
+    found = analyse_table(path, None, TableColumns(unit="V"))
     assert len(found.runs) == 2
     for decay in found.runs:
         assert decay.number("log_decrement").value == pytest.approx(0.5, abs=0.08)
@@ -73,12 +75,12 @@ def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Pat
 
 def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path) -> None:
     path = shared_data / "ringdown" / "camera-tracked-pendulum.txt"
-    (decay,) = analyse_table(path, None, TableColumns(positions=("2", "3"), unit="rad")).decays
-    period = decay.summary.period_s
+    (decay,) = analyse_table(path, None, TableColumns(positions=("2", "3"), unit="rad")).runs
+    period = summarise_decay(turning_points(decay.swings)).period_s
     assert period.changes
     # of a circular pendulum T rises by A^2/16; means of the first and last third
     assert period.first / period.last == pytest.approx((1 + 0.58**2 / 16) / (1 + 0.26**2 / 16), abs=3e-3)
-    assert decay.results.number("mean_period_s").standard_uncertainty > 0.3 * (period.first - period.last)
+    assert decay.number("mean_period_s").standard_uncertainty > 0.3 * (period.first - period.last)
     printed = rig("fit", path, "--position", "2", "--position", "3", "--unit", "rad").stdout
     assert re.search(r"period 1\.66\d+ ± \S+ s at the start, 1\.63\d+ ± \S+ s at the end", printed)
     assert "not constant (χ²/dof 1.5" in printed
@@ -194,7 +196,7 @@ def test_the_page_on_tables_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_what_the_laws_lack_is_said(tmp_path: Path, unit: str, problem: str) -> None:
     t, y = ring_downs([1.0], [10.0], 0.2)
     path = write(tmp_path / "one.txt", t, 1e-4 * y if unit == "rad" else y)
-    found = analyse_table(path, None, TableColumns(unit=unit) if unit else TableColumns()).results
+    found = analyse_table(path, None, TableColumns(unit=unit) if unit else TableColumns())
     assert problem in found.runs[0].problem
     assert not found.runs[0].fits
 
@@ -224,7 +226,7 @@ def test_times_of_no_unit_that_are_strange_in_seconds_are_asked_for(tmp_path: Pa
     assert "\n" not in str(refused.value)
     # a torsion balance, of which it is said
     found = analyse_table(path, None, TableColumns(unit="mm", time_unit="s" if per_s < 1e9 else "ns"))
-    assert found.longest.results.number("mean_period_s").value == pytest.approx(
+    assert found.longest.number("mean_period_s").value == pytest.approx(
         2.0 * per_s * (1.0 if per_s < 1e9 else 1e-9), rel=1e-3
     )
 
@@ -291,9 +293,9 @@ def test_an_angle_that_was_counted_round_a_turn_goes_on(
     wrapped[100] = np.nan
     path = write(tmp_path / "t.csv", t, wrapped)
     found = analyse_table(path, None, TableColumns(unit=unit))
-    assert found.longest.results.number("mean_period_s").value == pytest.approx(2.0, abs=1e-3)
-    assert found.longest.results.amplitudes[0] == pytest.approx(19.64 * turn / 360.0, rel=2e-3)
-    assert any(re.search(r"jumps by a turn \d+ times: unwrapped", line) for line in found.results.understood)
+    assert found.longest.number("mean_period_s").value == pytest.approx(2.0, abs=1e-3)
+    assert found.longest.amplitudes[0] == pytest.approx(19.64 * turn / 360.0, rel=2e-3)
+    assert any(re.search(r"jumps by a turn \d+ times: unwrapped", line) for line in found.understood)
     with pytest.raises(
         ConfigurationError, match=r"jumps by .* against its motion.*state its unit with --unit"
     ):
@@ -314,7 +316,7 @@ def test_a_position_that_its_sensor_cuts_off_is_said(
 ) -> None:
     t, x = _decaying()
     found = analyse_table(write(tmp_path / "t.csv", t, seen(x)), None, TableColumns(unit="V"))
-    assert any("cuts the swings off" in line for line in found.longest.results.warnings) == is_cut
+    assert any("cuts the swings off" in line for line in found.longest.warnings) == is_cut
 
 
 @pytest.mark.parametrize(
@@ -334,7 +336,7 @@ def test_a_note_on_growth_states_it(tmp_path: Path) -> None:
     """Its first and last amplitude may say the opposite, of a swing that is driven."""
     t, x = _decaying()
     found = analyse_table(write(tmp_path / "t.csv", t, x[::-1]), None, TableColumns(unit="V"))
-    (said,) = [line for line in found.longest.results.warnings if "grows" in line]
+    (said,) = [line for line in found.longest.warnings if "grows" in line]
     assert said.startswith("the amplitude grows, its log decrement is −0.0400 in the mean")
 
 
@@ -344,5 +346,5 @@ def test_amplitudes_that_the_rig_does_not_have_are_said(tmp_path: Path, scale: f
     t, x = _decaying(4.0)
     path = write(tmp_path / "t.csv", t, 3.0 * scale * x)
     config = Configuration.model_validate({"camera": {"driver": "files"}})
-    warnings = analyse_table(path, config, TableColumns(unit="arcsec")).longest.results.warnings
+    warnings = analyse_table(path, config, TableColumns(unit="arcsec")).longest.warnings
     assert any("none of this rig, which swings from 124 to 2 arcsec" in one for one in warnings) == is_said

@@ -122,10 +122,10 @@ def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path:
     """H.264 makes amplitudes too small, which the scatter does not show."""
     film = Film(codec="libx264", ending="mp4", pixels="yuv420p", options={"crf": "28"})
     trajectory = film_trajectory(write_film(tmp_path / "lossy.mp4", swing(), film), FilmOptions())
-    found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).longest.results
+    found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).longest
     assert "light that stays" not in " ".join(trajectory.understood)
     blind = replace(trajectory, u_common_in_noises=0.0)
-    of_scatter = analyse_trajectory(tmp_path / "lossy.mp4", blind, None).longest.results
+    of_scatter = analyse_trajectory(tmp_path / "lossy.mp4", blind, None).longest
     error = found.number("log_decrement").value - DECREMENT
     assert abs(error) > 4 * of_scatter.number("log_decrement").standard_uncertainty
     assert abs(error) < 3 * found.number("log_decrement").standard_uncertainty

@@ -22,7 +22,7 @@ def noise(seed: int) -> np.ndarray:
 def fitted(folder: Path, x: np.ndarray, y: np.ndarray) -> SessionResults:
     path = folder / "two.csv"
     np.savetxt(path, np.column_stack([T_S, x, y]), delimiter=",", header="t,x,y", comments="", fmt="%.6f")
-    return analyse_table(path, None, TableColumns(positions=("x", "y"), unit="mm")).results
+    return analyse_table(path, None, TableColumns(positions=("x", "y"), unit="mm"))
 
 
 def judge(found: SessionResults, amplitude: float = 98.76) -> None:
@@ -90,7 +90,7 @@ def test_so_is_a_second_push_in_another_direction(tmp_path: Path) -> None:
     rows = np.column_stack([0.05 * np.arange(len(x)), x, y])
     rows[:, 1:] += 0.02 * np.random.default_rng(3).standard_normal((len(x), 2))
     np.savetxt(path, rows, delimiter=",", header="t,x,y", comments="", fmt="%.6f")
-    found = analyse_table(path, None, TableColumns(positions=("x", "y"), unit="mm")).results
+    found = analyse_table(path, None, TableColumns(positions=("x", "y"), unit="mm"))
     assert len(found.runs) == 2
     assert found.runs[1].number("log_decrement").value == pytest.approx(DECREMENT, rel=1e-3)
     assert found.runs[1].amplitudes[0] == pytest.approx(0.6 * 98.76, rel=2e-3)

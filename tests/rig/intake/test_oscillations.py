@@ -58,7 +58,7 @@ def test_gaps_change_nothing() -> None:
 def _warnings(path: Path, x: np.ndarray, y: np.ndarray, positions: tuple[str, ...] = ("x", "y")) -> list[str]:
     np.savetxt(path, np.column_stack([T_S, x, y]), delimiter=",", fmt="%.6f", header="t_s,x,y", comments="")
     found = analyse_table(path, None, TableColumns("t_s", positions, "arcsec"))
-    return [line for line in found.longest.results.warnings if "second oscillation" in line]
+    return [line for line in found.longest.warnings if "second oscillation" in line]
 
 
 @pytest.mark.parametrize("size", [0.02, 0.1])
@@ -93,4 +93,4 @@ def test_a_few_slow_swings_from_a_hold_are_one_oscillation(tmp_path: Path) -> No
     table = tmp_path / "held.csv"
     np.savetxt(table, np.column_stack([t_s, held]), delimiter=",", fmt="%.6f", header="t_s,y", comments="")
     found = analyse_table(table, None, TableColumns("t_s", ("y",), "mrad"))
-    assert not [line for line in found.longest.results.warnings if "second oscillation" in line]
+    assert not [line for line in found.longest.warnings if "second oscillation" in line]

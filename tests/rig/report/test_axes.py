@@ -13,7 +13,7 @@ from processing.fit import BaseMotion, Ground, SeismometerSpectra
 from processing.noise_models import density_of_db, nlnm_db
 from processing.swing import ResidualSpectrum, TurningPoints
 from processing.units import ARCSEC_RAD
-from rig.analysis import Curves, ResultRow, RunResults
+from rig.analysis import Curves, ModelCurve, ResultRow, RunResults
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled
 from rig.report.figures_contact import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure, residual_figure
@@ -29,8 +29,9 @@ def curves(first: float, last: float) -> tuple[TurningPoints, Curves]:
     index = np.arange(40, dtype=np.int64)
     period = 4.07 * (1 + 4.0 * amplitude)
     points = TurningPoints(index, 2.0 * index, np.full(40, 1e-5), amplitude, np.full(40, 1e-9))
+    curve = ModelCurve.of(points, amplitude, points.time_s)
     found = Curves(
-        asymptotic_rad=amplitude, exact_rad=amplitude, exact_time_s=points.time_s, period_rad=amplitude,
+        asymptotic=curve, exact=curve, period_rad=amplitude,
         period_s=period, u_period_s=np.full(40, 1e-6), asymptotic_period_s=period, exact_period_s=period,
         smooth_s=period,
     )  # fmt: skip

@@ -1,18 +1,11 @@
-"""The auxiliary seismometer in a record, and the times of its samples."""
+"""Times at which samples were taken, from those at which they arrived."""
 
 from itertools import pairwise
 
 import numpy as np
 
-from acquisition.record.reader import RecordReader
-from acquisition.record.topics import SEISMOMETER
 from processing.arrays import Floats, Ints
-from rig.analysis.run_remarks import CLOCK_SET
-from rig.intake import SeismometerRecord
-from rig.settings import Configuration
 
-_VALUES = ("first", "second", "third")
-_MIN_ARRIVALS = 3
 _PAUSE_S, _PAUSE_STEPS = 0.5, 4.0
 """Longest pause between arrivals that is no gap, in s and in median steps: a gap is longer than both."""
 _MIN_LINE_SAMPLES = 20
@@ -25,35 +18,6 @@ _RUN, _FALLS = 200, 0.2
 """Samples compared after a step, and least fall of lateness, over the time, while a backlog is read."""
 _WAITED, _MOST_TURNS = 5.0, 30
 """Lateness of a line that had waited, in distances of the earliest from the usual arrivals, and most fits."""
-
-
-def recorded_seismometer(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
-    """A record's seismometer samples on the frames' clock; None without any, or where none is configured."""
-    if config.seismometer.kind == "none":
-        return None
-    table = reader.table(SEISMOMETER.topic)
-    if len(table) < _MIN_ARRIVALS:
-        return None
-    names = config.seismometer.components
-    times_ns, steps_s = sample_times(table["time_ns"], table["own_time_s"])
-    order = np.concatenate([[True], np.diff(times_ns) > 0])
-    stray = int(np.count_nonzero(~order))
-    value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
-    return SeismometerRecord(
-        f"{reader.path.name}: {SEISMOMETER.topic}",
-        times_ns[order] - times_ns[0],
-        value[order],
-        names,
-        int(times_ns[0]),
-        absolute=False,
-        # after a step it is not known which of the two clocks was right
-        offset_stated=not steps_s,
-        understood=(
-            f"columns: {', '.join(names)}",
-            *(f"{CLOCK_SET} by {step:+.4g} s; times before it follow those after it" for step in steps_s),
-            *([f"left out: {stray} samples not later than the previous one"] if stray else []),
-        ),
-    )
 
 
 def sample_times(arrived_ns: Ints, own_s: Floats) -> tuple[Ints, tuple[float, ...]]:
