@@ -108,7 +108,8 @@ def test_no_label_is_cut() -> None:
 def test_the_rms_of_residuals_contains_their_mean() -> None:
     """It was the standard deviation: residuals that all lie 3 u to one side stood as 0.00."""
     points, found = curves(124.0, 2.0)
-    off = replace(found, exact_rad=points.amplitude - 3 * points.u_amplitude)
+    exact = replace(found.exact, model_amplitude_rad=points.amplitude - 3 * points.u_amplitude)
+    off = replace(found, exact=exact)
     words = [text.get_text() for axes in residual_figure(points, off, ()).figure.axes for text in axes.texts]
     assert words == ["rms 3.00", "rms 0.00"]
 
