@@ -139,15 +139,18 @@ def test_a_shift_that_all_turning_points_share_makes_none_more_uncertain(glass: 
     assert measurement_shift(swings, early).time > 10.0
 
 
-def test_a_drive_that_passes_for_a_rest_position_that_moves_is_told_the_second_measurement() -> None:
-    """Its uncertainties were 10 to 30 times too large, and it was lost.
+@pytest.mark.parametrize(("q", "seed", "is_told"), [(8e-9, 4, False), (3e-8, 1, True)])
+def test_a_drive_that_passes_for_a_rest_position_that_moves_loses_no_second_measurement(
+    q: float, seed: int, is_told: bool
+) -> None:
+    """Its uncertainties were 10 to 30 times too large; where it is refused, the drive is told the next one.
 
     Times are stamps of a host, 1 ms off: what that does to the samples is in their uncertainties.
     """
     parameters, pendulum = paper_pair("glass_k8", 1.7e-3)
-    path = driven_path(parameters, pendulum, q=8e-9, seed=4, frames_per_s=25.0)[2]
-    position = path + 0.005 * ARCSEC_RAD * np.random.default_rng([4, 3]).standard_normal(len(path))
-    late_s = 1e-3 * np.random.default_rng([4, 5]).standard_normal(len(path))
+    path = driven_path(parameters, pendulum, q=q, seed=seed, frames_per_s=25.0)[2]
+    position = path + 0.005 * ARCSEC_RAD * np.random.default_rng([seed, 3]).standard_normal(len(path))
+    late_s = 1e-3 * np.random.default_rng([seed, 5]).standard_normal(len(path))
     time_s = np.sort(np.arange(len(path)) / 25.0 + late_s)
     times_ns = np.rint(1e9 * (time_s - time_s[0])).astype(np.int64)
     scatter = estimate_scatter(times_ns, position)
@@ -158,7 +161,7 @@ def test_a_drive_that_passes_for_a_rest_position_that_moves_is_told_the_second_m
     found, fit = fitted_twice(swings, [samples], DecayFit(pendulum, evidence=known))
     assert found.doubt == ""
     assert found.motion is not None
-    assert found.motion.drive > 0.0
+    assert bool(found.motion.drive > 0.0) is is_told
     assert 0.8 < fit.chi2_per_dof < 1.2
     for name in ("b", "c", "period0_s"):
         value, u = fit.estimate(name)
