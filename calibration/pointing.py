@@ -142,9 +142,9 @@ def _spectrum(times_s: Floats, detrended: Floats, interval_s: float) -> tuple[Fl
     steps = np.maximum(np.rint(np.diff(times_s) / interval_s), 1.0).astype(np.int64)
     place = np.concatenate([[0], np.cumsum(steps)])
     count = int(place[-1]) + 1
-    window, even = np.hanning(count), np.zeros(count)
-    even[place] = detrended
-    power = np.abs(np.fft.rfft(even * window)) ** 2
+    window, filled = np.hanning(count), np.zeros(count)
+    filled[place] = detrended
+    power = np.abs(np.fft.rfft(filled * window)) ** 2
     density = 2.0 * power * interval_s / np.sum(window[place] ** 2)
     return np.fft.rfftfreq(count, interval_s)[1:].astype(np.float64), density[1:].astype(np.float64)
 

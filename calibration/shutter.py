@@ -176,8 +176,8 @@ def _harmonics(times_s: Floats, y_px: Floats, period_s: float) -> tuple[float, f
         phase = rate * (since_s + row_time_s * y_px)
         waves = np.exp(1j * np.outer(phase, _HARMONICS))
         # all change slowly, the first one also in amplitude and period, and as strong drag curves its decay
-        bent = slow[:, None] ** [2, 3] * waves[:, :1]
-        waves = np.hstack([waves, slow[:, None] * waves, bent])
+        curvature = slow[:, None] ** [2, 3] * waves[:, :1]
+        waves = np.hstack([waves, slow[:, None] * waves, curvature])
         design = np.column_stack([np.ones_like(slow), slow, waves.real, -waves.imag])
         values, *_ = np.linalg.lstsq(design, y_px, rcond=None)
         parts = values[2:].reshape(2, -1)

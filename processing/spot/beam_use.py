@@ -215,8 +215,8 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     # imported here, because it would slow down fits of records without fixed light
     from scipy.ndimage import gaussian_filter, median_filter
 
-    around = median_filter(light, size=3)
-    light = np.where(light - around > _SINGLE_PIXEL_HEIGHT * height, around, light)
+    neighbours = median_filter(light, size=3)
+    light = np.where(light - neighbours > _SINGLE_PIXEL_HEIGHT * height, neighbours, light)
     shift_px = max(_shift(light, spot, sigma, height) for spot in found)
     if shift_px < least_px:
         return None

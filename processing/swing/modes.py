@@ -164,14 +164,14 @@ def _with_scatter(fit: ModeFit, samples: ModeSamples, fast_period_s: float) -> M
         return fit
     # Each coordinate gets its own scatter: friction and anharmonicity distort the motion along the major
     # axis and hardly the one across it.
-    more = np.ones(2)
+    factor = np.ones(2)
     if FAST_RATE in fit.active:
         fast_period_s = 2.0 * math.pi / float(fit.p[FAST_RATE])
     if not math.isnan(fast_period_s):
         sizes = [np.hypot(fit.p[at + SLOW_COSINE], fit.p[at + SLOW_COSINE + 1]) for at in (X, Y)]
         cycles = samples.span_s / fast_period_s
-        more[int(np.argmin(sizes))] = max(_SHARE_OF_STOPPED * len(samples.t) / cycles**2, 1.0)
-    scatter = 1.0 + more * np.maximum(np.array([chi2_per_dof_x, chi2_per_dof_y]) - 1.0, 0.0)
+        factor[int(np.argmin(sizes))] = max(_SHARE_OF_STOPPED * len(samples.t) / cycles**2, 1.0)
+    scatter = 1.0 + factor * np.maximum(np.array([chi2_per_dof_x, chi2_per_dof_y]) - 1.0, 0.0)
     return fit_terms(fit.p, fit.active, samples.rescaled(*scatter.tolist()), float(fit.p[SLOW_RATE]))
 
 

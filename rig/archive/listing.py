@@ -86,8 +86,8 @@ def writing(archive: Path) -> Iterator[Any]:
         # where it exists at the end, another process has made it meanwhile
         with (
             contextlib.suppress(FileExistsError),
-            atomic_write.being_written(archive) as made,
-            _connected(made) as connection,
+            atomic_write.being_written(archive) as temporary,
+            _connected(temporary) as connection,
         ):
             connection.execute(_TABLES_SQL)
     with _connected(archive) as connection:

@@ -95,7 +95,7 @@ def test_agrees_with_the_emva_1288_formulas() -> None:
 @pytest.mark.parametrize("bend", [0.0, 0.01])
 def test_a_response_that_bends_by_one_per_cent_moves_the_gain_by_no_more_than_is_said(bend: float) -> None:
     """It came out 4 u too large: as if no sensor bent."""
-    z, electrons_per_dn = [], 20.0
+    z, bends, electrons_per_dn = [], [], 20.0
     for seed in range(10):
         rng = np.random.default_rng(seed)
 
@@ -108,6 +108,8 @@ def test_a_response_that_bends_by_one_per_cent_moves_the_gain_by_no_more_than_is
         found = photon_transfer(pairs, [frame(0.0) for _ in range(8)], 255)
         assert found.u_gain_e_per_dn < 0.012 * electrons_per_dn
         z.append((found.gain_e_per_dn - electrons_per_dn) / found.u_gain_e_per_dn)
+        bends.append(found.non_linearity)
+    assert np.mean(bends) == pytest.approx(bend, abs=0.004)
     assert abs(np.mean(z)) < 1.0
     assert np.sqrt(np.mean(np.square(z))) < 1.5
 
