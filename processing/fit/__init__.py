@@ -41,7 +41,7 @@ from processing.fit.refinement import (
     known_motion,
     measurement_shift,
     points_in_true_time,
-    refine,
+    refinement,
     second_measurement,
 )
 from processing.fit.reported import (

@@ -241,39 +241,6 @@ class Refinement(NamedTuple):
     harmonics: SwingHarmonics | None = None
 
 
-def refine(
-    swings: Sequence[HalfCycle],
-    blocks: Iterable[Deflections],
-    motion: KnownMotion,
-    first: FitResult,
-    fit: DecayFit,
-    again: Sequence[HalfCycle] | None = None,
-    before: Sequence[HalfCycle] = (),
-) -> Refinement:
-    """The second measurement; where it is refused, another one with the drive that the first fit has seen.
-
-    An unknown drive may look like a rest position that moves: the uncertainties of the half-cycles then grow
-    until they are useless. The drive is not given at once, because a drive that the first fit saw by mistake
-    would be confirmed.
-
-    Parameters
-    ----------
-    again
-        The second measurement of `swings` with the waveform of `motion`, where it exists already.
-    before
-        Earlier half-cycles, which are fitted with `swings` and not measured a second time.
-    """
-    every = [*before, *swings]
-    if again is None:
-        again = second_measurement(swings, blocks, motion)
-    found = refinement(every, [*before, *again], motion, first, fit)
-    if not found.doubt or first.ground is None or not first.ground.seen:
-        return found
-    driven = replace(motion, drive=first.ground.noise.step)
-    with_drive = refinement(every, [*before, *second_measurement(swings, blocks, driven)], driven, first, fit)
-    return found if with_drive.doubt else with_drive
-
-
 def refinement(
     swings: Sequence[HalfCycle],
     again: Sequence[HalfCycle],
@@ -281,7 +248,10 @@ def refinement(
     first: FitResult,
     fit: DecayFit,
 ) -> Refinement:
-    """The second measurement `again` if the laws describe it as well as the first."""
+    """The second measurement `again` if the laws describe it as well as the first `swings`.
+
+    Both may begin with earlier half-cycles, which are fitted with them and not measured a second time.
+    """
     shift = measurement_shift(swings, again)
     reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
     if shift.complete:
@@ -333,5 +303,6 @@ def fitted_twice(
         motion = fit.motion(first, every)
     except DataError:
         return Refinement(every, None), first
-    found = refine(every[len(before) :], blocks, motion, first, fit, before=every[: len(before)])
+    again = second_measurement(every[len(before) :], blocks, motion)
+    found = refinement(every, [*every[: len(before)], *again], motion, first, fit)
     return found, found.exact or fit.of(found.swings, first)

@@ -125,9 +125,7 @@ class TurningPointDetector:
                 self._last_before_loss = None
             self._emit(index, first.half.reference_ns, first.half.side, first.result, flags, swings)
         self._search = None
-        self._follower = OscillationTracker(
-            onset, index, self._previous_follower, drive=0.0 if self._known is None else self._known.drive
-        )
+        self._follower = OscillationTracker(onset, index, self._previous_follower)
         self._samples.forget_before(self._samples.position(self._follower.start_ns))
 
     def _start_flag(self, before: HalfCycle, first: FirstHalfCycle) -> HalfCycleFlag:

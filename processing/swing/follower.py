@@ -83,20 +83,17 @@ lost."""
 class OscillationTracker:
     """State of the oscillation, carried from half-cycle to half-cycle."""
 
-    def __init__(
-        self, onset: Onset, index: int, before: "OscillationTracker | None" = None, drive: float = 0.0
-    ) -> None:
+    def __init__(self, onset: Onset, index: int, before: "OscillationTracker | None" = None) -> None:
         """Start from a newly found oscillation; `index` is the index of its last half-cycle.
 
-        The samples' noise is taken over from `before`, the follower before a loss. `drive` is the known step
-        by the ground, as in `KnownMotion`; 0 if unknown.
+        The samples' noise is taken over from `before`, the follower before a loss.
         """
         arc, last = onset.arc, onset.halves[-1]
         self.index = index
         self.side = last.side
         self.reference_ns = last.reference_ns
         self.noise: SampleNoise = SampleNoise(onset.noise_scale) if before is None else before.noise
-        self.walk = DrivenWalk(drive**2)
+        self.walk = DrivenWalk()
         self.misses = 0
         self.first_miss_ns = 0
         self._age = 0

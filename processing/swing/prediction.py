@@ -33,9 +33,7 @@ class KnownMotion:
 
     `rate_rad_per_s` is the angular frequency of the linear part of the waveform's equation at the amplitude
     `reference`, which has the unit of the deflection. The fields from `damping` to `bend` are dimensionless,
-    in the order of the state's shape terms. `drive` is the step (standard deviation, unit of the deflection)
-    by which the ground moves either quadrature in a half-cycle. It is 0 if unknown, and then a rest position
-    that seems to move hides it.
+    in the order of the state's shape terms.
     """
 
     rate_rad_per_s: float
@@ -47,14 +45,13 @@ class KnownMotion:
     stiff: float = 0.0
     n: float = 1.0
     bend: float = 0.0
-    drive: float = 0.0
 
     def put_into(self, x: Floats) -> Floats:
         """Copy of the state `x` (see `half_cycle`) with this motion's frequency and shape."""
         out = np.array(x, dtype=np.float64)
         assert out.shape == (STATES,)
         out[RATE] = self.rate_rad_per_s
-        out[SHAPE : SHAPE + SHAPES] = astuple(self)[2 : 2 + SHAPES]
+        out[SHAPE : SHAPE + SHAPES] = astuple(self)[2:]
         return out
 
 
@@ -206,11 +203,10 @@ class DriveInflation(NamedTuple):
 
 
 class DrivenWalk:
-    """Variance of a drive's random steps of amplitude and phase, learned unless known; 0 without a drive."""
+    """Variance of a drive's random steps of amplitude and phase, learned; 0 without a drive."""
 
-    def __init__(self, variance: float = 0.0) -> None:
-        self.variance = variance
-        self._known = variance > 0.0
+    def __init__(self) -> None:
+        self.variance = 0.0
         self._means = [1.0, 1.0]
         self._offsets = [0.0, 0.0]
         self._alternation = self._last_deviate = 0.0
@@ -280,8 +276,6 @@ class DrivenWalk:
         deviate = math.copysign(math.sqrt(ratios[0]), differences[0])
         self._alternation += (-deviate * self._last_deviate - self._alternation) / _MEAN_MEMORY
         self._last_deviate = deviate
-        if self._known:
-            return False
         if self.variance == 0.0:
             self._offsets = [0.0, 0.0]
             together = sum(self._means)

@@ -31,7 +31,7 @@ from processing.fit import (
     fit_with_seismometer,
     known_motion,
     measurement_shift,
-    refine,
+    refinement,
     second_measurement,
     time_alternation,
     with_boundary_layer_drag,
@@ -87,7 +87,7 @@ def refined_half_cycles(
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = second_measurement(swings, _watched(blocks, watch, search), motion)
-    refined = refine(swings, blocks, motion, first, fit, again)._replace(harmonics=harmonics)
+    refined = refinement(swings, again, motion, first, fit)._replace(harmonics=harmonics)
     found = search.position_map()
     if found is None:
         return refined
