@@ -257,6 +257,12 @@ class Configuration(Section, frozen=True):
                 f"session.final_amplitude_arcsec = {self.session.final_amplitude_arcsec:g} must be below "
                 f"session.initial_amplitude_arcsec = {self.session.initial_amplitude_arcsec:g}"
             )
+        balls, kind = self.simulation.contact.balls, self.instrument.description()
+        if self.simulated and kind.report == "contact" and balls != kind.supports:
+            raise ValueError(
+                f"simulation.contact.balls = {balls}: a pendulum of instrument.kind = {kind.kind!r} stands on "
+                f"{kind.supports}, and the fit would take the contact for another; state {kind.supports}"
+            )
         try:
             stop_conditions(self.session.stop_when, drag=self.fit.fits_drag)
         except ValueError as error:

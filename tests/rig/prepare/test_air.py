@@ -222,12 +222,15 @@ def test_vanes_are_advised_and_asked_for() -> None:
 def test_the_air_acts_once_on_a_pendulum_on_two_balls() -> None:
     """Its drag was expected twice as large, as if each ball's half of the weight swung in the whole air."""
     expected = []
-    for kind in ("single_ball", "two_ball"):
+    for balls, kind in ((1, "single_ball"), (2, "two_ball")):
         pendulum = {
             "mass_kg": 1.2, "ball_radius_m": 5e-3, "ball_material": "steel", "flat_material": "glass_k8",
             "length_m": 0.5, "width_m": 0.1,
         }  # fmt: skip
-        tree = {"camera": {"driver": "simulated"}, "instrument": {"kind": kind}, "pendulum": pendulum}
+        tree = {
+            "camera": {"driver": "simulated"}, "instrument": {"kind": kind}, "pendulum": pendulum,
+            "simulation": {"contact": {"balls": balls}},
+        }  # fmt: skip
         config = validate_configuration(tree, "test")
         on_ball = pendulum_on_ball(config)
         assert on_ball is not None

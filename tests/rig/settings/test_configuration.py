@@ -70,6 +70,8 @@ def test_overrides_take_any_dotted_path() -> None:
         ),
         ("session.runs=many", r"session\.runs = 'many': should be a whole number"),
         ("session.final_amplitude_arcsec=500", "must be below session.initial_amplitude_arcsec = 124"),
+        ("simulation.contact.balls=2", r"simulation\.contact\.balls = 2: .* 'single_ball' stands on 1"),
+        ("instrument.kind=two_ball", r"simulation\.contact\.balls = 1: .* 'two_ball' stands on 2"),
         ("session.runs", r"--set session\.runs: must read KEY=VALUE"),
         ("session.runs.more=1", r"session\.runs"),
         ("session.runs=true", r"--set session\.runs = true: should be a number"),
