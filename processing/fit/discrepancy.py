@@ -239,7 +239,7 @@ def with_changes(
         fit = fit.with_term(FRICTION_STEP, at.to_physical @ scans[0].hidden_friction(u_step, explained))
     changes = _found_changes(at, scans, explained)
     warnings = (f"{one.text}; fit the parts before and after it on their own" for one in changes)
-    return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
+    return replace(fit, changes=(*fit.changes, *changes), warnings=(*fit.warnings, *warnings))
 
 
 def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained: float) -> tuple[Change, ...]:

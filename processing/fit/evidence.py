@@ -176,12 +176,14 @@ class Evidence:
     """Evidence that restrains a fit in addition to the turning points.
 
     `drag_s` is the prior of a linear drag, without this decay: its value and standard uncertainty. `drive` is
-    the drive of the ground by an auxiliary seismometer, up to gains that are fitted.
+    the drive of the ground by an auxiliary seismometer, up to gains that are fitted. `knocks` are the numbers
+    of the first half-cycles after knocks, from which on a decay begins anew.
     """
 
     waveform: Waveform | None = None
     drag_s: Estimate | None = None
     drive: KnownDrive | None = None
+    knocks: tuple[int, ...] = ()
 
     def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall | None) -> Floats:
         """Distances of the law's waveform and drag from the evidence, in standard uncertainties."""

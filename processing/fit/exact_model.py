@@ -19,6 +19,7 @@ from processing.fit.ground import (
     AT_REST,
     GAINS,
     NOTHING_KNOWN,
+    KnownSteps,
     MeasuredTurningPoints,
     Noise,
     Predictions,
@@ -35,6 +36,8 @@ _DECAY_LENGTH_FACTOR = 4
 """Times the measured half-cycles after which a law's free decay is followed no further."""
 _STEP = 3.0
 """Step of a derivative of the evidence, in uncertainties of one column while the others are known."""
+_MAX_HALVED_STEPS = 8
+"""Times that a step is halved for a law that predicts no waveform there."""
 
 
 class _LinearEvidence(NamedTuple):
@@ -112,6 +115,8 @@ class ExactModel:
         self.lower, self.upper = self.columns.lower, self.columns.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
         self._x = points.amplitude / self.reference
+        self._knocked = np.zeros(int(self._index[-1]) + 1, dtype=np.bool_)
+        self._knocked[self._index[np.isin(points.index, evidence.knocks)]] = True
         self.u_amplitude = points.u_amplitude / self.reference
         self.lowest = float(self._x.min())
         self._rate = 2 * np.pi / mean_period(points)
@@ -176,8 +181,8 @@ class ExactModel:
         """
         out = copy(self)
         out._noise = noise
-        # a known drive moves the state of the filter even without an unknown one
-        free = noise == AT_REST and self.known_drive is None
+        # a known drive moves the state of the filter even without an unknown one, and so does a knock
+        free = noise == AT_REST and self.known_drive is None and not self._knocked.any()
         out._gains = None if free else self.filtered(columns, noise).gains
         out._evidence_rows = self._evidence_rows._replace(scale=scale)
         return out
@@ -197,12 +202,26 @@ class ExactModel:
             # the first amplitude and time are none of the law's parameters
             of_law = self.columns.physical(columns)[1][:-2].any(axis=0) & (steps > 0.0)
             for column in np.flatnonzero(of_law).tolist():
-                step = float(steps[column])
-                moved = columns.copy()
-                moved[column] += step
-                jacobian[:, column] = (self.evidence_residuals(moved) - here) / step
+                jacobian[:, column] = self._evidence_slope(columns, here, column, float(steps[column]))
         out._evidence_rows = _LinearEvidence(columns.copy(), here, jacobian, self._evidence_rows.scale)
         return out
+
+    def _evidence_slope(self, columns: Floats, here: Floats, column: int, step: float) -> Floats:
+        """Derivative of the evidence's residuals, `here` at the columns, with respect to one of them.
+
+        Where the law predicts no waveform a step away, half a step in the other direction is tried, and so
+        on: uncertainties may be so large that friction would hold the pendulum.
+        """
+        for halved in range(_MAX_HALVED_STEPS + 1):
+            moved = columns.copy()
+            moved[column] += step
+            try:
+                return (self.evidence_residuals(moved) - here) / step
+            except DataError:
+                if halved == _MAX_HALVED_STEPS:
+                    raise
+            step *= -0.5
+        raise AssertionError
 
     def with_drive(self, drive: KnownDrive) -> "ExactModel":
         """The same model with another known drive in the place of its own."""
@@ -270,18 +289,26 @@ class ExactModel:
                 period0_s * table.duration, period0_s * table.duration_slope,
             ]
         )  # fmt: skip
-        known = self.known_drive.known(columns, loss_by.shape[1]) if self.known_drive else NOTHING_KNOWN
         variance = self._variance * noise.scale**2
         innovations, jacobian, _, log_det = drive_filter(
             Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
             MeasuredTurningPoints(self._index, self._measured, variance, self._rate, noise.averaged),
             noise.step,
-            known,
+            self._known_steps(columns, loss_by.shape[1]),
             gains,
             held,
             noise.limit,
         )
         return FilterResult(innovations.ravel(), jacobian.reshape(2 * count, -1), log_det, gains)
+
+    def _known_steps(self, columns: Floats, width: int) -> KnownSteps:
+        """What is known of the drive, and the half-swings of knocks, for a Jacobian of `width` columns."""
+        if self.known_drive is not None:
+            return self.known_drive.known(columns, width)._replace(knocked=self._knocked)
+        if not self._knocked.any():
+            return NOTHING_KNOWN
+        count = len(self._knocked)
+        return KnownSteps(np.zeros((2, count)), np.zeros((2, count, width)), np.zeros(count), self._knocked)
 
     def values(self, columns: Floats) -> dict[str, float]:
         """Values of the law's parameters by their names."""

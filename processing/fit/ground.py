@@ -22,7 +22,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from processing.arrays import Floats, Ints
+from processing.arrays import Flags, Floats, Ints
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.kernel import kernel
 from processing.quantity import PLAIN, Quantity
@@ -186,14 +186,20 @@ class KnownSteps(NamedTuple):
         where nothing is known.
     unknown
         (half-swings + 1,) variance of each amplitude by a drive that is not known, beyond the noise's step.
+    knocked
+        (half-swings + 1,) whether a knock fell into the half-swing: what was before tells nothing of the
+        state after it.
     """
 
     steps: Floats
     by: Floats
     unknown: Floats
+    knocked: Flags
 
 
-NOTHING_KNOWN = KnownSteps(np.empty((2, 0)), np.empty((2, 0, 0)), np.empty(0))
+NOTHING_KNOWN = KnownSteps(np.empty((2, 0)), np.empty((2, 0, 0)), np.empty(0), np.empty(0, np.bool_))
+KNOCK = 0.3
+"""Standard deviation of a knock's step, as a share of the amplitude; larger ones are taken as well."""
 
 
 @kernel
@@ -236,7 +242,7 @@ def drive_filter(
     """
     nodes, loss_by, duration_by, start, start_by = law
     index, points, variance, rate, averaged = measured
-    known, known_by, unknown = drive
+    known, known_by, unknown, knocked = drive
     count, columns = len(index), loss_by.shape[1]
     last = nodes.shape[1] - 1
     innovations = np.full((2, count), np.nan)
@@ -291,6 +297,9 @@ def drive_filter(
                 p_tt += s2 / (rate * rate * a * a)
             p_at = keep * (p_at + time_slope * p_aa)
             p_aa = keep * keep * p_aa + s2
+            if is_driven and knocked[number]:
+                p_aa += KNOCK * KNOCK * a * a
+                p_tt += KNOCK * KNOCK / (rate * rate)
             a += 0.5 * s2 / a - loss - loss_slope * beyond
             if is_driven:
                 # the amplitude changes while the half-swing lasts, on average in its middle

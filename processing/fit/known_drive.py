@@ -299,7 +299,7 @@ class DrivenCoordinates:
         by = np.zeros((*steps.shape[:2], width))
         by[:, :, : self.terms] = steps
         unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
-        return KnownSteps(np.ascontiguousarray(steps @ gains), by, unknown)
+        return KnownSteps(np.ascontiguousarray(steps @ gains), by, unknown, np.zeros(len(unknown), np.bool_))
 
     def least_unexplained(self, columns: Floats) -> float:
         """The least step of the drive that remains unexplained, in units of the reference."""

@@ -18,7 +18,7 @@ from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
-from processing.fit.exact import fit_exact
+from processing.fit.knocks import fit_with_knocks
 from processing.fit.result import FitResult
 from processing.least_squares import Loss
 from processing.position_map import PositionMap
@@ -34,6 +34,11 @@ from processing.swing import (
 )
 from processing.units import seconds
 
+_REST_HALF_CYCLES = 6
+"""Half-cycles on either side of a knock whose rest positions are compared."""
+_MAX_REST_SHARE = 0.02
+"""Largest step of the rest position, as a share of the amplitude, that a fit across it takes: friction of the
+deflection itself would change the losses by its square."""
 _MIN_REFINED_SHARE = 0.95
 """Share of the half-cycles that the second measurement must find."""
 
@@ -194,6 +199,34 @@ def points_in_true_time(swings: Sequence[HalfCycle], clock_rate: float) -> Turni
     return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
 
 
+def on_one_side(swings: Sequence[HalfCycle], knocks: Sequence[int]) -> tuple[Sequence[HalfCycle], str]:
+    """Half-cycles of which those beyond a knock that moved the rest position are flagged, and a line on that.
+
+    The longer side stays. The line is empty where no knock moved the rest position.
+    """
+    good = [swing for swing in swings if not swing.flags]
+    for knock in knocks:
+        before = [swing for swing in good if swing.index < knock]
+        after = [swing for swing in good if swing.index >= knock]
+        sides = before[-_REST_HALF_CYCLES:], after[:_REST_HALF_CYCLES]
+        if not all(sides):
+            continue
+        first, last = (float(np.median([swing.centre for swing in side])) for side in sides)
+        share = abs(last - first) / after[0].amplitude
+        if share > _MAX_REST_SHARE:
+            is_kept = [(swing.index < knock) == (len(before) >= len(after)) for swing in swings]
+            flagged = [
+                swing if kept else replace(swing, flags=swing.flags | int(HalfCycleFlag.REST_MOVED))
+                for swing, kept in zip(swings, is_kept, strict=True)
+            ]
+            return flagged, (
+                f"at half-cycle {knock} a knock moved the rest position by {100 * share:.2g} % of the "
+                "amplitude: the half-cycles on the shorter side are left out, since the contact may be "
+                "another one there"
+            )
+    return swings, ""
+
+
 class DecayFit(NamedTuple):
     """The exact fit of half-cycles, with its settings."""
 
@@ -209,7 +242,7 @@ class DecayFit(NamedTuple):
 
     def of(self, swings: Sequence[HalfCycle], near: FitResult | None = None) -> FitResult:
         """The exact fit of half-cycles."""
-        return fit_exact(
+        return fit_with_knocks(
             self.points(swings),
             self.pendulum,
             drag=self.drag,
@@ -217,6 +250,14 @@ class DecayFit(NamedTuple):
             loss=self.loss,
             near=near,
         )
+
+    def first_of(
+        self, swings: Sequence[HalfCycle], near: FitResult | None = None
+    ) -> tuple[Sequence[HalfCycle], FitResult, str]:
+        """Half-cycles about one rest position, their fit, and a line on the others, which are flagged."""
+        fit = self.of(swings, near)
+        kept, moved = on_one_side(swings, fit.evidence.knocks)
+        return (kept, self.of(kept), moved) if moved else (swings, fit, "")
 
     def motion(self, fit: FitResult, swings: Sequence[HalfCycle]) -> KnownMotion:
         """The motion by a fit of half-cycles, its reference amplitude their first one."""
@@ -297,12 +338,11 @@ def fitted_twice(
     DataError
         They cannot be fitted.
     """
-    every = with_learned_weights([*before, *swings])
-    first = fit.of(every, near)
+    every, first, moved = fit.first_of(with_learned_weights([*before, *swings]), near)
     try:
         motion = fit.motion(first, every)
     except DataError:
-        return Refinement(every, None), first
+        return Refinement(every, None, doubt=moved), first
     again = second_measurement(every[len(before) :], blocks, motion)
     found = refinement(every, [*every[: len(before)], *again], motion, first, fit)
     return found, found.exact or fit.of(found.swings, first)

@@ -24,6 +24,8 @@ class HalfCycleFlag(IntFlag):
     """The half-cycle in which the release or a kick happened."""
     INFERRED = 16
     """The turning point lies outside the sensor and was inferred from crossings of the sensor."""
+    REST_MOVED = 32
+    """It lies on the other side of a knock that moved the rest position: the contact may be another one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,8 @@ from processing.fit import (
     domain_warnings,
     drift_term,
     fit_asymptotic,
-    fit_exact,
     fit_position_errors,
+    fit_with_knocks,
     fit_with_seismometer,
     known_motion,
     measurement_shift,
@@ -79,7 +79,7 @@ def refined_half_cycles(
     harmonics = _harmonics_of(blocks, swings)
     fit = DecayFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
     try:
-        first = fit.of(swings)
+        swings, first, moved = fit.first_of(swings)
         motion = fit.motion(first, swings)
     except DataError:
         return Refinement(swings, None, harmonics=harmonics)
@@ -87,7 +87,9 @@ def refined_half_cycles(
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = second_measurement(swings, _watched(blocks, watch, search), motion)
-    refined = refinement(swings, again, motion, first, fit)._replace(harmonics=harmonics)
+    refined = refinement(swings, again, motion, first, fit)
+    doubt = "; ".join(filter(None, [moved, refined.doubt]))
+    refined = refined._replace(doubt=doubt, harmonics=harmonics)
     found = search.position_map()
     if found is None:
         return refined
@@ -98,7 +100,7 @@ def refined_half_cycles(
             "not improve the fit of the laws: they are left uncorrected"
         )
         return refined._replace(doubt="; ".join(filter(None, [refined.doubt, doubt])))
-    return corrected
+    return corrected._replace(doubt=moved)
 
 
 def _watched(
@@ -210,7 +212,7 @@ def fit_decay(
         )
     loss, printed_curvature = loss_of(settings), settings.printed_055
     if exact is None:
-        exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
+        exact = fit_with_knocks(points, pendulum, drag=drag, evidence=evidence, loss=loss)
     exact, points = _without_rolling_shutter(points, pendulum, exact)
     boundary_layer = (
         boundary_layer_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
@@ -240,7 +242,8 @@ def fit_decay(
         seen, clock_known = seismometer
         found = fit_with_seismometer(points, pendulum, seen, alone, offset_known=clock_known)
         use = found.use
-        exact = found.fit.with_terms_of(alone, FIXED_PATTERN) if use.used else found.fit
+        exact = replace(found.fit, changes=alone.changes)
+        exact = exact.with_terms_of(alone, FIXED_PATTERN) if use.used else exact
     exact = with_findings(exact)
     if use is not None and use.used:
         # the factor is that of the reported uncertainties, with all findings
@@ -257,7 +260,7 @@ def _without_rolling_shutter(
     if not found.seen:
         return exact, points
     at_once = without_alternation(points, found)
-    fit = fit_exact(
+    fit = fit_with_knocks(
         at_once, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
     )
     fit = fit.with_terms_of(exact, FIXED_PATTERN)

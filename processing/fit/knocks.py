@@ -1,0 +1,100 @@
+"""Exact fit of a decay that was knocked: it begins anew with the amplitude and phase after each knock.
+
+One knock, a footfall or a touch of the table, is no drive that acts all the time: taken for one, it enlarges
+uncertainties some hundred times and leaves intervals that need not hold the true values. The half-swing of a
+knock is fitted with a drive of its own, so large that the turning points before it tell nothing of the state
+after it, and still all of the law's parameters.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from math import hypot, log, nan, pi
+
+import numpy as np
+
+from processing.contact import PendulumOnBall
+from processing.errors import DataError
+from processing.fit.evidence import NO_EVIDENCE, Evidence
+from processing.fit.exact import fit_exact
+from processing.fit.exact_model import ExactModel
+from processing.fit.ground import GroundFit
+from processing.fit.result import Change, ChangeKind, FitResult
+from processing.least_squares import Loss
+from processing.swing import TurningPoints
+
+_MOST_KNOCKS = 5
+"""A decay with more knocks is driven all the time."""
+_CLEAR_GAIN = 20.0
+"""Gain in -2 ln L that a knock must have beyond that of choosing among all half-cycles."""
+
+
+def fit_with_knocks(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    *,
+    drag: bool = False,
+    evidence: Evidence = NO_EVIDENCE,
+    loss: Loss = "linear",
+    near: FitResult | None = None,
+) -> FitResult:
+    """The exact fit, anew from each knock on that the decay shows; see `fit_exact` for arguments and errors.
+
+    A knock is sought at the worst outlier of a fit, one at a time: where the law has smooth errors, there is
+    none. Knocks of the fit `near` are taken over. All stand in the result's `changes`.
+    """
+
+    def fitted(knocks: Iterable[int], from_fit: FitResult | None) -> FitResult:
+        known = replace(evidence, knocks=tuple(sorted(knocks)))
+        return fit_exact(points, pendulum, drag=drag, evidence=known, loss=loss, near=from_fit)
+
+    gains = {} if near is None else {one.half_cycle: one.gain for one in near.changes}
+    gains = {knock: gains.get(knock, nan) for knock in (near.evidence.knocks if near else ())}
+    fit = fitted(gains, near)
+    while loss == "linear" and fit.outliers and len(gains) < _MOST_KNOCKS:
+        worst = _worst_half_cycle(points, pendulum, fit)
+        try:
+            freed = fitted({*gains, worst}, fit)
+        except DataError:
+            break
+        gain = _deviance(fit) - _deviance(freed)
+        if worst in gains or not gain > _CLEAR_GAIN + 2 * log(len(points)):
+            break
+        fit, gains[worst] = freed, gain
+    changes = tuple(_change(points, pendulum, fit, knock, gains[knock]) for knock in sorted(gains))
+    warnings = (f"{one.text}; the fit begins anew after it" for one in changes)
+    return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
+
+
+def _deviance(fit: FitResult) -> float:
+    assert fit.ground is not None
+    assert isinstance(fit.ground, GroundFit)
+    return fit.ground.deviance
+
+
+def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> int:
+    """Number of the half-cycle farthest from its prediction."""
+    model, columns = ExactModel.of(points, pendulum, fit)
+    residuals = model(columns)[0][: 2 * len(model.points)].reshape(2, -1)
+    return int(model.points.index[np.argmax(np.max(np.abs(residuals), axis=0))])
+
+
+def _change(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, knock: int, gain: float
+) -> Change:
+    """The knock before a half-cycle: how far that lies from its prediction without it, over the amplitude."""
+    without = replace(fit.evidence, knocks=tuple(one for one in fit.evidence.knocks if one != knock))
+    model, columns = ExactModel.of(points, pendulum, replace(fit, evidence=without))
+    found, count = model.filtered(columns, model.noise_of(fit)), len(model.points)
+    place = int(np.searchsorted(model.points.index, knock))
+    per_amplitude, time_by_amplitude, per_time = found.gains[place, 4:7]
+    lost = found.residuals[place] / per_amplitude
+    late_s = found.residuals[count + place] / per_time + time_by_amplitude * lost
+    amplitude = float(model.points.amplitude[place]) / model.reference
+    return Change(
+        kind=ChangeKind.KNOCK,
+        half_cycle=knock,
+        time_s=float(model.points.time_s[place]),
+        size=hypot(lost / amplitude, late_s * 2 * pi / fit.mean_period_s.value),
+        u_size=float(1.0 / (per_amplitude * amplitude)),
+        gain=gain,
+    )

@@ -1,0 +1,98 @@
+"""A decay that was knocked: it begins anew after each knock, and not across a step of the rest position."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from processing.estimate import Estimate
+from processing.fit import ChangeKind, Evidence, FitResult, fit_exact, fit_with_knocks
+from processing.fit.refinement import on_one_side
+from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
+from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
+from tests.processing.fit.driven import World, changing_path
+
+DRAG_S = 1.7e-3
+PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
+KNOWN = Evidence(drag_s=Estimate(DRAG_S, 2e-5))
+
+
+def decay(knock_arcsec: float, seed: int = 1) -> TurningPoints:
+    """Of a world that is knocked 300 s after the first turning point."""
+    rate_rad_per_s = 2 * np.pi / PARAMETERS.period0_s
+    world = World(event_s=300.0, knock_rad_per_s=knock_arcsec * ARCSEC * rate_rad_per_s)
+    time_s, turn, _ = changing_path(PARAMETERS, PENDULUM, world, q=1e-9, seed=seed)
+    noise = np.random.default_rng([seed, 77])
+    return with_noise(time_s, np.abs(turn), PARAMETERS.period0_s, 0.005, noise)
+
+
+def fitted(points: TurningPoints, near: FitResult | None = None) -> FitResult:
+    return fit_with_knocks(points, PENDULUM, drag=True, evidence=KNOWN, near=near)
+
+
+@pytest.mark.parametrize("knock_arcsec", [0.1, 15.0])
+def test_a_knock_costs_no_more_than_its_half_swing(knock_arcsec: float) -> None:
+    """Taken for a drive that acts all the time, it made uncertainties 20 to 10,000 times larger."""
+    points, quiet = decay(knock_arcsec), fitted(decay(0.0))
+    assert quiet.changes == ()
+    found = fitted(points)
+    as_drive = fit_exact(points, PENDULUM, drag=True, evidence=KNOWN)
+    for name in ("b", "p", "c", "n", "period0_s", "gamma_pa"):
+        value, u = found.estimate(name)
+        assert abs(value - getattr(PARAMETERS, name)) < 3.5 * u, name
+        assert u < 1.5 * quiet.estimate(name).standard_uncertainty, name
+        assert u < as_drive.estimate(name).standard_uncertainty / 1.5, name
+    (knock,) = found.changes
+    assert knock.kind is ChangeKind.KNOCK
+    assert knock.time_s == pytest.approx(300.0, abs=4.1)
+    amplitude = points.amplitude[np.searchsorted(points.index, knock.half_cycle)]
+    assert knock.size * amplitude / ARCSEC == pytest.approx(knock_arcsec, rel=0.15, abs=0.02)
+    assert "the fit begins anew after it" in found.warnings[-1]
+    again = fitted(points, near=found)
+    assert again.changes[0].half_cycle == knock.half_cycle
+    assert again.estimate("c").value == pytest.approx(
+        found.estimate("c").value, abs=0.05 * found.estimate("c").standard_uncertainty
+    )
+
+
+def test_one_wrong_turning_point_is_no_knock() -> None:
+    points = decay(0.0)
+    amplitude = points.amplitude.copy()
+    amplitude[120] += 20 * points.u_amplitude[120]
+    found = fitted(replace(points, amplitude=amplitude))
+    assert found.outliers
+    assert found.changes == ()
+
+
+def half_cycles(centre_arcsec: float, knock: int) -> list[HalfCycle]:
+    """Of 60 half-cycles of 30 arcsec, those from `knock` on about another centre."""
+    return [
+        HalfCycle(
+            index=index,
+            turn_time_ns=round(2e9 * index),
+            u_turn_time_s=1e-4,
+            amplitude=30.0 * ARCSEC,
+            u_amplitude=0.005 * ARCSEC,
+            half_period_s=2.0,
+            u_half_period_s=1e-4,
+            side=1 if index % 2 else -1,
+            centre=(centre_arcsec if index >= knock else 0.0) * ARCSEC,
+            flags=0,
+        )
+        for index in range(60)
+    ]
+
+
+@pytest.mark.parametrize(("knock", "kept"), [(40, range(40)), (20, range(20, 60))])
+def test_a_knock_that_moves_the_rest_position_leaves_the_longer_side(knock: int, kept: range) -> None:
+    """Across a step of 2 arcsec at 28, c lay 6.5 u off in frames of a base that tilted."""
+    found, line = on_one_side(half_cycles(2.0, knock), [knock])
+    assert [swing.index for swing in found if not swing.flags] == list(kept)
+    assert {swing.flags for swing in found if swing.index not in kept} == {int(HalfCycleFlag.REST_MOVED)}
+    assert f"at half-cycle {knock} a knock moved the rest position by 6.7 % of the amplitude" in line
+
+
+def test_a_knock_about_the_same_rest_position_leaves_out_nothing() -> None:
+    swings = half_cycles(0.3, 20)
+    assert on_one_side(swings, [20]) == (swings, "")
+    assert on_one_side(half_cycles(2.0, 20), []) == (half_cycles(2.0, 20), "")
