@@ -10,6 +10,7 @@ from processing.contact.laws import LAWS
 from processing.estimate import Estimate
 from processing.fit import Evidence, LinearisedFit, compare_laws, drift_term, fit_exact, waveform_of
 from processing.fit.evidence import Waveform
+from processing.fit.exact_model import ExactModel
 from processing.swing import ORDERS, SwingHarmonics, TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.driven import World, changing_path, driven_path
@@ -67,6 +68,21 @@ def test_the_waveform_tells_air_from_contact_and_counts_each_part_once(
         (value, u), (other, u_other) = fit.estimate(name), again.estimate(name)
         assert other == pytest.approx(value, abs=0.03 * u)
         assert u_other == pytest.approx(u, rel=0.01)
+
+
+def test_the_waveform_says_the_same_where_the_ground_hides_the_points(
+    basement: tuple[TurningPoints, SwingHarmonics],
+) -> None:
+    """As after a draught: steps as long as the points' uncertainty leave the range of the law."""
+    points, harmonics = basement
+    fit = fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform(harmonics)))
+    model, columns = ExactModel.of(points, PENDULUM, fit)
+    noise = replace(model.noise_of(fit), step=1e-2)
+    shaken = model.on_ground(columns, noise, 1.0).linearised_at(columns)
+    quiet, driven = (one.evidence_rows(columns)[1] / one.scale for one in (model, shaken))
+    # n and gamma, in the last columns, hardly show in the waveform
+    off, whole = (np.linalg.norm(each[:, :4], axis=0) for each in (driven - quiet, quiet))
+    assert np.all(off[:3] < 0.05 * whole[:3]), off / whole
 
 
 def test_uncertainties_that_are_stated_wrongly_are_those_of_the_scatter() -> None:
