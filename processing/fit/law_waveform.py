@@ -2,7 +2,7 @@
 
 A law that is the same in both directions makes odd harmonics only. Even ones come from the instrument: rows
 that are exposed in turn, structure on the sensor, a lever that is not straight. These make a third harmonic
-of like size, so that the even ones enlarge its uncertainty. The fifth is left out: the fast mode swings there.
+of like size, so that the even ones enlarge its uncertainty. The fifth is left out: there is the fast mode.
 Uncertainties are from the scatter of few pieces: distances are judged by Student's distribution, and the
 chances of the classes are combined by Fisher's method.
 """
