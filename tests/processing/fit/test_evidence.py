@@ -217,3 +217,16 @@ def test_what_is_fitted_to_a_few_pieces_is_as_uncertain_as_it_scatters(louder: f
         certainty = float(np.sum(weights * pattern))
         pulls.append((np.sum(weights * found.sine_rad) / certainty - 0.1) * np.sqrt(certainty))
     assert np.std(pulls) == pytest.approx(1.0, abs=0.07)
+
+
+def test_a_drive_by_chance_costs_a_law_no_likelihood() -> None:
+    """In a minute on ground at rest, a drive that the restricted likelihood prefers takes 9 off its law's."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=6, last_arcsec=104.0)
+    compared = compare_laws(points, pendulum, [LAWS["paper"], LAWS["masing"]])
+    best, other = compared.trials
+    assert best.law.name == "paper"
+    assert best.fit is not None
+    assert best.fit.ground is not None
+    assert not best.fit.ground.noise.at_rest
+    assert compared.above_best(other) > 10.0
