@@ -214,11 +214,13 @@ def _verdict(lower: float, upper: float) -> Determinacy:
 
 def _limits(row: ResultRow, run: Estimate) -> tuple[Estimate, tuple[float, float]]:
     """Value and 95 % limits of one run; where only physics sets the lower one, as if it might be negative."""
-    if row.verdict is Determinacy.UPPER_BOUND and row.lower == 0:
-        # the profile of a negative value begins at zero
-        run = replace(run, value=max(run.value, 0.0))
-        return run, (run.value - _NORMAL_95 * run.standard_uncertainty, row.upper)
-    return run, (row.lower, row.upper)
+    if not (row.verdict is Determinacy.UPPER_BOUND and row.lower == 0):
+        return run, (row.lower, row.upper)
+    # the profile of a negative value begins at zero
+    run = replace(run, value=max(run.value, 0.0))
+    lower = run.value - _NORMAL_95 * run.standard_uncertainty
+    # far above zero it is the data that set no limit
+    return run, (lower if lower <= 0 else nan, row.upper)
 
 
 def _bends(run: Estimate, limits: tuple[float, float]) -> bool:
