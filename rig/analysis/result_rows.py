@@ -190,8 +190,10 @@ def series_rows(
         verdict = Determinacy.DETERMINED
         if item.standard_uncertainty > WELL_DETERMINED * abs(item.value):
             verdict = Determinacy.INTERVAL
-        runs = [_limits(row, run) for row, run in zip(of_runs.get(name, ()), item.runs, strict=False)]
-        if any(_bends(*run) for run in runs):
+        rows = of_runs.get(name, ())
+        runs = [_limits(row, run) for row, run in zip(rows, item.runs, strict=False)]
+        # limits of what is determined are those of a parabola, with the apparatus
+        if any(_bends(*run) for row, run in zip(rows, runs, strict=False) if not row.determined):
             bent |= {name, *(ENERGIES if name == "c" else ())}
             logarithmic = parameter.logarithmic and all(run.value > 0 for run, _ in runs)
             lower, upper = combined_limits(runs, logarithmic=logarithmic)
@@ -216,11 +218,9 @@ def _limits(row: ResultRow, run: Estimate) -> tuple[Estimate, tuple[float, float
     """Value and 95 % limits of one run; where only physics sets the lower one, as if it might be negative."""
     if not (row.verdict is Determinacy.UPPER_BOUND and row.lower == 0):
         return run, (row.lower, row.upper)
-    # the profile of a negative value begins at zero
-    run = replace(run, value=max(run.value, 0.0))
-    lower = run.value - _NORMAL_95 * run.standard_uncertainty
-    # far above zero it is the data that set no limit
-    return run, (lower if lower <= 0 else nan, row.upper)
+    # the profile of a negative value begins at zero; far above zero it is the data that set no limit
+    run, half = replace(run, value=max(run.value, 0.0)), _NORMAL_95 * run.standard_uncertainty
+    return run, (run.value - half if run.value <= half else nan, row.upper)
 
 
 def _bends(run: Estimate, limits: tuple[float, float]) -> bool:
