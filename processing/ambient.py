@@ -56,8 +56,9 @@ class AmbientConditions:
     """Air and history of a run's contact; NaN for a quantity that is neither measured nor stated.
 
     The air is the mean of sensor readings during the run, otherwise as stated. `temperature_change_k` is the
-    change of temperature from the first reading to the last, by a straight line through all. `dwell_s` is the
-    time from placing the ball to the run's first frame, `age_s` that from the last cleaning of the surfaces.
+    change of temperature over the run, by a straight line through the readings, if they span half of it.
+    `dwell_s` is the time from placing the ball to the run's first frame, `age_s` that from the last cleaning
+    of the surfaces.
     """
 
     temperature_c: Annotated[float, Quantity("temperature", "temperature")] = nan

@@ -25,12 +25,12 @@ from processing.fit.exact_result import domain_warnings
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
 from processing.fit.knocks import fit_with_knocks
 from processing.fit.known_drive import LEAST_UNEXPLAINED, Signals
-from processing.fit.law_comparison import (
+from processing.fit.law_comparison import LawComparison, compare_laws, fit_model_free
+from processing.fit.law_waveform import (
     CONTRADICTED,
-    LawComparison,
-    compare_laws,
-    fit_model_free,
+    Predicted,
     predicted_harmonics,
+    predictions,
     waveform_chances,
 )
 from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series

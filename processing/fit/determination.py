@@ -25,6 +25,8 @@ from processing.swing import TurningPoints
 
 _MAX_PARABOLIC_U = 0.01
 """Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
+_BENDS_WITH = 0.7
+"""Correlation with a parameter whose chi2 is no parabola above which that of another is looked at, too."""
 _MAX_EVALUATIONS = 40
 """Most evaluations of the model in one refit; a second round where it would set a limit unconverged."""
 _MAX_UNCONVERGED = 1
@@ -284,21 +286,33 @@ def identifiability(
         withheld |= {
             name for name in result.contact_names if name != cause and moved[result.names.index(name)] > 1.0
         }
-    return tuple(
-        Determination(name, Determinacy.UNDETERMINED, nan, nan)
+    found = {
+        name: Determination(name, Determinacy.UNDETERMINED, nan, nan)
         if name in withheld
         else _determination(points, pendulum, result, name)
         for name in result.contact_names
-    )
+    }
+    # T0 is known to per mille however wrong it is: only the profile shows that it bends with an unknown n
+    bent = [result.names.index(name) for name in found if found[name].profile_likelihood]
+    for name in result.contact_names:
+        bends = bool(np.any(correlation[result.names.index(name), bent] > _BENDS_WITH))
+        if bends and not found[name].profile_likelihood and name not in withheld:
+            found[name] = _determination(points, pendulum, result, name, max_parabolic_u=0.0)
+    return tuple(found.values())
 
 
 def _determination(
-    points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult, name: str
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    result: FitResult,
+    name: str,
+    *,
+    max_parabolic_u: float = _MAX_PARABOLIC_U,
 ) -> Determination:
     value, u = result.estimate(name)
     verdict = Determinacy.INTERVAL
     lower, upper = result.interval(name)
-    by_profile = not u <= _MAX_PARABOLIC_U * abs(value)
+    by_profile = not u <= max_parabolic_u * abs(value)
     if by_profile:
         found = profile_likelihood(points, pendulum, result, name)
         limits, half = np.array([found.lower, found.upper]), 0.5 * (upper - lower)

@@ -260,7 +260,7 @@ def fit_exact(
         measurement_scale=found.likeliest.noise.scale,
         left_out_half_cycles=len(points) - len(kept),
         deviance=found.likeliest.deviance,
-        unrestricted=found.likeliest.unrestricted,
+        unrestricted=search.least_unrestricted(),
     )
     averaged_over = search.averaged_covariance(found.likeliest, bounds)
     return result_of(found.model, found.solution, ground, loss, found.likeliest.covariance, averaged_over)

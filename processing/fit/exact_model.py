@@ -1,6 +1,7 @@
 """A law's half-swing map as a least-squares model of amplitudes and times, at rest or on moving ground."""
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from types import MappingProxyType
@@ -36,8 +37,8 @@ _DECAY_LENGTH_FACTOR = 4
 """Times the measured half-cycles after which a law's free decay is followed no further."""
 _STEP = 3.0
 """Step of a derivative of the evidence, in uncertainties of one column while the others are known."""
-_MAX_HALVED_STEPS = 8
-"""Times that a step is halved for a law that predicts no waveform there."""
+_SHORTER, _SHORTENINGS = 0.25, 12
+"""Part of a step that is tried next where it was too long, and the most parts that are tried."""
 
 
 class _LinearEvidence(NamedTuple):
@@ -202,26 +203,23 @@ class ExactModel:
             # the first amplitude and time are none of the law's parameters
             of_law = self.columns.physical(columns)[1][:-2].any(axis=0) & (steps > 0.0)
             for column in np.flatnonzero(of_law).tolist():
-                jacobian[:, column] = self._evidence_slope(columns, here, column, float(steps[column]))
+                along = np.eye(len(columns))[column]
+                jacobian[:, column] = self._evidence_slope(columns, here, float(steps[column]) * along)
         out._evidence_rows = _LinearEvidence(columns.copy(), here, jacobian, self._evidence_rows.scale)
         return out
 
-    def _evidence_slope(self, columns: Floats, here: Floats, column: int, step: float) -> Floats:
-        """Derivative of the evidence's residuals, `here` at the columns, with respect to one of them.
+    def _evidence_slope(self, columns: Floats, here: Floats, step: Floats) -> Floats:
+        """Change of the evidence's residuals per length of a step, which is shortened where it is too long.
 
-        Where the law predicts no waveform a step away, half a step in the other direction is tried, and so
-        on: uncertainties may be so large that friction would hold the pendulum.
+        On ground that shakes, the evidence may know a column far better than the points do: a step of their
+        uncertainty would leave the range in which the evidence is linear, or in which the pendulum swings.
         """
-        for halved in range(_MAX_HALVED_STEPS + 1):
-            moved = columns.copy()
-            moved[column] += step
-            try:
-                return (self.evidence_residuals(moved) - here) / step
-            except DataError:
-                if halved == _MAX_HALVED_STEPS:
-                    raise
-            step *= -0.5
-        raise AssertionError
+        for part in _SHORTER ** np.arange(_SHORTENINGS):
+            with suppress(DataError):
+                change = self.evidence_residuals(columns + part * step) - here
+                if np.linalg.norm(change) <= _STEP:
+                    return np.asarray(change / (part * np.linalg.norm(step)))
+        raise DataError("the waveform of the swing changes at once where the law's parameters change least")
 
     def with_drive(self, drive: KnownDrive) -> "ExactModel":
         """The same model with another known drive in the place of its own."""

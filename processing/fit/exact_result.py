@@ -244,7 +244,7 @@ def _gain_factors(model: ExactModel, solution: Solution, to_physical: Floats) ->
     for part, rows in _evidence_parts(model).items():
         without = covariance_of(np.delete(solution.jacobian, rows, axis=0))
         factor = _factor(to_physical, without, whole)
-        undetermined = ~np.isfinite(np.einsum("ij,jk,ik->i", to_physical, without, to_physical))
+        undetermined = ~np.isfinite(np.diag(propagate(to_physical, without)))
         factor = np.where(undetermined, np.inf, factor)
         kept = (name not in (AMPLITUDE.key, TIME.key) for name in model.names)
         uncertainty_ratio_without[part] = {
@@ -255,7 +255,7 @@ def _gain_factors(model: ExactModel, solution: Solution, to_physical: Floats) ->
 
 def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
     """Ratio of the standard uncertainties by two covariances of the columns."""
-    above, below = (np.einsum("ij,jk,ik->i", to_physical, one, to_physical) for one in (wider, covariance))
+    above, below = (np.diag(propagate(to_physical, one)) for one in (wider, covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.nan_to_num(above / below, nan=1.0, posinf=1.0)
         return np.asarray(np.sqrt(np.maximum(ratio, 0.0)))
@@ -328,7 +328,13 @@ def correlated_covariance(residuals: Floats, jacobian: Floats, covariance: Float
     for k in range(1, lags + 1):
         part = np.einsum("ij,ik->jk", score[k:], score[:-k]) * (1 - k / (lags + 1))
         both += part + part.T
-    return np.asarray(covariance + covariance @ both @ covariance)
+    return _widened(covariance, both)
+
+
+def _widened(covariance: Floats, both: Floats) -> Floats:
+    # a column that is not determined has no part in the others
+    known = np.where(np.isfinite(covariance), covariance, 0.0)
+    return np.asarray(covariance + known @ both @ known)
 
 
 def neighbours_covariance(found: Whiteness, jacobian: Floats, covariance: Floats) -> Floats:
@@ -355,7 +361,7 @@ def neighbours_covariance(found: Whiteness, jacobian: Floats, covariance: Floats
             alike = first * max(0.0, 1.0 - 1.0 / (count * first**2))
             part = rows[1:].T @ rows[:-1]
             both += alike * (part + part.T)
-    return np.asarray(covariance + covariance @ both @ covariance)
+    return _widened(covariance, both)
 
 
 def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Iterator[str]:

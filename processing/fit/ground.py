@@ -108,7 +108,8 @@ class GroundFit(Ground):
         -2 ln L of the turning points with this noise, restricted to the residuals of the fitted parameters,
         up to a constant of their number and of the law.
     unrestricted
-        -2 ln L of the turning points themselves, up to a constant of their number: laws are compared by it.
+        Least -2 ln L of the turning points themselves over all noises, up to a constant of their number: laws
+        are compared by it.
     """
 
     noise: Noise

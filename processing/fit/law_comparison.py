@@ -4,32 +4,24 @@ A law that lacks an effect needs a stronger drive of the ground, which makes its
 compared by the likelihood, with Schwarz's penalty for each parameter, and by the evidence with stated priors.
 An effect that no drive can take up leaves the residuals correlated.
 
-The waveform judges them as well, by the third harmonic of the swing. A law that is the same in both
-directions makes odd harmonics only. Even ones come from the instrument: rows that are exposed in turn,
-structure on the sensor, a lever that is not straight. These make a third harmonic of like size, so that the
-even ones enlarge its uncertainty. The fifth is left out: the fast mode swings there. Uncertainties are from
-the scatter of few pieces: distances are judged by Student's distribution, and the chances of the classes are
-combined by Fisher's method.
-
 Where no law is to be assumed, splines describe the contact's moments.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
-from math import inf, isfinite, log, log1p, pi, sqrt
+from math import inf, isfinite, log, pi, sqrt
 
 import numpy as np
 
-from processing.arrays import Complexes, Floats
+from processing.arrays import Floats
 from processing.contact import (
     AMPLITUDE,
     DRAG,
     TIME,
     MomentSplines,
     PendulumOnBall,
-    law_harmonics,
     spline_law,
     weight_moment,
 )
@@ -43,13 +35,7 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.result import DISCREPANCY, FitResult
 from processing.fit.terms import LinearisedFit
 from processing.least_squares import solve
-from processing.swing import ORDERS, HarmonicClass, TurningPoints
-
-CONTRADICTED = 1e-4
-"""Chance of so large a distance below which the waveform contradicts a law."""
-_U_PREDICTION = 0.001
-"""Relative error of a harmonic by `law_harmonics`."""
-_THIRD, _EVEN = ORDERS.index(3), [ORDERS.index(2), ORDERS.index(4)]
+from processing.swing import TurningPoints
 
 # How probable a law makes a decay: Laplace's approximation, with normal priors stated alike for every law.
 #
@@ -239,32 +225,6 @@ def _fit(
         raise DataError(
             "the fit to turning points and waveform together did not converge; to turning points alone it did"
         ) from None
-
-
-def predicted_harmonics(
-    classes: Sequence[HarmonicClass], fit: FitResult, pendulum: PendulumOnBall
-) -> list[Complexes]:
-    """A fitted law's harmonics (rad) in each class."""
-    return [one.mean(lambda a: law_harmonics(fit.law, fit.named_values, pendulum, a)) for one in classes]
-
-
-def waveform_chances(
-    classes: Sequence[HarmonicClass], predicted: Mapping[str, Sequence[Complexes]]
-) -> dict[str, float]:
-    """For each law the chance of a third harmonic at least so far from its prediction."""
-    from scipy.special import gammaincc
-
-    chances = {}
-    for name, laws in predicted.items():
-        chi2 = 0.0
-        for one, harmonics in zip(classes, laws, strict=True):
-            of_instrument = np.mean(np.abs(one.harmonics[_EVEN]) ** 2) / 2
-            variance = one.u[_THIRD] ** 2 + of_instrument + (_U_PREDICTION * abs(harmonics[_THIRD])) ** 2
-            distance = float(abs(one.harmonics[_THIRD] - harmonics[_THIRD]) ** 2 / variance)
-            freedom = 2 * (len(one.amplitudes) - 2)
-            chi2 += freedom * log1p(distance / freedom)
-        chances[name] = float(gammaincc(len(classes), 0.5 * chi2)) if classes else np.nan
-    return chances
 
 
 _HELD_U = 1e-4

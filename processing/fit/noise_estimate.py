@@ -84,12 +84,23 @@ class NoiseSearch:
 
     def likeliest(self) -> LikeliestNoise:
         """The optimum over all steps."""
-        tried = np.append(_FIRST_LOG_STEPS[self._highest > _FIRST_LOG_STEPS], self._highest)
-        best = int(np.argmin([self._deviance(x) for x in tried.tolist()]))
-        low, high = float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)])
+        tried = self._tried()
+        best = int(np.argmin([self._deviance(x) for x in tried]))
+        low, high = tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)]
         found = self._evaluated(_lowest(self._deviance, low, high))
         found = found if found.deviance < self._rest.deviance else self._rest
         return found._replace(against_rest=self._rest.deviance - found.deviance)
+
+    def least_unrestricted(self) -> float:
+        """Least -2 ln L by the turning points themselves, over all noises.
+
+        The restricted likelihood prefers another noise, with which laws must not be compared: one that takes
+        some drive for what is none would lose against another, simpler one that leaves it out.
+        """
+        tried = self._tried()
+        best = int(np.argmin([self._unrestricted(x) for x in tried]))
+        low, high = tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)]
+        return min(self._rest.unrestricted, self._unrestricted(_lowest(self._unrestricted, low, high)))
 
     def bounds(self, found: LikeliestNoise) -> NoiseBounds:
         """Uncertainty and bound of the step, by the rise of -2 ln L on either side of the optimum."""
@@ -144,8 +155,14 @@ class NoiseSearch:
                 out += share * part.covariance
         return out
 
+    def _tried(self) -> list[float]:
+        return [*_FIRST_LOG_STEPS[self._highest > _FIRST_LOG_STEPS].tolist(), self._highest]
+
     def _deviance(self, log_step: float) -> float:
         return self._evaluated(log_step).deviance
+
+    def _unrestricted(self, log_step: float) -> float:
+        return self._evaluated(log_step).unrestricted
 
     def _evaluated(self, log_step: float) -> LikeliestNoise:
         if log_step not in self._known:

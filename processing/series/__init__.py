@@ -8,6 +8,7 @@ from processing.series.combined import (
     average_curves,
     combine,
     combine_runs,
+    combined_limits,
     compare_series,
 )
 from processing.series.density import ABSENT, SEEN, ChangePoint, compare_forms, find_change

@@ -22,6 +22,8 @@ _DISAGREES_BELOW = 0.003
 _LEAST_OWN = 0.01
 """Least part of a run's uncertainty that counts as its own, where the prior of the air would be all of it."""
 _NORMAL_95 = 1.959964
+_FARTHEST = 1e3
+"""Distance from the best value, over the range of the runs' values, up to which a limit is looked for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,6 +144,48 @@ def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -
         within_runs=float(1 / np.sqrt(np.sum(1 / u2))), between_runs=sqrt(variance),
         p_homogeneous=float(chdtrc(dof, alone)), by_air=of_air, runs=tuple(runs),
     )  # fmt: skip
+
+
+def combined_limits(
+    runs: Sequence[tuple[Estimate, tuple[float, float]]], *, logarithmic: bool = False
+) -> tuple[float, float]:
+    """95 % limits of one parameter over runs whose chi2 is no parabola; NaN where they set none.
+
+    Each run's chi2 is taken as two half parabolas, which meet at its value and end at its own 95 % limits
+    (Barlow 2004); it is flat where a limit is NaN. A mean weighted by the uncertainties would be far off: the
+    smaller an uncertain exponent happens to be, the smaller is the uncertainty that a parabola gives it.
+
+    The rise of the sum over its minimum counts by Student's t for the number of runs minus one, and by how
+    much more than their limits say the runs scatter.
+    """
+    from scipy.optimize import brentq, minimize_scalar
+    from scipy.special import stdtrit
+
+    table = np.array([(run.value, *limits) for run, limits in runs])
+    if logarithmic:
+        table = np.log(np.where(table > 0, table, nan))
+    x, low, high = table.T
+    below, above = (np.where(side > 0, _NORMAL_95 / side, 0.0) for side in (x - low, high - x))
+
+    def chi2(at: float) -> float:
+        off = at - x
+        return float(np.sum((np.where(off < 0, below, above) * off) ** 2))
+
+    dof, span = len(runs) - 1, float(np.ptp(x)) or float(np.abs(x).max())
+    best = float(minimize_scalar(chi2, bounds=(x.min(), x.max()), method="bounded").x) if np.ptp(x) else x[0]
+    scatter = max(1.0, chi2(best) / dof)
+    target = chi2(best) + scatter * float(stdtrit(dof, 0.975)) ** 2
+
+    def end(side: float) -> float:
+        far = span
+        while chi2(best + side * far) < target:
+            far *= 2.0
+            if far > _FARTHEST * span:
+                return nan
+        return float(brentq(lambda z: chi2(best + side * z) - target, 0.0, far)) * side + best
+
+    lower, upper = end(-1.0), end(1.0)
+    return (float(np.exp(lower)), float(np.exp(upper))) if logarithmic else (lower, upper)
 
 
 def combine_runs(results: Sequence[FitResult]) -> SeriesResult:

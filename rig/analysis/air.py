@@ -37,6 +37,8 @@ _AIR_KEYS = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL_AIR = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
 _MIN_READINGS = 4
 """Fewest readings that show a change."""
+_MIN_SPAN = 0.5
+"""Least part of a run that readings must span to show its change: from less it would be extrapolated."""
 HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
 """Keys of [session] whose times begin the contact's history."""
 
@@ -78,9 +80,11 @@ def _air_readings(reader: RecordReader, stated: Mapping[str, float]) -> dict[str
         read = readings[np.isfinite(readings)]
         found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
         if name == "temperature_c" and len(read) >= _MIN_READINGS:
-            at = np.linspace(-0.5, 0.5, len(read))
-            # less the first reading, so that equal readings give a change of exactly 0
-            found["temperature_change_k"] = float(np.polyfit(at, read - read[0], 1)[0])
+            at_ns = table["time_ns"][np.isfinite(readings)]
+            at = (at_ns - at_ns[0]) / (reader.numbers.end_ns - reader.numbers.start_ns)
+            if at[-1] >= _MIN_SPAN:
+                # less the first reading, so that equal readings give a change of exactly 0
+                found["temperature_change_k"] = float(np.polyfit(at, read - read[0], 1)[0])
     return found
 
 

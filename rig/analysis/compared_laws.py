@@ -28,9 +28,11 @@ from processing.fit import (
     FitMethod,
     FitResult,
     LawComparison,
+    Predicted,
     compare_laws,
     fit_model_free,
     predicted_harmonics,
+    predictions,
     waveform_chances,
 )
 from processing.number_text import with_uncertainty
@@ -80,13 +82,14 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     if free is not None and len(remaining) > 1 and set(remaining[:2]) <= set(free.laws):
         verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
     classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
-    predicted = dict[str, Sequence[NDArray[np.complex128]]]()
+    predicted, within = dict[str, Sequence[NDArray[np.complex128]]](), dict[str, tuple[int, Predicted]]()
     for trial in compared.trials if classes else ():
         if trial.fit is not None:
             # with the values of a law that does not fit, friction may hold the pendulum in a class
             with suppress(DataError):
                 predicted[trial.law.name] = predicted_harmonics(classes, trial.fit, pendulum)
-    chances = waveform_chances(classes, predicted)
+                within[trial.law.name] = predictions(classes, run.points, trial.fit, pendulum)
+    chances = waveform_chances(classes, within)
     if classes:
         verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
     waveform = tuple(

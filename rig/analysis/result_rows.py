@@ -1,8 +1,9 @@
 """The table of results: one row for every quantity, made once, and read by every output."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from math import exp, floor, hypot, inf, isfinite, log, log10, nan
+from dataclasses import dataclass, replace
+from math import exp, floor, hypot, inf, isfinite, isnan, log, log10, nan
+from types import MappingProxyType
 from typing import Annotated, Any, Final
 
 from processing.contact import DRAG, PendulumOnBall, surface_energy
@@ -10,7 +11,7 @@ from processing.errors import ConfigurationError
 from processing.estimate import NOT_DETERMINED, WELL_DETERMINED, Determinacy, Estimate
 from processing.fit import Budget, Determination, FitMethod, FitResult
 from processing.quantity import OF, Quantity
-from processing.series import CombinedValue
+from processing.series import CombinedValue, combined_limits
 from rig.terminal import QuantityDisplay, interval, law_parameters, plain, quantity, unit_of
 
 SURFACE_ENERGY: Final = "surface_energy_table2_j_per_m2"
@@ -25,6 +26,10 @@ _SHORT_NAMES: Final = {
 _MAX_LOGARITHMIC_U: Final = 3.0
 """Relative uncertainty by the apparatus up to which it is added in the logarithm of a parameter: near zero it
 could be any number."""
+_NORMAL_95: Final = 1.959964
+_MAX_BEND: Final = 0.25
+"""Largest difference of a run's limits from those of a parabola, over their half-width, at which runs have a
+mean: Student's t of ten half-cycles makes a sixth."""
 _QUANTITY_UNIT = Quantity("", "", unit=OF + "quantity")
 
 
@@ -167,20 +172,64 @@ def rows_of_others(
 
 
 def series_rows(
-    combined: Mapping[str, CombinedValue], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+    combined: Mapping[str, CombinedValue],
+    budget: Mapping[str, Budget],
+    pendulum: PendulumOnBall,
+    of_runs: Mapping[str, Sequence[ResultRow]] = MappingProxyType({}),
 ) -> tuple[ResultRow, ...]:
-    """The rows of several runs together, each with the interval of the mean."""
-    found = []
+    """The rows of several runs together, each with the interval of the mean.
+
+    `of_runs` are the rows of the runs: a parameter whose chi2 is no parabola in one of them has no mean, and
+    limits by those of all runs.
+    """
+    found, bent = [], set[str]()
     for name, item in combined.items():
+        parameter = law_parameters()[name]
         half = item.expanded_uncertainty_95
         lower, upper = item.value - half, item.value + half
         verdict = Determinacy.DETERMINED
         if item.standard_uncertainty > WELL_DETERMINED * abs(item.value):
             verdict = Determinacy.INTERVAL
-            if lower <= 0 and law_parameters()[name].lower == 0:
-                verdict, lower = Determinacy.UPPER_BOUND, 0.0
-        found.append((item.estimate, Determination(name, verdict, lower, upper)))
-    return _with_apparatus("series", found, budget, pendulum)
+        rows = of_runs.get(name, ())
+        runs = [_limits(row, run) for row, run in zip(rows, item.runs, strict=False)]
+        # limits of what is determined are those of a parabola, with the apparatus
+        if any(_bends(*run) for row, run in zip(rows, runs, strict=False) if not row.determined):
+            bent |= {name, *(ENERGIES if name == "c" else ())}
+            logarithmic = parameter.logarithmic and all(run.value > 0 for run, _ in runs)
+            lower, upper = combined_limits(runs, logarithmic=logarithmic)
+            verdict = _verdict(lower, upper)
+        has_upper = verdict in (Determinacy.INTERVAL, Determinacy.UPPER_BOUND)
+        if has_upper and parameter.lower == 0 and not lower > 0:
+            verdict, lower = Determinacy.UPPER_BOUND, 0.0
+        found.append((item.estimate, Determination(name, verdict, lower, upper, name in bent)))
+    # limits of the runs contain the apparatus already
+    rest = {name: lines for name, lines in budget.items() if name not in bent}
+    return _with_apparatus("series", found, rest, pendulum)
+
+
+def _verdict(lower: float, upper: float) -> Determinacy:
+    """Verdict of limits, either of which may be NaN."""
+    if isnan(upper):
+        return Determinacy.UNDETERMINED if isnan(lower) else Determinacy.LOWER_BOUND
+    return Determinacy.UPPER_BOUND if isnan(lower) else Determinacy.INTERVAL
+
+
+def _limits(row: ResultRow, run: Estimate) -> tuple[Estimate, tuple[float, float]]:
+    """Value and 95 % limits of one run; where only physics sets the lower one, as if it might be negative."""
+    if not (row.verdict is Determinacy.UPPER_BOUND and row.lower == 0):
+        return run, (row.lower, row.upper)
+    # the profile of a negative value begins at zero; far above zero it is the data that set no limit
+    run, half = replace(run, value=max(run.value, 0.0)), _NORMAL_95 * run.standard_uncertainty
+    return run, (run.value - half if run.value <= half else nan, row.upper)
+
+
+def _bends(run: Estimate, limits: tuple[float, float]) -> bool:
+    """Whether a run's limits are other ones than those of its value and standard uncertainty."""
+    half = _NORMAL_95 * run.standard_uncertainty
+    return not all(
+        abs(end - parabola) <= _MAX_BEND * half
+        for end, parabola in zip(limits, (run.value - half, run.value + half), strict=True)
+    )
 
 
 def _with_apparatus(

@@ -104,7 +104,9 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
     if measured is not None and rig is not None and all(of_runs):
         measured, rig = _with_run_sources(of_runs, measured, rig)
     budget = budgets(measured, rig) if measured and rig else {}
-    table = () if default is None else series_rows(default.parameters, budget, pendulum)
+    names = () if default is None else default.parameters
+    rows = {name: [run.rows[name] for run in fitted] for name in names}
+    table = () if default is None else series_rows(default.parameters, budget, pendulum, rows)
     return Series(
         runs=len(fitted),
         combined_runs=tuple(numbers),

@@ -45,6 +45,11 @@ _INSERT_SQL: Final = f"""
 insert into every_run by name
   select unnest(row) from (select unnest(from_json(?::json, '{json.dumps([COLUMNS])}')) as row)
 """
+_NUMBER: Final = "coalesce(try_cast(regexp_extract(run, '[0-9]+$') as bigint), 0)"
+_BY_TIME: Final = f"""
+order by max(began_utc) over (partition by folder order by {_NUMBER}, run) nulls last, folder, {_NUMBER}, run
+"""
+"""Runs as they were measured; those of one session by number, even if the clock was set back."""
 _READ_ONLY_SETTINGS: Final = {
     "enable_external_access": "false",
     "lock_configuration": "true",
@@ -206,9 +211,7 @@ def list_runs(
 
 def show_runs(archive: Path, names: Sequence[str]) -> None:
     """Print all columns of runs."""
-    columns, rows = selected(
-        archive, f"*, {IS_SIMULATED} as simulated", f"{named_runs(archive, names)} order by run"
-    )
+    columns, rows = selected(archive, f"*, {IS_SIMULATED} as simulated", named_runs(archive, names))
     for values in rows:
         row = dict(zip(columns, values, strict=True))
         title = f"{_SIMULATED if row.pop('simulated') else ''}{Path(row['folder']) / row['record']}"
@@ -226,23 +229,14 @@ def named_runs(archive: Path, names: Sequence[str]) -> str:
     return f"sha256 in ({', '.join(runs)})" if names else "true"
 
 
-_ORDERED_RUNS_SQL = """
-with numbered as (
-  select *, coalesce(try_cast(regexp_extract(run, '[0-9]+$') as bigint), 0) as number from chosen
-)
-select sha256, run, sample, folder, results from numbered where results is not null
-order by max(began_utc) over (partition by folder order by number, run) nulls last, folder, number, run
-"""
-"""Query of runs in order; runs of one session are ordered by number, even if the clock was set back."""
-
-
 def ordered_runs(archive: Path, condition: str) -> list[tuple[Any, ...]]:
     """SHA-256, name, sample, folder and results file of the runs with results that meet a condition of SQL,
     in the order of their beginnings.
 
     Raises ConfigurationError if there are none.
     """
-    _, found = selected(archive, "*", condition, _ORDERED_RUNS_SQL)
+    wanted = f"select sha256, run, sample, folder, results from chosen where results is not null {_BY_TIME}"
+    _, found = selected(archive, "*", condition, wanted)
     if not found:
         raise ConfigurationError(
             f"condition {condition!r}: no run with results meets it; rig archive list shows all"
@@ -277,7 +271,8 @@ def selected(
     """
     duckdb = optional_module(*_DUCKDB)
     no_condition = re.match(r"\s*(order\s+by|limit|group\s+by|$)", condition, re.IGNORECASE)
-    query = f"select {wanted} from runs {'' if no_condition else 'where '}{condition}"
+    runs = f"(select * from runs {_BY_TIME}) as runs"
+    query = f"select {wanted} from {runs} {'' if no_condition else 'where '}{condition}"
     with reading(archive) as connection:
         try:
             if len(duckdb.extract_statements(query)) != 1:
@@ -304,7 +299,7 @@ def _named(archive: Path, name: str) -> list[str]:
     """
     if not re.fullmatch("[0-9a-f]{4,64}", name):
         raise ConfigurationError(f"{name}: names no run; take 4 or more characters of list's first column")
-    where = f"starts_with(sha256, '{name}') or starts_with(session, '{name}') order by run"
+    where = f"starts_with(sha256, '{name}') or starts_with(session, '{name}')"
     _, found = selected(archive, "sha256, session", where)
     if not found:
         raise ConfigurationError(f"{name}: no run of the archive begins so; rig archive list names all")

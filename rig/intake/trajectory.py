@@ -14,7 +14,7 @@ from acquisition import atomic_write
 from processing.errors import DataError, RecordError
 from rig.terminal import written
 
-ANGLES: Final = ("rad", "mrad", "urad", "nrad", "arcsec", "arcmin", "deg")
+ANGLES: Final = ("rad", "mrad", "urad", "nrad", "mas", "arcsec", "arcmin", "deg")
 NOT_STATED: Final = "unit"
 """Placeholder for the unit of positions if none is stated."""
 

@@ -202,6 +202,9 @@ class Recording:
         # all frames from a source on demand are processed, frames of a live camera only until the stop
         while begun or not (stream.drained or (self._stop and not self._on_demand)):
             waiting = begun or stream.take(_BLOCK_FRAMES, 0.1)
+            # blocks of frames made on demand are whole: where a run ends is not a matter of how they arrive
+            while self._on_demand and len(waiting) < _BLOCK_FRAMES and not stream.drained:
+                waiting += stream.take(_BLOCK_FRAMES - len(waiting), 0.1)
             taken_ns = time.monotonic_ns()
             late = (n for n, one in enumerate(waiting) if one.time_ns - waiting[0].time_ns > _MAX_BLOCK_NS)
             count = min(_BLOCK_FRAMES, next(late, len(waiting)))

@@ -236,6 +236,8 @@ def series_of(session: SessionResults, folder: Path) -> Mapping[str, CombinedVal
     """
     if combined := _combined_of(session):
         return combined
+    if session.series is not None and session.series.fits:
+        raise RecordError(f"{folder}: its runs together determine no parameter of the contact")
     run = next((run for run in session.runs if run.fits), None)
     if run is None:
         raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
@@ -286,7 +288,12 @@ def rows_of(session: SessionResults, series: Mapping[str, CombinedValue]) -> Map
 
 
 def _combined_of(session: SessionResults) -> Mapping[str, CombinedValue]:
-    return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
+    """The parameters that have a mean: those whose runs only limit them have none to compare."""
+    if session.series is None:
+        return {}
+    limited = {row.quantity for row in session.series.table if row.by_profile}
+    combined = session.series.fits.get(FitMethod.EXACT, {})
+    return {name: item for name, item in combined.items() if name not in limited}
 
 
 def _single_run(estimate: Estimate, dof: int) -> CombinedValue:

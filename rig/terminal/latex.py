@@ -27,17 +27,15 @@ _CHARACTERS: Final = {
 }  # fmt: skip
 _UNITS: Final = {
     "m": "metre", "g": "gram", "s": "second", "A": "ampere", "V": "volt", "Hz": "hertz", "N": "newton",
-    "Pa": "pascal", "J": "joule", "W": "watt", "rad": "radian", "%": "percent", "ppm": "ppm",
+    "Pa": "pascal", "J": "joule", "W": "watt", "rad": "radian", "%": "percent", "mas": r"milli\arcsecond",
     "min": "minute", "h": "hour", "d": "day", "deg": "degree", "arcmin": "arcminute", "arcsec": "arcsecond",
-    "°C": "degreecelsius", "K": "kelvin", "dB": "decibel",
+    "°C": "degreeCelsius", "K": "kelvin", "dB": "decibel",
 }  # fmt: skip
 """siunitx's names of the units of the project's table."""
 _PREFIXES: Final = {
     "G": "giga", "M": "mega", "k": "kilo", "h": "hecto", "c": "centi", "m": "milli", "u": "micro",
     "n": "nano", "p": "pico", "f": "femto",
 }  # fmt: skip
-_UNNAMED_UNITS: Final = ("px", "DN", "e", "1")
-"""Units of counts, and the unit one, which siunitx does not name."""
 _WITH_U = re.compile(rf"\(?({_NUMBER}) ± ({_NUMBER})\)?(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
 _PLAIN = re.compile(rf"({_NUMBER})(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
 
@@ -103,34 +101,29 @@ def _power(raised: str | None) -> str:
 
 
 def _unit(text: str) -> str:
-    """A unit by siunitx's names; an unknown unit literally."""
-    if not text.strip():
-        return ""
+    """A unit by siunitx's names; one that it does not name as text."""
     try:
-        named = _siunitx(text)
-    except ConfigurationError:
-        return rf"\unit{{{_raised(text)}}}"
-    return rf"\unit{{{named}}}" if named else _text(text)
+        return rf"\unit{{{_siunitx(text)}}}"
+    except (ConfigurationError, KeyError):
+        # a power that is a parameter (`rad⁻ᵖ`) is for siunitx, too
+        named = re.fullmatch(r"([A-Za-z]+)([⁻⁰¹²³⁴-⁹ᵖ]+)", text)
+        return rf"\unit{{{named[1]}^{{{named[2].translate(_SUPERSCRIPTS)}}}}}" if named else _text(text)
 
 
 def _siunitx(unit: str) -> str:
-    """A unit by siunitx's names; empty for dimension one; raises ConfigurationError if it is no unit."""
+    """A unit by siunitx's names.
+
+    Raises ConfigurationError if it is no unit, KeyError for what siunitx does not name: one, ppm, counts.
+    """
     words = []
     for symbol, power in factors(unit):
         prefix, rest = split_prefix(symbol.replace("μ", "u").replace("µ", "u"))
-        if rest in _UNNAMED_UNITS:
-            continue
         # kilogram is the only unit with its prefix in its name
         word = "".join(f"\\{name}" for name in (_PREFIXES.get(prefix), _UNITS[rest]) if name)
         word = word.replace(r"\kilo\gram", r"\kilogram")
         raised = power if power.denominator == 1 else float(power)
         words.append(word if power == 1 else rf"{word}\tothe{{{raised}}}")
     return "".join(words)
-
-
-def _raised(text: str) -> str:
-    """A unit whose power is a parameter (`rad⁻ᵖ`), in LaTeX."""
-    return re.sub(r"[⁻⁰¹²³⁴-⁹ᵖ]+", lambda found: f"^{{{found[0].translate(_SUPERSCRIPTS)}}}", text)
 
 
 def _text(text: str) -> str:

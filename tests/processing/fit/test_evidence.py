@@ -10,6 +10,7 @@ from processing.contact.laws import LAWS
 from processing.estimate import Estimate
 from processing.fit import Evidence, LinearisedFit, compare_laws, drift_term, fit_exact, waveform_of
 from processing.fit.evidence import Waveform
+from processing.fit.exact_model import ExactModel
 from processing.swing import ORDERS, SwingHarmonics, TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.driven import World, changing_path, driven_path
@@ -67,6 +68,21 @@ def test_the_waveform_tells_air_from_contact_and_counts_each_part_once(
         (value, u), (other, u_other) = fit.estimate(name), again.estimate(name)
         assert other == pytest.approx(value, abs=0.03 * u)
         assert u_other == pytest.approx(u, rel=0.01)
+
+
+def test_the_waveform_says_the_same_where_the_ground_hides_the_points(
+    basement: tuple[TurningPoints, SwingHarmonics],
+) -> None:
+    """As after a draught: steps as long as the points' uncertainty leave the range of the law."""
+    points, harmonics = basement
+    fit = fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform(harmonics)))
+    model, columns = ExactModel.of(points, PENDULUM, fit)
+    noise = replace(model.noise_of(fit), step=1e-2)
+    shaken = model.on_ground(columns, noise, 1.0).linearised_at(columns)
+    quiet, driven = (one.evidence_rows(columns)[1] / one.scale for one in (model, shaken))
+    # n and gamma, in the last columns, hardly show in the waveform
+    off, whole = (np.linalg.norm(each[:, :4], axis=0) for each in (driven - quiet, quiet))
+    assert np.all(off[:3] < 0.05 * whole[:3]), off / whole
 
 
 def test_uncertainties_that_are_stated_wrongly_are_those_of_the_scatter() -> None:
@@ -201,3 +217,16 @@ def test_what_is_fitted_to_a_few_pieces_is_as_uncertain_as_it_scatters(louder: f
         certainty = float(np.sum(weights * pattern))
         pulls.append((np.sum(weights * found.sine_rad) / certainty - 0.1) * np.sqrt(certainty))
     assert np.std(pulls) == pytest.approx(1.0, abs=0.07)
+
+
+def test_a_drive_by_chance_costs_a_law_no_likelihood() -> None:
+    """In a minute on ground at rest, a drive that the restricted likelihood prefers takes 9 off its law's."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=6, last_arcsec=104.0)
+    compared = compare_laws(points, pendulum, [LAWS["paper"], LAWS["masing"]])
+    best, other = compared.trials
+    assert best.law.name == "paper"
+    assert best.fit is not None
+    assert best.fit.ground is not None
+    assert not best.fit.ground.noise.at_rest
+    assert compared.above_best(other) > 10.0

@@ -186,6 +186,15 @@ def test_what_noise_hides_is_an_interval_or_a_bound() -> None:
     assert c.profile_likelihood
 
 
+def test_a_period_that_bends_with_an_unknown_exponent_is_an_interval() -> None:
+    """Its own uncertainty is a per cent of it, however wrong it is: the truth lies 2.7 of them off."""
+    parameters, pendulum, points, result = fitted("glass_k8", 2.0, 0, 30.0)
+    period0_s = {i.name: i for i in identifiability(points, pendulum, result)}["period0_s"]
+    assert period0_s.verdict == "interval"
+    assert period0_s.profile_likelihood
+    assert period0_s.lower_95 <= parameters.period0_s <= period0_s.upper_95
+
+
 @pytest.mark.slow
 def test_a_short_run_without_adhesion_gives_bounds_not_numbers() -> None:
     """Thirty half-cycles at large amplitude: nothing of c, and little of n."""

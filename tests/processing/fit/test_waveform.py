@@ -1,5 +1,6 @@
 """Harmonics tell laws apart and a drag from friction, and what distorts the swing does not turn either."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -8,7 +9,14 @@ import pytest
 from processing.contact import LAWS, PendulumOnBall, law_harmonics
 from processing.deflections import slow_deflections
 from processing.fit import CONTRADICTED, waveform_chances
-from processing.swing import ORDERS, HarmonicsMeasurement, SwingHarmonics, harmonic_classes, swings_of_blocks
+from processing.swing import (
+    ORDERS,
+    HarmonicClass,
+    HarmonicsMeasurement,
+    SwingHarmonics,
+    harmonic_classes,
+    swings_of_blocks,
+)
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 
@@ -64,13 +72,21 @@ def chances(seconds: np.ndarray, seen: np.ndarray, seed: int = 1) -> dict[str, f
     classes = harmonic_classes(measured(seconds, seen, seed))
     assert classes
     laws = {"paper": asdict(PARAMETERS), "masing": MEMORY}
-    return waveform_chances(
-        classes,
-        {
-            name: [c.mean(lambda a, v=v, n=name: harmonics(n, v, PENDULUM, a)) for c in classes]
-            for name, v in laws.items()
-        },
-    )
+    return waveform_chances(classes, {name: (0, predicted(classes, name, v)) for name, v in laws.items()})
+
+
+def predicted(
+    classes: Sequence[HarmonicClass], name: str, values: dict[str, float], **u: float
+) -> Callable[[np.ndarray], list[np.ndarray]]:
+    """Harmonics of a law by errors of its values in their uncertainties."""
+
+    def by(errors: np.ndarray) -> list[np.ndarray]:
+        wrong = {
+            key: values[key] + one * float(error) for (key, one), error in zip(u.items(), errors, strict=True)
+        }
+        return [c.mean(lambda a: harmonics(name, values | wrong, PENDULUM, a)) for c in classes]
+
+    return by
 
 
 def harmonics(
@@ -94,6 +110,22 @@ def test_the_waveform_names_the_law(swing: tuple[np.ndarray, np.ndarray]) -> Non
     found = chances(*swing)
     assert found["paper"] > 1e-3
     assert found["masing"] < CONTRADICTED
+
+
+def test_a_law_whose_values_are_uncertain_is_not_contradicted(swing: tuple[np.ndarray, np.ndarray]) -> None:
+    """Its elastic moment, which the decay left open, is a tenth of the true one; so far off is no other."""
+    classes = harmonic_classes(measured(*swing, 1))
+    poor = asdict(PARAMETERS) | {"gamma_pa": 0.1 * PARAMETERS.gamma_pa}
+    found = waveform_chances(
+        classes,
+        {
+            "known": (0, predicted(classes, "paper", poor)),
+            "open": (1, predicted(classes, "paper", poor, gamma_pa=PARAMETERS.gamma_pa)),
+            "masing": (1, predicted(classes, "masing", MEMORY, c=PARAMETERS.c)),
+        },
+    )
+    assert found["open"] > 1e-3
+    assert max(found["known"], found["masing"]) < CONTRADICTED
 
 
 @pytest.mark.parametrize("distortion", FALSE_FRIENDS)

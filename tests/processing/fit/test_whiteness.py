@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 import scipy
 
-from processing.fit.exact_result import correlated_covariance, neighbours_covariance, whiteness
+from processing.fit.exact_result import (
+    _factor,
+    correlated_covariance,
+    neighbours_covariance,
+    whiteness,
+)
 
 
 def test_the_chances_are_uniform_for_noise() -> None:
@@ -97,3 +102,19 @@ def test_times_of_neighbours_that_are_a_little_alike_widen_and_noise_does_not() 
     assert np.mean(claimed) > 1.25 / count
     assert np.mean(white_claimed) == pytest.approx(1.0 / count, rel=0.04)
     assert neighbours_covariance(whiteness(np.arange(8.0)), jacobian, covariance) == covariance
+
+
+def test_what_one_column_leaves_open_hides_no_correlation_of_the_others() -> None:
+    rng = np.random.default_rng(7)
+    noise = scipy.signal.lfilter([0.8], [1, -0.6], rng.standard_normal((2, 300)), axis=1).ravel()
+    jacobian = np.column_stack([np.ones(600), np.zeros(600)])
+    covariance = np.diag([1 / 600, np.inf])
+    found = whiteness(noise)
+    with np.errstate(invalid="raise"):
+        by_lags = correlated_covariance(noise, jacobian, covariance, 20)
+        by_neighbours = neighbours_covariance(found, jacobian, covariance)
+    alone = np.array([[1 / 600]])
+    assert by_lags[0, 0] == pytest.approx(correlated_covariance(noise, jacobian[:, :1], alone, 20)[0, 0])
+    assert by_neighbours[0, 0] > 1.5 * alone[0, 0]
+    # the second value is that of the open column
+    np.testing.assert_allclose(_factor(np.eye(2), by_lags, covariance) ** 2, [600 * by_lags[0, 0], 1.0])

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from math import nan
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from processing.fit.exact import fit_exact
 from processing.fit.reported import fitted_contact
 from processing.fit.result import FitResult
 from processing.fit.uncertainty import budgets
-from processing.series import average_curves, combine, combine_runs, compare_series
+from processing.series import average_curves, combine, combine_runs, combined_limits, compare_series
 from tests.processing.fit.decays import decay, paper_pair, without
 from tests.processing.fit.test_uncertainty import rig
 
@@ -53,6 +54,33 @@ def test_runs_that_scatter_count_alike() -> None:
     assert combined.standard_uncertainty == pytest.approx(np.std(x, ddof=1) / np.sqrt(3), rel=1e-3)
     assert combined.between_runs == pytest.approx(np.std(x, ddof=1), rel=1e-3)
     assert combined.p_homogeneous < 1e-10
+
+
+def test_parabolas_have_the_limits_of_their_mean() -> None:
+    runs = [Estimate(1.0, 0.1), Estimate(1.05, 0.1), Estimate(0.97, 0.2)]
+    mean = combine("c", runs)
+    of_runs = [(Estimate(x, u), (x - 1.959964 * u, x + 1.959964 * u)) for x, u in runs]
+    half = mean.expanded_uncertainty_95
+    assert combined_limits(of_runs) == pytest.approx((mean.value - half, mean.value + half), rel=1e-4)
+
+
+def test_limits_of_runs_cover_what_a_mean_of_them_misses() -> None:
+    """Seven exponents by their profiles: a parabola makes those most certain that happen to be small."""
+    runs = [
+        (Estimate(0.174, 0.186), (0.058, 0.884)),
+        (Estimate(0.096, 0.120), (nan, 1.45)),
+        (Estimate(0.051, 0.012), (nan, 0.284)),
+        (Estimate(0.056, 0.022), (0.040, nan)),
+        (Estimate(0.115, 0.158), (nan, 1.35)),
+        (Estimate(0.297, 0.712), (nan, 2.20)),
+        (Estimate(0.100, 0.082), (nan, nan)),
+    ]
+    mean = combine("n", [run for run, _ in runs])
+    assert mean.value + mean.expanded_uncertainty_95 < 0.092
+    lower, upper = combined_limits(runs)
+    assert 0.040 < lower < 0.092 < upper < 0.884
+    assert np.isnan(combined_limits([(run, (low, nan)) for run, (low, _) in runs])[1])
+    assert combined_limits(runs, logarithmic=True)[0] > lower
 
 
 def test_what_is_known_of_the_air_is_shared_and_not_averaged_away() -> None:

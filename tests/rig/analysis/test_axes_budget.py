@@ -160,13 +160,30 @@ def test_results_have_the_drag_of_air_beside_the_fitted_one(measured_series: Pat
     }
 
 
-def test_readings_that_are_all_alike_have_not_changed(
-    monkeypatch: pytest.MonkeyPatch, measured_series: Path
+@pytest.mark.parametrize(
+    ("read_at", "slope_k", "change_k"),
+    [
+        (np.linspace(0, 1, 37), 0.0, 0.0),
+        # a sensor that was silent, and one that broke: the change by the readings' numbers was 1.7 and 0.6 K
+        (np.concatenate([np.linspace(0, 0.5, 20), [0.98, 0.99, 1.0]]), 2.0, 2.0),
+        (np.linspace(0, 0.3, 20), 2.0, np.nan),
+    ],
+)
+def test_the_temperature_changes_by_the_times_of_its_readings(
+    monkeypatch: pytest.MonkeyPatch,
+    measured_series: Path,
+    read_at: np.ndarray,
+    slope_k: float,
+    change_k: float,
 ) -> None:
-    kind = [(name, float) for name in ("temperature_c", "humidity_percent", "pressure_pa")]
-    readings = np.array([(23.46, 41.3, 99870.0)] * 37, kind)
-    monkeypatch.setattr(RecordReader, "table", lambda *_: readings)
+    kind = [
+        ("time_ns", np.int64),
+        *((n, float) for n in ("temperature_c", "humidity_percent", "pressure_pa")),
+    ]
     with RecordReader(measured_series / "run-1.mcap") as reader:
+        lasted_ns = reader.numbers.end_ns - reader.numbers.start_ns
+        readings = np.array([(lasted_ns * x, 23.46 + slope_k * x, 41.3, 99870.0) for x in read_at], kind)
+        monkeypatch.setattr(RecordReader, "table", lambda *_: readings)
         found = recorded_ambient(reader)
-    assert found.temperature_change_k == 0.0
-    assert found.temperature_c == pytest.approx(23.46)
+    assert found.temperature_change_k == pytest.approx(change_k, nan_ok=True, rel=1e-6)
+    assert found.temperature_c == pytest.approx(float(np.mean(readings["temperature_c"])))

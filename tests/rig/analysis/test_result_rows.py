@@ -22,7 +22,7 @@ from processing.fit import (
     identifiability,
 )
 from processing.fit.uncertainty import BudgetSource
-from processing.series import CombinedValue
+from processing.series import CombinedValue, combine
 from rig.analysis import (
     Fit,
     RunResults,
@@ -169,6 +169,35 @@ def test_a_series_that_scatters_too_much_gives_a_bound() -> None:
     assert c.upper == pytest.approx(2.24e-8, rel=0.01)
     assert p.text == "0.900 ± 0.010"
     assert p.upper == pytest.approx(0.943, abs=1e-3)
+
+
+def test_runs_that_only_limit_a_parameter_have_limits_together_and_no_mean() -> None:
+    """The smaller a run's exponent happens to be, the more certain a parabola calls it."""
+    found = [Estimate(0.174, 0.186), Estimate(0.051, 0.012)]
+    mean = combine("n", found)
+    limits = [
+        ResultRow(quantity="n", verdict=Determinacy.INTERVAL, lower=0.058, upper=0.884),
+        ResultRow(quantity="n", verdict=Determinacy.UPPER_BOUND, upper=0.284),
+    ]
+    (row,) = series_rows({"n": mean}, {}, _PENDULUM, {"n": limits})
+    assert (row.verdict, row.by_profile) == (Determinacy.INTERVAL, True)
+    assert row.upper > mean.value + mean.expanded_uncertainty_95
+    # limits of what is determined contain the apparatus, and may be any number of times wider
+    determined = [ResultRow(quantity="n", lower=x - 30 * u, upper=x + 30 * u) for x, u in found]
+    assert series_rows({"n": mean}, {}, _PENDULUM, {"n": determined}) == series_rows(
+        {"n": mean}, {}, _PENDULUM
+    )
+
+
+def test_a_limit_that_only_physics_sets_is_none_of_the_data() -> None:
+    """Periods of which the profiles have no lower end were together 4.149 to 4.176 s; 4.071 was the truth."""
+    found = [Estimate(4.1659, 0.0017), Estimate(4.1658, 0.0019)]
+    row = ResultRow(quantity="period0_s", verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=4.1681)
+    (together,) = series_rows(
+        {"period0_s": combine("period0_s", found)}, {}, _PENDULUM, {"period0_s": [row] * 2}
+    )
+    assert together.verdict is Determinacy.UPPER_BOUND
+    assert together.lower == 0.0
 
 
 def test_rows_are_found_by_name_and_by_symbol() -> None:

@@ -352,6 +352,25 @@ def test_numbers_are_kept_to_the_last_digit(tmp_path: Path) -> None:
     assert [row["b"] for row in rows(tmp_path / "archive.duckdb", "order by sha256")] == values
 
 
+def test_runs_are_listed_as_they_were_measured(tmp_path: Path) -> None:
+    """The tenth run of a session stands after its second, although its clock was set back meanwhile."""
+    order = [
+        ("b", "run-1", "10:00"),
+        ("a", "run-2", "11:00"),
+        ("a", "run-10", "10:30"),
+        ("c", "run-1", "12:00"),
+    ]
+    found = [
+        {"folder": folder, "run": run, "sha256": f"{folder}{run}", "began_utc": f"2026-11-30 {clock}:00"}
+        for folder, run, clock in order
+    ]
+    with writing(tmp_path / "archive.duckdb") as connection:
+        write_sessions(connection, dict.fromkeys("abc", "hash"), found[::-1])
+    for condition, count in (("", 4), ("sha256 <> 'x'", 4), ("limit 3", 3)):
+        listed = rows(tmp_path / "archive.duckdb", condition, "folder, run")
+        assert [(row["folder"], row["run"]) for row in listed] == [each[:2] for each in order[:count]]
+
+
 def test_every_column_stands_in_the_reference() -> None:
     text = (ROOT / "docs" / "reference" / "archive.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^\| `(\w+)` \| .+ \|$", text, re.MULTILINE))

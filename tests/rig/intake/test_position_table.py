@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
+from processing.units import _OTHERS, conversion, size
 from rig.intake.table import TableColumns
 from tests.rig.intake.table_cases import judged, table_matrix
 
@@ -34,6 +35,13 @@ def test_a_unit_that_is_no_angle_is_carried_as_it_is(tmp_path: Path) -> None:
     trajectory = TableColumns(None, (), "V").read(path)
     assert trajectory.unit == "V"
     assert trajectory.scale_rad is None
+
+
+def test_every_angle_of_the_table_of_units_is_one(tmp_path: Path) -> None:
+    """A table in mas was refused the laws: they need an angle."""
+    path = write(tmp_path / "tilt.txt", "0 1\n1 2\n2 1\n")
+    for unit in (one for one in _OTHERS if size(one).powers == size("rad").powers):
+        assert TableColumns(None, (), unit).read(path).scale_rad == conversion(unit, "rad")
 
 
 def test_real_table_with_two_header_lines(shared_data: Path) -> None:

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
+from acquisition.frames.queue import BoundedQueue
 from acquisition.record.reader import RecordReader
 from acquisition.simulation.true_path import true_turning_points
 from processing.swing import HalfCycleFlag
 from rig.instrument.provenance import frame_shape, recorded_configuration
+from rig.measure.session import measure_session
 from rig.settings import load_configuration
 from rig.view.replay import Replay
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
@@ -257,3 +259,23 @@ def test_runs_of_other_rates_end_and_count_every_frame(rate_hz: int, tmp_path: P
     assert 12 * rate_hz <= len(sequences) <= 12 * rate_hz + 64
     assert losses is None or losses.total == 0
     assert sequences == list(range(len(sequences)))
+
+
+def test_a_run_on_demand_ends_at_the_same_frame_however_frames_arrive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, frames = BoundedQueue.take, []
+    source = CONFIGS / "demo.toml"
+    words = [f"{key}={value}" for key, value in {**QUICK, "session.max_duration_s": "5"}.items()]
+    for most in (64, 1):
+
+        def take_some(queue: BoundedQueue[Any], at_most: int, wait_s: float, most: int = most) -> list[Any]:
+            return take(queue, min(at_most, most), wait_s)
+
+        monkeypatch.setattr(BoundedQueue, "take", take_some)
+        folder = tmp_path / f"{most}"
+        measure_session(load_configuration(source, words), source, folder)
+        with RecordReader(folder / "run-1.mcap") as reader:
+            frames.append(len(reader.spots()))
+    # four whole blocks, where five seconds end with frame 251
+    assert frames == [256, 256]

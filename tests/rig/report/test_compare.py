@@ -52,6 +52,14 @@ def test_only_what_differs_is_said_to_differ(tmp_path: Path) -> None:
     assert [row[1] for row in values.shown if row[0].startswith("σ")] == ["28.90 ± 0.20"]
     assert len(differences.shown) == 1
     assert differences.note.startswith("1 of 6 comparisons differ")
+    # of runs that only limit it there is no mean that could differ
+    (row,) = [row for row in tree["series"]["table"] if row["quantity"] == "gamma_pa"]
+    row |= {"verdict": "interval", "by_profile": True}
+    limited = tmp_path / "limited"
+    limited.mkdir()
+    (limited / "results.json").write_text(json.dumps(tree))
+    _, without = compare([limited, folders[1]], None)
+    assert "gamma_pa" not in {str(row[2]) for row in without.rows}
     verdicts = {str(row[2]): str(row[-1]) for row in differences.rows}
     assert verdicts.pop("gamma_pa") == "differ"
     assert set(verdicts.values()) == {"no difference seen"}
