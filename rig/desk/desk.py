@@ -52,9 +52,9 @@ class Desk:
         self.following = Following(self.config.session.output)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
         by = "board" if self.config.laser.kind == "controller" else "laser"
-        self.safety = Safety(self.rig, self.following, lambda: self.aligner, by)
-        self.aligner: Aligner | None = None
         self.jobs = Jobs()
+        self.safety = Safety(self.rig, self.following, self.jobs, lambda: self.aligner, by)
+        self.aligner: Aligner | None = None
         self.sessions = SessionIndex(self.config.session.output)
         self.started: tuple[subprocess.Popen[bytes], Path] | None = None
         self.place = DeskStore(source)
@@ -91,14 +91,21 @@ class Desk:
 
     # -- what is started --------------------------------------------------------
 
-    def start(self, name: str, *words: str, values: Mapping[str, object] | None = None) -> Job:
+    def start(
+        self,
+        name: str,
+        *words: str,
+        values: Mapping[str, object] | None = None,
+        folder: Path | None = None,
+    ) -> Job:
         """Start a command of this configuration that uses the camera, and ends with the desk.
 
-        Raises ConfigurationError where the camera is in use, or a trip is not acknowledged. May wait.
+        It shows its light in `folder`, by default that of the sessions. Raises ConfigurationError where the
+        camera is in use, or a trip is not acknowledged. May wait.
         """
         self._needs_rig(name)
-        self.checked(values)
-        return self.jobs.begin(name, str(self.source), *words, *self._sets(values), uses_camera=True)
+        output = self.checked(values).session.output
+        return self.jobs.begin(name, str(self.source), *words, *self._sets(values), folder=folder or output)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""

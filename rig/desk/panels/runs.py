@@ -80,11 +80,11 @@ def _build_actions(desk: Desk, tab: Tab, listed: "SessionList") -> None:
         if row.report is not None:
             open_in_browser_tab(desk, row.report)
             return
-        desk.jobs.begin("report", str(row.folder), uses_camera=False)
+        desk.jobs.begin("report", str(row.folder))
         ui.notify("the report is being written; open it when it is finished")
 
     def view() -> None:
-        desk.jobs.begin("view", str(chosen().folder), "--view", "web", uses_camera=False)
+        desk.jobs.begin("view", str(chosen().folder), "--view", "web")
 
     async def ask_resume() -> None:
         row = chosen()
@@ -133,7 +133,7 @@ def _view_link(desk: Desk) -> str:
 
 def fit_again(desk: Desk, folder: Path) -> None:
     """Fit the runs of a session again, into a folder of their own."""
-    desk.jobs.begin("fit", str(folder), "-o", str(next_free(folder, "fit")), uses_camera=False)
+    desk.jobs.begin("fit", str(folder), "-o", str(next_free(folder, "fit")))
 
 
 def open_in_browser_tab(desk: Desk, page: Path) -> None:
