@@ -222,8 +222,7 @@ class Desk:
     @property
     def fits_last(self) -> bool:
         """Whether the process of the last session lives, which makes its results and report."""
-        line = self.following.last_line
-        return self.start_runs or (line is not None and line.process_lives)
+        return self.start_runs or self.following.fits_last
 
     @property
     def start_failed(self) -> bool:

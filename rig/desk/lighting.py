@@ -226,9 +226,11 @@ class Safety:
             return SafetyNow(trip=self._rig.trip)
         state, heard_s = told
         since_s = time.monotonic() - heard_s
+        # of a simulated rig a session has a latch of its own
+        is_own = self.unfiled is not None and self._following.running
         return replace(
             state,
-            trip=state.trip or (None if self.unfiled is not None else self._rig.trip),
+            trip=state.trip or (None if is_own else self._rig.trip),
             light_age_s=state.light_age_s + since_s,
             interlock_age_s=state.interlock_age_s + since_s,
         )

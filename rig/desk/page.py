@@ -105,19 +105,19 @@ def _state(desk: Desk) -> str:
     if following.folder is not None:
         phase = doing(following.news.get("state"))
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
+    running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
+    if running:
+        return f"rig {', '.join(running)} runs"
     if (folder := desk.session_folder) is not None:
         how = last_state(folder)
-        if desk.start_runs:
+        if desk.fits_last:
             is_over = how in ("complete", "stopped", "failed")
             report = f"last session {how}, its report is being made: {folder.name}"
             return report if is_over else "a session is starting or being fitted"
-        if desk.started is None:
-            return f"last session: {folder.name}"
         # complete are its records; what it says of fits and conditions is another matter
         more = ", with problems: see Measure" if desk.start_failed else ""
-        return f"last session {how or ('failed' if desk.start_failed else 'done')}{more}: {folder.name}"
-    running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
-    return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
+        return f"{f'last session {how}'.rstrip()}{more}: {folder.name}"
+    return f"ready · {desk.source.name}"
 
 
 def _recording(desk: Desk) -> str:

@@ -158,6 +158,7 @@ def test_the_bar_knows_the_light_of_a_simulated_rigs_command_and_that_it_is_dark
         desk.balancing.measure()
         until(lambda: lamps(desk.safety, "")["laser"]["text"] == "on")
         assert desk.lighting.off("one") == []
+        assert lamps(desk.safety, "")["laser"]["more"] == "light forbidden until acknowledged"
         until(lambda: not desk.balancing.running)
         until(lambda: lamps(desk.safety, "")["laser"]["age_s"] is None)
         laser = lamps(desk.safety, "")["laser"]
