@@ -143,6 +143,15 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait_text("rig report: ")
     photograph(page, "sessions")
     assert page.wait("!document.body.innerText.includes('rig report: runs')")
+    page.click("Rerun")
+    page.wait_text("open what rig view shows")
+    with page.browser.another() as tab:
+        around = Page(tab)
+        tab.open(str(page.ask("location.origin")) + "/rerun")
+        around.wait("document.querySelector('iframe') && document.getElementById('light-off')")
+        page.click("End it")
+        # Rerun's own page says nothing when its server is gone
+        around.wait_text("not connected: rig view has ended")
     page.browser.open(str(page.ask("location.origin")) + "/sessions/broken/report.html")
     page.wait("document.images.length > 0 && [...document.images].every(image => image.naturalWidth > 0)")
     photograph(page, "report")
