@@ -17,7 +17,7 @@ from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import KINDS, Calibration
 from rig.desk.following import Following
-from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
+from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, reason_in, start_session
 from rig.desk.lighting import Lighting, Safety
 from rig.desk.sessions import SessionIndex, last_state, last_summary
 from rig.desk.store import DeskStore
@@ -234,10 +234,7 @@ class Desk:
         """Why that process has ended with an error: what it said; empty if it has not."""
         if self.started is None or not self.start_failed:
             return ""
-        words = [line for line in self.last_words() if line.strip()]
-        # after its error it says what became of the light
-        named = [line.removeprefix("rig: ") for line in words if line.startswith("rig: ")]
-        return (named or words or [f"ended with {self.started[0].poll()}"])[-1]
+        return reason_in(self.last_words(), self.started[0].poll())
 
     @property
     def starting(self) -> bool:

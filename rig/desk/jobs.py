@@ -5,6 +5,7 @@ import subprocess
 import threading
 import time
 from collections import deque
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,14 @@ def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
     """
     with (folder / MESSAGES_NAME).open("ab") as messages:
         return start_python("-m", "rig", *words, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages)
+
+
+def reason_in(printed: Iterable[str], status: int | None) -> str:
+    """Why a command has ended with an error, by what it has printed; empty lines are none."""
+    words = [line for line in printed if line.strip()]
+    # after its error it says what became of the light
+    named = [line.removeprefix("rig: ") for line in words if line.startswith("rig: ")]
+    return (named or words or [f"ended with status {status}"])[-1]
 
 
 class Job:
@@ -74,8 +83,8 @@ class Job:
 
     @property
     def problem(self) -> str:
-        """The last line of its output, as the reason of its failure."""
-        return self.output[-1].removeprefix("rig: ") if self.output else f"ended with status {self.status}"
+        """The reason of its failure."""
+        return reason_in(self.output, self.status)
 
     def wait(self, limit_s: float | None = None) -> bool:
         """Whether it ends within the limit; what it has printed is read by then."""

@@ -19,6 +19,7 @@ from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
 from rig.desk.lighting import lamps, refusal
 from rig.desk.panels.balance import net_of
+from rig.desk.panels.rig_panel import checks
 from rig.interruption import start_python
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
@@ -109,6 +110,30 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     assert job.wait(50.0)
     # what a person ended has not failed
     assert desk.balancing.shown.stage is BalanceStage.ENDED
+
+
+COMPILES = """
+import sys, pathlib, time
+print('still compiling, 40 s so far', file=sys.stderr, flush=True)
+while not pathlib.Path(sys.argv[1]).exists():
+    time.sleep(0.05)
+sys.exit('rig: the laser stays off: trip 1\\nlaser off, confirmed by the controller')
+"""
+
+
+def test_preflight_says_what_it_waits_for_and_why_it_failed(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    over = tmp_path / "over"
+    monkeypatch.setattr(
+        jobs, "start_python", lambda *_, **how: start_python("-c", COMPILES, str(over), **how)
+    )
+    job = desk.jobs.begin("doctor", folder=tmp_path)
+    until(lambda: bool(job.output))
+    assert checks(desk) == "<span class=''>still compiling, 40 s so far</span>"
+    over.touch()
+    assert job.wait(50.0)
+    assert checks(desk) == "<span class='no'>the laser stays off: trip 1</span>"
 
 
 def test_a_session_without_a_record_says_why_it_failed(desk: Desk, tmp_path: Path) -> None:
