@@ -126,7 +126,7 @@ class Lighting:
         Raises RigError if the trip cannot be acknowledged. May wait.
         """
         desk = self._desk
-        if (aligner := desk.aligner) is not None and aligner.running:
+        if (aligner := self._aligner) is not None:
             return aligner.acknowledge(number)
         if desk.following.running:
             return desk.following.order(f"acknowledge {number}")
@@ -136,20 +136,23 @@ class Lighting:
             devices.wait_until_heard()
             return devices.acknowledge(number, "the desk")
 
+    @property
+    def _aligner(self) -> Aligner | None:
+        """The live picture that runs; None without one, and after its end."""
+        aligner = self._desk.aligner
+        return aligner if aligner is not None and aligner.running else None
+
     def again(self) -> str:
         """Ask the live picture or the session to light again; RigError if neither runs. May wait."""
-        desk = self._desk
-        if (aligner := desk.aligner) is not None and aligner.running:
+        if (aligner := self._aligner) is not None:
             aligner.relight()
             return "light is asked for"
-        return desk.following.order("light")
+        return self._desk.following.order("light")
 
     @property
     def may_follow(self) -> bool:
         """Whether a session or live picture runs, which could light again after the acknowledgement."""
-        desk = self._desk
-        aligner = desk.aligner
-        return desk.following.running or (aligner is not None and aligner.running)
+        return self._desk.following.running or self._aligner is not None
 
     @property
     def waits(self) -> bool:
