@@ -54,6 +54,7 @@ def build_page(desk: Desk, off_port: int) -> None:
 def build_rerun(desk: Desk, off_port: int) -> None:
     """Build the page around Rerun's own, which does not say that nothing comes any more."""
     build_head(off_port)
+    ui.html("Rerun", tag="h1", sanitize=False).classes("unseen")
     address = rerun_address(desk)
     gone = "not connected: rig view has ended"
     Tab().label(lambda: "" if rerun_address(desk) == address != "" else gone, "advice no", 'role="alert"')

@@ -79,6 +79,11 @@ def test_no_panel_at_rest_has_a_violation(shown: Shown, judge: Callable[[str], N
         page.key(key)
         page.wait(f"document.querySelector('.q-tab--active').innerText.toLowerCase() === {name.lower()!r}")
         judge(name)
+    desk = str(page.ask("location.origin"))
+    page.browser.open(f"{desk}/rerun")
+    page.wait_text("not connected: rig view has ended")
+    judge("the page around Rerun's")
+    page.open(desk)
 
 
 def test_no_state_of_a_session_has_a_violation(
