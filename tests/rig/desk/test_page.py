@@ -25,7 +25,7 @@ from rig.devices import OrderSocket, SessionNews
 from rig.instrument import Block
 from rig.terminal import Verdict
 from tests.rig.control.test_states import status
-from tests.rig.desk.desk_page import SIZE, DeskProcess, Page
+from tests.rig.desk.desk_page import DeskProcess, Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
 Shown = tuple[DeskProcess, Page]
@@ -344,25 +344,6 @@ def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
     page.wait_text("160 × 640 px")
     page.click("Stop")
     page.wait_text("No live picture yet")
-
-
-def test_what_the_safety_bar_says_hides_no_end_of_a_page(shown: Shown) -> None:
-    _, page = shown
-    page.key("4")
-    page.wait(
-        "[...document.querySelectorAll('button')].some(b => b.offsetParent && b.innerText == 'FILE IT')"
-    )
-    end = "document.scrollingElement.scrollTo(0, 1e6), [...document.querySelectorAll('.q-tab-panel .box')]"
-    end = f"({end}.find(b => b.offsetParent).getBoundingClientRect().bottom)"
-    bar = "document.getElementById('safety')"
-    try:
-        page.browser.call("Emulation.setDeviceMetricsOverride", **{**SIZE, "width": 390, "height": 500})
-        page.ask(f"{bar}.lastElementChild.insertAdjacentHTML('afterend', '<p id=long>{'long ' * 90}</p>')")
-        page.wait(f"{bar}.offsetHeight > 180")
-        page.wait(f"{end} <= {bar}.getBoundingClientRect().top + 1")
-    finally:
-        page.ask("document.getElementById('long').remove()")
-        page.browser.call("Emulation.setDeviceMetricsOverride", **SIZE)
 
 
 def test_everything_that_can_be_pressed_or_filled_has_a_name(shown: Shown) -> None:
