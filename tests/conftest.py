@@ -15,6 +15,7 @@ from hypothesis import settings
 from xdist.scheduler import LoadFileScheduling
 
 from tests.orphans import leave_no_orphans
+from tests.shared_data import SHARED_DATA
 from tests.signals import heed_signals
 
 # Shared machines are slow at times: an example is not judged by the clock. CI repeats the same
@@ -145,8 +146,6 @@ def nothing_is_left_beside_the_tests() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Real images and decays that are not part of the project; skips where they are missing."""
-    default = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
-    folder = Path(os.environ.get("RIG_SHARED_DATA", default))
-    if not folder.is_dir():
-        pytest.skip(f"no folder of real data at {folder}; set RIG_SHARED_DATA to one")
-    return folder
+    if not SHARED_DATA.is_dir():
+        pytest.skip(f"no folder of real data at {SHARED_DATA}; set RIG_SHARED_DATA to one")
+    return SHARED_DATA

@@ -73,6 +73,9 @@ class SimulatedCamera:
         """Ready immediately. Raises DeviceError while the simulated camera is unplugged."""
         if self._reader is not None and self._reader.lost:
             self._reader.replug()
+        if self._settings.real_time and self._reader is None:
+            # its first frame compiles kernels: while it is dark, for no watchdog waits for that
+            self._frames(None)
         self._opened = True
         sensor = self._settings.sensor
         return CameraInfo(
@@ -137,12 +140,15 @@ class SimulatedCamera:
             if self._reader.lost or self._reader.stalled:
                 self._reader.resume()
                 return
-        scene = Scene(self._settings, self._faults, self._sensor_settings, self._runs, self._inputs)
+        self._reader = self._frames(self._inputs)
         self._runs += 1
-        block = block_frames(self._sensor_settings.frame_rate_hz, self._inputs is not None)
-        self._reader = _SimulatedFrames(
-            scene, block, self._settings, self._faults, self._sensor_settings.frame_rate_hz
-        )
+
+    def _frames(self, inputs: RigInputs | None) -> "_SimulatedFrames":
+        """The frames of the next run, of which the first is drawn."""
+        scene = Scene(self._settings, self._faults, self._sensor_settings, self._runs, inputs)
+        rate_hz = self._sensor_settings.frame_rate_hz
+        block = block_frames(rate_hz, inputs is not None)
+        return _SimulatedFrames(scene, block, self._settings, self._faults, rate_hz)
 
     def read(self, timeout_s: float) -> Frame | None:
         reader = self._reader

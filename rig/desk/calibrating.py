@@ -126,7 +126,8 @@ class Calibration:
         path = next_free(FOLDER / "records", self.name, suffix)
         path.parent.mkdir(parents=True, exist_ok=True)
         values = {} if exposure_us == "" else {"camera.exposure_us": exposure_us}
-        job = self._desk.start(f"camera {command}", "-o", str(path), option, amount, values=values)
+        words = f"camera {command}", "-o", str(path), option, amount
+        job = self._desk.start(*words, values=values, folder=path.parent)
         self.problem, self._recording = "", (path, job)
 
     def stop(self) -> None:
@@ -165,7 +166,7 @@ class Calibration:
                 if text.strip() not in ("", _UNKNOWN)
             ]
             command = f"calibrate {self.name}"
-            job = self._desk.jobs.begin(command, str(path), *words, "--json", uses_camera=False)
+            job = self._desk.jobs.begin(command, str(path), *words, "--json")
             job.wait()
             if job.status:
                 raise RigError(job.problem)

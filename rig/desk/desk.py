@@ -17,7 +17,7 @@ from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import KINDS, Calibration
 from rig.desk.following import Following
-from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
+from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, reason_in, start_session
 from rig.desk.lighting import Lighting, Safety
 from rig.desk.sessions import SessionIndex, last_state, last_summary
 from rig.desk.store import DeskStore
@@ -52,9 +52,9 @@ class Desk:
         self.following = Following(self.config.session.output)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
         by = "board" if self.config.laser.kind == "controller" else "laser"
-        self.safety = Safety(self.rig, self.following, lambda: self.aligner, by)
-        self.aligner: Aligner | None = None
         self.jobs = Jobs()
+        self.safety = Safety(self.rig, self.following, self.jobs, lambda: self.aligner, by)
+        self.aligner: Aligner | None = None
         self.sessions = SessionIndex(self.config.session.output)
         self.started: tuple[subprocess.Popen[bytes], Path] | None = None
         self.place = DeskStore(source)
@@ -91,14 +91,21 @@ class Desk:
 
     # -- what is started --------------------------------------------------------
 
-    def start(self, name: str, *words: str, values: Mapping[str, object] | None = None) -> Job:
+    def start(
+        self,
+        name: str,
+        *words: str,
+        values: Mapping[str, object] | None = None,
+        folder: Path | None = None,
+    ) -> Job:
         """Start a command of this configuration that uses the camera, and ends with the desk.
 
-        Raises ConfigurationError where the camera is in use, or a trip is not acknowledged. May wait.
+        It shows its light in `folder`, by default that of the sessions. Raises ConfigurationError where the
+        camera is in use, or a trip is not acknowledged. May wait.
         """
         self._needs_rig(name)
-        self.checked(values)
-        return self.jobs.begin(name, str(self.source), *words, *self._sets(values), uses_camera=True)
+        output = self.checked(values).session.output
+        return self.jobs.begin(name, str(self.source), *words, *self._sets(values), folder=folder or output)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
@@ -215,8 +222,7 @@ class Desk:
     @property
     def fits_last(self) -> bool:
         """Whether the process of the last session lives, which makes its results and report."""
-        line = self.following.last_line
-        return self.start_runs or (line is not None and line.process_lives)
+        return self.start_runs or self.following.fits_last
 
     @property
     def start_failed(self) -> bool:
@@ -228,10 +234,7 @@ class Desk:
         """Why that process has ended with an error: what it said; empty if it has not."""
         if self.started is None or not self.start_failed:
             return ""
-        words = [line for line in self.last_words() if line.strip()]
-        # after its error it says what became of the light
-        named = [line.removeprefix("rig: ") for line in words if line.startswith("rig: ")]
-        return (named or words or [f"ended with {self.started[0].poll()}"])[-1]
+        return reason_in(self.last_words(), self.started[0].poll())
 
     @property
     def starting(self) -> bool:

@@ -1,6 +1,5 @@
 """Dialogs of a page: questions before anything is lit or allowed light, and the list of keys."""
 
-import html
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 
@@ -8,6 +7,7 @@ from nicegui import run, ui
 
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tables import table
 
 _LIT = "The laser will be lit. Check that nobody is in the beam path."
 
@@ -73,8 +73,7 @@ def resume_dialog(desk: Desk, tab: Tab) -> Callable[[Path], Awaitable[None]]:
 
 def keys_dialog(keys: Sequence[tuple[str, str]]) -> ui.dialog:
     """The list of keys, each with what it does."""
-    lines = [f"<tr><th>{html.escape(key)}</th><td>{html.escape(text)}</td></tr>" for key, text in keys]
     with ui.dialog().props('aria-label="keys"') as dialog, ui.card():
         ui.label("Keys").classes("middle")
-        ui.html(f"<table class='rows'>{''.join(lines)}</table>", sanitize=False)
+        ui.html(table(keys, "keys and what they do"), sanitize=False)
     return dialog

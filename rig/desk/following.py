@@ -15,7 +15,7 @@ from rig.control import STALE_S, SafetyNow
 from rig.desk.alarm_list import AlarmKey, RaisedAlarm
 from rig.desk.run_reader import RecordFollower
 from rig.devices import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
-from rig.measure import STATE_NAME, RunState, read_session
+from rig.measure import STATE_NAME, RunState, is_in_use, read_session
 from rig.settings import Configuration, unnumbered, validate_configuration
 
 _LOOK_S = 0.2
@@ -74,9 +74,10 @@ class Following:
     """A thread that asks the running session for news, and looks for one while there is none.
 
     `news` is its last answer (empty without a session), `events` are those of its records. `folder` is its
-    folder (None without a session), `last_folder` that of the last session, `last_line` the connection to it,
-    whose process may live on to fit. `silent` is True while the session exists and does not answer. `heard_s`
-    is the monotonic time of the last news, `heartbeat` asks for signs of life.
+    folder (None without a session), `last_folder` that of the last session, at first the newest of `output`,
+    and `fits_last` is True while the process of that one fits and reports. `silent` is True while the session
+    exists and does not answer. `heard_s` is the monotonic time of the last news, `heartbeat` asks for signs
+    of life.
     `ended` are alarms of sessions that ended while they were followed, `unheard` are events; both wait until
     the alarms have been updated by them.
     """
@@ -87,7 +88,7 @@ class Following:
         self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         self.folder: Path | None = None
         self.last_folder: Path | None = None
-        self.last_line: OrderConnection | None = None
+        self.fits_last = False
         self.silent = False
         self.heard_s = -math.inf
         self.ended: deque[RaisedAlarm] = deque(maxlen=8)
@@ -104,6 +105,8 @@ class Following:
 
     def start(self) -> None:
         """Look for a session once, and then continuously in a thread."""
+        self.last_folder = _newest(self._output)
+        self.fits_last = self.last_folder is not None
         self._search()
         threading.Thread(target=self._follow, name="following", daemon=True).start()
         self.heartbeat.start()
@@ -219,12 +222,16 @@ class Following:
     def _search(self) -> None:
         for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
-                self._line = self.last_line = OrderConnection(folder)
+                self._line = OrderConnection(folder)
                 self._stated = _configuration_in(folder)
                 self._read("")
                 self.events.clear()
                 self.folder = self.last_folder = folder
+                self.fits_last = False
                 self._ask(self._line)
+        # one that was found free is not asked again: the look holds its lock for a moment
+        if self._line is None and self.fits_last and self.last_folder is not None:
+            self.fits_last = is_in_use(self.last_folder)
 
     def _ask(self, line: OrderConnection) -> None:
         try:
@@ -237,7 +244,7 @@ class Following:
             if not is_busy or not line.process_lives or not _is_there(line):
                 line.close()
                 self.ended.extend(_alarms_of_end(line.folder))
-                self._line, self.folder, self.silent = None, None, False
+                self.fits_last, self._line, self.folder, self.silent = True, None, None, False
                 self.news = {}
                 self._read("")
             return
@@ -267,6 +274,15 @@ def _configuration_in(folder: Path) -> Configuration | None:
     with suppress(RigError):
         return validate_configuration(unnumbered(read_session(folder).configuration, path), path)
     return None
+
+
+def _newest(output: Path) -> Path | None:
+    """Folder of the session that was changed last; None without any."""
+    found = []
+    for path in output.glob(f"*/{STATE_NAME}"):
+        with suppress(OSError):
+            found.append((path.stat().st_mtime_ns, path.parent))
+    return max(found, default=(0, None))[1]
 
 
 def doing(state: Mapping[str, Any] | None) -> str:

@@ -5,6 +5,7 @@ import subprocess
 import threading
 import time
 from collections import deque
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,20 +34,28 @@ def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
         return start_python("-m", "rig", *words, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages)
 
 
+def reason_in(printed: Iterable[str], status: int | None) -> str:
+    """Why a command has ended with an error, by what it has printed; empty lines are none."""
+    words = [line for line in printed if line.strip()]
+    # after its error it says what became of the light
+    named = [line.removeprefix("rig: ") for line in words if line.startswith("rig: ")]
+    return (named or words or [f"ended with status {status}"])[-1]
+
+
 class Job:
     """A command that ends with the desk, because its pipes do; it answers in JSON lines.
 
     `lines` are the last JSON objects that it printed, and among them the answers that it was given; `output`
     its other lines. `ending` is True once it was asked to end. While a command that `uses_camera` runs, no
-    other has the camera, and LIGHT OFF ends it.
+    other has the camera, and LIGHT OFF ends it; `folder` is where it shows its light, None without a camera.
     """
 
-    def __init__(self, words: list[str], *, uses_camera: bool) -> None:
+    def __init__(self, words: list[str], folder: Path | None = None) -> None:
         pipe = subprocess.PIPE
         self._process = start_python(
             "-m", "rig", *words, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8"
         )
-        self.uses_camera = uses_camera
+        self.folder = folder
         self.ending = False
         self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
@@ -60,6 +69,10 @@ class Job:
             reader.start()
 
     @property
+    def uses_camera(self) -> bool:
+        return self.folder is not None
+
+    @property
     def running(self) -> bool:
         return self.status is None
 
@@ -70,8 +83,8 @@ class Job:
 
     @property
     def problem(self) -> str:
-        """The last line of its output, as the reason of its failure."""
-        return self.output[-1].removeprefix("rig: ") if self.output else f"ended with status {self.status}"
+        """The reason of its failure."""
+        return reason_in(self.output, self.status)
 
     def wait(self, limit_s: float | None = None) -> bool:
         """Whether it ends within the limit; what it has printed is read by then."""
@@ -131,12 +144,15 @@ class Job:
 class Jobs(dict[str, Job]):
     """The commands that a desk has started, the last one of each name."""
 
-    def begin(self, name: str, *words: str, uses_camera: bool) -> Job:
-        """Start `rig NAME`; raises ConfigurationError while the last one of this name runs."""
+    def begin(self, name: str, *words: str, folder: Path | None = None) -> Job:
+        """Start `rig NAME`; raises ConfigurationError while the last one of this name runs.
+
+        `folder` is where a command that uses the camera shows its light.
+        """
         before = self.get(name)
         if before is not None and before.running:
             raise ConfigurationError(f"rig {name} still runs; wait, or end it first")
-        self[name] = Job([*name.split(), *words], uses_camera=uses_camera)
+        self[name] = Job([*name.split(), *words], folder)
         return self[name]
 
     def running(self, *, uses_camera: bool) -> list[tuple[str, Job]]:
@@ -144,6 +160,11 @@ class Jobs(dict[str, Job]):
         return [
             (name, job) for name, job in tuple(self.items()) if job.uses_camera is uses_camera and job.running
         ]
+
+    @property
+    def lit_in(self) -> Path | None:
+        """Where the command that has the camera shows its light; None without one."""
+        return next((job.folder for _, job in self.running(uses_camera=True)), None)
 
 
 _NAME = "balance"

@@ -23,6 +23,7 @@ from rig.control import (
 )
 from rig.desk.aligner import Aligner
 from rig.desk.following import Following
+from rig.desk.jobs import Jobs
 from rig.desk.run_reader import clock
 from rig.devices import (
     HEARD_WITHIN_S,
@@ -95,21 +96,22 @@ class Lighting:
         dark: Future[None] | None = None
         if (aligner := desk.aligner) is not None:
             dark, heard = in_thread(aligner.light_off), aligner.running
-        for _, job in desk.jobs.running(uses_camera=True):
+        ended = desk.jobs.running(uses_camera=True)
+        for _, job in ended:
             job.end()
-            heard = True
         if begun is not None and desk.following.last_folder != begun[1] and not _takes_orders(begun[1]):
             # it cannot take an order yet; a session that was followed and is gone is being fitted
             begun[0].terminate()
             heard = True
         problems, answered, kept = pressed.result()
-        heard = heard or answered
+        heard = heard or answered or bool(ended)
         if dark is not None:
             with suppress(TimeoutError):
                 dark.result(HEARD_WITHIN_S)
         unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
-        if not heard and unfiled is not None and unfiled.trip is None:
-            # a rig without a file is remembered as long as the desk lives
+        if (ended or not heard) and unfiled is not None and unfiled.trip is None:
+            # a rig without a file is remembered as long as the desk lives, a command ends before it can be
+            # acknowledged there
             unfiled.latch(TripCause.PERSON, f"LIGHT OFF was pressed at {AT}", lit=False)
         if desk.config.laser.kind == "none":
             problems.append(NOT_OURS)
@@ -124,7 +126,7 @@ class Lighting:
         Raises RigError if the trip cannot be acknowledged. May wait.
         """
         desk = self._desk
-        if (aligner := desk.aligner) is not None and aligner.running:
+        if (aligner := self._aligner) is not None:
             return aligner.acknowledge(number)
         if desk.following.running:
             return desk.following.order(f"acknowledge {number}")
@@ -134,20 +136,23 @@ class Lighting:
             devices.wait_until_heard()
             return devices.acknowledge(number, "the desk")
 
+    @property
+    def _aligner(self) -> Aligner | None:
+        """The live picture that runs; None without one, and after its end."""
+        aligner = self._desk.aligner
+        return aligner if aligner is not None and aligner.running else None
+
     def again(self) -> str:
         """Ask the live picture or the session to light again; RigError if neither runs. May wait."""
-        desk = self._desk
-        if (aligner := desk.aligner) is not None and aligner.running:
+        if (aligner := self._aligner) is not None:
             aligner.relight()
             return "light is asked for"
-        return desk.following.order("light")
+        return self._desk.following.order("light")
 
     @property
     def may_follow(self) -> bool:
         """Whether a session or live picture runs, which could light again after the acknowledgement."""
-        desk = self._desk
-        aligner = desk.aligner
-        return desk.following.running or (aligner is not None and aligner.running)
+        return self._desk.following.running or self._aligner is not None
 
     @property
     def waits(self) -> bool:
@@ -189,9 +194,15 @@ class Safety:
     """
 
     def __init__(
-        self, rig: SafetyState, following: Following, aligner: Callable[[], Aligner | None], by: str
+        self,
+        rig: SafetyState,
+        following: Following,
+        jobs: Jobs,
+        aligner: Callable[[], Aligner | None],
+        by: str,
     ) -> None:
-        self._rig, self._following, self._aligner, self._by = rig, following, aligner, by
+        self._rig, self._following, self._jobs = rig, following, jobs
+        self._aligner, self._by = aligner, by
         self.light: ConfirmedState | None = None
         self.interlock: ConfirmedState | None = None
         self.unfiled = rig if rig.path is None else None
@@ -201,8 +212,7 @@ class Safety:
     def start(self) -> None:
         """Start the threads that read the rig's state and ask the program that has the devices."""
         threading.Thread(target=self._read, name="rig's state", daemon=True).start()
-        if self.unfiled is None:
-            threading.Thread(target=self._ask, name="who has the rig", daemon=True).start()
+        threading.Thread(target=self._ask, name="who has the rig", daemon=True).start()
 
     def stop(self) -> None:
         """Stop the threads."""
@@ -215,20 +225,25 @@ class Safety:
         own = None if aligner is None else aligner.safety
         if own is not None:
             return own
-        following = self._following
-        if following.running and following.news:
-            state, heard_s = following.safety, following.heard_s
-        elif (of_command := self._of_command) is not None:
-            state, heard_s = of_command
-        else:
+        if (told := self._told()) is None:
             return SafetyNow(trip=self._rig.trip)
+        state, heard_s = told
         since_s = time.monotonic() - heard_s
+        # of a simulated rig a session has a latch of its own
+        is_own = self.unfiled is not None and self._following.running
         return replace(
             state,
-            trip=state.trip or (None if self.unfiled is not None else self._rig.trip),
+            trip=state.trip or (None if is_own else self._rig.trip),
             light_age_s=state.light_age_s + since_s,
             interlock_age_s=state.interlock_age_s + since_s,
         )
+
+    def _told(self) -> tuple[SafetyNow, float] | None:
+        """What the program that has the devices has told, and when (monotonic, s); None without one."""
+        following = self._following
+        if following.running and following.news:
+            return following.safety, following.heard_s
+        return self._of_command
 
     @property
     def trip(self) -> LatchedTrip | None:
@@ -253,17 +268,20 @@ class Safety:
                 with suppress(RigError):
                     self._rig.read()
                 continue
-            # the latch of a simulated rig ends with the session's process, a real one's does not
-            if self._following.running:
-                latched = self._following.safety.trip
+            # the latch of a simulated rig ends with the program that has it, a real one's does not
+            if (told := self._told()) is not None:
+                latched = told[0].trip
             elif latched is not None:
-                self._rig.latch(latched.cause, latched.why, latched.lit)
+                if self._rig.trip is None:
+                    self._rig.latch(latched.cause, latched.why, latched.lit)
                 latched = None
 
     def _ask(self) -> None:
         """Ask a command that has the rig, and is no session, for its safety state."""
         while not self._ended.wait(_READ_S):
-            folder = None if self._following.running else self._rig.folder_of_holder
+            # a simulated rig has no file that names who holds it
+            holder = self._rig.folder_of_holder if self.unfiled is None else self._jobs.lit_in
+            folder = None if self._following.running else holder
             try:
                 if folder is None:
                     self._of_command = None

@@ -1,5 +1,6 @@
 """The page: head with state and keys, alarms over everything, one panel at a time."""
 
+import html
 import json
 import time
 from functools import partial
@@ -15,6 +16,7 @@ from rig.desk.following import doing
 from rig.desk.header import build_header
 from rig.desk.lighting import lamps
 from rig.desk.panels import PANELS
+from rig.desk.panels.runs import rerun_address
 from rig.desk.sessions import last_state
 from rig.desk.tab import Tab, at_once
 from rig.desk.tables import static
@@ -45,6 +47,25 @@ def build_page(desk: Desk, off_port: int) -> None:
 
     # of what is typed into a field nothing is a key
     ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
+
+    _tell_bars(desk)
+
+
+def build_rerun(desk: Desk, off_port: int) -> None:
+    """Build the page around Rerun's own, which does not say that nothing comes any more."""
+    build_head(off_port)
+    ui.html("Rerun", tag="h1", sanitize=False).classes("unseen")
+    address = rerun_address(desk)
+    gone = "not connected: rig view has ended"
+    Tab().label(lambda: "" if rerun_address(desk) == address != "" else gone, "advice no", 'role="alert"')
+    if address:
+        # what it has shown last stays
+        ui.html(f"<iframe title='Rerun' src='{html.escape(address)}'></iframe>", sanitize=False)
+    _tell_bars(desk)
+
+
+def _tell_bars(desk: Desk) -> None:
+    """Tell the safety bar, and the line of what is late, some times a second."""
 
     def refresh() -> None:
         shown = json.dumps(lamps(desk.safety, _recording(desk)))
@@ -105,19 +126,21 @@ def _state(desk: Desk) -> str:
     if following.folder is not None:
         phase = doing(following.news.get("state"))
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
+    running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
+    if running:
+        return f"rig {', '.join(running)} runs"
+    if desk.starting:
+        return "a session is starting"
     if (folder := desk.session_folder) is not None:
         how = last_state(folder)
-        if desk.start_runs:
+        if desk.fits_last:
             is_over = how in ("complete", "stopped", "failed")
             report = f"last session {how}, its report is being made: {folder.name}"
             return report if is_over else "a session is starting or being fitted"
-        if desk.started is None:
-            return f"last session: {folder.name}"
         # complete are its records; what it says of fits and conditions is another matter
         more = ", with problems: see Measure" if desk.start_failed else ""
-        return f"last session {how or ('failed' if desk.start_failed else 'done')}{more}: {folder.name}"
-    running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
-    return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
+        return f"{f'last session {how}'.rstrip()}{more}: {folder.name}"
+    return f"ready · {desk.source.name}"
 
 
 def _recording(desk: Desk) -> str:

@@ -32,6 +32,12 @@ def at_once(element: E) -> E:
     return element
 
 
+def text_field(label: str, value: str = "", key: str = "") -> ui.input:
+    """A field to type into; `key` is its name beside that which is seen, by default the same."""
+    props = f'dense outlined data-key="{key or label}" aria-label="{label}"'
+    return ui.input(label, value=value).props(props)
+
+
 def box(title: str, classes: str = "", *, head: str = "title", region: str = "") -> ui.column:
     """A box of a panel, below its title if it has one; a `region` has this name, and scrolls by keys."""
     with ui.column().classes(f"box {classes}") as found:

@@ -51,12 +51,12 @@ class SessionNews:
     """The state of a session; written by its threads, read by those that answer.
 
     Of frames it keeps only references, set in the processing thread. A frame is kept only if a program has
-    asked for one, at most ten times a second.
+    asked for one, at most ten times a second. `asked_s` is the monotonic time of the last request for news.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._asked_s = -math.inf
+        self.asked_s = -math.inf
         self._picture_wanted = False
         self._picture_number = 0
         self._picture_s = 0.0
@@ -131,7 +131,7 @@ class SessionNews:
         last processed frame, `spot_lost_s` the time for which the spot has been lost; NaN before the first
         frame. Recorded values are read from `record`.
         """
-        self._asked_s = time.monotonic()
+        self.asked_s = time.monotonic()
         with self._lock:
             path, values = list(self._path), dict(self._values)
         return {
@@ -144,7 +144,7 @@ class SessionNews:
     @property
     def watched(self) -> bool:
         """Whether a program has asked for the news within the last minute."""
-        return time.monotonic() - self._asked_s < _WATCHED_S
+        return time.monotonic() - self.asked_s < _WATCHED_S
 
     def picture(self, after: int = 0) -> SessionPicture | None:
         """The newest frame if its number is above `after`, else None; this also requests the next one."""
@@ -175,6 +175,7 @@ BEAT = "beat"
 """Request that is answered at once with None."""
 NEWS, LOOK = "news", "look"
 _LOOK_S = 0.2
+_HEARS_WITHIN_S, _WAIT_S = 1.0, 0.02
 Orders = Mapping[str, Callable[[str], str]]
 """Functions by the first word of an order; called with the rest, they return what was done, or raise
 RigError.
@@ -280,19 +281,33 @@ def light_shown_to_desk(
 ) -> Iterator[None]:
     """Context in which a command that is no session lets the desk show its light, and darken it.
 
-    `folder` is the one that the devices were opened with, which the rig's lock names. A simulated rig has no
-    lock, and opens no socket, unless there are `session_news` (pictures of frames that are recorded) for
-    clients that know the folder.
+    `folder` is the one that the devices were opened with: the rig's lock names it, and a desk knows that of
+    its own commands. Without a laser no socket is opened, unless there are `session_news` (pictures of frames
+    that are recorded). Who has asked a moment ago hears at the end that the laser is off.
     """
-    if devices.state.path is None and session_news is None:
+    if devices.laser_report() is None and session_news is None:
         yield
         return
     with suppress(OSError):
         # without the folder the command runs unwatched
         folder.mkdir(parents=True, exist_ok=True)
     orders = {"dark": lambda by: devices.light_off(by or "the desk")}
-    with OrderSocket(folder, session_news or SessionNews(), orders, lambda: safety_values(devices)):
-        yield
+    told = session_news or SessionNews()
+    with OrderSocket(folder, told, orders, lambda: safety_values(devices)):
+        try:
+            yield
+        finally:
+            devices.darken("the devices are closed")
+            _tell_dark(devices, told)
+
+
+def _tell_dark(devices: Devices, told: SessionNews) -> None:
+    """Answer whoever looks at the light until that has heard that it is off, or for a second."""
+    begun_s, dark_s = time.monotonic(), math.inf
+    while begun_s - _HEARS_WITHIN_S < told.asked_s < dark_s and time.monotonic() < begun_s + _HEARS_WITHIN_S:
+        if devices.confirmed_dark:
+            dark_s = min(dark_s, time.monotonic())
+        time.sleep(_WAIT_S)
 
 
 def _write(path: Path, values: Mapping[str, object]) -> None:

@@ -15,4 +15,4 @@ from rig.measure.resuming import measure_sessions, resume_session
 from rig.measure.run import LEAST_FREE_BYTES
 from rig.measure.run_status import estimate_texts
 from rig.measure.session import measure_session, session_folder, simulate_record
-from rig.measure.session_file import STATE_NAME, RunState, read_session
+from rig.measure.session_file import STATE_NAME, RunState, is_in_use, read_session

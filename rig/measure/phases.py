@@ -147,6 +147,8 @@ class PhasesBeforeRecord:
             recent = frames.since(frames.now_ns - window_ns)
             recent = recent[recent.found]
             if frames.now_ns - begun_ns < window_ns or len(recent) < 2:
+                watched_s = (frames.now_ns - begun_ns) / NS_PER_S
+                self._wait.progress = f"{watched_s:.0f} of {phases.rest_window_s:g} s"
                 return False
             spread = 0.5 * max(np.ptp(recent.shown_x), np.ptp(recent.shown_y))
             limit = phases.rest_limit_arcsec

@@ -28,7 +28,7 @@ from rig.devices import (
     running_sessions,
 )
 from rig.instrument import check_materials, complete
-from rig.measure.run import measure_run
+from rig.measure.run import measure_run, ready_for_frames
 from rig.measure.run_parts import RunPlan
 from rig.settings import Configuration
 from rig.terminal import (
@@ -71,6 +71,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     config = complete(config.model_copy(update=updates))
     folder, session_news = record.parent, SessionNews()
     with (
+        ready_for_frames(live=not config.on_demand),
         Devices(config, folder, "a recording for a calibration") as devices,
         light_shown_to_desk(devices, folder, session_news),
     ):
@@ -112,7 +113,11 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     config = complete(config.model_copy(update={"preflight": preflight, "view": quiet}))
     check_materials(config)
     folder, verdicts = config.session.output, list[Verdict]()
-    with Devices(config, folder, "rig doctor --preflight") as devices, light_shown_to_desk(devices, folder):
+    with (
+        ready_for_frames(live=not config.on_demand),
+        Devices(config, folder, "rig doctor --preflight") as devices,
+        light_shown_to_desk(devices, folder),
+    ):
         ask_leave(devices)
         plan = RunPlan(
             config,

@@ -25,7 +25,7 @@ from rig.instrument import Phase, RecordContents, RunNow
 from rig.measure.end_of_run import CONSECUTIVE_BELOW
 from rig.measure.run_status import Rates, estimate_rows, run_panel
 from rig.settings import StopCondition
-from rig.terminal import Verdict, loud, print_json_line, print_verdicts, say
+from rig.terminal import Verdict, decimals, loud, print_json_line, print_verdicts, say
 
 _log = logging.getLogger(__name__)
 _PLAIN_INTERVAL_S = 5.0
@@ -231,7 +231,7 @@ class RunDisplay:
         if balance is None:
             return "-"
         x, y = balance.rest_x / balance.unit.shown_size, balance.rest_y / balance.unit.shown_size
-        return f"X {x:+.3f}, Y {y:+.3f} {balance.unit.shown}"
+        return f"X {decimals(x, 3, sign=True)}, Y {decimals(y, 3, sign=True)} {balance.unit.shown}"
 
     def _time_to_limit_s(self, now: RunNow) -> float:
         """Time in s until the longest duration of the run, which counts from the start of the record."""

@@ -104,6 +104,18 @@ def read_session(folder: Path) -> SessionState:
         raise ConfigurationError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
 
 
+def is_in_use(folder: Path) -> bool:
+    """Whether a program has the session of a folder open: it measures, or fits what it has measured."""
+    if fcntl is None:
+        return False
+    with suppress(OSError), (folder / LOCK_NAME).open("rb") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
 def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:
     """Remove the files of a session that has ended without a record, which would block the next session.
 

@@ -6,9 +6,7 @@ neither shares a formula with the fit. A case named "frames" goes through the sw
 second with the noise of a tracked spot; the others give the fit true turning points with noise.
 """
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +20,10 @@ from tests.benchmarks.cases import each_seed, run_cases
 from tests.benchmarks.coverage import FRAMES_PER_S, in_frames, of_fits
 from tests.processing.fit.decays import PAIRS, paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_decay, driven_path
+from tests.shared_data import SHARED_DATA
 
 NOISE_ARCSEC = 0.005
-SHARED = Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
-GROUND_FILE = SHARED / "ground" / "ulaanbaatar-lh1.csv"
+GROUND_FILE = SHARED_DATA / "ground" / "ulaanbaatar-lh1.csv"
 
 
 class Case(NamedTuple):

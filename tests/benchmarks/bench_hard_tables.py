@@ -15,7 +15,7 @@ import numpy as np
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit
 from tests.benchmarks.cases import run_cases
-from tests.benchmarks.coverage import coverage, named
+from tests.benchmarks.coverage import of_reported
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import World, changing_path
 from tests.rig.analysis.spinning import analysed_table, configuration, held_by
@@ -73,12 +73,7 @@ def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
             found = analysed_table(table(case, seed), config, Path(folder) / "t.csv")
             if not found.problem:
                 rows.append([held_by(found, name, true[name]) for name in NAMES])
-    pulls, inside = ([[getattr(one, key) for one in row] for row in rows] for key in ("pull", "inside"))
-    return {
-        "seeds": seeds,
-        "failed": seeds - len(rows),
-        **named(NAMES, coverage(pulls, inside) if rows else {"one_u": [0.0] * len(NAMES)}),
-    }
+    return of_reported(rows, NAMES, seeds)
 
 
 def run(quick: bool = False, seeds: int = 20, only: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -19,7 +19,7 @@ import numpy as np
 from processing.errors import RigError
 from rig.devices import OrderConnection
 from tests.rig.desk.board_process import BoardProcess, board_process
-from tests.rig.desk.conftest import RIG
+from tests.rig.desk.conftest import write_rig
 from tests.rig.desk.desk_page import Page, desk_page
 from tests.rig.desk.test_light_off import SERIAL
 from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser
@@ -58,9 +58,7 @@ def _series(
     os.environ["XDG_STATE_HOME"] = str(folder / "state")
     with ExitStack() as stack:
         board = stack.enter_context(board_process())
-        config = folder / "rig.toml"
-        text = RIG.replace("OUTPUT", (folder / "runs").as_posix()) + SERIAL.replace("PORT", board.port)
-        config.write_text(text, encoding="utf-8")
+        config = write_rig(folder, SERIAL.replace("PORT", board.port))
         _, page = stack.enter_context(desk_page(browser, config))
         if frozen is None:
             page.click("Live picture")

@@ -7,8 +7,6 @@ other work on the machine disturbs them; its load stands beside each figure.
 import http.client
 import os
 import resource
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -38,6 +36,7 @@ from rig.measure.screen import RunDisplay
 from rig.settings import load_configuration, validate_configuration
 from rig.view import RunningView
 from tests.benchmarks.memory_camera import FULL_SCALE_DN, MemoryCamera, drawn_frames
+from tests.rig.desk.desk_page import DeskProcess
 
 
 class Case(NamedTuple):
@@ -65,41 +64,30 @@ class Company(NamedTuple):
     show: Callable[[RunNow], None] = lambda _: None
 
 
-class Desk:
+@contextmanager
+def looked_at(source: Path) -> Iterator[None]:
     """`rig desk` in a process, and a thread that asks it for ten pictures a second, as a browser does."""
+    desk, ended = DeskProcess(source), threading.Event()
+    address = urllib.parse.urlsplit(desk.address)
+    key = urllib.parse.parse_qs(address.query)["key"][0]
+    headers = {"Cookie": f"rig_desk_{address.port}={key}"}
 
-    def __init__(self, source: Path) -> None:
-        self._source = source
-        self._ended = threading.Event()
-
-    def __enter__(self) -> "Desk":
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "rig", "desk", str(self._source), "--no-browser"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        self._address = urllib.parse.urlsplit(self._process.stdout.readline().strip())
-        self._thread = threading.Thread(target=self._look, daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._process.kill()
-        self._process.communicate()
-
-    def _look(self) -> None:
-        key = urllib.parse.parse_qs(self._address.query)["key"][0]
-        headers = {"Cookie": f"rig_desk_{self._address.port}={key}"}
-        connection = http.client.HTTPConnection("127.0.0.1", self._address.port or 0, timeout=10)
+    def look() -> None:
+        connection = http.client.HTTPConnection("127.0.0.1", address.port or 0, timeout=10)
         due_s = time.monotonic()
-        while not self._ended.wait(max(0.0, due_s - time.monotonic())):
+        while not ended.wait(max(0.0, due_s - time.monotonic())):
             due_s = max(due_s + 1 / PICTURES_HZ, time.monotonic())
             connection.request("GET", "/picture?width=800&height=540", headers=headers)
             connection.getresponse().read()
+
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        desk.kill()
 
 
 def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) -> dict[str, Any]:
@@ -204,7 +192,7 @@ def desk_and_viewer() -> Iterator[Company]:
             news.state(display.values(now), display.facts(now))
 
         stack.enter_context(OrderSocket(folder, news, {}))
-        stack.enter_context(Desk(source))
+        stack.enter_context(looked_at(source))
         yield Company([display], news, show)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from rig.desk.desk import Desk
 from tests.rig.desk.board_process import BoardProcess, board_process
-from tests.rig.desk.conftest import RIG
+from tests.rig.desk.conftest import write_rig
 from tests.rig.desk.test_light_off import SERIAL
 from tests.rig.known_rig import known
 
@@ -45,9 +45,7 @@ def run(quick: bool = False) -> dict[str, Any]:
 
 
 def _presses(board: BoardProcess, folder: Path, count: int) -> dict[str, Any]:
-    config = folder / "rig.toml"
-    text = RIG.replace("OUTPUT", (folder / "runs").as_posix()) + SERIAL.replace("PORT", board.port)
-    config.write_text(text, encoding="utf-8")
+    config = write_rig(folder, SERIAL.replace("PORT", board.port))
     desk = Desk(config, tuple(f"{key}={value}" for key, value in SHORT.items()))
     desk.following.start()
     desk.safety.start()

@@ -7,8 +7,6 @@ chooses trials by words in them.
 """
 
 import os
-import shutil
-import subprocess
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
@@ -19,7 +17,7 @@ from tests.benchmarks import safety_lasers
 from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, Row, measured
 from tests.benchmarks.safety_program import PLACES
 from tests.benchmarks.safety_sequences import run_sequences
-from tests.rig.control.conftest import PACKAGE, VERSION
+from tests.rig.control.conftest import interpreter
 
 EVERYTHING = (*SIGNALS, *KEYS, *CABLE)
 OFTEN = (
@@ -45,19 +43,6 @@ TRIALS = [
 ]
 
 
-def _interpreter(folder: Path) -> Path | None:
-    """MicroPython for node, where both are here."""
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        return None
-    done = subprocess.run(
-        ["npm", "install", "--no-audit", "--no-fund", "--prefix", str(folder), f"{PACKAGE}@{VERSION}"],
-        capture_output=True,
-        timeout=120,
-        check=False,
-    )
-    return folder / "node_modules" / PACKAGE if done.returncode == 0 else None
-
-
 def sequences(quick: bool = False) -> dict[str, Any]:
     """The random sequences alone, which need no interpreter."""
     return run_sequences(50 if quick else 1000, 30)
@@ -71,9 +56,9 @@ def run(quick: bool = False) -> dict[str, Any]:
     found = sequences(quick)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        package = _interpreter(folder)
-        if package is None:
-            return {"sequences": found, "skipped": "node and npm are needed to run the firmware"}
+        package = interpreter(folder)
+        if isinstance(package, str):
+            return {"sequences": found, "skipped": package}
 
         def one(number: int) -> Row:
             path, fault = trials[number]
@@ -87,13 +72,8 @@ def run(quick: bool = False) -> dict[str, Any]:
         with ThreadPoolExecutor(2) as at_once:
             rows = list(at_once.map(one, range(len(trials))))
         rows += [safety_lasers.measured(*trial, folder) for trial in safety_lasers.TRIALS]
-    text = "\n".join(
-        [
-            "| path | fault | dark after, s | says | says on for, s | light takes then |",
-            "|---|---|---|---|---|---|",
-        ]
-    )
-    text += "\n" + "\n".join(row.line for row in rows) + "\n"
+    head = ("| path | fault | dark after, s | says | says on for, s | light takes then |", "|---" * 6 + "|")
+    text = "".join(f"{line}\n" for line in (*head, *(row.line for row in rows)))
     target = Path("build") / "safety.md"
     target.parent.mkdir(exist_ok=True)
     target.write_text(text, encoding="utf-8")

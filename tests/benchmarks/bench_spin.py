@@ -16,7 +16,7 @@ import numpy as np
 from processing.contact.laws import PAPER
 from rig.analysis.results import RunResults
 from tests.benchmarks.cases import run_cases
-from tests.benchmarks.coverage import coverage, named
+from tests.benchmarks.coverage import of_reported
 from tests.rig.analysis.spinning import (
     DEG_PER_MIN,
     Spin,
@@ -75,21 +75,15 @@ def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
     simulation = configuration().simulation
     assert simulation is not None
     true = {name: float(getattr(simulation.contact, name)) for name in NAMES}
-    pulls, inside = [], []
+    rows = []
     with TemporaryDirectory() as folder:
         for seed in range(first, first + seeds):
             found = results(case, seed, Path(folder))
             if not found.problem.startswith("withheld"):
                 lines = {name: found.budget[name] for name in NAMES}
-                pulls.append(
-                    [(line.value - true[n]) / line.standard_uncertainty for n, line in lines.items()]
-                )
-                inside.append([held_by(found, name, true[name]).inside for name in NAMES])
-    return {
-        "seeds": seeds,
-        "failed": seeds - len(pulls),
-        **named(NAMES, coverage(pulls, inside) if pulls else {"one_u": [0.0] * len(NAMES)}),
-    }
+                pulls = {n: (one.value - true[n]) / one.standard_uncertainty for n, one in lines.items()}
+                rows.append([held_by(found, n, true[n])._replace(pull=pull) for n, pull in pulls.items()])
+    return of_reported(rows, NAMES, seeds)
 
 
 def run(quick: bool = False, seeds: int = 20, only: tuple[str, ...] = ()) -> dict[str, Any]:

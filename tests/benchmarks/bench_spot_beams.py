@@ -4,7 +4,6 @@ Run as ``python -m tests.benchmarks spot_beams`` from the repository. Needs the 
 """
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from processing.spot import SpotFlag, SpotTracker
 from tests.processing.spot.moved_beams import COMPACT, RealBeam
+from tests.shared_data import SHARED_DATA
 
 _REACH_PX = 30.0
 
@@ -49,6 +49,4 @@ def beam(path: Path, frames: int) -> dict[str, Any]:
 
 def run(quick: bool = False) -> dict[str, Any]:
     """All images of one compact beam."""
-    default = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-    folder = Path(os.environ.get("RIG_SHARED_DATA", default)) / "beams"
-    return {"beams": [beam(folder / name, 30 if quick else 300) for name in COMPACT]}
+    return {"beams": [beam(SHARED_DATA / "beams" / name, 30 if quick else 300) for name in COMPACT]}

@@ -7,9 +7,7 @@ nobody states, is the seismometer.
 """
 
 import gzip
-import os
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,11 +20,11 @@ from tests.benchmarks.cases import each_seed, run_cases
 from tests.benchmarks.coverage import Floats, coverage, rms
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
+from tests.shared_data import SHARED_DATA
 
 FLAT = "glass_k8"
 NOISE_ARCSEC = 0.005
-SHARED = Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
-SEISMOMETERS = SHARED / "ground" / "two-seismometers.csv.gz"
+SEISMOMETERS = SHARED_DATA / "ground" / "two-seismometers.csv.gz"
 SHOWN = ("b", "c", "n", "gamma_pa")
 STEP_S = 0.05
 

@@ -1,6 +1,7 @@
 """Decays of known parameters: how often intervals hold the truth, and errors over the claimed u."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from rig.analysis.air import FittedDrag
 from rig.settings import FitSettings
 from tests.processing.fit.decays import ARCSEC
 from tests.processing.fit.frames import seen_in_frames
+from tests.rig.analysis.spinning import Held
 
 Floats = NDArray[np.float64]
 
@@ -51,6 +53,15 @@ def coverage(pulls: ArrayLike, inside: ArrayLike | None = None) -> dict[str, lis
 def named(names: Sequence[str], table: Mapping[str, Sequence[float]]) -> dict[str, dict[str, float]]:
     """A table's rows by parameter."""
     return {key: dict(zip(names, values, strict=True)) for key, values in table.items()}
+
+
+def of_reported(rows: Sequence[Sequence[Held]], names: Sequence[str], seeds: int) -> dict[str, Any]:
+    """`coverage` of results as they are reported, one row for each seed that has any, by parameter."""
+    found = {"one_u": [0.0] * len(names)}
+    if rows:
+        pulls, inside = ([[getattr(one, key) for one in row] for row in rows] for key in Held._fields)
+        found = coverage(pulls, inside)
+    return {"seeds": seeds, "failed": seeds - len(rows), **named(names, found)}
 
 
 def of_fits(fits: Sequence[FitResult], names: Sequence[str], true: Floats) -> dict[str, dict[str, float]]:

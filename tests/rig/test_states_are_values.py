@@ -25,7 +25,6 @@ _READING: Final = frozenset(
     }
 )  # fmt: skip
 _ALLOWED: Final = {
-    "rig/desk/jobs.py": "the last line of a command that has failed is shown without its name",
     "rig/archive/session_rows.py": "the path stands in another column, and is not repeated in the flaw",
     "rig/terminal/verdict.py": "a message states its remedy behind a semicolon",
     "processing/least_squares.py": "scipy raises the same class for every fault",

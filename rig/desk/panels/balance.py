@@ -7,7 +7,7 @@ from nicegui import ui
 
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
-from rig.desk.tab import DELIBERATE, Tab, apart, at_once, box
+from rig.desk.tab import DELIBERATE, Tab, apart, at_once, box, text_field
 from rig.instrument import WEIGHTS
 from rig.prepare import BalanceStage
 from rig.terminal import judged_number
@@ -50,7 +50,7 @@ def build(desk: Desk, tab: Tab) -> None:
                     )
                     weight = at_once(ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight"))
                     weight.props("dense outlined").style("min-width: 100px")
-                    turns = ui.input("turns, + clockwise").props('dense outlined data-key="turns"')
+                    turns = text_field("turns, + clockwise", key="turns")
                     tab.label(lambda: "" if advised is None else net_of(advised["parts"]), "dim")
                     # the next measurement follows, which lights
                     props = f'color="positive" {DELIBERATE}'

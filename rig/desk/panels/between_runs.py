@@ -11,14 +11,14 @@ from rig.desk import tables
 from rig.desk.desk import Desk
 from rig.desk.dialogs import Question
 from rig.desk.panels.runs import fit_again, open_in_browser_tab
-from rig.desk.tab import Tab, at_once, box
+from rig.desk.tab import Tab, at_once, box, text_field
 from rig.measure import RunState, SessionSummary
 
 
 def setting_field(desk: Desk, key: str, label: str, value: object, *, is_number: bool = False) -> ui.input:
     """A field for a key of the configuration, judged by its model; an empty number is not stated."""
     shown = "" if value is None else f"{value:.10g}" if isinstance(value, int | float) else str(value)
-    field = ui.input(label, value=shown).props(f'dense outlined data-key="{key}" aria-label="{label}"')
+    field = text_field(label, shown, key)
 
     def fault(text: str | None) -> str | None:
         typed = as_typed(text, is_number)

@@ -10,7 +10,7 @@ from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibration
 from rig.desk.desk import Desk
 from rig.desk.panels.between_runs import as_typed
-from rig.desk.tab import DELIBERATE, Tab, at_once, box
+from rig.desk.tab import DELIBERATE, Tab, at_once, box, text_field
 from rig.prepare import CalibrationReport
 
 _DAYS, _DARK_FRAMES = "90", "16"
@@ -78,8 +78,8 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
         with ui.row().classes("items-center"):
             of_frames = kind.seconds is None
             what, first = ("frames", _DARK_FRAMES) if of_frames else ("duration / s", f"{kind.seconds:g}")
-            amount = _field(what, first, f"{name} amount")
-            exposure = _field("exposure / us", "", f"{name} exposure")
+            amount = text_field(what, first, f"{name} amount")
+            exposure = text_field("exposure / us", "", f"{name} exposure")
             exposure.set_visibility(of_frames)
             props = f'color="positive" aria-label="record for {name}" {DELIBERATE}'
             tab.button("Record now", record, props)
@@ -103,8 +103,8 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
         if name == "check" and desk.config.calibration.lever is not None:
             fields["lever"].set_value(str(desk.config.calibration.lever))
         with ui.row().classes("full-width items-center"):
-            fields["by"] = _field("made by", desk.config.session.operator, f"{name} by")
-            fields["valid-days"] = _field("valid for / days", _DAYS, f"{name} days")
+            fields["by"] = text_field("made by", desk.config.session.operator, f"{name} by")
+            fields["valid-days"] = text_field("valid for / days", _DAYS, f"{name} days")
             tab.button("File it", file, f'color="positive" size="lg" aria-label="file {name}"')
             tab.label(lambda: "the calibration is made …" if is_working else "", "dim", 'role="status"')
         tab.label(lambda: calibration.problem, "no", 'role="alert"')
@@ -114,13 +114,9 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
     return form
 
 
-def _field(label: str, value: str, key: str) -> ui.input:
-    return ui.input(label, value=value).props(f'dense outlined data-key="{key}" aria-label="{label}"')
-
-
 def _choice(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.input | ui.select:
     if not choices:
-        return _field(label, "", f"{name} {key}").classes("full-width")
+        return text_field(label, "", f"{name} {key}").classes("full-width")
     return at_once(ui.select(list(choices), label=label, value=choices[0])).props(
         f'dense outlined aria-label="{label}"'
     )

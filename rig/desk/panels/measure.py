@@ -14,7 +14,7 @@ from rig.desk.dialogs import Question
 from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, build_form, build_result
 from rig.desk.panels.live_picture import LivePicture
-from rig.desk.tab import Tab, at_once, box
+from rig.desk.tab import Tab, at_once, box, text_field
 from rig.instrument import Phase
 
 _SIZE = (420, 300)
@@ -146,8 +146,8 @@ def _build_facts(desk: Desk, tab: Tab) -> None:
         tab.html(facts)
     with box("events", "grows"):
         with ui.row().classes("full-width no-wrap items-center"):
-            noting = ui.input("note").props('dense outlined data-key="note" maxlength=2000')
-            noting.classes("full-width").on("keydown.enter", tab.act(note))
+            noting = text_field("note").props("maxlength=2000").classes("full-width")
+            noting.on("keydown.enter", tab.act(note))
             tab.button("Note", note, 'outline aria-label="note it in the record"')
         tab.html(events, "events", 'role="log" aria-label="events" tabindex="0"')
 

@@ -260,7 +260,7 @@ def _build_checks(desk: Desk, tab: Tab) -> None:
         props = f'color="positive" size="lg" {DELIBERATE}'
         tab.button("Run preflight", check, props, enabled=lambda: not runs())
         tab.button("End", end, "outline", seen=lambda: runs() and not _verdicts(desk))
-    tab.html(lambda: _checks(desk))
+    tab.html(lambda: checks(desk))
 
 
 def _verdicts(desk: Desk) -> Sequence[Mapping[str, Any]]:
@@ -271,15 +271,17 @@ def _verdicts(desk: Desk) -> Sequence[Mapping[str, Any]]:
     return found
 
 
-def _checks(desk: Desk) -> str:
+def checks(desk: Desk) -> str:
     """The verdict, the next step, and a light for each check, failed ones first; before: its progress."""
     found, job = _verdicts(desk), desk.jobs.get("doctor")
     if not found:
         if job is None:
             return tables.span("it checks whether a run can be made")
         if job.running:
-            return tables.span(doing(job.newest.get("state")) or "the camera is opened")
-        return "<br>".join(map(html.escape, list(job.output)[-3:]))
+            # before its first state it may compile
+            opening = job.output[-1] if job.output else "the camera is opened"
+            return tables.span(doing(job.newest.get("state")) or opening)
+        return tables.span("" if job.ending else job.problem, "no")
     failed = [one for one in found if not one["ok"]]
     shown_first = failed + [one for one in found if one["ok"] and (one["remedy"] or not one["made"])]
     passed = [one for one in found if one not in shown_first]

@@ -1,6 +1,5 @@
 """Runs: the sessions made so far and the archive; find, report, show in Rerun, fit again, resume."""
 
-import html
 import json
 import re
 import time
@@ -20,6 +19,8 @@ from rig.desk.tab import Tab, at_once
 from rig.prepare import next_free
 from rig.terminal import quantity
 
+RERUN = "/rerun"
+"""Path of the page around Rerun's."""
 KEYS = (("o", "runs: open the report"), ("v", "runs: show in Rerun"))
 _COLUMNS = ("begun", "name", "sample", "runs", "state", *NUMBERS, "balance", "conditions", "operator")
 _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
@@ -80,11 +81,11 @@ def _build_actions(desk: Desk, tab: Tab, listed: "SessionList") -> None:
         if row.report is not None:
             open_in_browser_tab(desk, row.report)
             return
-        desk.jobs.begin("report", str(row.folder), uses_camera=False)
+        desk.jobs.begin("report", str(row.folder))
         ui.notify("the report is being written; open it when it is finished")
 
     def view() -> None:
-        desk.jobs.begin("view", str(chosen().folder), "--view", "web", uses_camera=False)
+        desk.jobs.begin("view", str(chosen().folder), "--view", "web")
 
     async def ask_resume() -> None:
         row = chosen()
@@ -123,17 +124,22 @@ def _output(desk: Desk) -> str:
     return "\n".join(lines)
 
 
-def _view_link(desk: Desk) -> str:
-    """A link to the page of `rig view`; empty while it does not run."""
+def rerun_address(desk: Desk) -> str:
+    """Address of Rerun's page, which `rig view` serves; empty while it does not run."""
     view = desk.jobs.get("view")
     lines = " ".join(view.output) if view is not None and view.running else ""
     at = re.search(r"http://127\.0\.0\.1:\d+\S*", lines)
-    return f"<a href='{html.escape(at[0])}' target='_blank'>open what rig view shows</a>" if at else ""
+    return at[0] if at else ""
+
+
+def _view_link(desk: Desk) -> str:
+    shown = f"<a href='{RERUN}' target='_blank'>open what rig view shows</a>"
+    return shown if rerun_address(desk) else ""
 
 
 def fit_again(desk: Desk, folder: Path) -> None:
     """Fit the runs of a session again, into a folder of their own."""
-    desk.jobs.begin("fit", str(folder), "-o", str(next_free(folder, "fit")), uses_camera=False)
+    desk.jobs.begin("fit", str(folder), "-o", str(next_free(folder, "fit")))
 
 
 def open_in_browser_tab(desk: Desk, page: Path) -> None:

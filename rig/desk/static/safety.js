@@ -36,6 +36,8 @@
     // what was answered long ago says nothing of now
     if (performance.now() - answeredAt > ANSWER_MS) answer = '';
     at('off-said').textContent = answer;
+    // nothing may end below it
+    document.documentElement.style.setProperty('--safety', at('safety').offsetHeight + 'px');
   }
   window.rigSafety = (now, crying) => {
     told = now; heard = performance.now();

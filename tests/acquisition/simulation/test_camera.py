@@ -1,5 +1,7 @@
 """The simulated camera: conformance suite, reproducibility, real time, faults."""
 
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from typing import Any, ClassVar
@@ -241,3 +243,21 @@ def test_drivers_are_found_by_name_and_their_settings_checked() -> None:
         make_camera("simulted", SimulationSettings())
     with pytest.raises(ConfigurationError, match="SimulationSettings"):
         make_camera("simulated", FaultSettings())
+
+
+KERNELS_OF_AN_OPENED = """
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.simulation import sensor
+from acquisition.simulation.settings import SimulationSettings
+
+SimulatedCamera(SimulationSettings.model_validate({"real_time": True})).open()
+print(len(sensor.expose_frames.signatures))
+"""
+
+
+@pytest.mark.slow
+def test_a_live_camera_is_opened_with_its_kernels_compiled_because_then_it_is_dark() -> None:
+    told = subprocess.run(
+        [sys.executable, "-c", KERNELS_OF_AN_OPENED], capture_output=True, text=True, check=True
+    )
+    assert told.stdout == "1\n"

@@ -1,7 +1,6 @@
 """The ground under the simulated pendulum: spectra, the oscillator's response, seeds, files."""
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,14 @@ from acquisition.simulation.smooth_series import BLOCK_KNOTS, SmoothSeries
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.errors import ConfigurationError
 from processing.noise_models import nhnm_db, nlnm_db
+from tests.shared_data import SHARED_DATA
 
 PERIOD_S = 4.071
 W0 = 2 * math.pi / PERIOD_S
 PER_ACCELERATION = 2e-4 / (9.80665 * 6.05e-3)
 """Angle per acceleration, d/(g R), in rad s^2/m."""
 NO_FRICTION = {"b": 0.0, "c": 0.0, "gamma_pa": 0.0, "period0_s": PERIOD_S}
-SHARED = Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[4] / "shared" / "data")) / "ground"
+SHARED = SHARED_DATA / "ground"
 
 
 def rig(**changes: Any) -> SimulationSettings:

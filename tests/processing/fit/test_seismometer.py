@@ -1,9 +1,7 @@
 """An auxiliary seismometer beside the exact fit: what it saves, and what must not help."""
 
 import gzip
-import os
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,17 +18,14 @@ from processing.swing import TurningPoints, swings_of, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
+from tests.shared_data import SHARED_DATA
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
 Q = 1e-7
 STEP_S = 0.1
 UNIT = 1e9
 """Counts of the seismometer for 1 rad/s^2."""
-SEISMOMETERS = (
-    Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[5] / "shared" / "data"))
-    / "ground"
-    / "two-seismometers.csv.gz"
-)
+SEISMOMETERS = SHARED_DATA / "ground" / "two-seismometers.csv.gz"
 
 
 def white(seed: int) -> Floats:

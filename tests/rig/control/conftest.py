@@ -19,10 +19,18 @@ VERSION = "1.27.0"
 @pytest.fixture(scope="session")
 def micropython(request: pytest.FixtureRequest) -> Path:
     """Folder of the MicroPython interpreter for node, installed by npm once into pytest's cache."""
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        pytest.skip("node and npm run the MicroPython interpreter; install them to test the firmware")
     assert request.config.cache is not None
-    folder = Path(request.config.cache.mkdir("micropython")) / VERSION
+    found = interpreter(Path(request.config.cache.mkdir("micropython")))
+    if isinstance(found, str):
+        pytest.skip(found)
+    return found
+
+
+def interpreter(place: Path) -> Path | str:
+    """The package of the interpreter in a folder of its version below `place`, or why there is none."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        return "node and npm run the MicroPython interpreter; install them to test the firmware"
+    folder = place / VERSION
     package = folder / "node_modules" / PACKAGE
     if not (package / "micropython.mjs").is_file():
         done = subprocess.run(
@@ -33,7 +41,7 @@ def micropython(request: pytest.FixtureRequest) -> Path:
             check=False,
         )
         if done.returncode:
-            pytest.skip(f"npm could not install {PACKAGE}: {done.stderr.strip().splitlines()[-1:]}")
+            return f"npm could not install {PACKAGE}: {done.stderr.strip().splitlines()[-1:]}"
     return package
 
 

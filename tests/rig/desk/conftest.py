@@ -38,16 +38,20 @@ def simulated_rig(folder: Path, more: str = "") -> Path:
     return path
 
 
+def write_rig(folder: Path, more: str = "") -> Path:
+    """The configuration of RIG in a folder with more tables, whose sessions go into `runs` beside it."""
+    path = folder / "rig.toml"
+    path.write_text(RIG.replace("OUTPUT", (folder / "runs").as_posix()) + more, encoding="utf-8")
+    return path
+
+
 @pytest.fixture(scope="session")
 def desk_configuration(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Writes a configuration with more tables, in a folder of its own, where its sessions go, too."""
     pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
     def write(more: str = "") -> Path:
-        folder = tmp_path_factory.mktemp("desk")
-        path = folder / "rig.toml"
-        path.write_text(RIG.replace("OUTPUT", (folder / "runs").as_posix()) + more, encoding="utf-8")
-        return path
+        return write_rig(tmp_path_factory.mktemp("desk"), more)
 
     return write
 

@@ -12,7 +12,7 @@ import pytest
 from rig.archive import add_folders
 from rig.devices import OrderSocket, SessionNews
 from tests.rig.command_line import SAMPLES
-from tests.rig.desk.desk_page import DeskProcess, Page
+from tests.rig.desk.desk_page import SIZE, DeskProcess, Page
 from tests.rig.desk.test_theme import themes
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -79,6 +79,11 @@ def test_no_panel_at_rest_has_a_violation(shown: Shown, judge: Callable[[str], N
         page.key(key)
         page.wait(f"document.querySelector('.q-tab--active').innerText.toLowerCase() === {name.lower()!r}")
         judge(name)
+    desk = str(page.ask("location.origin"))
+    page.browser.open(f"{desk}/rerun")
+    page.wait_text("not connected: rig view has ended")
+    judge("the page around Rerun's")
+    page.open(desk)
 
 
 def test_no_state_of_a_session_has_a_violation(
@@ -170,3 +175,22 @@ def finished(output: Path) -> Path:
     shutil.copytree(SAMPLES / "series", folder)
     (folder / "report.html").write_text("<html lang='en'><head><title>r</title></head></html>", "utf-8")
     return folder
+
+
+def test_what_the_safety_bar_says_hides_no_end_of_a_page(shown: Shown) -> None:
+    _, page = shown
+    page.key("4")
+    page.wait(
+        "[...document.querySelectorAll('button')].some(b => b.offsetParent && b.innerText == 'FILE IT')"
+    )
+    end = "document.scrollingElement.scrollTo(0, 1e6), [...document.querySelectorAll('.q-tab-panel .box')]"
+    end = f"({end}.find(b => b.offsetParent).getBoundingClientRect().bottom)"
+    bar = "document.getElementById('safety')"
+    try:
+        page.browser.call("Emulation.setDeviceMetricsOverride", **{**SIZE, "width": 390, "height": 500})
+        page.ask(f"{bar}.lastElementChild.insertAdjacentHTML('afterend', '<p id=long>{'long ' * 90}</p>')")
+        page.wait(f"{bar}.offsetHeight > 180")
+        page.wait(f"{end} <= {bar}.getBoundingClientRect().top + 1")
+    finally:
+        page.ask("document.getElementById('long').remove()")
+        page.browser.call("Emulation.setDeviceMetricsOverride", **SIZE)

@@ -110,6 +110,7 @@ def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: P
     page.click("File it")
     page.wait_text("there is no such record")
     page.click("Record now")
+    page.wait_text("rig camera record runs")
     page.wait_text("pointing-001.mcap is recorded")
     page.wait("document.querySelector('[data-key=\"pointing record\"]').value.includes('pointing-001.mcap')")
     page.click("File it")
@@ -130,8 +131,7 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait_text("The laser will be lit")
     page.in_dialog()
     page.wait_text("1 of 1")
-    page.wait_text("last session")
-    page.wait("!document.body.innerText.includes('its report is being made')")
+    page.wait_text("last session complete: broken")
     policy = page.ask(
         "fetch('/sessions/broken/report.html').then(r => r.headers.get('content-security-policy'))"
     )
@@ -143,6 +143,15 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait_text("rig report: ")
     photograph(page, "sessions")
     assert page.wait("!document.body.innerText.includes('rig report: runs')")
+    page.click("Rerun")
+    page.wait_text("open what rig view shows")
+    with page.browser.another() as tab:
+        around = Page(tab)
+        tab.open(str(page.ask("location.origin")) + "/rerun")
+        around.wait("document.querySelector('iframe') && document.getElementById('light-off')")
+        page.click("End it")
+        # Rerun's own page says nothing when its server is gone
+        around.wait_text("not connected: rig view has ended")
     page.browser.open(str(page.ask("location.origin")) + "/sessions/broken/report.html")
     page.wait("document.images.length > 0 && [...document.images].every(image => image.naturalWidth > 0)")
     photograph(page, "report")

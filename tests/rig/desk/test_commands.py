@@ -108,20 +108,20 @@ def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
 
     monkeypatch.setattr(jobs, "start_python", sleeping)
     desk = Desk(SIMULATED, (f'session.output="{tmp_path.as_posix()}"',))
-    desk.jobs.begin("fit", uses_camera=False)
+    desk.jobs.begin("fit")
     desk.needs_camera("run")
-    desk.jobs.begin("balance", uses_camera=True)
+    desk.jobs.begin("balance", folder=tmp_path)
     with pytest.raises(ConfigurationError, match="which rig balance has; end that first"):
         desk.needs_camera("run")
     desk.jobs["balance"].end()
     desk.needs_camera("run")
     assert not desk.jobs["balance"].running
-    desk.jobs.begin("balance", uses_camera=True)
+    desk.jobs.begin("balance", folder=tmp_path)
     desk.lighting.off()
     assert desk.jobs["balance"].wait(50.0)
     assert desk.jobs["fit"].running
     with pytest.raises(ConfigurationError, match="rig fit still runs; wait, or end it first"):
-        desk.jobs.begin("fit", uses_camera=False)
+        desk.jobs.begin("fit")
     desk.close()
     assert desk.jobs["fit"].wait(50.0)
 

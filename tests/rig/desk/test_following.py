@@ -94,6 +94,23 @@ def test_a_session_is_known_at_once_and_its_events_as_they_are_recorded(tmp_path
     follower.stop()
 
 
+def test_a_desk_that_is_opened_while_the_last_session_is_fitted_knows_that(tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        file = SessionFile.create(tmp_path / name, tmp_path / "rig.toml", 1, {})
+        if name == "first":
+            file.close()
+    follower = Following(tmp_path)
+    follower.start()
+    assert (follower.folder, follower.last_folder) == (None, tmp_path / "second")
+    assert follower.fits_last
+    file.close()
+    until(lambda: not follower.fits_last)
+    # who goes on with it is kept waiting by nobody
+    SessionFile.opened(tmp_path / "second").close()
+    follower.stop()
+
+
 def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
     following: Following, tmp_path: Path
 ) -> None:

@@ -406,16 +406,14 @@ AWAY = """
 window.socket.io.reconnectionDelay(6000);
 window.socket.io.reconnectionDelayMax(6000);
 window.socket.io.engine.close();
-{};
+document.querySelector('[aria-label^=Keys]').click();
 """
-STARVED = "(end => {{ while (performance.now() < end); }})(performance.now() + 8000); {};"
 
 
-@pytest.mark.parametrize("late", [AWAY, STARVED], ids=["connection away", "browser without a processor"])
-def test_a_press_that_is_sent_late_is_heard(shown: Shown, late: str) -> None:
-    """On a loaded machine the browser answers no sign of life for seconds, or finds its connection closed."""
+def test_a_press_that_is_sent_late_is_heard(shown: Shown) -> None:
+    """On a loaded machine the browser finds its connection closed, and is away for seconds."""
     _, page = shown
-    page.ask(late.format("document.querySelector('[aria-label^=Keys]').click()"))
+    page.ask(AWAY)
     page.wait("document.querySelector('[aria-label=\"keys\"] table') !== null", 20.0)
     page.ask("document.querySelector('.q-dialog__backdrop').click()")
     page.wait("document.querySelector('.q-dialog') === null")

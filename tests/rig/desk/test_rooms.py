@@ -1,6 +1,7 @@
 """What panels ask of the desk: settings of the camera to keep, answers to the balance, looking again."""
 
 import inspect
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +17,9 @@ from rig.control import Loop, SafetyNow
 from rig.desk import jobs
 from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
-from rig.desk.lighting import refusal
+from rig.desk.lighting import lamps, refusal
 from rig.desk.panels.balance import net_of
+from rig.desk.panels.rig_panel import checks
 from rig.interruption import start_python
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
@@ -80,7 +82,7 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
 ) -> None:
     over = tmp_path / "over"
     monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, str(over), **how))
-    job = desk.jobs["balance"] = jobs.Job(["balance"], uses_camera=True)
+    job = desk.jobs["balance"] = jobs.Job(["balance"], Path())
     until(lambda: bool(job.lines))
     with pytest.raises(ConfigurationError, match="first measure"):
         desk.balancing.turned("x", "0.5")
@@ -108,6 +110,30 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     assert job.wait(50.0)
     # what a person ended has not failed
     assert desk.balancing.shown.stage is BalanceStage.ENDED
+
+
+COMPILES = """
+import sys, pathlib, time
+print('still compiling, 40 s so far', file=sys.stderr, flush=True)
+while not pathlib.Path(sys.argv[1]).exists():
+    time.sleep(0.05)
+sys.exit('rig: the laser stays off: trip 1\\nlaser off, confirmed by the controller')
+"""
+
+
+def test_preflight_says_what_it_waits_for_and_why_it_failed(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    over = tmp_path / "over"
+    monkeypatch.setattr(
+        jobs, "start_python", lambda *_, **how: start_python("-c", COMPILES, str(over), **how)
+    )
+    job = desk.jobs.begin("doctor", folder=tmp_path)
+    until(lambda: bool(job.output))
+    assert checks(desk) == "<span class=''>still compiling, 40 s so far</span>"
+    over.touch()
+    assert job.wait(50.0)
+    assert checks(desk) == "<span class='no'>the laser stays off: trip 1</span>"
 
 
 def test_a_session_without_a_record_says_why_it_failed(desk: Desk, tmp_path: Path) -> None:
@@ -145,6 +171,30 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         desk.lighting.again()
         until(lambda: not desk.lighting.waits)
         assert aligner.running
+    finally:
+        desk.close()
+
+
+def test_the_bar_knows_the_light_of_a_simulated_rigs_command_and_that_it_is_dark(tmp_path: Path) -> None:
+    sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
+    desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
+    try:
+        desk.safety.start()
+        desk.balancing.measure()
+        until(lambda: lamps(desk.safety, "")["laser"]["text"] == "on")
+        assert desk.lighting.off("one") == []
+        assert lamps(desk.safety, "")["laser"]["more"] == "light forbidden until acknowledged"
+        until(lambda: not desk.balancing.running)
+        until(lambda: lamps(desk.safety, "")["laser"]["age_s"] is None)
+        laser = lamps(desk.safety, "")["laser"]
+        assert re.match(r"off, confirmed \d\d:\d\d:\d\d by board", str(laser["last"]))
+        # the command's own latch ends with it
+        assert laser["more"] == "light forbidden until acknowledged"
+        trip = desk.safety.trip
+        assert trip is not None
+        assert trip.text == "trip 1 (PERSON): LIGHT OFF was pressed at the desk"
+        assert desk.lighting.acknowledge(1).endswith("acknowledged")
+        assert desk.safety.trip is None
     finally:
         desk.close()
 

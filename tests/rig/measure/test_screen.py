@@ -143,13 +143,13 @@ def test_before_the_amplitude_tells_the_end_the_limit_is_said() -> None:
 def test_the_screen_shows_the_balance_in_its_own_unit() -> None:
     fields: dict[str, Any] = dict.fromkeys(Balance.__dataclass_fields__, 1e-3)
     for unit, size in ((DeflectionUnit.PX, 1.0), (DeflectionUnit.RAD, ARCSEC_RAD)):
-        places = {"transverse": 2.5 * size, "rest_x": 0.5 * size, "rest_y": -1.5 * size}
+        places = {"transverse": 2.5 * size, "rest_x": -0.0004 * size, "rest_y": -1.5 * size}
         balance = Balance(**{**fields, **places, "time_ns": 0, "unit": unit})
         output = io.StringIO()
         shown = display(output, unit=unit)
         Console(file=output, width=118, height=40).print(shown.screen(replace(SEEN, balance=balance)))
         assert f"2.500 {unit.shown} (0.10 %)" in output.getvalue()
-        assert f"X +0.500, Y -1.500 {unit.shown}" in output.getvalue()
+        assert f"X +0.000, Y −1.500 {unit.shown}" in output.getvalue()
 
 
 @pytest.mark.parametrize(
