@@ -178,7 +178,7 @@ def test_a_film_without_anything_to_follow_is_refused(tmp_path: Path) -> None:
         film_trajectory(film, FilmOptions())
 
 
-@pytest.mark.parametrize("sigma_px", [0.2, 0.35, 0.6])
+@pytest.mark.parametrize("sigma_px", [0.2, 0.6])
 def test_a_spot_smaller_than_a_pixel_is_named(tmp_path: Path, sigma_px: float) -> None:
     rng = np.random.default_rng(5)
     pictures = []
@@ -217,7 +217,7 @@ def test_the_time_that_is_left_of_a_film_is_said(tmp_path: Path, capsys: pytest.
     assert 2 < len(said) < 40
 
 
-@pytest.mark.parametrize(("part", "amplitude_px"), [(0.03, 50.0), (0.01, 50.0), (0.03, 40.0), (0.0, 50.0)])
+@pytest.mark.parametrize(("part", "amplitude_px"), [(0.01, 50.0), (0.03, 40.0), (0.0, 50.0)])
 def test_light_that_stays_where_it_is_is_said_and_taken_off(
     tmp_path: Path, part: float, amplitude_px: float
 ) -> None:
