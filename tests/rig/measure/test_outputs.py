@@ -149,5 +149,8 @@ def test_who_watches_is_told_on_when_the_terminal_was_closed(
     monkeypatch.setattr(screen, printed_by, closed)
     values = {**QUICK, "session.max_duration_s": "3"}
     config = configured(values)
-    measure_session(config, CONFIGS / "demo.toml", tmp_path / "out", json_lines=json_lines)
+    # a closed stdout is led to nowhere, which must not be that of the tests
+    with (tmp_path / "stdout").open("w") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        measure_session(config, CONFIGS / "demo.toml", tmp_path / "out", json_lines=json_lines)
     assert phases[-1] == "done"
