@@ -90,20 +90,22 @@ def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: 
     record = vault / "run-1.mcap"
     with RecordReader(record) as reader:
         table = reader.table(SEISMOMETER.topic)
-        epoch_ns = reader.epoch_offset_ns
-    # by UTC; seconds of which nobody says when they began are those of tests/rig/analysis/test_seismometer.py
-    rows = zip((table["time_ns"] + epoch_ns).tolist(), table["first"].tolist(), strict=True)
-    lines = [f"{time_ns // 10**9}.{time_ns % 10**9:09d},{value:.9g}" for time_ns, value in rows]
-    (tmp_path / "utc.csv").write_text("\n".join(["time_s,counts", *lines]))
+        first_ns, epoch_ns = int(reader.spots()["time_ns"][0]), reader.epoch_offset_ns
+    # by UTC, and in seconds of which nobody says when they began
+    for name, zero_ns in (("utc.csv", -epoch_ns), ("relative.csv", first_ns)):
+        rows = zip((table["time_ns"] - zero_ns).tolist(), table["first"].tolist(), strict=True)
+        lines = [f"{time_ns // 10**9}.{time_ns % 10**9:09d},{value:.9g}" for time_ns, value in rows]
+        (tmp_path / name).write_text("\n".join(["time_s,counts", *lines]))
     (own,) = read_results(vault).runs
     assert own.seismometer is not None
-    found = analyse_record(record, seismometer=read_seismometer(tmp_path / "utc.csv"))
-    assert found.seismometer is not None
-    assert found.seismometer.used
-    assert [response.name for response in found.seismometer.responses] == ["counts"]
-    assert found.seismometer.explained == pytest.approx(own.seismometer.explained, abs=0.01)
-    one, other = (run.fits["exact"].estimate("b") for run in (own, found))
-    assert other.value == pytest.approx(one.value, abs=0.3 * one.standard_uncertainty)
+    for name in ("utc.csv", "relative.csv"):
+        found = analyse_record(record, seismometer=read_seismometer(tmp_path / name))
+        assert found.seismometer is not None
+        assert found.seismometer.used, name
+        assert [response.name for response in found.seismometer.responses] == ["counts"]
+        assert found.seismometer.explained == pytest.approx(own.seismometer.explained, abs=0.01)
+        one, other = (run.fits["exact"].estimate("b") for run in (own, found))
+        assert other.value == pytest.approx(one.value, abs=0.3 * one.standard_uncertainty)
 
 
 def test_one_that_does_not_go_with_the_camera_is_said(tmp_path: Path) -> None:
