@@ -58,7 +58,7 @@ def test_a_camera_that_comes_back_and_a_laser_that_fades_cost_the_frames_between
 def test_a_spot_that_stays_away_is_asked_for(tmp_path: Path, from_s: str, lasts_s: str, said: str) -> None:
     fades = {"faults__laser_fades_at_s": from_s, "faults__laser_fade_duration_s": lasts_s}
     # long enough for the display, which looks ten times a second, to see it
-    slow = {"camera__frame_rate_hz": "20", "session__max_duration_s": "40"}
+    slow = {"camera__frame_rate_hz": "20", "session__max_duration_s": "100"}
     done = run_with(tmp_path / "out", **slow, **fades)
     lines = [line for line in done.stderr.splitlines() if "SPOT LOST" in line]
     assert len(lines) == bool(said)
