@@ -3,7 +3,8 @@
 A third one looks for the tests: their assertions are rewritten and kept once, instead of by every worker.
 
 A short session compiles what a run and its fit need for pixels of 8 bits; the other process compiles the
-tracker for 12 bits. What both need is compiled by the one that comes first.
+tracker for 12 bits, and the equation of motion that tests integrate. What both need is compiled by the one
+that comes first.
 """
 
 import subprocess
@@ -13,10 +14,13 @@ from pathlib import Path
 
 from tests.rig.command_line import CONFIGS, SMALL, set_words
 
-TWELVE_BITS = """
+TWELVE_BITS_AND_MOTION = """
 from processing.spot import SensorModel
 from rig.instrument.provenance import compile_tracker
 compile_tracker(SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=4095.0))
+from tests.processing.fit.decays import paper_pair
+from tests.processing.fit.driven import driven_path
+driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=120.0)
 """
 
 
@@ -35,7 +39,7 @@ def main() -> None:
             *words,
         ]
         tests = [sys.executable, "-m", "pytest", "--collect-only", "-qq", "-m", ""]
-        programs = [session, [sys.executable, "-c", TWELVE_BITS], tests]
+        programs = [session, [sys.executable, "-c", TWELVE_BITS_AND_MOTION], tests]
         log = Path(folder) / "log"
         with log.open("wb") as said:
             running = [subprocess.Popen(program, stdout=said, stderr=said) for program in programs]

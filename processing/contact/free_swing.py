@@ -23,6 +23,7 @@ from processing.ambient import Air
 from processing.arrays import Complexes, Floats
 from processing.contact.law import DRAG, Law, PendulumOnBall, weight_moment
 from processing.errors import DataError
+from processing.kernel import kernel
 from processing.swing import PIECE_HALF_CYCLES, HarmonicTerms
 
 BOUNDARY_LAYER_DRAG = "boundary_layer_drag"
@@ -36,6 +37,49 @@ _AMPLITUDES, _BEYOND = 8, 1.02
 """Number of amplitudes at which a law is computed, and the highest of them over the highest wanted."""
 _SAMPLES = 256
 """Samples of a swing of `PIECE_HALF_CYCLES` from which its harmonics are taken."""
+
+
+@kernel
+def _move(
+    phi: Floats,
+    moment: Floats,
+    drag: float,
+    boundary_layer: float,
+    whole: Floats,
+    part: Floats,
+    begin: Floats,
+    end: Floats,
+    speed: Floats,
+) -> float:
+    """Replace speeds (n, nodes) and last amplitudes `end` (n, 1) of half-swings by what the moments leave.
+
+    Returns the largest relative change of `end`; infinite where a pendulum is held. `whole` and `part` are
+    the cells of the nodes, and their first halves, over half of a swing.
+    """
+    work = np.empty(len(whole))
+    largest = 0.0
+    for i in range(len(phi)):
+        half, total = 0.5 * (begin[i, 0] + end[i, 0]), 0.0
+        for k in range(len(whole)):
+            v = speed[i, k]
+            here = half * (moment[i, k] + (drag + boundary_layer * sqrt(v)) * v)
+            work[k] = total + here * part[k]
+            total += here * whole[k]
+        left = begin[i, 0] ** 2 - 2 * total
+        if not left > 0:
+            return np.inf
+        for k in range(len(whole)):
+            # from the nearer end
+            if 2 * k < len(whole):
+                square = (begin[i, 0] - phi[i, k]) * (begin[i, 0] + phi[i, k]) - 2 * work[k]
+            else:
+                square = (end[i, 0] + phi[i, k]) * (end[i, 0] - phi[i, k]) + 2 * (total - work[k])
+            if not square > 0:
+                return np.inf
+            speed[i, k] = sqrt(square)
+        largest = max(largest, abs(sqrt(left) - end[i, 0]) / begin[i, 0])
+        end[i, 0] = sqrt(left)
+    return largest
 
 
 class FreeSwing(NamedTuple):
@@ -68,11 +112,12 @@ def free_swing(
     edge = np.linspace(0.0, np.pi, _NODES + 1)
     middle = 0.5 * (edge[:-1] + edge[1:])
     whole, part = -np.diff(np.cos(edge)), np.cos(edge[:-1]) - np.cos(middle)
-    cos, sin, forward = np.cos(middle), np.sin(middle), middle < 0.5 * np.pi
+    cos, sin = np.cos(middle), np.sin(middle)
     weight, rate = weight_moment(pendulum), 2 * np.pi / values["period0_s"]
     drag, boundary_layer = values.get(DRAG.key, 0.0) * rate, values.get(BOUNDARY_LAYER_DRAG, 0.0) * rate**1.5
     a, begins, side = amplitudes_rad[:, None], np.zeros((len(amplitudes_rad), 1)), 1.0
     ratio, relative_speed = np.ones_like(a), sin
+    downwards = np.full((len(a), _NODES), -1.0)
     parts = []
     with np.errstate(all="ignore"):  # values of a law that does not fit may reverse a swing, or overflow
         for _ in range(halves):
@@ -81,21 +126,12 @@ def free_swing(
             for _ in range(_MAX_ITERATIONS):
                 half = 0.5 * (a + following)
                 phi = 0.5 * (a - following) + half * cos
-                friction, elastic = law.branch_moments(phi, np.full_like(phi, -1.0), values, pendulum)
-                moment = half * ((friction + elastic) / weight + drag * speed + boundary_layer * speed**1.5)
-                cells = moment * whole
-                work = np.cumsum(cells, axis=1) - cells + moment * part
-                total = np.sum(cells, axis=1, keepdims=True)
-                kinetic = np.where(
-                    forward,
-                    0.5 * half * (1 - cos) * (a + phi) - work,
-                    0.5 * half * (1 + cos) * (following - phi) + total - work,
-                )
-                left = a**2 - 2 * total
-                if not (np.all(left > 0) and np.all(kinetic > 0)):
+                friction, elastic = law.branch_moments(phi, downwards, values, pendulum)
+                moment = (friction + elastic) / weight
+                change = _move(phi, moment, drag, boundary_layer, whole, part, a, following, speed)
+                if not change < np.inf:
                     raise DataError("friction holds the pendulum before the end of the swing")
-                before, speed, following = following, np.sqrt(2 * kinetic), np.sqrt(left)
-                if np.all(np.abs(following - before) < _TOLERANCE * a):
+                if change < _TOLERANCE:
                     break
             step = (edge[1] - edge[0]) * half * sin / speed
             ends = begins + np.cumsum(step, axis=1)

@@ -195,7 +195,8 @@ def air_of_vanes(
     models = [_run_model(run, pendulum) for run in runs]
     shared = _SharedParameters(models, by_ratio)
     free = np.full(len(shared.start), np.inf)
-    found = solve(partial(_finite_or_nan, shared), shared.start, lower=-free, upper=free, loss="linear")
+    model = partial(_finite_or_nan, shared)
+    found = solve(model, shared.start, lower=-free, upper=free, cost_tolerance=1e-9)
     if not found.converged:
         raise DataError("no fit with one contact common to all runs converges; check which run differs")
     alone = sum(float(np.sum((run.model(run.columns)[0] / run.size) ** 2)) for run in models)

@@ -32,7 +32,7 @@ from tests.acquisition.record.samples import write_sample
 from tests.rig.command_line import SAMPLES
 
 STRANGE = [b"\0", b"-1", b"1e400", b"nan", b"null", b"[" * 2000, b"{", b'"', b"9" * 30, b"\xff", b"\n", b"[]"]
-FEW = settings(max_examples=60, suppress_health_check=list(HealthCheck))
+FEW = settings(max_examples=25, suppress_health_check=list(HealthCheck))
 
 
 @st.composite
@@ -199,7 +199,7 @@ def test_a_file(kind: str, wanted: list[tuple[str, float, bytes]]) -> None:
         one_line(lambda: use(path), str(path) if kind == "configuration" else "")
 
 
-@settings(FEW, max_examples=10)
+@settings(FEW, max_examples=5)
 @given(wanted=changes())
 def test_an_archive(wanted: list[tuple[str, float, bytes]]) -> None:
     with tempfile.TemporaryDirectory() as made:

@@ -30,6 +30,18 @@ def test_a_signal_is_an_interrupt_and_handlers_are_restored() -> None:
         signal.signal(signal.SIGTERM, before)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="hangups are those of POSIX")
+def test_an_ignored_hangup_stays_ignored() -> None:
+    """As with nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with terminated_by_signals():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_a_second_signal_does_not_break_off_the_closing() -> None:
     closed = []
 

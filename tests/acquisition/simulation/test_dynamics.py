@@ -92,9 +92,12 @@ def reference_turns(mode: ModeConstants, angle_rad: float, count: int) -> NDArra
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "contact", [GLASS, SILICON, STEEL, {"drag_s": 1e-4}, {"b": 1e-5, "p": 0.4, "n": 0.0}]
+    ("contact", "amplitude_arcsec"),
+    [
+        *((GLASS, 124.0), (GLASS, 3.0), (SILICON, 3.0), (STEEL, 124.0)),
+        *(({"drag_s": 1e-4}, 124.0), ({"b": 1e-5, "p": 0.4, "n": 0.0}, 3.0)),
+    ],
 )
-@pytest.mark.parametrize("amplitude_arcsec", [124.0, 3.0])
 def test_turning_points_agree_with_an_independent_integrator(
     contact: dict[str, Any], amplitude_arcsec: float
 ) -> None:

@@ -117,7 +117,7 @@ def test_bent_normal_stays_true_with_many_samples() -> None:
     """The claim that the distribution function errs by less than 1e-4: 20 million pixels would see 2e-4."""
     truth = SensorTruth(read_noise_e=7.0)
     for mean_e in (20.0, 100.0, 1000.0):
-        images = frames(truth, 100, ambient_e=mean_e, bits=12)
+        images = frames(truth, 40, ambient_e=mean_e, bits=12)
         p = exact_probabilities(mean_e, truth.at(12), truth.full_well_e)
         found = np.cumsum(np.bincount(images.ravel(), minlength=len(p))) / images.size
         assert np.abs(found - np.cumsum(p)).max() < 1e-4 + 2 / math.sqrt(images.size)

@@ -21,7 +21,7 @@ def by_quadrature(low: float, high: float, b: float, p: float, c: float, period_
     return float(period_s / 4 * np.sum(half * w * np.exp(u) / (c + b / (p + 1) * np.exp(p * u))))
 
 
-@pytest.mark.parametrize("p", [0.0, 0.1, 0.5, 0.815, 0.944, 1 - 1e-12, 1.0, 1.5, 3.0])
+@pytest.mark.parametrize("p", [0.0, 0.1, 0.944, 1 - 1e-12, 1.0, 3.0])
 @pytest.mark.parametrize(("b", "c"), [(4e-3, 1e-3), (4e-3, 1e-9), (1e-6, 1e-3), (4e-3, 0.0)])
 def test_a_path_without_drag_takes_the_time_of_the_integral(p: float, b: float, c: float) -> None:
     start = 3.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from processing.contact import law_harmonics, stiffness_ratio
+from processing.contact.free_swing import free_swing
 from processing.contact.laws import PAPER
 from processing.swing import ORDERS
 from tests.processing.fit.decays import paper_pair
@@ -35,3 +36,14 @@ def test_a_cubic_stiffness_makes_a_third_harmonic_that_grows_with_the_cube() -> 
     # interpolated between twelve amplitudes
     assert found.real == pytest.approx(wanted, rel=0.04)
     assert np.abs(found.imag) == pytest.approx(0, abs=1e-6 * abs(wanted[-1]))
+
+
+def test_a_drag_alone_makes_the_damped_oscillation() -> None:
+    """x'' = -x - d x', in the phase w0 t."""
+    values = {"b": 0.0, "p": 1.0, "c": 0.0, "n": 0.5, "period0_s": 4.0, "gamma_pa": 0.0, "drag_s": 0.02}
+    swing = free_swing(PAPER, values, PENDULUM, AMPLITUDES_RAD, 4)
+    half_d = 0.5 * 0.02 * 2 * math.pi / 4.0
+    w = math.sqrt(1 - half_d**2)
+    decay = np.exp(-half_d * swing.phase) * (np.cos(w * swing.phase) + half_d / w * np.sin(w * swing.phase))
+    assert swing.phi_rad / AMPLITUDES_RAD[:, None] == pytest.approx(decay, abs=1e-4)
+    assert swing.end == pytest.approx(4 * math.pi / w, rel=1e-5)

@@ -10,10 +10,10 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from processing.contact.law import ContactParameters, PendulumOnBall
+from processing.kernel import kernel
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, with_noise
 
@@ -54,7 +54,7 @@ class World(NamedTuple):
 UNCHANGED = World()
 
 
-@njit(cache=True)
+@kernel
 def _derivative(
     y: Floats, t: float, direction: float, law: Floats, world: Floats, push: float, out: Floats
 ) -> None:
@@ -82,7 +82,7 @@ def _derivative(
     out[1] = push + w2 * restoring - law[0] * air
 
 
-@njit(cache=True)
+@kernel
 def _advance(
     y: Floats, t: float, direction: float, dt: float, law: Floats, world: Floats, push: float, out: Floats
 ) -> None:
@@ -96,7 +96,7 @@ def _advance(
     out[:] = y + dt * (k1 + 2 * k2 + 2 * k3 + k4) / 6
 
 
-@njit(cache=True)
+@kernel
 def _integrate(
     first: float,
     last: float,

@@ -114,7 +114,7 @@ def test_with_a_drive_alone_the_residuals_are_errors_of_one_step() -> None:
 def test_on_driven_ground_the_truth_lies_within_the_uncertainties() -> None:
     """One seed each; the full count is the row coverage-ground of docs/validation.md."""
     z = []
-    driven = [("glass_k8", 1e-9), ("glass_k8", 1e-8), ("glass_k8", 1e-7), ("silicon", 1e-8), ("steel", 1e-8)]
+    driven = [("glass_k8", 1e-9), ("silicon", 1e-8), ("steel", 1e-7)]
     for flat, q in driven:
         parameters, pendulum = paper_pair(flat)
         points = driven_decay(parameters, pendulum, q=q, noise_arcsec=0.005, seed=0)
@@ -131,7 +131,7 @@ def test_on_driven_ground_the_truth_lies_within_the_uncertainties() -> None:
         assert not result.whiteness.correlated
     # six parameters with about three independent errors: 4 u once in 500, and the rms within 4 of its u
     assert np.abs(z).max() < 4.0
-    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(30)
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(18)
 
 
 def test_fits_that_see_no_drive_were_wrong_by_many_uncertainties() -> None:
@@ -146,10 +146,10 @@ def test_fits_that_see_no_drive_were_wrong_by_many_uncertainties() -> None:
 
 @pytest.mark.slow
 def test_eqs_5_and_6_state_the_scatter_that_the_drive_gives() -> None:
-    """Eight seeds: a standard deviation is known to 27 %."""
+    """Five seeds: a standard deviation is known to 35 %."""
     parameters, pendulum = paper_pair("glass_k8")
     values, stated = [], []
-    for seed in range(8):
+    for seed in range(5):
         points = driven_decay(parameters, pendulum, q=3e-8, noise_arcsec=0.005, seed=seed, last_arcsec=20)
         exact = fit_exact(points, pendulum, averaged=False)
         result = fit_asymptotic(points, pendulum, exact=exact)

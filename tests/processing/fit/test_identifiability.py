@@ -60,10 +60,10 @@ def test_drag_of_a_fifth_of_the_loss_spoils_b_and_c_but_not_the_relative_errors(
 @pytest.mark.slow
 def test_false_alarms_of_the_verdict_are_as_rare_as_stated() -> None:
     parameters, pendulum = paper_pair("silicon")
-    decays = [decay(parameters, pendulum, noise_arcsec=0.005, seed=70 + k, last_arcsec=5) for k in range(5)]
+    decays = [decay(parameters, pendulum, noise_arcsec=0.005, seed=70 + k, last_arcsec=5) for k in range(3)]
     chances = [drag_verdict(points, pendulum, fit_exact(points, pendulum)).p_value for points in decays]
-    # uniform chances: their mean over 5 is 0.5 +- 0.129
-    assert np.mean(chances) == pytest.approx(0.5, abs=3.5 * 0.129)
+    # uniform chances: their mean over 3 is 0.5 +- 0.167
+    assert np.mean(chances) == pytest.approx(0.5, abs=2.5 * 0.167)
     assert np.min(chances) > 0.0005
 
 

@@ -58,7 +58,7 @@ def measured(world: World, hold_s: float, rate_hz: float, seed: int, side: int) 
 
 
 @pytest.mark.parametrize("name", WORLDS)
-@pytest.mark.parametrize(("hold_s", "rate_hz"), [(2.0, 100.0), (0.1, 100.0), (7.0, 100.0), (0.6, 20.0)])
+@pytest.mark.parametrize(("hold_s", "rate_hz"), [(0.1, 100.0), (7.0, 100.0), (0.6, 20.0)])
 def test_herbert_begins_with_the_release(name: str, hold_s: float, rate_hz: float) -> None:
     """The first swing was the second one: ten swings 3 and the scale 3 uncertainties off."""
     world, half_s, kept = WORLDS[name]

@@ -106,7 +106,7 @@ def test_a_records_laws_are_compared_and_the_verdict_stands_in_the_results(
 
 @pytest.mark.slow
 def test_a_law_whose_pendulum_would_not_swing_is_compared_without_a_waveform(
-    analysed_series: Sequence[AnalysedRun], monkeypatch: pytest.MonkeyPatch
+    analysed_run: AnalysedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All laws of the demonstration ended with "friction holds the pendulum before the end of the swing"."""
 
@@ -116,7 +116,7 @@ def test_a_law_whose_pendulum_would_not_swing_is_compared_without_a_waveform(
         return predicted_harmonics(classes, fit, pendulum)
 
     monkeypatch.setattr(compared_laws, "predicted_harmonics", held)
-    found = compared_laws.with_laws(analysed_series[0], [LAWS["paper"], LAWS["viscous"]]).laws
+    found = compared_laws.with_laws(analysed_run, [LAWS["paper"], LAWS["viscous"]]).laws
     assert found is not None
     assert [list(one.laws) for one in found.waveform] == [["paper"]]
     assert found.laws["paper"].waveform_chance > 1e-3

@@ -124,9 +124,8 @@ def test_without_a_rotation_nothing_is_turned() -> None:
     assert "plane_of_swing_rad" not in {line.source for line in run.budget["b"].sources}
 
 
-@pytest.mark.parametrize("rate_deg_per_min", [0.003, 0.1])
-def test_there_is_no_step_where_a_rotation_begins_to_matter(rate_deg_per_min: float) -> None:
-    still, found = (run_of(Spin(rate * DEG_PER_MIN), 5).budget for rate in (0.0, rate_deg_per_min))
+def test_there_is_no_step_where_a_rotation_begins_to_matter() -> None:
+    still, found = (run_of(Spin(rate * DEG_PER_MIN), 5).budget for rate in (0.0, 0.1))
     for name in ("b", "p", "c", "n", "period0_s", "gamma_pa"):
         # noise along one axis becomes noise along another
         assert abs(found[name].value - still[name].value) < 0.1 * still[name].standard_uncertainty
@@ -155,7 +154,6 @@ def test_what_cannot_be_followed_is_withheld(spoiled: str, said: str, tmp_path: 
     [
         # angles that are an eighth too large contradict the law, which widens u
         (Spin(-FAST, leakage=0.5), inf),
-        (Spin(), 1.5e-5),
         (Spin(FAST, leakage=0.03, fast_arcsec=6.0), 1.5e-5),
     ],
 )
@@ -224,7 +222,7 @@ def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditio
     words = SMALL | {
         "simulation.sensor.width_px": "320",
         "session.max_duration_s": "600",
-        "camera.frame_rate_hz": "12.5",
+        "camera.frame_rate_hz": "8",
         "record.windows": "false",
         "simulation.axes.spin_rad_per_s": str(-FAST),
     }

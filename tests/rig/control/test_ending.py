@@ -4,11 +4,9 @@ import json
 import os
 import pty
 import select
-import signal
 import subprocess
 import sys
 import termios
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -104,53 +102,6 @@ def assert_closed_and_dark(board: FirmwareBoard, folder: Path, reason: str) -> N
     assert (entry["state"], entry["reason"]) == ("stopped", reason)
     # nothing is fitted: who sends SIGTERM may send SIGKILL next
     assert not (folder / "results.json").exists()
-
-
-def test_killed_while_the_magnet_holds(board: FirmwareBoard, tmp_path: Path) -> None:
-    words = command(
-        tmp_path / "out",
-        board,
-        start__way='"magnet"',
-        controller__watchdog_s="3.0",
-        phases__rest_window_s="3",
-        phases__warm_up_window_s="2.5",
-        phases__warm_up_drift_arcsec_per_min="1e6",
-        simulation__release__way='"by command"',
-    )
-    log = tmp_path / "said"
-    with running(words, log) as process:
-        wait_for(board, lambda: lit(board) and board.outputs()["magnet"] == [1], log)
-        before = len(board.events())
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        killed_s = time.monotonic()
-        board.wait_for(lambda: board.is_safe, ENDED_WITHIN_S)
-        safe_s = time.monotonic()
-    after = board.events()[before:]
-    # by the firmware alone, and for good
-    assert [name for _, name, values in after if values[0] == 0 and name in ("laser", "magnet")]
-    assert not [name for _, name, values in after if values[0] == 1 and name in ("laser", "magnet")]
-    print(f"safe {safe_s - killed_s:.2f} s after the kill")
-
-
-def test_ignored_hangup_stays_ignored(board: FirmwareBoard, tmp_path: Path) -> None:
-    folder, log = tmp_path / "out", tmp_path / "said"
-    nohup = (
-        "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
-        "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
-    )
-    words = ["-c", nohup, *command(folder, board, controller__watchdog_s="5.0")]
-    with running(words, log) as process:
-        wait_for(board, lambda: being_recorded(board, folder / "run-1.mcap"), log)
-        process.send_signal(signal.SIGHUP)
-        size = (folder / "run-1.mcap").stat().st_size
-        wait_for(board, lambda: (folder / "run-1.mcap").stat().st_size > 2 * size, log)
-        assert process.poll() is None
-        assert lit(board)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(ENDED_WITHIN_S) == 130
-    assert "Traceback" not in log.read_text()
-    assert_closed_and_dark(board, folder, "terminated")
 
 
 def test_terminal_that_is_closed_sends_a_hangup(board: FirmwareBoard, tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_however_a_program_ends_the_board_goes_dark(
     """At the same time, each with a board of its own."""
     with ExitStack() as programs:
         boards, begun = {}, {}
-        for ending in ("returns", "raises", "exits", "closes", "is killed", "is stopped"):
+        for ending in ("raises", "closes", "is killed", "is stopped"):
             boards[ending] = make_board()
             begun[ending] = programs.enter_context(lit_by_another_program(boards[ending], ending))
         # Alive, they stay lit for longer than the watchdog waits: the heartbeat does its work.

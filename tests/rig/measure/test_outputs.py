@@ -131,8 +131,9 @@ def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path
     assert (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.parametrize(("printed_by", "json_lines"), [("say", False), ("print_json_line", True)])
 def test_who_watches_is_told_on_when_the_terminal_was_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, printed_by: str, json_lines: bool
 ) -> None:
     phases: list[str] = []
     usual = SessionNews.state
@@ -145,8 +146,11 @@ def test_who_watches_is_told_on_when_the_terminal_was_closed(
         raise BrokenPipeError
 
     monkeypatch.setattr(SessionNews, "state", state)
-    monkeypatch.setattr(screen, "say", closed)
+    monkeypatch.setattr(screen, printed_by, closed)
     values = {**QUICK, "session.max_duration_s": "3"}
     config = configured(values)
-    measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
+    # a closed stdout is led to nowhere, which must not be that of the tests
+    with (tmp_path / "stdout").open("w") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        measure_session(config, CONFIGS / "demo.toml", tmp_path / "out", json_lines=json_lines)
     assert phases[-1] == "done"

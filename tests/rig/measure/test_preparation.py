@@ -13,7 +13,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
-from tests.rig.command_line import CONFIGS, QUICK, WITHOUT_FIGURES, events_of, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, events_of, rig, set_words
 
 BY_HAND = {
     **QUICK,
@@ -174,20 +174,3 @@ def test_resume_wants_a_session(tmp_path: Path) -> None:
     done = rig("run", "--resume", tmp_path / "demo.toml")
     assert done.returncode == 2
     assert "demo.toml: is a file; name the folder of a session" in done.stderr
-
-
-@pytest.mark.slow
-def test_a_reader_of_json_lines_that_goes_away_ends_no_measurement(tmp_path: Path) -> None:
-    folder = tmp_path / "out"
-    command = [sys.executable, "-c", WITHOUT_FIGURES, "run", CONFIGS / "demo.toml", "-o", folder, "--json"]
-    with (tmp_path / "errors").open("wb") as errors:
-        process = subprocess.Popen([*command, *words()], stdout=subprocess.PIPE, stderr=errors)
-    assert process.stdout is not None
-    assert process.stdout.readline().startswith(b'{"kind"')
-    process.stdout.close()
-    process.wait(300)
-    said = (tmp_path / "errors").read_text()
-    assert "Traceback" not in said
-    assert "BrokenPipe" not in said
-    assert events_of(folder / "run-1.mcap")[-1][1].startswith("time limit")
-    assert (folder / "results.json").exists()

@@ -12,7 +12,7 @@ from processing.balance import BalanceLimits, Room, Unreachable, WeightResponses
 from rig.instrument.balance import nominal_effects
 from rig.prepare import BalanceStage, balance_dialogue
 from rig.prepare.learned_turns import LearnedTurns, show_turns
-from tests.rig.command_line import CONFIGS, rig
+from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 from tests.rig.prepare.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
 from tests.rig.view.rrd_contents import column, measured
 
@@ -103,6 +103,7 @@ def test_balance_follows_its_own_advice_from_frames_on(tmp_path: Path) -> None:
         *("balance", CONFIGS / "demo.toml", "--follow", "7"),
         *("--history-file", tmp_path / "history.jsonl", "--set", "simulation.axes.rest_fast_arcsec=25"),
         *("--set", "simulation.axes.rest_slow_arcsec=-20", "--rrd", tmp_path / "looks.rrd"),
+        *set_words({key: value for key, value in SMALL.items() if key.startswith("simulation")}),
     )
     assert done.returncode == 0, done.stderr
     assert "turn weight" in done.stdout

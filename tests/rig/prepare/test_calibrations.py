@@ -257,7 +257,7 @@ def test_what_cannot_serve_leaves_no_file(records: dict[str, Path], tmp_path: Pa
 
 def test_a_sensor_from_stacks_of_frames_feeds_the_tracker(tmp_path: Path) -> None:
     truth = random_sensor(np.random.default_rng(8))
-    pairs, darks, exposures = transfer_frames(truth, 3)
+    pairs, darks, exposures = transfer_frames(truth, 3, levels=5)
     np.save(tmp_path / "dark.npy", np.stack(darks))
     lines = ["darks = 'dark.npy'", f"full_scale_dn = {2**truth.bit_depth - 1}"]
     for number, (pair, exposure) in enumerate(zip(pairs, exposures, strict=True)):

@@ -105,7 +105,9 @@ def test_layout(layout: LayoutName, tmp_path: Path) -> None:
         assert known >= ENTITIES
         assert shown.client.get_state().recordings[0].current_timeline == TIMELINE
         shown.client.set_time(TIMELINE, duration=58.0, play_state="paused")
-        for number, (title, colours) in enumerate(COLOURS[layout].items()):
+        # words fill their tiles of the window
+        drawn = {title: colours for title, colours in COLOURS[layout].items() if colours}
+        for number, (title, colours) in enumerate(drawn.items()):
             view = shown.picture(tmp_path / f"view-{number}.png", title)
             assert ink(view) > 200, f"{title} is empty"
             for colour in colours:

@@ -391,7 +391,7 @@ def damaged(data: bytes, edits: list[tuple[str, int, bytes]]) -> list[bytes]:
 
 @pytest.mark.slow
 @given(faults=damages())
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_fuzzed_stream_gives_good_images_or_counted_losses(
     faults: dict[tuple[str, int], list[tuple[str, int, bytes]]],
 ) -> None:
