@@ -211,6 +211,8 @@ _CHANGE_DRIVE_FACTORS = (1.0, 0.3, 0.1, 0.03, 0.0)
 _CLEAR_GAIN = 20.0
 """Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
 _MOST_CHANGES = 3
+_ROUNDING = 1e-6
+"""What is left of a change by law and earlier changes, over the change, that is none but rounding."""
 
 
 def with_changes(
@@ -361,9 +363,11 @@ class _ChangeScan:
         at, errors = self._at, DiscrepancyColumns(loss_errors, duration_errors)
         changes = DrivenRows.of(at.model, at.coordinates, self._noise, errors).by_errors / self._scale
         if not whole:
+            size = np.linalg.norm(changes, axis=0)
             changes = self._law.left(changes)
             for taken in self._taken:
                 changes = taken.left(changes)
+            changes[:, np.linalg.norm(changes, axis=0) < _ROUNDING * size] = 0.0
         return changes.reshape(len(changes), 4, -1)
 
     def deviance(self) -> float:
