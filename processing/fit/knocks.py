@@ -35,6 +35,7 @@ def fit_with_knocks(
     drag: bool = False,
     evidence: Evidence = NO_EVIDENCE,
     loss: Loss = "linear",
+    averaged: bool = True,
     near: FitResult | None = None,
 ) -> FitResult:
     """The exact fit, anew from each knock on that the decay shows; see `fit_exact` for arguments and errors.
@@ -45,7 +46,9 @@ def fit_with_knocks(
 
     def fitted(knocks: Iterable[int], from_fit: FitResult | None) -> FitResult:
         known = replace(evidence, knocks=tuple(sorted(knocks)))
-        return fit_exact(points, pendulum, drag=drag, evidence=known, loss=loss, near=from_fit)
+        return fit_exact(
+            points, pendulum, drag=drag, evidence=known, loss=loss, averaged=averaged, near=from_fit
+        )
 
     gains = {} if near is None else {one.half_cycle: one.gain for one in near.changes}
     gains = {knock: gains.get(knock, nan) for knock in (near.evidence.knocks if near else ())}

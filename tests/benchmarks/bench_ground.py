@@ -14,12 +14,12 @@ import numpy as np
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.contact.laws import PAPER
-from processing.fit import fit_exact
+from processing.fit import fit_with_knocks
 from processing.swing import TurningPoints, turning_points
 from tests.benchmarks.cases import each_seed, run_cases
 from tests.benchmarks.coverage import FRAMES_PER_S, in_frames, of_fits
-from tests.processing.fit.decays import PAIRS, paper_pair, truth, with_noise
-from tests.processing.fit.driven import driven_decay, driven_path
+from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth, with_noise
+from tests.processing.fit.driven import World, driven_decay, driven_path
 from tests.shared_data import SHARED_DATA
 
 NOISE_ARCSEC = 0.005
@@ -43,6 +43,21 @@ def white(flat: str, q: float) -> Case:
         flat,
         lambda seed: driven_decay(parameters, pendulum, q=q, noise_arcsec=NOISE_ARCSEC, seed=5000 + seed),
     )
+
+
+def knocked(flat: str, knock_arcsec: float) -> Case:
+    """Of a quiet ground, with one knock at a random time."""
+    parameters, pendulum = paper_pair(flat)
+
+    def points(seed: int) -> TurningPoints:
+        rng = np.random.default_rng([seed, 77])
+        rate_rad_per_s = 2 * np.pi / parameters.period0_s
+        knock = knock_arcsec * ARCSEC * rate_rad_per_s * rng.choice([-1.0, 1.0])
+        world = World(event_s=rng.uniform(100.0, 600.0), knock_rad_per_s=knock)
+        time_s, turn, _ = driven_path(parameters, pendulum, world, q=1e-9, seed=5000 + seed)
+        return with_noise(time_s, np.abs(turn), parameters.period0_s, NOISE_ARCSEC, rng)
+
+    return Case(f"{flat} knock of {knock_arcsec:g} arcsec", flat, points)
 
 
 def white_frames(flat: str, q: float) -> Case:
@@ -104,7 +119,7 @@ def cases() -> list[Case]:
         out.append(simulated_case("recorded ground", "glass_k8", recorded))
     out += [white_frames("glass_k8", q) for q in (0.0, 1e-8, 1e-7)]
     out += [simulated_frames("basement", flat, basement) for flat in PAIRS]
-    return out
+    return out + [knocked("glass_k8", size) for size in (0.03, 0.3, 3.0)]
 
 
 def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
@@ -113,13 +128,14 @@ def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
     parameters, pendulum = paper_pair(case.flat)
     names = PAPER.names()
     fits, failed = each_seed(
-        lambda seed: fit_exact(case.points(seed), pendulum, averaged=case.averaged), count, first
+        lambda seed: fit_with_knocks(case.points(seed), pendulum, averaged=case.averaged), count, first
     )
     grounds = [fit.ground for fit in fits if fit.ground is not None]
     return {
         "seeds": count,
         "failed": failed,
         "called_correlated": sum(bool(fit.whiteness and fit.whiteness.correlated) for fit in fits),
+        "knocks": sum(len(fit.changes) for fit in fits),
         "half_cycles_left_out": sum(ground.left_out_half_cycles for ground in grounds),
         "q_median": float(np.median([ground.density_rad_per_s2_rthz.value for ground in grounds])),
         **of_fits(fits, names, truth(parameters, names)),

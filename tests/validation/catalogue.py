@@ -95,6 +95,8 @@ ROWS: tuple[Row, ...] = (
         benchmark("fit", "one_sigma_all", part="coverages", argument=50, factor=100), "number", "%", limit_of_share(50), share=True),
     Row("coverage-ground", _COVERAGE, "Fits on moving ground", "white, simulated and recorded ground, 6 seeds of those from frames; by parameter, cases together",
         pooled("ground", "one_u", seeds=40, only=("q=", "basement", "recorded")), "number", "%", limit_of_share(356), share=True),
+    Row("coverage-knock", _COVERAGE, "Fits of decays that were knocked", "one knock of 0.03, 0.3 and 3 arcsec at a random time, integrated; by parameter, cases together",
+        pooled("ground", "one_u", seeds=40, only=("knock",)), "number", "%", limit_of_share(120), share=True),
     Row("coverage-air", _COVERAGE, "Contact and air apart", "drag not known beforehand; by parameter, cases together",
         pooled("air", "one_u", seeds=20, only=("drag",)), "number", "%", limit_of_share(400), share=True),
     Row("coverage-spin", _COVERAGE, "Fits where the plane of swing turns", "0 to 3 deg/min, records and tables, also a fast mode of 6 arcsec and 3 % leakage; by parameter",
