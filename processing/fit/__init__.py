@@ -39,10 +39,10 @@ from processing.fit.refinement import (
     Refinement,
     describes_as_well,
     fitted_twice,
+    judge_refinement,
     known_motion,
     measurement_shift,
     points_in_true_time,
-    refinement,
     second_measurement,
 )
 from processing.fit.reported import (

@@ -282,7 +282,7 @@ class Refinement(NamedTuple):
     harmonics: SwingHarmonics | None = None
 
 
-def refinement(
+def judge_refinement(
     swings: Sequence[HalfCycle],
     again: Sequence[HalfCycle],
     motion: KnownMotion,
@@ -344,5 +344,5 @@ def fitted_twice(
     except DataError:
         return Refinement(every, None, doubt=moved), first
     again = second_measurement(every[len(before) :], blocks, motion)
-    found = refinement(every, [*every[: len(before)], *again], motion, first, fit)
+    found = judge_refinement(every, [*every[: len(before)], *again], motion, first, fit)
     return found, found.exact or fit.of(found.swings, first)

@@ -29,9 +29,9 @@ from processing.fit import (
     fit_position_errors,
     fit_with_knocks,
     fit_with_seismometer,
+    judge_refinement,
     known_motion,
     measurement_shift,
-    refinement,
     second_measurement,
     time_alternation,
     with_boundary_layer_drag,
@@ -87,7 +87,7 @@ def refined_half_cycles(
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = second_measurement(swings, _watched(blocks, watch, search), motion)
-    refined = refinement(swings, again, motion, first, fit)
+    refined = judge_refinement(swings, again, motion, first, fit)
     doubt = "; ".join(filter(None, [moved, refined.doubt]))
     refined = refined._replace(doubt=doubt, harmonics=harmonics)
     found = search.position_map()
