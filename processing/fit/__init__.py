@@ -44,6 +44,7 @@ from processing.fit.refinement import (
     measurement_shift,
     points_in_true_time,
     second_measurement,
+    up_to_rest_step,
 )
 from processing.fit.reported import (
     FittedContact,

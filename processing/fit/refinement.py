@@ -199,30 +199,29 @@ def points_in_true_time(swings: Sequence[HalfCycle], clock_rate: float) -> Turni
     return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
 
 
-def on_one_side(swings: Sequence[HalfCycle], knocks: Sequence[int]) -> tuple[Sequence[HalfCycle], str]:
-    """Half-cycles of which those beyond a knock that moved the rest position are flagged, and a line on that.
+def up_to_rest_step(swings: Sequence[HalfCycle], knocks: Sequence[int]) -> tuple[Sequence[HalfCycle], str]:
+    """Half-cycles, flagged from the first knock on that moved the rest position, and a line on that.
 
-    The longer side stays. The line is empty where no knock moved the rest position.
+    Friction and elasticity are those of the angle from the middle of the contact, where the pendulum then
+    rests no more. The line is empty where no knock moved the rest position.
     """
     good = [swing for swing in swings if not swing.flags]
     for knock in knocks:
-        before = [swing for swing in good if swing.index < knock]
-        after = [swing for swing in good if swing.index >= knock]
-        sides = before[-_REST_HALF_CYCLES:], after[:_REST_HALF_CYCLES]
-        if not all(sides):
+        before = [swing for swing in good if swing.index < knock][-_REST_HALF_CYCLES:]
+        after = [swing for swing in good if swing.index >= knock][:_REST_HALF_CYCLES]
+        if not before or not after:
             continue
-        first, last = (float(np.median([swing.centre for swing in side])) for side in sides)
+        first, last = (float(np.median([swing.centre for swing in side])) for side in (before, after))
         share = abs(last - first) / after[0].amplitude
         if share > _MAX_REST_SHARE:
-            is_kept = [(swing.index < knock) == (len(before) >= len(after)) for swing in swings]
-            flagged = [
-                swing if kept else replace(swing, flags=swing.flags | int(HalfCycleFlag.REST_MOVED))
-                for swing, kept in zip(swings, is_kept, strict=True)
-            ]
-            return flagged, (
+            flag = int(HalfCycleFlag.REST_MOVED)
+            return [
+                replace(swing, flags=swing.flags | flag) if swing.index >= knock else swing
+                for swing in swings
+            ], (
                 f"at half-cycle {knock} a knock moved the rest position by {100 * share:.2g} % of the "
-                "amplitude: the half-cycles on the shorter side are left out, since the contact may be "
-                "another one there"
+                "amplitude: the half-cycles from there on are left out, since the pendulum rests beside the "
+                "middle of its contact"
             )
     return swings, ""
 
@@ -250,14 +249,6 @@ class DecayFit(NamedTuple):
             loss=self.loss,
             near=near,
         )
-
-    def first_of(
-        self, swings: Sequence[HalfCycle], near: FitResult | None = None
-    ) -> tuple[Sequence[HalfCycle], FitResult, str]:
-        """Half-cycles about one rest position, their fit, and a line on the others, which are flagged."""
-        fit = self.of(swings, near)
-        kept, moved = on_one_side(swings, fit.evidence.knocks)
-        return (kept, self.of(kept), moved) if moved else (swings, fit, "")
 
     def motion(self, fit: FitResult, swings: Sequence[HalfCycle]) -> KnownMotion:
         """The motion by a fit of half-cycles, its reference amplitude their first one."""
@@ -338,11 +329,16 @@ def fitted_twice(
     DataError
         They cannot be fitted.
     """
-    every, first, moved = fit.first_of(with_learned_weights([*before, *swings]), near)
+    weighted = with_learned_weights([*before, *swings])
+    first = fit.of(weighted, near)
+    every, moved = up_to_rest_step(weighted, first.evidence.knocks)
+    if moved:
+        first = fit.of(every)
     try:
         motion = fit.motion(first, every)
     except DataError:
         return Refinement(every, None, doubt=moved), first
     again = second_measurement(every[len(before) :], blocks, motion)
     found = judge_refinement(every, [*every[: len(before)], *again], motion, first, fit)
+    found = found._replace(doubt="; ".join(filter(None, [moved, found.doubt])))
     return found, found.exact or fit.of(found.swings, first)

@@ -25,7 +25,7 @@ class HalfCycleFlag(IntFlag):
     INFERRED = 16
     """The turning point lies outside the sensor and was inferred from crossings of the sensor."""
     REST_MOVED = 32
-    """It lies on the other side of a knock that moved the rest position: the contact may be another one."""
+    """A knock before it moved the rest position: the pendulum rests beside the middle of its contact."""
 
 
 @dataclass(frozen=True, slots=True)

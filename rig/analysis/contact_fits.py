@@ -34,6 +34,7 @@ from processing.fit import (
     measurement_shift,
     second_measurement,
     time_alternation,
+    up_to_rest_step,
     with_boundary_layer_drag,
     with_changes,
     with_discrepancy,
@@ -78,11 +79,15 @@ def refined_half_cycles(
     swings = with_learned_weights(swings)
     harmonics = _harmonics_of(blocks, swings)
     fit = DecayFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
+    moved = ""
     try:
-        swings, first, moved = fit.first_of(swings)
+        first = fit.of(swings)
+        swings, moved = up_to_rest_step(swings, first.evidence.knocks)
+        if moved:
+            first = fit.of(swings)
         motion = fit.motion(first, swings)
     except DataError:
-        return Refinement(swings, None, harmonics=harmonics)
+        return Refinement(swings, None, doubt=moved, harmonics=harmonics)
     watch = CycleWatch(swings, motion)
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
