@@ -36,9 +36,9 @@ from processing.units import seconds
 
 _REST_HALF_CYCLES = 6
 """Half-cycles on either side of a knock whose rest positions are compared."""
-_MAX_REST_SHARE = 0.02
-"""Largest step of the rest position, as a share of the amplitude, that a fit across it takes: friction of the
-deflection itself would change the losses by its square."""
+_MAX_REST_SHARE = 0.01
+"""Largest step of the rest position, as a share of the last amplitude, that a fit across it takes: friction
+of the deflection itself changes the losses by its square."""
 _MIN_REFINED_SHARE = 0.95
 """Share of the half-cycles that the second measurement must find."""
 
@@ -207,19 +207,19 @@ def up_to_rest_step(swings: Sequence[HalfCycle], knocks: Sequence[int]) -> tuple
     """
     good = [swing for swing in swings if not swing.flags]
     for knock in knocks:
-        before = [swing for swing in good if swing.index < knock][-_REST_HALF_CYCLES:]
-        after = [swing for swing in good if swing.index >= knock][:_REST_HALF_CYCLES]
+        before = [swing.centre for swing in good if swing.index < knock][-_REST_HALF_CYCLES:]
+        after = [swing.centre for swing in good if swing.index >= knock][:_REST_HALF_CYCLES]
         if not before or not after:
             continue
-        first, last = (float(np.median([swing.centre for swing in side])) for side in (before, after))
-        share = abs(last - first) / after[0].amplitude
-        if share > _MAX_REST_SHARE:
+        share = abs(float(np.median(after) - np.median(before))) / good[-1].amplitude
+        apart = max(before) < min(after) or max(after) < min(before)
+        if apart and share > _MAX_REST_SHARE:
             flag = int(HalfCycleFlag.REST_MOVED)
             return [
                 replace(swing, flags=swing.flags | flag) if swing.index >= knock else swing
                 for swing in swings
             ], (
-                f"at half-cycle {knock} a knock moved the rest position by {100 * share:.2g} % of the "
+                f"at half-cycle {knock} a knock moved the rest position by {100 * share:.2g} % of the last "
                 "amplitude: the half-cycles from there on are left out, since the pendulum rests beside the "
                 "middle of its contact"
             )
