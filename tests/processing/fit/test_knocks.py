@@ -102,6 +102,11 @@ def test_a_knock_about_the_same_rest_position_leaves_out_nothing() -> None:
     swings = half_cycles(0.2, 20)
     assert up_to_rest_step(swings, [20]) == (swings, "")
     assert up_to_rest_step(half_cycles(2.0, 20), []) == (half_cycles(2.0, 20), "")
+    # a position that wanders by as much as it seems to step
+    wandering = [
+        replace(swing, centre=swing.centre + (swing.index % 3 - 1) * ARCSEC) for swing in half_cycles(0.9, 20)
+    ]
+    assert up_to_rest_step(wandering, [20]) == (wandering, "")
 
 
 def test_no_change_is_found_twice_at_one_place() -> None:
