@@ -1,14 +1,14 @@
 """Exact fit of a decay that was knocked: it begins anew with the amplitude and phase after each knock.
 
-One knock, a footfall or a touch of the table, is no drive that acts all the time: taken for one, it enlarges
-uncertainties some hundred times and leaves intervals that need not hold the true values. The half-swing of a
-knock is fitted with a drive of its own, so large that the turning points before it tell nothing of the state
-after it, and still all of the law's parameters.
+A footfall or a touch of the table is no drive that acts all the time. Taken for one, it enlarges
+uncertainties some hundred times, and leaves intervals that need not hold the true values. The half-swing of a
+knock has a drive of its own, so large that the turning points before it tell nothing of the state after it,
+but as much as ever of the law's parameters.
 """
 
 from collections.abc import Iterable
 from dataclasses import replace
-from math import hypot, log, nan, pi
+from math import hypot, log, pi
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
-from processing.fit.ground import GroundFit
 from processing.fit.result import Change, ChangeKind, FitResult
 from processing.least_squares import Loss
 from processing.swing import TurningPoints
@@ -45,33 +44,35 @@ def fit_with_knocks(
     """
 
     def fitted(knocks: Iterable[int], from_fit: FitResult | None) -> FitResult:
-        known = replace(evidence, knocks=tuple(sorted(knocks)))
+        anew = replace(evidence, knocks=tuple(sorted(knocks)))
         return fit_exact(
-            points, pendulum, drag=drag, evidence=known, loss=loss, averaged=averaged, near=from_fit
+            points, pendulum, drag=drag, evidence=anew, loss=loss, averaged=averaged, near=from_fit
         )
 
-    gains = {} if near is None else {one.half_cycle: one.gain for one in near.changes}
-    gains = {knock: gains.get(knock, nan) for knock in (near.evidence.knocks if near else ())}
+    known, changes = ((), ()) if near is None else (near.evidence.knocks, near.changes)
+    gains = {
+        one.half_cycle: one.gain
+        for one in changes
+        if one.kind is ChangeKind.KNOCK and one.half_cycle in known
+    }
     fit = fitted(gains, near)
     while loss == "linear" and fit.outliers and len(gains) < _MOST_KNOCKS:
         worst = _worst_half_cycle(points, pendulum, fit)
+        if worst in gains:
+            break
         try:
             freed = fitted({*gains, worst}, fit)
         except DataError:
             break
-        gain = _deviance(fit) - _deviance(freed)
-        if worst in gains or not gain > _CLEAR_GAIN + 2 * log(len(points)):
+        assert fit.ground is not None
+        assert freed.ground is not None
+        gain = fit.ground.deviance - freed.ground.deviance
+        if not gain > _CLEAR_GAIN + 2 * log(len(points)):
             break
         fit, gains[worst] = freed, gain
     changes = tuple(_change(points, pendulum, fit, knock, gains[knock]) for knock in sorted(gains))
     warnings = (f"{one.text}; the fit begins anew after it" for one in changes)
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
-
-
-def _deviance(fit: FitResult) -> float:
-    assert fit.ground is not None
-    assert isinstance(fit.ground, GroundFit)
-    return fit.ground.deviance
 
 
 def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> int:
