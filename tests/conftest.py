@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from _pytest.approx import ApproxScalar
 from hypothesis import settings
 from xdist.scheduler import LoadFileScheduling
 
@@ -23,6 +24,9 @@ from tests.signals import heed_signals
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
+
+# By default 1e-12 is near enough, and comparisons of joules or of m² could not fail.
+ApproxScalar.DEFAULT_ABSOLUTE_TOLERANCE = 0.0
 
 # Before numpy is imported, here and in every process started from here: threads of linear algebra, of several
 # workers on few processors, wait for each other in loops and take up to five times the time.

@@ -67,7 +67,7 @@ def test_what_the_gain_is_uncertain_by_is_in_it_and_blocks_do_not_matter() -> No
     assert np.array_equal(moved, again[0])
     assert np.array_equal(variance, again[1])
     sure = taken(place, Estimate(1.5, 0.0))[1]
-    assert variance - sure == pytest.approx((0.1 / 1.5 * moved) ** 2)
+    assert variance - sure == pytest.approx((0.1 / 1.5 * moved) ** 2, rel=1e-6, abs=1e-18)
     nothing = taken(np.full((50, 2), np.nan), Estimate(1.5, 0.1))
     assert not np.any(nothing)
 

@@ -364,3 +364,16 @@ def test_a_base_that_tilts_takes_the_resting_pendulum_and_the_reference_with_it(
     assert abs(found.y_px[250] - found.y_px[0]) < 0.9 * 3.0 * ONE_ARCSEC_PX
     assert found.y_px[-1] - found.y_px[0] == pytest.approx(-3.0 * ONE_ARCSEC_PX, rel=0.02)
     assert found.x_px[-1] - found.x_px[0] == pytest.approx(60.0 * ONE_ARCSEC_PX, rel=0.02)
+
+
+def test_air_moves_the_spot_as_stated_and_the_reference_by_its_share_of_it() -> None:
+    air = {"air_arcsec": 0.5, "air_from_hz": 0.1, "air_to_hz": 10.0}
+    far, reference = {"arm_m": 2.0}, {"relative": 0.5, "air_common": 0.6}
+    still, found = plan(6000, optics=far), plan(6000, disturbances=air, reference=reference, optics=far)
+    spot_px = np.column_stack([found.x_px - still.x_px, found.y_px - still.y_px])
+    assert np.std(spot_px, axis=0) == pytest.approx(2 * 0.5 * ONE_ARCSEC_PX, rel=0.2)
+    assert np.std(found.beam_px, axis=0) == pytest.approx(2 * 0.5 * ONE_ARCSEC_PX, rel=0.2)
+    assert np.mean(spot_px * found.beam_px, axis=0) == pytest.approx(0.6 * np.var(spot_px, axis=0), rel=0.25)
+    # in other air, which changes as fast
+    speeds = (np.std(np.diff(one, axis=0), axis=0) for one in (found.beam_px, spot_px))
+    np.testing.assert_allclose(*speeds, rtol=0.1)

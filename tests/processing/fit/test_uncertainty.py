@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration import Axes
 from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
@@ -144,6 +145,21 @@ def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(found: Fit
     assert "skew" not in {line.source for line in centred.sources}
 
 
+def test_wrong_axes_scale_the_tilt_as_on_the_sensor(found: FittedContact) -> None:
+    """A motion along true axes, read along the assumed ones."""
+    assumed = Axes(slow_angle_rad=0.10, non_orthogonality_rad=0.08)
+    true = Axes(slow_angle_rad=0.13, non_orthogonality_rad=0.03)
+    _, slow = np.linalg.solve(assumed.directions(), true.directions() @ [0.2, 1.0])
+    quantities = replace(
+        rig(slow_angle_rad=InputQuantity(0.10), non_orthogonality_rad=InputQuantity(0.08)), fast_ratio=0.2
+    )
+    seen = quantities.seen_slow_tilt(np.array([0.13]), np.array([0.03]))
+    assert float(seen[0]) == pytest.approx(slow, rel=1e-12)
+    changed = at(found, slow_angle_rad=0.13, non_orthogonality_rad=0.03)
+    c = float(reported_quantities(found, changed, quantities)["c"][0])
+    assert c == pytest.approx(found.values[found.names.index("c")] / slow, rel=2e-3, abs=0)
+
+
 def test_the_budget_adds_up_and_puts_the_largest_first(found: FittedContact) -> None:
     table = budgets(found, rig())
     for budget in table.values():
@@ -205,13 +221,18 @@ def test_the_uncertainty_of_what_follows_is_that_of_its_parts(found: FittedConta
 @pytest.mark.parametrize("balls", [1, 2])
 def test_work_of_a_cycle_is_that_of_its_parameters(found: FittedContact, balls: int) -> None:
     """With two balls its uncertainty was that of twice the weight on each."""
-    inputs, stated = at(found), replace(rig(), balls=balls)
-    reported = reported_quantities(found, inputs, stated)
-    parameters = fit_parameters(found)
-    expected = cycle_work(3.1 * ARCSEC, parameters, stated.pendulum()).dissipated_j
+    names, drag_s = (*found.names, "drag_s"), 2e-3
+    damped = replace(
+        found, names=names, values=np.append(found.values, drag_s), by_log_rho=np.append(found.by_log_rho, 0.0)
+    )
+    inputs, stated = at(damped), replace(rig(), balls=balls)
+    reported = reported_quantities(damped, inputs, stated)
+    expected = cycle_work(3.1 * ARCSEC, fit_parameters(damped), stated.pendulum())
     work_j = work_per_cycle_j(3.1 * ARCSEC, reported, rolling_moment_nm(inputs, stated))
+    assert expected.drag_j > 0.1 * expected.dissipated_j
     # R/a of two balls is not the one that `found` was fitted with
-    assert float(work_j[0]) == pytest.approx(expected, rel=1e-12 if balls == 1 else 1e-2)
+    rel = 1e-12 if balls == 1 else 1e-2
+    assert float(work_j[0]) == pytest.approx(expected.dissipated_j + expected.drag_j, rel=rel, abs=0)
 
 
 def fit_parameters(found: FittedContact):
@@ -239,10 +260,19 @@ def test_pixels_have_no_budget() -> None:
         fitted_contact(fit_exact(points, None))
 
 
-def test_two_balls_share_the_weight() -> None:
+def test_two_balls_share_the_weight(found: FittedContact) -> None:
     two = replace(rig(), balls=2)
     assert two.pendulum().mass_kg == pytest.approx(0.203)
     assert two.pendulum().contact_radius_m / rig().pendulum().contact_radius_m == pytest.approx(2 ** (-1 / 3))
+    reported = reported_quantities(found, at(found), two)
+    radius_m, half_n = two.pendulum().contact_radius_m, 0.203 * 9.80665
+    assert float(reported["contact_radius_m"][0]) == pytest.approx(radius_m)
+    c, gamma_pa = found.values[found.names.index("c")], found.values[found.names.index("gamma_pa")]
+    assert float(reported["gamma_pa"][0]) == pytest.approx(gamma_pa)
+    energy = float(reported["surface_energy_table2_j_per_m2"][0])
+    assert energy == pytest.approx(half_n * 6.05e-3 * c / (2 * radius_m**2))
+    assert float(reported["contact_depth_m"][0]) == pytest.approx(radius_m**2 / 6.05e-3, abs=0)
+    assert float(reported["contact_angle_rad"][0]) == pytest.approx(radius_m / 6.05e-3, abs=0)
     with pytest.raises(ConfigurationError, match="balls = 3"):
         replace(rig(), balls=3)
 
@@ -280,6 +310,14 @@ def test_an_error_of_the_sensor_moves_the_parameters_by_what_the_budget_says(
         (line,) = [line for line in tables[name].sources if line.source == source]
         moved = again.estimate(name).value - exact.estimate(name).value
         assert moved == pytest.approx(line.sensitivity * 3 * u, rel=0.3), name
-        assert line.contribution == pytest.approx(abs(line.sensitivity) * u)
+        assert line.contribution == pytest.approx(abs(line.sensitivity) * u, abs=0)
+    shifted = replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, uncertain))
+    inputs = {name: np.array([one.value]) for name, one in uncertain.inputs().items()}
+    inputs |= dict(zip(shifted.names, shifted.values[:, None], strict=True)) | {source: np.array([value + u])}
+    moved = {name: one[0] for name, one in reported_quantities(shifted, inputs, uncertain).items()}
+    for name in names:
+        (line,) = [line for line in tables[name].sources if line.source == source]
+        expected = exact.estimate(name).value + line.sensitivity * u
+        assert moved[name] == pytest.approx(expected, rel=1e-6, abs=0)
     assert sensor_derivatives(near, rig()) == {}
     assert source not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].sources}

@@ -58,7 +58,10 @@ def test_a_moment_and_a_circular_factor_go_with_the_scale() -> None:
     assert found.coefficient is not None
     # the loss goes as 1 - cos of the amplitudes over their path: by the first power of the scale
     assert found.coefficient.standard_uncertainty / found.coefficient.value == pytest.approx(0.01, rel=0.05)
+    longer_s = np.cumsum(np.gradient(points.time_s) * points.amplitude**2 / 16)
+    points = replace(points, time_s=points.time_s + longer_s)
     plain, wide = circular_error(points), with_shared(circular_error, points, [SCALE])[0]
+    assert plain.factor.value == pytest.approx(1.0, rel=0.01)
     added = np.sqrt(wide.factor.standard_uncertainty**2 - plain.factor.standard_uncertainty**2)
     assert added == pytest.approx(0.02 * abs(plain.factor.value), rel=0.05)
 
