@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from processing.fit import (
     FIXED_PATTERN,
@@ -49,13 +50,15 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
     wider = again.with_term(FIXED_PATTERN, of_scale.of_parameters)
     at = again.names.index("c")
     added = wider.covariance[at, at] - again.covariance[at, at]
-    assert np.isclose(np.sqrt(added), 1e-3 * abs(again.values[at]), rtol=0.3)
-    assert np.allclose(wider.part(FIXED_PATTERN), of_scale.of_parameters @ of_scale.of_parameters.T)
+    assert np.sqrt(added) == pytest.approx(1e-3 * abs(again.values[at]), rel=0.3)
+    np.testing.assert_allclose(
+        wider.part(FIXED_PATTERN), of_scale.of_parameters @ of_scale.of_parameters.T, rtol=1e-9
+    )
     lines = {line.source: line.contribution for line in budgets(fitted_contact(wider), rig())["c"].sources}
     before = {line.source: line.contribution for line in budgets(fitted_contact(again), rig())["c"].sources}
-    assert np.isclose(lines[FIXED_PATTERN], np.sqrt(added))
-    assert np.isclose(lines[MEASUREMENT], before[MEASUREMENT])
-    assert np.isclose(lines[GROUND], before[GROUND])
+    assert lines[FIXED_PATTERN] == pytest.approx(np.sqrt(added))
+    assert lines[MEASUREMENT] == pytest.approx(before[MEASUREMENT])
+    assert lines[GROUND] == pytest.approx(before[GROUND])
     assert FIXED_PATTERN not in before
 
 

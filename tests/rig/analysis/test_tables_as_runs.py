@@ -114,7 +114,7 @@ def test_it_is_exported(fitted: Path, tmp_path: Path) -> None:
     for number, run in enumerate(read_results(fitted / "brass").runs, start=1):
         rows = exported(tmp_path / "csv" / f"brass-decay-{number}-swings.csv")
         assert run.turning_points is not None
-        assert np.allclose(rows["amplitude_mm"], run.turning_points.amplitude, rtol=1e-12)
+        np.testing.assert_allclose(rows["amplitude_mm"], run.turning_points.amplitude, rtol=1e-12)
     positions = exported(tmp_path / "csv" / "brass-decay-1-spots.csv")
     table = np.loadtxt(fitted / "brass.txt")
     assert np.isin(np.round(positions["time_s"], 6), np.round(table[:, 0], 6)).all()
