@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from acquisition.frames.losses import FrameLosses
+from acquisition.record.topics import RecordedClockStep
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
@@ -67,6 +68,14 @@ def test_an_amplitude_that_no_half_cycle_follows_is_said_to_be_old() -> None:
     stopped = replace(swinging, elapsed_s=51.0)
     assert "123.000 arcsec (no swing for 13 s)" in screen(stopped)
     assert display(io.StringIO()).values(stopped)["no_swing_s"] == 13.0
+
+
+def test_steps_of_a_clock_are_counted_and_the_largest_is_said() -> None:
+    now = RunNow()
+    for step_ns in (20_000_000, -130_000_000, 4_000_000):
+        step = RecordedClockStep(1, step_ns, 1000)
+        now = now.after(RecordContents(messages=[step]), DeflectionUnit.RAD)
+    assert now.clock == CameraClock(steps=3, largest_step_s=-0.13)
 
 
 def test_before_the_record_no_frames_are_said_to_be_none() -> None:
