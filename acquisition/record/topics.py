@@ -287,8 +287,8 @@ def _types_in(unit: DeflectionUnit) -> tuple[MessageType, MessageType, MessageTy
     time_ns, *numbers = names_with_units(unit).values()
     half_cycle_meanings = (HalfCycleFlag, TurningSide)
     return (
-        MessageType(f"{prefix}Spot", "/spot", spot, (), _SPOT_DESCRIPTION, (SpotFlag,)),
-        MessageType(f"{prefix}Swing", "/swing", half_cycle, (), _SWING_DESCRIPTION, half_cycle_meanings),
+        MessageType(f"{prefix}Spot", "/spot", spot, _SPOT_DESCRIPTION, (SpotFlag,)),
+        MessageType(f"{prefix}Swing", "/swing", half_cycle, _SWING_DESCRIPTION, half_cycle_meanings),
         MessageType(f"{prefix}Balance", "/balance", (*_ints(time_ns), *_doubles(*numbers))),
     )
 
@@ -298,20 +298,21 @@ TYPES_BY_UNIT: Final = {unit: _types_in(unit) for unit in (DeflectionUnit.RAD, D
 SPOT, SWING, BALANCE = TYPES_BY_UNIT[DeflectionUnit.RAD]
 SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED = TYPES_BY_UNIT[DeflectionUnit.PX]
 """The same without a lever, in px but for the angle of the balance's line."""
-_PIXELS = (
+_PIXELS: tuple[tuple[str, Kind], ...] = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
+    ("pixels", "bytes"),
 )
-WINDOW = MessageType("Window", "/window", _PIXELS, (("pixels", "bytes"),))
+WINDOW = MessageType("Window", "/window", _PIXELS)
 """Pixels row by row: first the low bytes of all, then their high bytes; in a zstd frame if `compressed`.
 
 If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a model of the spot; see
 `acquisition.record.codec`.
 """
-IMAGE = MessageType("Image", "/image", _PIXELS, (("pixels", "bytes"),))
+IMAGE = MessageType("Image", "/image", _PIXELS)
 """A whole frame, stored as a window is."""
 EVENT = MessageType(
-    "Event", "/event", _ints("time_ns"), (("kind", "text"), ("text", "text"), ("level", "text"))
+    "Event", "/event", (("time_ns", "int"), ("kind", "text"), ("text", "text"), ("level", "text"))
 )
 
 
