@@ -266,8 +266,7 @@ class RecordReader:
         """All values of a class that were written, or those in a piece."""
         kind = KIND_OF[value_class]
         return [
-            value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in self._topic_messages(kind.topic, piece)
+            value_class(*kind.decode(message.data)) for message in self._topic_messages(kind.topic, piece)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -308,12 +307,9 @@ class RecordReader:
 
     def balances(self, piece: Piece | None = None) -> list[Balance]:
         """All balances, or those in a piece, in `deflection_unit`."""
-        table, names = self.table(BALANCE.topic, piece), names_with_units(self.deflection_unit)
-        rows = (dict(zip(table.dtype.names or (), row, strict=True)) for row in table.tolist())
-        return [
-            Balance(**{name: row[key] for name, key in names.items()}, unit=self.deflection_unit)
-            for row in rows
-        ]
+        names, unit = names_with_units(self.deflection_unit), self.deflection_unit
+        rows = self.table(BALANCE.topic, piece).tolist()
+        return [Balance(**dict(zip(names, row, strict=True)), unit=unit) for row in rows]
 
     def events(self, piece: Piece | None = None) -> list[Event]:
         """All events, or those in a piece."""
