@@ -11,7 +11,6 @@ from typing import Literal, NamedTuple
 
 from acquisition.atomic_write import being_written
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import Damage
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ReadFile
@@ -112,11 +111,7 @@ def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Findi
                 tally.add(message.sequence, message.log_time_ns)
     for attached in file.attachments:
         list(file.copies(attached))
-    for offset, damage in file.damages.items():
-        span = f"{utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}"
-        chunk = f"chunk at byte {offset} ({' '.join(damage.topics) or 'topics unknown'}, {span}): "
-        where = chunk if damage.start_ns else f"byte {offset}: "
-        findings += _errors(f"{name}: {where}{damage.description}")
+    findings += _errors(*(f"{name}: {damage}" for damage in file.damages.values()))
     if not findings and not file.data_crc_matches():
         findings += _errors(f"{name}: bytes have changed outside chunks: in metadata or an index")
     return findings
@@ -126,7 +121,7 @@ def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
 
 
-_LOSS_KEYS = ("lost_chunks", "lost_bytes_at_the_end", "lost_parts")
+_LOSS_KEYS = ("lost_bytes_at_the_end", "lost_parts")
 
 
 def _check_recovery(recovery: Mapping[str, str]) -> Finding:
@@ -193,29 +188,12 @@ def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
     return [Finding("note", f"SHA-256 is the one in {results.name}{more}")]
 
 
-@dataclass(frozen=True, slots=True)
-class Recovery:
-    """Result of `recover`.
-
-    `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
-    first and the last. `lost` are the damaged parts, `lost_bytes` is the number of bytes after the last
-    complete entry.
-    """
-
-    source: Path
-    path: Path
-    messages: Mapping[str, int]
-    start_ns: int
-    end_ns: int
-    lost: tuple[Damage, ...]
-    lost_bytes: int
-
-
-def recover(source: Path, path: Path) -> Recovery:
+def recover(source: Path, path: Path) -> dict[str, str]:
     """Copy every intact message of a record, its metadata and attachments into new files.
 
-    The source is not changed. The metadata `RECOVERY` of the new record state its source and what is missing;
-    those of an earlier recovery stay. The new files appear after they were read back and checked.
+    The source is not changed. The metadata `RECOVERY` of the new record state its source and what is missing,
+    and are returned; those of an earlier recovery stay. The new files appear after they were read back and
+    checked.
 
     Raises
     ------
@@ -236,7 +214,7 @@ def recover(source: Path, path: Path) -> Recovery:
                 stack.callback(copy.abandon)
                 counts += _copy_messages(file, copy)
                 copies.append(copy)
-            found = _copy_metadata(reader, copies, path, counts)
+            recovery = _copy_metadata(reader, copies)
             for copy in copies:
                 copy.finish()
                 if copy.disk.full is not None:
@@ -249,7 +227,7 @@ def recover(source: Path, path: Path) -> Recovery:
     except OSError as error:
         why = f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
         raise RecordError(why) from error
-    return found
+    return recovery
 
 
 def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
@@ -264,38 +242,25 @@ def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
     return counts
 
 
-def _copy_metadata(
-    reader: RecordReader, copies: Sequence[McapFile], path: Path, counts: Mapping[str, int]
-) -> Recovery:
-    """Copy attachments and metadata; returns the Recovery."""
+def _copy_metadata(reader: RecordReader, copies: Sequence[McapFile]) -> dict[str, str]:
+    """Copy attachments and metadata; returns those about the recovery."""
     start_ns = reader.numbers.start_ns
     for name, data in reader.attachments.items():
         copies[0].add_attachment(name, "application/octet-stream", data, start_ns)
     lost_bytes = sum(file.size - file.readable_bytes for file in reader.files if not file.whole)
-    lost_parts = [lost.description for lost in reader.damages if not lost.start_ns]
     recovery = {
         "source": reader.path.name,
         "source_sha256": _sha256_if_readable(reader.path),
         "source_was_cut": str(reader.truncated).lower(),
-        "lost_chunks": str(len(reader.damages) - len(lost_parts)),
-        "lost_parts": "; ".join(lost_parts),
+        "lost_parts": "; ".join(reader.damages),
         "lost_bytes_at_the_end": str(lost_bytes),
     }
     earlier = sum(name.startswith(RECOVERY) for name in reader.metadata)
     name = f"{RECOVERY} {earlier + 1}" if earlier else RECOVERY
-    for copy, metadata in zip(
-        copies, ({**reader.metadata, name: recovery}, {"record": reader.metadata["record"]}), strict=False
-    ):
+    numbers, pixels = {**reader.metadata, name: recovery}, {"record": reader.metadata["record"]}
+    for copy, metadata in zip(copies, (numbers, pixels), strict=False):
         copy.add_metadata(metadata, start_ns)
-    return Recovery(
-        source=reader.path,
-        path=path,
-        messages=dict(counts),
-        start_ns=start_ns,
-        end_ns=max(file.end_ns for file in reader.files),
-        lost=tuple(reader.damages),
-        lost_bytes=lost_bytes,
-    )
+    return recovery
 
 
 def _verify(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:

@@ -35,15 +35,6 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Damage(NamedTuple):
-    """A damaged part of a record, with a description; topics and times (UTC) if it is a chunk."""
-
-    start_ns: int
-    end_ns: int
-    topics: tuple[str, ...]
-    description: str
-
-
 class ChunkPlace(NamedTuple):
     """Offset and length of a chunk in bytes, its log times (UTC), and bits of its channels (0: not known)."""
 

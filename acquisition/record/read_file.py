@@ -31,13 +31,13 @@ from acquisition.record.chunk import (
     HEAD,
     ChunkPlace,
     ChunkPlaces,
-    Damage,
     Piece,
     bits,
     chunk_at,
     content_of,
     read_at,
 )
+from acquisition.record.digest import utc_text
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
 
@@ -77,7 +77,7 @@ class ReadFile:
     attachments
         Offsets of the copies of each attached file.
     damages
-        What was found damaged so far, by its offset: chunks, attachments, and parts of the structure.
+        What was found damaged so far, in words, by its offset: chunks, attachments, parts of the structure.
 
     Raises
     ------
@@ -96,7 +96,7 @@ class ReadFile:
         self.chunks = ChunkPlaces()
         self.start_ns = self.end_ns = 0
         self.attachments: dict[str, list[int]] = {}
-        self.damages: dict[int, Damage] = {}
+        self.damages: dict[int, str] = {}
         self._data_end = self._data_crc = 0
         self._zstd = zstandard.ZstdDecompressor()
         self.file = _open_mcap(path)
@@ -127,7 +127,9 @@ class ReadFile:
             content = content_of(self._read(place.offset, place.length), place, self._zstd)
         except ValueError as error:
             topics = sorted(name for number, name in self.channels.items() if place.channels >> number & 1)
-            self.note_damage(place.offset, str(error), place.start_ns, place.end_ns, tuple(topics))
+            what = " ".join(topics) or "topics unknown"
+            span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
+            self.note_damage(place.offset, str(error), f"chunk at byte {place.offset} ({what}, {span})")
             content = b""
         return Piece(content, self.channels)
 
@@ -198,13 +200,11 @@ class ReadFile:
         """Whether every byte is as it was written, by the checksums of summary and data section."""
         return self.whole and self.indexed and not self.damages and self.data_crc_matches()
 
-    def note_damage(
-        self, offset: int, what: str, start_ns: int = 0, end_ns: int = 0, topics: tuple[str, ...] = ()
-    ) -> None:
-        """Add to `damages`, and to the log, what was not yet found damaged."""
+    def note_damage(self, offset: int, what: str, where: str = "") -> None:
+        """Add to `damages`, and to the log, what was not yet found damaged; `where`, unless it is a byte."""
         if offset not in self.damages:
-            self.damages[offset] = Damage(start_ns, end_ns, topics, what)
-            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, what)
+            self.damages[offset] = f"{where or f'byte {offset}'}: {what}"
+            _log.warning("%s: damaged, not used: %s", self.path, self.damages[offset])
 
     def _read(self, place: int, count: int) -> bytes:
         return read_at(self.file, place, count)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
-from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Damage, Message
+from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Message
 from acquisition.record.chunk import Piece as Piece
 from acquisition.record.codec import decode_preview, decode_window, preview_step
 from acquisition.record.digest import is_being_written, utc
@@ -126,8 +126,8 @@ class RecordReader:
         return (self.numbers,) if self._pixels is None else (self.numbers, self._pixels)
 
     @property
-    def damages(self) -> list[Damage]:
-        """Damaged parts that were found so far."""
+    def damages(self) -> list[str]:
+        """Damaged parts that were found so far, in words."""
         return [damage for file in self.files for damage in file.damages.values()]
 
     @property
@@ -154,7 +154,7 @@ class RecordReader:
     def doubts(self) -> list[str]:
         """Warnings, one line each, that belong to all data read so far: cut short, damaged or changed."""
         lines = [self.cut_notice] if self.truncated else []
-        return lines + [f"damaged, not used: {damage.description}" for damage in self.damages]
+        return lines + [f"damaged, not used: {damage}" for damage in self.damages]
 
     @property
     def attachments(self) -> dict[str, bytes]:
