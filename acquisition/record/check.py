@@ -121,18 +121,11 @@ def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
 
 
-_LOSS_KEYS = ("lost_bytes_at_the_end", "lost_parts")
-
-
 def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     """Report what was missing in the damaged record that this one was recovered from."""
-    missing = [
-        f"{name.replace('_', ' ')}: {recovery[name]}"
-        for name in _LOSS_KEYS
-        if recovery.get(name, "0") not in ("0", "")
-    ]
-    text = f"recovered from {recovery.get('source', '?')}; {'; '.join(missing) or 'nothing was lost'}"
-    return Finding("warning" if missing else "note", text)
+    lost = recovery["lost"]
+    text = f"recovered from {recovery['source']}; lost: {lost or 'nothing'}"
+    return Finding("warning" if lost else "note", text)
 
 
 def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
@@ -247,13 +240,15 @@ def _copy_metadata(reader: RecordReader, copies: Sequence[McapFile]) -> dict[str
     start_ns = reader.numbers.start_ns
     for name, data in reader.attachments.items():
         copies[0].add_attachment(name, "application/octet-stream", data, start_ns)
-    lost_bytes = sum(file.size - file.readable_bytes for file in reader.files if not file.whole)
+    lost = reader.damages
+    for file in reader.files:
+        if not file.whole and (rest := file.size - file.readable_bytes):
+            lost.append(f"{rest} bytes after the last complete entry of {file.path.name}")
     recovery = {
         "source": reader.path.name,
         "source_sha256": _sha256_if_readable(reader.path),
         "source_was_cut": str(reader.truncated).lower(),
-        "lost_parts": "; ".join(reader.damages),
-        "lost_bytes_at_the_end": str(lost_bytes),
+        "lost": "; ".join(lost),
     }
     earlier = sum(name.startswith(RECOVERY) for name in reader.metadata)
     name = f"{RECOVERY} {earlier + 1}" if earlier else RECOVERY

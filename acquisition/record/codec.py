@@ -8,24 +8,16 @@ Differences are stored as bit planes, which zstd compresses best.
 
 import functools
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import cv2
 import numpy as np
 import zstandard
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.Log_pb2 import Log
-from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
 from acquisition.camera import Image
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
-    CAMERA_TOPIC,
-    LOG_TOPIC,
-    PREVIEW_TOPIC,
     SENSOR_FRAME,
     WINDOW,
     IntegerGaussian,
@@ -222,17 +214,6 @@ def _table() -> NDArray[np.int64]:
 
 _PREVIEW_PX = 480
 """Longest side of a preview; larger images are reduced by a whole number."""
-_MESSAGES: Mapping[str, Any] = {
-    LOG_TOPIC: Log,
-    CAMERA_TOPIC: CameraCalibration,
-    PREVIEW_TOPIC: CompressedImage,
-}
-
-
-def foxglove_schema(topic: str) -> tuple[str, bytes]:
-    """Name of the schema of a topic with a Foxglove type, and its descriptor."""
-    message = _MESSAGES[topic]
-    return message.DESCRIPTOR.full_name, build_file_descriptor_set(message).SerializeToString()
 
 
 def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:

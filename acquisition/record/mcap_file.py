@@ -16,10 +16,11 @@ from pathlib import Path
 from mcap.data_stream import RecordBuilder
 from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC, Writer
+from mcap_protobuf.schema import register_schema
 
 from acquisition.atomic_write import sync_folder
-from acquisition.record.codec import foxglove_schema
 from acquisition.record.digest import lock_for_writing
+from acquisition.record.schemas import MessageType
 from acquisition.record.topics import LIBRARY, METADATA_COPY, Topics
 from processing.errors import RecordError
 
@@ -238,8 +239,11 @@ class McapFile:
         )
         self.channels: dict[str, int] = {}
         for topic, kind in topics.items():
-            schema, descriptor = foxglove_schema(topic) if kind is None else (kind.full_name, kind.descriptor)
-            number = self._writer.register_schema(schema, "protobuf", descriptor)
+            number = (
+                self._writer.register_schema(kind.full_name, "protobuf", kind.descriptor)
+                if isinstance(kind, MessageType)
+                else register_schema(self._writer, kind)
+            )
             self.channels[topic] = self._writer.register_channel(topic, "protobuf", number)
         try:
             self._writer.start("", LIBRARY)

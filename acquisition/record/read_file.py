@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
-import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, Channel, Header, McapRecord, Statistics
@@ -30,9 +29,7 @@ from acquisition.record.chunk import (
     CHUNK_HEAD,
     HEAD,
     ChunkPlace,
-    ChunkPlaces,
     Piece,
-    bits,
     chunk_at,
     content_of,
     read_at,
@@ -93,12 +90,11 @@ class ReadFile:
         self.channels: dict[int, str] = {}
         self.counts: Counter[int] = Counter()
         self._last_chunk_counts: Counter[int] = Counter()
-        self.chunks = ChunkPlaces()
+        self.chunks: list[ChunkPlace] = []
         self.start_ns = self.end_ns = 0
         self.attachments: dict[str, list[int]] = {}
         self.damages: dict[int, str] = {}
         self._data_end = self._data_crc = 0
-        self._zstd = zstandard.ZstdDecompressor()
         self.file = _open_mcap(path)
         try:
             self.update()
@@ -124,7 +120,7 @@ class ReadFile:
     def piece(self, place: ChunkPlace) -> Piece:
         """The messages of a chunk; none of a damaged one, which is listed."""
         try:
-            content = content_of(self._read(place.offset, place.length), place, self._zstd)
+            content = content_of(self._read(place.offset, place.length), place)
         except ValueError as error:
             topics = sorted(name for number, name in self.channels.items() if place.channels >> number & 1)
             what = " ".join(topics) or "topics unknown"
@@ -136,15 +132,15 @@ class ReadFile:
     def message_counts(self) -> dict[str, int]:
         """Numbers of messages by topic, damaged ones included, also of a last chunk whose index is cut."""
         counts = Counter(self.counts)
-        if not self.indexed and not self._data_end and len(self.chunks):
-            last = self.piece(self.chunks[len(self.chunks) - 1])
+        if self.chunks and not self.indexed and not self._data_end:
+            last = self.piece(self.chunks[-1])
             for number, topic in self.channels.items():
                 counts[number] += max(0, last.count(topic) - self._last_chunk_counts[number])
         return {topic: counts[number] for number, topic in self.channels.items() if counts[number]}
 
     def pieces(self, topic: str, from_ns: int = 0) -> Iterator[Piece]:
         """The chunks that may have messages of a topic; those that end before `from_ns` are not read."""
-        wanted = bits(number for number, name in self.channels.items() if name == topic)
+        wanted = sum(1 << number for number, name in self.channels.items() if name == topic)
         for place in self.chunks if wanted else ():
             if place.end_ns >= from_ns and (place.channels & wanted or not place.channels):
                 yield self.piece(place)
@@ -253,7 +249,7 @@ class ReadFile:
                 # not by the library, which takes ten times as long for the chunks of a day
                 _, _, start_ns, end_ns, offset, size, index_bytes = _CHUNK_INDEX.unpack_from(summary, at)
                 index = summary[at + _CHUNK_INDEX.size : at + _CHUNK_INDEX.size + index_bytes]
-                channels = bits(channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(index))
+                channels = sum(1 << channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(index))
                 self._add_chunk(ChunkPlace(offset, size, start_ns, end_ns, channels))
             else:
                 match _parsed(summary[at : at + HEAD.size + length]):

@@ -78,7 +78,11 @@ class RecordReader:
             self.deflection_unit = DeflectionUnit(self._identity["deflection_unit"])
             self.epoch_offset_ns = int(self._identity["epoch_offset_ns"])
             topics = number_topics(self.deflection_unit)
-            self._kinds = {kind.topic: kind for kind in (topics | PIXEL_TOPICS).values() if kind is not None}
+            self._kinds = {
+                kind.topic: kind
+                for kind in (*topics.values(), WINDOW, IMAGE)
+                if isinstance(kind, MessageType)
+            }
             self.numbers.channels = dict(enumerate(topics, start=1))
             self._open_pixels()
         except OSError as error:

@@ -2,7 +2,12 @@
 
 import math
 from enum import IntEnum
-from typing import Final, NamedTuple, Protocol, Self, TypeAlias
+from typing import Any, Final, NamedTuple, Protocol, Self, TypeAlias
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import Message
 
 from acquisition.camera import Image
 from acquisition.record.events import Event, EventKind
@@ -324,7 +329,7 @@ class TimedMessage(Protocol):
         """Time of the value in ns on the frames' clock."""
 
 
-_VALUE_CLASSES: Final[dict[str, type[TimedMessage] | None]] = {
+_CLASSES: Final[dict[str, type[Any]]] = {
     "/environment": Environment,
     "/reference": RecordedReference,
     "/seismometer": RecordedSeismometer,
@@ -333,34 +338,33 @@ _VALUE_CLASSES: Final[dict[str, type[TimedMessage] | None]] = {
     "/clock": ClockAnchor,
     "/camera_clock_step": RecordedClockStep,
     "/camera_temperature": CameraTemperature,
-    LOG_TOPIC: None,
-    CAMERA_TOPIC: None,
+    LOG_TOPIC: Log,
+    CAMERA_TOPIC: CameraCalibration,
     "/phase": RecordedPhase,
     "/light": RecordedLight,
     "/health": RecordedHealth,
     "/estimate": RecordedEstimate,
     "/fitted": RecordedFittedPoint,
 }
-"""Classes of the values that have a topic of their own, in the order of the channels; None as in `Topics`."""
+"""Classes of the values that have a topic of their own, or Foxglove's, in the order of the channels."""
 KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
     value_class: message_type_of(value_class, topic)
-    for topic, value_class in _VALUE_CLASSES.items()
-    if value_class is not None
+    for topic, value_class in _CLASSES.items()
+    if not issubclass(value_class, Message)
 }
 """Types of the messages that hold one value each, by the class of the value."""
 ENVIRONMENT, REFERENCE, SEISMOMETER, CLOCK = (
     KIND_OF[one] for one in (Environment, RecordedReference, RecordedSeismometer, ClockAnchor)
 )
-Topics: TypeAlias = dict[str, MessageType | None]
-"""Message types of a file by topic, in the order of the channels 1, 2, ...; None: a type of Foxglove's."""
+Topics: TypeAlias = dict[str, MessageType | type[Message]]
+"""Message types of a file by topic, ours or Foxglove's classes, in the order of the channels 1, 2, ..."""
 
 
 def number_topics(unit: DeflectionUnit) -> Topics:
     """Topics in the file of numbers."""
     topics: Topics = {kind.topic: kind for kind in (*TYPES_BY_UNIT[unit], EVENT)}
-    kinds = {topic: None if value is None else KIND_OF[value] for topic, value in _VALUE_CLASSES.items()}
-    return topics | kinds
+    return topics | {topic: KIND_OF.get(value, value) for topic, value in _CLASSES.items()}
 
 
-PIXEL_TOPICS: Final[Topics] = {WINDOW.topic: WINDOW, IMAGE.topic: IMAGE, PREVIEW_TOPIC: None}
+PIXEL_TOPICS: Final[Topics] = {WINDOW.topic: WINDOW, IMAGE.topic: IMAGE, PREVIEW_TOPIC: CompressedImage}
 """Topics in the file of pixels."""

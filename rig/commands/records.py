@@ -178,9 +178,7 @@ def recover(
     answer(path=target, sound=False, messages=messages, recovery=recovery)
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in messages.items())
     print_line(f"{target}: {counts or 'no messages'}, up to {utc_text(end_ns)}")
-    print_line(f"lost: {recovery['lost_bytes_at_the_end']} bytes after the last complete record")
-    if recovery["lost_parts"]:
-        print_line(f"lost: {recovery['lost_parts']}")
+    print_line(f"lost: {recovery['lost'] or 'nothing'}")
 
 
 def _size(count: int) -> str:
