@@ -349,9 +349,9 @@ def test_the_hash_is_compared_with_the_results(tmp_path: Path, whole: bytes) -> 
     path, results = tmp_path / "run-1.mcap", tmp_path / "results.json"
     path.write_bytes(whole)
     results.write_text(json.dumps({"runs": [{"record": "run-1.mcap", "sha256": sha256_of(path)}]}))
-    assert check_record(path, results) == [Finding("note", "SHA-256 is the one in results.json")]
+    assert check_record(path, results) == [Finding("note", "SHA-256 is the one in results.json: run-1.mcap")]
     results.write_text(json.dumps({"runs": [{"record": "run-1.mcap", "sha256": "0" * 64}]}))
-    assert "not the one that was fitted" in errors(check_record(path, results))[0]
+    assert errors(check_record(path, results)) == ["run-1.mcap has another SHA-256 than results.json states"]
     results.write_text(json.dumps({"runs": []}))
     assert "does not contain run-1.mcap" in check_record(path, results)[0].text
 

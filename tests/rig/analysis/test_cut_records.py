@@ -120,7 +120,7 @@ def test_the_chain_from_record_to_report(record: Path, tmp_path: Path) -> None:
     assert run.sha256 in shown
     assert run.inputs_sha256["configuration.json"] in shown
     sound = rig("record", "check", path).stdout
-    assert "SHA-256 is the one in results.json, also of configuration.json" in sound
+    assert "SHA-256 is the one in results.json: run-1.mcap, configuration.json" in sound
     assert "report.html was made from results.json" in sound
     results = tmp_path / "results.json"
     tree = json.loads(results.read_text())
@@ -128,5 +128,5 @@ def test_the_chain_from_record_to_report(record: Path, tmp_path: Path) -> None:
     results.write_text(json.dumps(tree))
     wrong = rig("record", "check", path)
     assert wrong.returncode == 1
-    assert "states another SHA-256 of configuration.json than the record's" in wrong.stdout
+    assert "configuration.json has another SHA-256 than results.json states" in wrong.stdout
     assert "report.html was made from other results than results.json" in wrong.stdout
