@@ -2,7 +2,7 @@
 
 import math
 from enum import IntEnum
-from typing import Any, Final, NamedTuple, Protocol, Self, TypeAlias
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -57,12 +57,6 @@ class RecordedReference(NamedTuple):
     amplitude_dn: float
     chi2_per_dof: float
     flags: int
-
-    @classmethod
-    def from_spot(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
-        """Record of a fitted reference spot."""
-        position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
-        return cls(sequence, time_ns, *position, spot.amplitude_dn, spot.chi2_per_dof, spot.flags)
 
 
 class RecordedSeismometer(NamedTuple):

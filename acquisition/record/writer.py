@@ -167,7 +167,9 @@ class RecordWriter:
                 message = self._spot.encode(*numbers, *spot, *tilt)
                 self._numbers.add(self._spot.topic, numbers[0], self._log_time_ns(numbers[1]), message)
         for sequence, time_ns, spot in zip(sequences, times_ns, references, strict=bool(references)):
-            self.write(RecordedReference.from_spot(sequence, time_ns, spot))
+            position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
+            quality = spot.amplitude_dn, spot.chi2_per_dof, spot.flags
+            self.write(RecordedReference(sequence, time_ns, *position, *quality))
         self.flush_if_due()
 
     def write_window(
@@ -371,8 +373,3 @@ class RecordWriter:
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
             "rig record recover makes a complete file of it"
         )
-
-
-def compile_window(image: Image, spot: Spot) -> None:
-    """Compile what `RecordWriter.write_window` needs for images of this pixel type."""
-    encode_window(0, 0, image, 0, 0, spot)
