@@ -15,7 +15,8 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from acquisition.camera import Frame, Image
 from acquisition.record import pixels_beside
-from acquisition.record.codec import encode_preview, encode_window
+from acquisition.record.codec import encode_preview
+from acquisition.record.codec import encode_window as encode_window
 from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.topics import (
