@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import cached_property
+from operator import index
 from typing import Any, Literal, TypeAlias, get_type_hints
 
 import numpy as np
@@ -176,7 +177,12 @@ class MessageType:
 
     def encode(self, *values: Any) -> bytes:
         """Encode a message from the values of its fields in order."""
-        encoded: bytes = self._message(**dict(zip(self.names, values, strict=True))).SerializeToString()
+        # protobuf takes no truth value for a whole number
+        stated = {
+            name: index(value) if kind == "int" else value
+            for (name, kind), value in zip(self.fields, values, strict=True)
+        }
+        encoded: bytes = self._message(**stated).SerializeToString()
         return encoded
 
     def decode(self, data: bytes) -> tuple[Any, ...]:

@@ -26,6 +26,7 @@ from acquisition.record.topics import (
     SWING,
     SWING_UNCALIBRATED,
     WINDOW,
+    ClockAnchor,
     Environment,
 )
 from acquisition.record.writer import RecordWriter
@@ -188,6 +189,15 @@ def test_a_cameras_missing_clock_and_negative_times_are_kept(tmp_path: Path) -> 
     with RecordReader(path) as reader:
         row = reader.spots()[0]
         assert (row["device_time_ns"], row["host_time_ns"], row["time_ns"]) == (-1, -5, -5)
+
+
+def test_truth_values_and_numpys_numbers_are_whole_numbers(tmp_path: Path) -> None:
+    wrote = [ClockAnchor(1, 2, 3, 1e-3, synchronised) for synchronised in (True, False)]
+    with RecordWriter(tmp_path / "run.mcap", EPOCH_OFFSET_NS) as writer:
+        for one in (*wrote, ClockAnchor(*np.arange(3), np.float64(0.5), np.int64(1))):  # type: ignore[arg-type]
+            writer.write(one)
+    with RecordReader(tmp_path / "run.mcap") as reader:
+        assert reader.values(ClockAnchor) == [*wrote, ClockAnchor(0, 1, 2, 0.5, True)]
 
 
 def test_only_flat_values_have_a_place() -> None:
