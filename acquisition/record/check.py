@@ -5,9 +5,11 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.atomic_write import being_written
 from acquisition.record import pixels_beside
@@ -36,40 +38,6 @@ class Finding(NamedTuple):
     text: str
 
 
-@dataclass
-class _FrameTally:
-    """Numbers and times of the frames of one topic, in constant memory.
-
-    `not_rising` is how often a number was not larger than the one before, `backwards` how often a time was
-    smaller, `gaps` how often a number was larger by more than one, `missing` how many frames are missing.
-    `first_gaps` are the first and last missing number of each of the first ten gaps.
-    """
-
-    count: int = 0
-    not_rising: int = 0
-    backwards: int = 0
-    first_backwards_ns: int = 0
-    gaps: int = 0
-    missing: int = 0
-    first_gaps: list[str] = field(default_factory=list)
-    _last: tuple[int, int] | None = None
-
-    def add(self, number: int, time_ns: int) -> None:
-        """Add the next frame."""
-        last, last_ns = self._last or (number - 1, time_ns)
-        self._last = number, time_ns
-        self.count += 1
-        self.not_rising += number <= last
-        if time_ns < last_ns:
-            self.backwards += 1
-            self.first_backwards_ns = self.first_backwards_ns or time_ns
-        if number > last + 1:
-            self.gaps += 1
-            self.missing += number - last - 1
-            if len(self.first_gaps) < _MAX_SHOWN_GAPS:
-                self.first_gaps.append(f"{last + 1}-{number - 1}")
-
-
 def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     """Verify a whole record; an intact one gives an empty list or notes only.
 
@@ -83,19 +51,18 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         The file is not a record of this program, or `results` cannot be read.
     """
     with RecordReader(path) as reader:
-        frames = {SPOT.topic: _FrameTally(), WINDOW.topic: _FrameTally()}
-        findings = [finding for file in reader.files for finding in _check_file(file, frames)]
+        findings = [finding for file in reader.files for finding in _check_file(file)]
         findings += [
             _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
         ]
-        findings += _check_frames(frames)
+        findings += _check_frames(reader)
         if results is not None:
             findings += _check_hashes(reader, results)
     return findings
 
 
-def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    """Findings on structure, chunks and attachments of one file; its frames are added to `frames`."""
+def _check_file(file: ReadFile) -> list[Finding]:
+    """Findings on structure, chunks and attachments of one file."""
     name = file.path.name
     findings: list[Finding] = []
     if not file.whole:
@@ -105,10 +72,7 @@ def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Findi
             where = f" before anything was measured, after {file.readable_bytes} bytes"
         findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
     for place in file.chunks:
-        piece = file.piece(place)
-        for topic, tally in frames.items():
-            for message in piece.messages(topic):
-                tally.add(message.sequence, message.log_time_ns)
+        file.piece(place)
     for attached in file.attachments:
         list(file.copies(attached))
     findings += _errors(*(f"{name}: {damage}" for damage in file.damages.values()))
@@ -128,24 +92,34 @@ def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     return Finding("warning" if lost else "note", text)
 
 
-def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    findings = _errors(
-        *(
-            f"{topic}: the time decreases {tally.backwards} times, first at "
-            f"{utc_text(tally.first_backwards_ns)}"
-            for topic, tally in frames.items()
-            if tally.backwards
-        )
-    )
-    spots, windows = frames[SPOT.topic], frames[WINDOW.topic]
-    if spots.not_rising:
-        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
-    if spots.gaps:
-        more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > _MAX_SHOWN_GAPS else ""
-        shown = f"{', '.join(spots.first_gaps)}{more}"
-        findings.append(Finding("warning", f"{SPOT.topic}: {spots.missing} frames are missing: {shown}"))
-    if 0 < windows.count < spots.count:
-        text = f"{WINDOW.topic}: {spots.count - windows.count} frames have a spot message and no window"
+def _check_frames(reader: RecordReader) -> list[Finding]:
+    """Findings on numbers and times of the frames, some thousand at a time."""
+    gaps: list[str] = []
+    backwards = first_backwards_ns = not_rising = missing = 0
+    last: NDArray[Any] | None = None
+    for block in reader.spot_blocks(fields=("sequence",)):
+        rows = block if last is None else np.concatenate((last, block))
+        last, numbers, times_ns = rows[-1:], rows["sequence"], rows["time_ns"]
+        steps, earlier = np.diff(numbers), np.flatnonzero(np.diff(times_ns) < 0)
+        if len(earlier) and not backwards:
+            first_backwards_ns = int(times_ns[earlier[0] + 1]) + reader.epoch_offset_ns
+        backwards += len(earlier)
+        not_rising += int(np.count_nonzero(steps <= 0))
+        missing += int((steps[steps > 1] - 1).sum())
+        gaps += [f"{numbers[at] + 1}-{numbers[at + 1] - 1}" for at in np.flatnonzero(steps > 1)]
+    findings: list[Finding] = []
+    if backwards:
+        when = utc_text(first_backwards_ns)
+        findings += _errors(f"{SPOT.topic}: the time decreases {backwards} times, first at {when}")
+    if not_rising:
+        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {not_rising} places")
+    if gaps:
+        more = f" and {len(gaps) - _MAX_SHOWN_GAPS} more gaps" if len(gaps) > _MAX_SHOWN_GAPS else ""
+        shown = f"{', '.join(gaps[:_MAX_SHOWN_GAPS])}{more}"
+        findings.append(Finding("warning", f"{SPOT.topic}: {missing} frames are missing: {shown}"))
+    spots, windows = (reader.counts.get(topic, 0) for topic in (SPOT.topic, WINDOW.topic))
+    if 0 < windows < spots:
+        text = f"{WINDOW.topic}: {spots - windows} frames have a spot message and no window"
         findings.append(Finding("note", text))
     return findings
 
