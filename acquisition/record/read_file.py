@@ -281,44 +281,30 @@ class ReadFile:
                 continue
             # the changed bytes may be the length of the record before, so the search begins inside it
             found = self._next_intact_record(before + 1)
-            if found is None:
-                break
-            begin = self._begin_of_file(before, found)
-            if begin is not None:
-                self._note_another_file(begin)
-                self.whole = False
+            if found is None or self._note_another_file(before, found):
                 break
             self.note_damage(place, f"between bytes {before} and {found}: there is no record")
             place = before = found
         self.readable_bytes = place
         if self._data_end:
-            self._read_what_follows(place)
+            self._note_another_file(place, self.size)
 
-    def _read_what_follows(self, place: int) -> None:
-        """Look for another file behind the data section, also behind a summary that is cut."""
-        at = self._begin_of_file(place, self.size)
-        if at is None:
-            return
-        footer = self._read(at - _FOOTER.size, _FOOTER.size)
-        ends = HEAD.unpack_from(footer) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
-        if (begin := at + len(MAGIC) if ends else at) < self.size:
-            self._note_another_file(begin)
-            self.whole = ends
-
-    def _begin_of_file(self, begin: int, end: int) -> int | None:
-        """Position of the bytes with which MCAP files begin and end."""
+    def _note_another_file(self, begin: int, end: int) -> bool:
+        """Note a file that was appended to this one, whole or cut, and begins between two places."""
         for place in range(begin, end, _BLOCK_BYTES):
             at = self._read(place, min(_BLOCK_BYTES + len(MAGIC) - 1, end - place)).find(MAGIC)
-            if at >= 0:
-                return place + at
-        return None
-
-    def _note_another_file(self, begin: int) -> None:
-        self.note_damage(
-            begin,
-            f"{self.size - begin} bytes from byte {begin} on are of another file and not read: "
-            "was it appended? Cut it off into a file of its own",
-        )
+            if at < 0:
+                continue
+            # files begin and end with the same bytes; at the end a footer precedes them
+            footer = self._read(max(place + at - _FOOTER.size, 0), HEAD.size)
+            ends = HEAD.unpack(footer.ljust(HEAD.size, b"\0")) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
+            other = place + at + (len(MAGIC) if ends else 0)
+            if other < self.size:
+                self.whole = ends
+                what = f"{self.size - other} bytes from byte {other} on are of another file and not read: "
+                self.note_damage(other, f"{what}was it appended? Cut it off into a file of its own")
+            return other < self.size
+        return False
 
     def _list_record(self, place: int) -> int | None:
         """List the record at `place` in the data section; returns its end, None where it is no record."""
