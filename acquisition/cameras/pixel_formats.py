@@ -209,12 +209,12 @@ def preferred_name(
     """
     found = names_by_depth(offered, plane, known)
     if not found:
-        what = "Bayer format" if plane else "grey pixel format"
-        mosaic = not plane and names_by_depth(offered, "red", known)
-        raise DeviceError(
-            f"{camera}: has no {what}, only {', '.join(sorted(offered))}"
-            + ("; set camera.colour_plane to the laser's colour" if mosaic else "")
-        )
+        what, remedy = "grey pixel format", ""
+        if plane:
+            what, remedy = "Bayer format", "; leave camera.colour_plane out"
+        elif names_by_depth(offered, "red", known):
+            remedy = "; set camera.colour_plane to the laser's colour"
+        raise DeviceError(f"{camera}: has no {what}, only {', '.join(sorted(offered))}{remedy}")
     depth = wanted or next(iter(found))
     if depth not in found:
         raise DeviceError(f"{camera}: pixel format {depth} is not supported; there are {', '.join(found)}")

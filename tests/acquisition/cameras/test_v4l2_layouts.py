@@ -94,6 +94,8 @@ def test_a_mosaic_is_taken_where_a_colour_is_asked_for() -> None:
     assert chosen(["pRAA", "RG10"], "mono10", "red") == "RG10"
     with pytest.raises(DeviceError, match=r"no grey pixel format, only pRAA; set camera\.colour_plane"):
         chosen(["pRAA"], None)
+    with pytest.raises(DeviceError, match=r"no Bayer format, only GREY; leave camera\.colour_plane out"):
+        chosen(["GREY"], None, "red")
 
 
 def test_whole_words_are_preferred_to_packed_pixels() -> None:
