@@ -11,7 +11,7 @@ from acquisition.cameras.pixel_formats import (
     in_plane_px,
     in_sensor_px,
     names_by_depth,
-    preferred_names,
+    preferred_name,
 )
 from acquisition.cameras.reading import DeviceCamera
 from processing.errors import DeviceError
@@ -115,13 +115,7 @@ class GenicamFeatures(FeatureAccess):
         offered, present = self.offered_formats(), self.present_format()
         if present is not None and wanted in (None, present.pixel_format) and present.name in offered:
             return
-        preferred = preferred_names(self.name, offered, self.plane)
-        wanted = wanted or next(iter(preferred))
-        if wanted not in preferred:
-            raise DeviceError(
-                f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(preferred)}"
-            )
-        self.put("PixelFormat", preferred[wanted])
+        self.put("PixelFormat", preferred_name(self.name, offered, wanted, self.plane))
 
     # ---- wiring
 

@@ -9,9 +9,9 @@ a grey sensor of twice the pitch. Planes are not combined, because pixels of oth
 hold little light and all of their noise, and interpolated pixels are correlated.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,36 +160,65 @@ BAYER_FORMATS: Final = tuple(
     for suffix, depth, bits, full_scale_dn, codes in _DEPTHS
     for first, code in codes.items()
 )
-_BAYER_BY_NAME: Final = {item.name: item for item in BAYER_FORMATS}
+
+
+class KnownFormat(Protocol):
+    """A pixel format that a driver can read, under the name that its cameras have for it."""
+
+    @property
+    def pixel_format(self) -> PixelFormat:
+        """Its depth."""
+
+    @property
+    def colours(self) -> str:
+        """Colours of the first two pixels of a Bayer mosaic; empty for grey pixels."""
+
+
+KnownFormats = Mapping[str, KnownFormat]
+"""Formats by their names, in order of preference."""
+_GENICAM: Final = {item.name: item for item in (*FORMATS, *BAYER_FORMATS)}
 
 
 def format_of(name: str, plane: ColourPlane | None) -> Format | None:
     """The supported pixel format of this name: of grey pixels, or, with a `plane`, of a mosaic; else None."""
-    return (_BAYER_BY_NAME if plane else BY_NAME).get(name)
+    found = _GENICAM.get(name)
+    return found if found is not None and bool(found.colours) == bool(plane) else None
 
 
-def names_by_depth(offered: Collection[str], plane: ColourPlane | None) -> dict[PixelFormat, list[str]]:
+def names_by_depth(
+    offered: Collection[str], plane: ColourPlane | None, known: KnownFormats = _GENICAM
+) -> dict[PixelFormat, list[str]]:
     """Names of the offered formats that can be read, by their depth, the preferred ones first."""
     found: dict[PixelFormat, list[str]] = {}
-    for item in BAYER_FORMATS if plane else FORMATS:
-        if item.name in offered:
-            found.setdefault(item.pixel_format, []).append(item.name)
+    for name, item in known.items():
+        if name in offered and bool(item.colours) == bool(plane):
+            found.setdefault(item.pixel_format, []).append(name)
     return found
 
 
-def preferred_names(
-    camera: str, offered: Collection[str], plane: ColourPlane | None
-) -> dict[PixelFormat, str]:
-    """Name of the preferred offered format of each depth; DeviceError, which names the `camera`, if none."""
-    found = {depth: names[0] for depth, names in names_by_depth(offered, plane).items()}
+def preferred_name(
+    camera: str,
+    offered: Collection[str],
+    wanted: PixelFormat | None,
+    plane: ColourPlane | None,
+    known: KnownFormats = _GENICAM,
+) -> str:
+    """Name of the preferred offered format of the depth `wanted` (None: of any).
+
+    Raises DeviceError, which names the `camera` and what there is, where it offers none.
+    """
+    found = names_by_depth(offered, plane, known)
     if not found:
-        what = "Bayer format" if plane else "grey pixel format"
-        mosaic = not plane and names_by_depth(offered, "red")
-        raise DeviceError(
-            f"{camera}: has no {what}, only {', '.join(sorted(offered))}"
-            + ("; set camera.colour_plane to the laser's colour" if mosaic else "")
-        )
-    return found
+        what, remedy = "grey pixel format", ""
+        if plane:
+            what, remedy = "Bayer format", "; leave camera.colour_plane out"
+        elif names_by_depth(offered, "red", known):
+            remedy = "; set camera.colour_plane to the laser's colour"
+        raise DeviceError(f"{camera}: has no {what}, only {', '.join(sorted(offered))}{remedy}")
+    depth = wanted or next(iter(found))
+    if depth not in found:
+        raise DeviceError(f"{camera}: pixel format {depth} is not supported; there are {', '.join(found)}")
+    return found[depth][0]
 
 
 def plane_of(image: Image, colours: str, plane: ColourPlane | None) -> Image:

@@ -128,10 +128,16 @@ def check_end(name: str, key: str, start_px: int, length_px: int, sensor_px: int
 _Found = TypeVar("_Found")
 
 
-def only_camera(kind: str, cameras: Sequence[tuple[str, str, _Found]], serial: str | None) -> _Found:
+def only_camera(
+    kind: str,
+    cameras: Sequence[tuple[str, str, _Found]],
+    serial: str | None,
+    setting: str = "camera.serial",
+) -> _Found:
     """Of `cameras`, (name, serial number, camera) each, that of this number; None: the only one connected.
 
-    Raises DeviceError, with a list of the cameras, if there is none or the choice is ambiguous.
+    Raises DeviceError, with a list of the cameras, if there is none, or if the choice is ambiguous without
+    `setting`.
     """
     chosen = [camera for _, number, camera in cameras if serial in (None, number)]
     listed = "; ".join(name for name, _, _ in cameras)
@@ -140,7 +146,7 @@ def only_camera(kind: str, cameras: Sequence[tuple[str, str, _Found]], serial: s
     if not chosen:
         raise DeviceError(f"{kind}: no camera has the serial number {serial!r}; there are: {listed}")
     if len(chosen) > 1:
-        which = "set camera.serial to one of them" if serial is None else "unplug all but one"
+        which = f"set {setting} to one of them" if serial is None else "unplug all but one"
         raise DeviceError(f"{kind}: several cameras: {listed}; {which}")
     return chosen[0]
 

@@ -210,7 +210,7 @@ class _SimulatedFrames:
         self._ahead = 1 if settings.real_time else max(1, _AHEAD_BYTES // scene.image_bytes)
         self._drawn: dict[int, Image] = {}
         # the first image compiles kernels, so it is drawn before the run's clock starts and a reader waits
-        self._draw(0, 0)
+        self._draw(0)
         self._stopped = threading.Event()
         self._next = 0
         self._numbered_from = 0
@@ -328,19 +328,15 @@ class _SimulatedFrames:
             self._drawn.clear()
         return frame - self._plan.first
 
-    def _draw(self, frame: int, row: int) -> None:
+    def _draw(self, row: int) -> None:
         """Draw the image of a row of the plan; in simulated time also the following ones."""
-        plan = self._plan
-        rows = slice(row, row + self._ahead)
-        images = self._scene.draw_frames(
-            frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows], plan.slope[rows], plan.beam_px[rows]
-        )
+        images = self._scene.draw(self._plan, slice(row, row + self._ahead))
         self._drawn = dict(enumerate(images, start=row))
 
     def _deliver(self, frame: int, row: int) -> Frame:
         plan = self._plan
         if row not in self._drawn:
-            self._draw(frame, row)
+            self._draw(row)
         image = self._drawn.pop(row)
         host_ns = time.monotonic_ns()
         if self._settings.real_time:

@@ -5,13 +5,14 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.atomic_write import being_written
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import Damage
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ReadFile
@@ -37,40 +38,6 @@ class Finding(NamedTuple):
     text: str
 
 
-@dataclass
-class _FrameTally:
-    """Numbers and times of the frames of one topic, in constant memory.
-
-    `not_rising` is how often a number was not larger than the one before, `backwards` how often a time was
-    smaller, `gaps` how often a number was larger by more than one, `missing` how many frames are missing.
-    `first_gaps` are the first and last missing number of each of the first ten gaps.
-    """
-
-    count: int = 0
-    not_rising: int = 0
-    backwards: int = 0
-    first_backwards_ns: int = 0
-    gaps: int = 0
-    missing: int = 0
-    first_gaps: list[str] = field(default_factory=list)
-    _last: tuple[int, int] | None = None
-
-    def add(self, number: int, time_ns: int) -> None:
-        """Add the next frame."""
-        last, last_ns = self._last or (number - 1, time_ns)
-        self._last = number, time_ns
-        self.count += 1
-        self.not_rising += number <= last
-        if time_ns < last_ns:
-            self.backwards += 1
-            self.first_backwards_ns = self.first_backwards_ns or time_ns
-        if number > last + 1:
-            self.gaps += 1
-            self.missing += number - last - 1
-            if len(self.first_gaps) < _MAX_SHOWN_GAPS:
-                self.first_gaps.append(f"{last + 1}-{number - 1}")
-
-
 def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     """Verify a whole record; an intact one gives an empty list or notes only.
 
@@ -84,19 +51,18 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         The file is not a record of this program, or `results` cannot be read.
     """
     with RecordReader(path) as reader:
-        frames = {SPOT.topic: _FrameTally(), WINDOW.topic: _FrameTally()}
-        findings = [finding for file in reader.files for finding in _check_file(file, frames)]
+        findings = [finding for file in reader.files for finding in _check_file(file)]
         findings += [
             _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
         ]
-        findings += _check_frames(frames)
+        findings += _check_frames(reader)
         if results is not None:
             findings += _check_hashes(reader, results)
     return findings
 
 
-def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    """Findings on structure, chunks and attachments of one file; its frames are added to `frames`."""
+def _check_file(file: ReadFile) -> list[Finding]:
+    """Findings on structure, chunks and attachments of one file."""
     name = file.path.name
     findings: list[Finding] = []
     if not file.whole:
@@ -106,17 +72,10 @@ def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Findi
             where = f" before anything was measured, after {file.readable_bytes} bytes"
         findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
     for place in file.chunks:
-        piece = file.piece(place)
-        for topic, tally in frames.items():
-            for message in piece.messages(topic):
-                tally.add(message.sequence, message.log_time_ns)
+        file.piece(place)
     for attached in file.attachments:
         list(file.copies(attached))
-    for offset, damage in file.damages.items():
-        span = f"{utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}"
-        chunk = f"chunk at byte {offset} ({' '.join(damage.topics) or 'topics unknown'}, {span}): "
-        where = chunk if damage.start_ns else f"byte {offset}: "
-        findings += _errors(f"{name}: {where}{damage.description}")
+    findings += _errors(*(f"{name}: {damage}" for damage in file.damages.values()))
     if not findings and not file.data_crc_matches():
         findings += _errors(f"{name}: bytes have changed outside chunks: in metadata or an index")
     return findings
@@ -126,38 +85,41 @@ def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
 
 
-_LOSS_KEYS = ("lost_chunks", "lost_bytes_at_the_end", "lost_parts")
-
-
 def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     """Report what was missing in the damaged record that this one was recovered from."""
-    missing = [
-        f"{name.replace('_', ' ')}: {recovery[name]}"
-        for name in _LOSS_KEYS
-        if recovery.get(name, "0") not in ("0", "")
-    ]
-    text = f"recovered from {recovery.get('source', '?')}; {'; '.join(missing) or 'nothing was lost'}"
-    return Finding("warning" if missing else "note", text)
+    lost = recovery["lost"]
+    text = f"recovered from {recovery['source']}; lost: {lost or 'nothing'}"
+    return Finding("warning" if lost else "note", text)
 
 
-def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    findings = _errors(
-        *(
-            f"{topic}: the time decreases {tally.backwards} times, first at "
-            f"{utc_text(tally.first_backwards_ns)}"
-            for topic, tally in frames.items()
-            if tally.backwards
-        )
-    )
-    spots, windows = frames[SPOT.topic], frames[WINDOW.topic]
-    if spots.not_rising:
-        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
-    if spots.gaps:
-        more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > _MAX_SHOWN_GAPS else ""
-        shown = f"{', '.join(spots.first_gaps)}{more}"
-        findings.append(Finding("warning", f"{SPOT.topic}: {spots.missing} frames are missing: {shown}"))
-    if 0 < windows.count < spots.count:
-        text = f"{WINDOW.topic}: {spots.count - windows.count} frames have a spot message and no window"
+def _check_frames(reader: RecordReader) -> list[Finding]:
+    """Findings on numbers and times of the frames, some thousand at a time."""
+    gaps: list[str] = []
+    backwards = first_backwards_ns = not_rising = missing = 0
+    last: NDArray[Any] | None = None
+    for block in reader.spot_blocks(fields=("sequence",)):
+        rows = block if last is None else np.concatenate((last, block))
+        last, numbers, times_ns = rows[-1:], rows["sequence"], rows["time_ns"]
+        steps, earlier = np.diff(numbers), np.flatnonzero(np.diff(times_ns) < 0)
+        if len(earlier) and not backwards:
+            first_backwards_ns = int(times_ns[earlier[0] + 1]) + reader.epoch_offset_ns
+        backwards += len(earlier)
+        not_rising += int(np.count_nonzero(steps <= 0))
+        missing += int((steps[steps > 1] - 1).sum())
+        gaps += [f"{numbers[at] + 1}-{numbers[at + 1] - 1}" for at in np.flatnonzero(steps > 1)]
+    findings: list[Finding] = []
+    if backwards:
+        when = utc_text(first_backwards_ns)
+        findings += _errors(f"{SPOT.topic}: the time decreases {backwards} times, first at {when}")
+    if not_rising:
+        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {not_rising} places")
+    if gaps:
+        more = f" and {len(gaps) - _MAX_SHOWN_GAPS} more gaps" if len(gaps) > _MAX_SHOWN_GAPS else ""
+        shown = f"{', '.join(gaps[:_MAX_SHOWN_GAPS])}{more}"
+        findings.append(Finding("warning", f"{SPOT.topic}: {missing} frames are missing: {shown}"))
+    spots, windows = (reader.counts.get(topic, 0) for topic in (SPOT.topic, WINDOW.topic))
+    if 0 < windows < spots:
+        text = f"{WINDOW.topic}: {spots - windows} frames have a spot message and no window"
         findings.append(Finding("note", text))
     return findings
 
@@ -165,57 +127,33 @@ def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
 def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
     """Compare what a results.json states of the record, its configuration and its calibrations."""
     try:
-        tree = json.loads(results.read_text(encoding="utf-8"))
-        stated = {Path(run["record"]).name: run for run in tree["runs"]}
-        run = stated.get(reader.path.name)
-        sha256, inputs = ("", {}) if run is None else (run["sha256"], dict(run.get("inputs_sha256", {})))
+        runs = json.loads(results.read_text(encoding="utf-8"))["runs"]
+        run = next((one for one in runs if Path(one["record"]).name == reader.path.name), None)
+        stated = {} if run is None else {reader.path.name: run["sha256"], **run.get("inputs_sha256", {})}
     except OSError as error:
         raise RecordError(f"{results}: cannot be read: {error.strerror or error}") from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise RecordError(f"{results}: is not a results.json; name the one beside the record") from None
-    if run is None:
+    if not stated:
         return [Finding("warning", f"{results.name} does not contain {reader.path.name}")]
-    if sha256 != sha256_of(reader.path):
-        return _errors(f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted")
-    pixels = pixels_beside(reader.path)
-    pixels_sha256 = inputs.get(pixels.name, "")
-    if pixels_sha256 and pixels.is_file() and pixels_sha256 != sha256_of(pixels):
-        return _errors(f"{pixels.name}: its SHA-256 is not the one in {results.name}")
-    attachment_sha256 = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
-    changed = sorted(
-        name for name, value in inputs.items() if name != pixels.name and attachment_sha256.get(name) != value
-    )
+    found = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
+    found |= {file.path.name: sha256_of(file.path) for file in reader.files if file.path.name in stated}
+    # the pixels may have been deleted since, or had no hash on a disk that could not read them
+    pixels = pixels_beside(reader.path).name
+    if pixels not in found or not stated.get(pixels):
+        stated.pop(pixels, None)
+    changed = sorted(name for name, sha256 in stated.items() if found.get(name) != sha256)
     if changed:
-        return _errors(
-            *(f"{results.name} states another SHA-256 of {name} than the record's" for name in changed)
-        )
-    more = f", also of {', '.join(sorted(inputs))}" if inputs else ""
-    return [Finding("note", f"SHA-256 is the one in {results.name}{more}")]
+        return _errors(*(f"{name} has another SHA-256 than {results.name} states" for name in changed))
+    return [Finding("note", f"SHA-256 is the one in {results.name}: {', '.join(stated)}")]
 
 
-@dataclass(frozen=True, slots=True)
-class Recovery:
-    """Result of `recover`.
-
-    `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
-    first and the last. `lost` are the damaged parts, `lost_bytes` is the number of bytes after the last
-    complete entry.
-    """
-
-    source: Path
-    path: Path
-    messages: Mapping[str, int]
-    start_ns: int
-    end_ns: int
-    lost: tuple[Damage, ...]
-    lost_bytes: int
-
-
-def recover(source: Path, path: Path) -> Recovery:
+def recover(source: Path, path: Path) -> dict[str, str]:
     """Copy every intact message of a record, its metadata and attachments into new files.
 
-    The source is not changed. The metadata `RECOVERY` of the new record state its source and what is missing;
-    those of an earlier recovery stay. The new files appear after they were read back and checked.
+    The source is not changed. The metadata `RECOVERY` of the new record state its source and what is missing,
+    and are returned; those of an earlier recovery stay. The new files appear after they were read back and
+    checked.
 
     Raises
     ------
@@ -236,7 +174,7 @@ def recover(source: Path, path: Path) -> Recovery:
                 stack.callback(copy.abandon)
                 counts += _copy_messages(file, copy)
                 copies.append(copy)
-            found = _copy_metadata(reader, copies, path, counts)
+            recovery = _copy_metadata(reader, copies)
             for copy in copies:
                 copy.finish()
                 if copy.disk.full is not None:
@@ -249,7 +187,7 @@ def recover(source: Path, path: Path) -> Recovery:
     except OSError as error:
         why = f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
         raise RecordError(why) from error
-    return found
+    return recovery
 
 
 def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
@@ -264,38 +202,27 @@ def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
     return counts
 
 
-def _copy_metadata(
-    reader: RecordReader, copies: Sequence[McapFile], path: Path, counts: Mapping[str, int]
-) -> Recovery:
-    """Copy attachments and metadata; returns the Recovery."""
+def _copy_metadata(reader: RecordReader, copies: Sequence[McapFile]) -> dict[str, str]:
+    """Copy attachments and metadata; returns those about the recovery."""
     start_ns = reader.numbers.start_ns
     for name, data in reader.attachments.items():
         copies[0].add_attachment(name, "application/octet-stream", data, start_ns)
-    lost_bytes = sum(file.size - file.readable_bytes for file in reader.files if not file.whole)
-    lost_parts = [lost.description for lost in reader.damages if not lost.start_ns]
+    lost = reader.damages
+    for file in reader.files:
+        if not file.whole and (rest := file.size - file.readable_bytes):
+            lost.append(f"{rest} bytes after the last complete entry of {file.path.name}")
     recovery = {
         "source": reader.path.name,
         "source_sha256": _sha256_if_readable(reader.path),
         "source_was_cut": str(reader.truncated).lower(),
-        "lost_chunks": str(len(reader.damages) - len(lost_parts)),
-        "lost_parts": "; ".join(lost_parts),
-        "lost_bytes_at_the_end": str(lost_bytes),
+        "lost": "; ".join(lost),
     }
     earlier = sum(name.startswith(RECOVERY) for name in reader.metadata)
     name = f"{RECOVERY} {earlier + 1}" if earlier else RECOVERY
-    for copy, metadata in zip(
-        copies, ({**reader.metadata, name: recovery}, {"record": reader.metadata["record"]}), strict=False
-    ):
+    numbers, pixels = {**reader.metadata, name: recovery}, {"record": reader.metadata["record"]}
+    for copy, metadata in zip(copies, (numbers, pixels), strict=False):
         copy.add_metadata(metadata, start_ns)
-    return Recovery(
-        source=reader.path,
-        path=path,
-        messages=dict(counts),
-        start_ns=start_ns,
-        end_ns=max(file.end_ns for file in reader.files),
-        lost=tuple(reader.damages),
-        lost_bytes=lost_bytes,
-    )
+    return recovery
 
 
 def _verify(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:

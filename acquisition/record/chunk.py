@@ -4,8 +4,7 @@ checksum, and the messages in that."""
 import errno
 import struct
 import zlib
-from array import array
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import IO, Final, NamedTuple
 
 import zstandard
@@ -35,53 +34,17 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Damage(NamedTuple):
-    """A damaged part of a record, with a description; topics and times (UTC) if it is a chunk."""
-
-    start_ns: int
-    end_ns: int
-    topics: tuple[str, ...]
-    description: str
-
-
 class ChunkPlace(NamedTuple):
-    """Offset and length of a chunk in bytes, its log times (UTC), and bits of its channels (0: not known)."""
+    """Offset and length of a chunk in bytes, its log times (UTC), and its channels.
+
+    `channels` has the bit ``1 << number`` for each channel; 0: they are not known.
+    """
 
     offset: int
     length: int
     start_ns: int
     end_ns: int
     channels: int = 0
-
-
-class ChunkPlaces:
-    """The chunks in the order of the file, 40 bytes each: a record of one day has 170,000."""
-
-    def __init__(self) -> None:
-        self._numbers = array("Q")
-
-    def append(self, place: ChunkPlace) -> None:
-        """Add the next chunk."""
-        self._numbers.extend(place)
-
-    def __len__(self) -> int:
-        return len(self._numbers) // len(ChunkPlace._fields)
-
-    def __getitem__(self, number: int) -> ChunkPlace:
-        size = len(ChunkPlace._fields)
-        return ChunkPlace(*self._numbers[size * number : size * (number + 1)])
-
-    def __iter__(self) -> Iterator[ChunkPlace]:
-        return map(self.__getitem__, range(len(self)))
-
-
-_MAX_CHANNELS = 64
-"""Channels that a place has bits for; records have fewer."""
-
-
-def bits(channels: Iterable[int]) -> int:
-    """One bit for each channel."""
-    return sum(1 << number for number in channels if number < _MAX_CHANNELS)
 
 
 def chunk_at(offset: int, data: bytes) -> ChunkPlace | None:
@@ -95,7 +58,7 @@ def chunk_at(offset: int, data: bytes) -> ChunkPlace | None:
     return ChunkPlace(offset, HEAD.size + length, start_ns, end_ns) if lengths_agree else None
 
 
-def content_of(record: bytes, place: ChunkPlace, zstd: zstandard.ZstdDecompressor) -> bytes:
+def content_of(record: bytes, place: ChunkPlace) -> bytes:
     """The messages of a chunk, verified. Raises ValueError, with what has changed, for a damaged chunk."""
     if len(record) < place.length:
         raise ValueError("ends early, or its disk cannot give all of it")
@@ -107,7 +70,7 @@ def content_of(record: bytes, place: ChunkPlace, zstd: zstandard.ZstdDecompresso
         # one changed bit in either size could make the decompression ask for gigabytes of memory
         if zstandard.get_frame_parameters(packed).content_size != size:
             raise ValueError("its head has changed: it and its data state different sizes")
-        content = zstd.decompress(packed)
+        content = zstandard.decompress(packed)
     except zstandard.ZstdError as error:
         raise ValueError(f"cannot be decompressed ({error})") from None
     if len(content) != size or crc != zlib.crc32(content):

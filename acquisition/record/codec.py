@@ -1,4 +1,4 @@
-"""Encoding of values as messages, and decoding: pixels, spots, half-cycles, balances, Foxglove's types.
+"""Encoding of pixels as messages, and decoding, and the types of Foxglove's messages.
 
 Windows around the spot and whole frames are both compressed without loss. Windows are stored in about half
 the bytes as the pixels minus a model of the fitted spot. The model is computed from six integers by integer
@@ -8,35 +8,23 @@ Differences are stored as bit planes, which zstd compresses best.
 
 import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import cv2
 import numpy as np
 import zstandard
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.Log_pb2 import Log
-from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
 from acquisition.camera import Image
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
-    CAMERA_TOPIC,
-    LOG_TOPIC,
-    PREVIEW_TOPIC,
     SENSOR_FRAME,
-    SWING,
     WINDOW,
     IntegerGaussian,
     RecordedWindow,
 )
-from processing.deflections import Deflections, DeflectionUnit
 from processing.kernel import kernel
 from processing.spot import Spot
-from processing.swing import HalfCycle
-from processing.units import ARCSEC_RAD
 
 _ZSTD_LEVEL = 1
 _LARGE_BYTES = 64 * 1024
@@ -224,49 +212,8 @@ def _table() -> NDArray[np.int64]:
     return np.array([*entries, 0], dtype=np.int64)
 
 
-def encode_spots(
-    kind: MessageType,
-    sequences: Sequence[int],
-    device_times_ns: Sequence[int],
-    host_times_ns: Sequence[int],
-    spots: Sequence[Spot],
-    deflections: Deflections,
-) -> Iterator[bytes]:
-    """Messages of type `SPOT` or `SPOT_UNCALIBRATED` (the unit of the deflections), one for each frame."""
-    columns = [deflections.x, deflections.y, deflections.u_x, deflections.u_y]
-    if deflections.unit is DeflectionUnit.RAD:
-        columns += [deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD]
-    times = sequences, deflections.times_ns.tolist(), device_times_ns, host_times_ns
-    angles = zip(*columns, strict=True)
-    return (
-        kind.encode(*numbers, *spot, *angle)
-        for *numbers, spot, angle in zip(*times, spots, angles, strict=True)
-    )
-
-
-def encode_swing(kind: MessageType, half_cycle: HalfCycle) -> bytes:
-    """Message of type `SWING` or `SWING_UNCALIBRATED`."""
-    display_values = [2.0 * half_cycle.half_period_s]
-    if kind is SWING:
-        display_values.insert(0, half_cycle.amplitude / ARCSEC_RAD)
-    return kind.encode(
-        *[getattr(half_cycle, name) for name in HalfCycle.__dataclass_fields__], *display_values
-    )
-
-
 _PREVIEW_PX = 480
 """Longest side of a preview; larger images are reduced by a whole number."""
-_MESSAGES: Mapping[str, Any] = {
-    LOG_TOPIC: Log,
-    CAMERA_TOPIC: CameraCalibration,
-    PREVIEW_TOPIC: CompressedImage,
-}
-
-
-def foxglove_schema(topic: str) -> tuple[str, bytes]:
-    """Name of the schema of a topic with a Foxglove type, and its descriptor."""
-    message = _MESSAGES[topic]
-    return message.DESCRIPTOR.full_name, build_file_descriptor_set(message).SerializeToString()
 
 
 def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:
@@ -289,10 +236,3 @@ def decode_preview(data: bytes) -> bytes:
 def preview_step(shape: tuple[int, int]) -> int:
     """Whole number by which an image (ny, nx) is reduced for its preview."""
     return -(-max(shape) // _PREVIEW_PX)
-
-
-def encode_log(utc_ns: int, level: int, source: str, text: str) -> bytes:
-    """Encoded foxglove.Log; `level` from 1 (debug) to 5 (fatal)."""
-    message = Log(level=level, message=text, name=source)  # type: ignore[arg-type]
-    message.timestamp.FromNanoseconds(utc_ns)
-    return message.SerializeToString()

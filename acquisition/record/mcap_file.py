@@ -7,7 +7,6 @@ import os
 import random
 import secrets
 import shutil
-import sys
 import tempfile
 import threading
 from collections.abc import Mapping
@@ -16,10 +15,11 @@ from pathlib import Path
 from mcap.data_stream import RecordBuilder
 from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC, Writer
+from mcap_protobuf.schema import register_schema
 
-from acquisition.atomic_write import sync_folder
-from acquisition.record.codec import foxglove_schema
+from acquisition.atomic_write import being_written, sync_file, sync_folder
 from acquisition.record.digest import lock_for_writing
+from acquisition.record.schemas import MessageType
 from acquisition.record.topics import LIBRARY, METADATA_COPY, Topics
 from processing.errors import RecordError
 
@@ -156,17 +156,17 @@ class Disk:
                     if self.full is None and self._reserve.size < needed:
                         # in steps, because each increase is a write to the disk
                         self._reserve.hold(needed + _SPARE_BYTES)
-                _sync_file(self._file.fileno())
+                sync_file(self._file.fileno())
             except OSError as error:
                 if not self._give_reserve_back(error):
                     raise
-                _sync_file(self._file.fileno())
+                sync_file(self._file.fileno())
         except OSError as error:
             self._failure = self._failure or error
 
     def last_force(self) -> None:
         """Flush the finished file; if its name was removed, copy it to its name. Raises what `force` left."""
-        _sync_file(self._file.fileno())
+        sync_file(self._file.fileno())
         if not self._has_its_name():
             self._copy_to_its_name()
         self._raise_failure()
@@ -192,11 +192,8 @@ class Disk:
             path = path.with_name(f"{path.stem}-{secrets.token_hex(4)}{path.suffix}")
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file.seek(0)
-        with path.open("xb") as copy:
+        with being_written(path) as temporary, temporary.open("wb") as copy:
             shutil.copyfileobj(self._file, copy)
-            copy.flush()
-            _sync_file(copy.fileno())
-        sync_folder(path.parent)
 
     def _give_reserve_back(self, error: OSError) -> bool:
         if error.errno not in _FULL_DISK:
@@ -238,8 +235,11 @@ class McapFile:
         )
         self.channels: dict[str, int] = {}
         for topic, kind in topics.items():
-            schema, descriptor = foxglove_schema(topic) if kind is None else (kind.full_name, kind.descriptor)
-            number = self._writer.register_schema(schema, "protobuf", descriptor)
+            number = (
+                self._writer.register_schema(kind.full_name, "protobuf", kind.descriptor)
+                if isinstance(kind, MessageType)
+                else register_schema(self._writer, kind)
+            )
             self.channels[topic] = self._writer.register_channel(topic, "protobuf", number)
         try:
             self._writer.start("", LIBRARY)
@@ -304,13 +304,3 @@ class McapFile:
         """Close the file without an ending; never raises."""
         self.disk.wait_for_thread()
         self.disk.close()
-
-
-def _sync_file(descriptor: int) -> None:
-    """Flush to the disk; on macOS fsync alone leaves data in the drive's cache."""
-    if sys.platform == "darwin":
-        import fcntl
-
-        fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
-    else:
-        os.fsync(descriptor)

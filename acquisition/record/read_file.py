@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import IO
 
 import numpy as np
-import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, Channel, Header, McapRecord, Statistics
@@ -30,14 +29,12 @@ from acquisition.record.chunk import (
     CHUNK_HEAD,
     HEAD,
     ChunkPlace,
-    ChunkPlaces,
-    Damage,
     Piece,
-    bits,
     chunk_at,
     content_of,
     read_at,
 )
+from acquisition.record.digest import utc_text
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
 
@@ -77,7 +74,7 @@ class ReadFile:
     attachments
         Offsets of the copies of each attached file.
     damages
-        What was found damaged so far, by its offset: chunks, attachments, and parts of the structure.
+        What was found damaged so far, in words, by its offset: chunks, attachments, parts of the structure.
 
     Raises
     ------
@@ -93,12 +90,11 @@ class ReadFile:
         self.channels: dict[int, str] = {}
         self.counts: Counter[int] = Counter()
         self._last_chunk_counts: Counter[int] = Counter()
-        self.chunks = ChunkPlaces()
+        self.chunks: list[ChunkPlace] = []
         self.start_ns = self.end_ns = 0
         self.attachments: dict[str, list[int]] = {}
-        self.damages: dict[int, Damage] = {}
+        self.damages: dict[int, str] = {}
         self._data_end = self._data_crc = 0
-        self._zstd = zstandard.ZstdDecompressor()
         self.file = _open_mcap(path)
         try:
             self.update()
@@ -124,25 +120,27 @@ class ReadFile:
     def piece(self, place: ChunkPlace) -> Piece:
         """The messages of a chunk; none of a damaged one, which is listed."""
         try:
-            content = content_of(self._read(place.offset, place.length), place, self._zstd)
+            content = content_of(self._read(place.offset, place.length), place)
         except ValueError as error:
             topics = sorted(name for number, name in self.channels.items() if place.channels >> number & 1)
-            self.note_damage(place.offset, str(error), place.start_ns, place.end_ns, tuple(topics))
+            what = " ".join(topics) or "topics unknown"
+            span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
+            self.note_damage(place.offset, str(error), f"chunk at byte {place.offset} ({what}, {span})")
             content = b""
         return Piece(content, self.channels)
 
     def message_counts(self) -> dict[str, int]:
         """Numbers of messages by topic, damaged ones included, also of a last chunk whose index is cut."""
         counts = Counter(self.counts)
-        if not self.indexed and not self._data_end and len(self.chunks):
-            last = self.piece(self.chunks[len(self.chunks) - 1])
+        if self.chunks and not self.indexed and not self._data_end:
+            last = self.piece(self.chunks[-1])
             for number, topic in self.channels.items():
                 counts[number] += max(0, last.count(topic) - self._last_chunk_counts[number])
         return {topic: counts[number] for number, topic in self.channels.items() if counts[number]}
 
     def pieces(self, topic: str, from_ns: int = 0) -> Iterator[Piece]:
         """The chunks that may have messages of a topic; those that end before `from_ns` are not read."""
-        wanted = bits(number for number, name in self.channels.items() if name == topic)
+        wanted = sum(1 << number for number, name in self.channels.items() if name == topic)
         for place in self.chunks if wanted else ():
             if place.end_ns >= from_ns and (place.channels & wanted or not place.channels):
                 yield self.piece(place)
@@ -198,13 +196,11 @@ class ReadFile:
         """Whether every byte is as it was written, by the checksums of summary and data section."""
         return self.whole and self.indexed and not self.damages and self.data_crc_matches()
 
-    def note_damage(
-        self, offset: int, what: str, start_ns: int = 0, end_ns: int = 0, topics: tuple[str, ...] = ()
-    ) -> None:
-        """Add to `damages`, and to the log, what was not yet found damaged."""
+    def note_damage(self, offset: int, what: str, where: str = "") -> None:
+        """Add to `damages`, and to the log, what was not yet found damaged; `where`, unless it is a byte."""
         if offset not in self.damages:
-            self.damages[offset] = Damage(start_ns, end_ns, topics, what)
-            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, what)
+            self.damages[offset] = f"{where or f'byte {offset}'}: {what}"
+            _log.warning("%s: damaged, not used: %s", self.path, self.damages[offset])
 
     def _read(self, place: int, count: int) -> bytes:
         return read_at(self.file, place, count)
@@ -253,7 +249,7 @@ class ReadFile:
                 # not by the library, which takes ten times as long for the chunks of a day
                 _, _, start_ns, end_ns, offset, size, index_bytes = _CHUNK_INDEX.unpack_from(summary, at)
                 index = summary[at + _CHUNK_INDEX.size : at + _CHUNK_INDEX.size + index_bytes]
-                channels = bits(channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(index))
+                channels = sum(1 << channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(index))
                 self._add_chunk(ChunkPlace(offset, size, start_ns, end_ns, channels))
             else:
                 match _parsed(summary[at : at + HEAD.size + length]):
@@ -285,44 +281,30 @@ class ReadFile:
                 continue
             # the changed bytes may be the length of the record before, so the search begins inside it
             found = self._next_intact_record(before + 1)
-            if found is None:
-                break
-            begin = self._begin_of_file(before, found)
-            if begin is not None:
-                self._note_another_file(begin)
-                self.whole = False
+            if found is None or self._note_another_file(before, found):
                 break
             self.note_damage(place, f"between bytes {before} and {found}: there is no record")
             place = before = found
         self.readable_bytes = place
         if self._data_end:
-            self._read_what_follows(place)
+            self._note_another_file(place, self.size)
 
-    def _read_what_follows(self, place: int) -> None:
-        """Look for another file behind the data section, also behind a summary that is cut."""
-        at = self._begin_of_file(place, self.size)
-        if at is None:
-            return
-        footer = self._read(at - _FOOTER.size, _FOOTER.size)
-        ends = HEAD.unpack_from(footer) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
-        if (begin := at + len(MAGIC) if ends else at) < self.size:
-            self._note_another_file(begin)
-            self.whole = ends
-
-    def _begin_of_file(self, begin: int, end: int) -> int | None:
-        """Position of the bytes with which MCAP files begin and end."""
+    def _note_another_file(self, begin: int, end: int) -> bool:
+        """Note a file that was appended to this one, whole or cut, and begins between two places."""
         for place in range(begin, end, _BLOCK_BYTES):
             at = self._read(place, min(_BLOCK_BYTES + len(MAGIC) - 1, end - place)).find(MAGIC)
-            if at >= 0:
-                return place + at
-        return None
-
-    def _note_another_file(self, begin: int) -> None:
-        self.note_damage(
-            begin,
-            f"{self.size - begin} bytes from byte {begin} on are of another file and not read: "
-            "was it appended? Cut it off into a file of its own",
-        )
+            if at < 0:
+                continue
+            # files begin and end with the same bytes; at the end a footer precedes them
+            footer = self._read(max(place + at - _FOOTER.size, 0), HEAD.size)
+            ends = HEAD.unpack(footer.ljust(HEAD.size, b"\0")) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
+            other = place + at + (len(MAGIC) if ends else 0)
+            if other < self.size:
+                self.whole = ends
+                what = f"{self.size - other} bytes from byte {other} on are of another file and not read: "
+                self.note_damage(other, f"{what}was it appended? Cut it off into a file of its own")
+            return other < self.size
+        return False
 
     def _list_record(self, place: int) -> int | None:
         """List the record at `place` in the data section; returns its end, None where it is no record."""

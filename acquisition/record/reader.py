@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
-from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Damage, Message
+from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Message
 from acquisition.record.chunk import Piece as Piece
 from acquisition.record.codec import decode_preview, decode_window, preview_step
 from acquisition.record.digest import is_being_written, utc
@@ -78,7 +78,11 @@ class RecordReader:
             self.deflection_unit = DeflectionUnit(self._identity["deflection_unit"])
             self.epoch_offset_ns = int(self._identity["epoch_offset_ns"])
             topics = number_topics(self.deflection_unit)
-            self._kinds = {kind.topic: kind for kind in (topics | PIXEL_TOPICS).values() if kind is not None}
+            self._kinds = {
+                kind.topic: kind
+                for kind in (*topics.values(), WINDOW, IMAGE)
+                if isinstance(kind, MessageType)
+            }
             self.numbers.channels = dict(enumerate(topics, start=1))
             self._open_pixels()
         except OSError as error:
@@ -126,8 +130,8 @@ class RecordReader:
         return (self.numbers,) if self._pixels is None else (self.numbers, self._pixels)
 
     @property
-    def damages(self) -> list[Damage]:
-        """Damaged parts that were found so far."""
+    def damages(self) -> list[str]:
+        """Damaged parts that were found so far, in words."""
         return [damage for file in self.files for damage in file.damages.values()]
 
     @property
@@ -154,7 +158,7 @@ class RecordReader:
     def doubts(self) -> list[str]:
         """Warnings, one line each, that belong to all data read so far: cut short, damaged or changed."""
         lines = [self.cut_notice] if self.truncated else []
-        return lines + [f"damaged, not used: {damage.description}" for damage in self.damages]
+        return lines + [f"damaged, not used: {damage}" for damage in self.damages]
 
     @property
     def attachments(self) -> dict[str, bytes]:
@@ -266,8 +270,7 @@ class RecordReader:
         """All values of a class that were written, or those in a piece."""
         kind = KIND_OF[value_class]
         return [
-            value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in self._topic_messages(kind.topic, piece)
+            value_class(*kind.decode(message.data)) for message in self._topic_messages(kind.topic, piece)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -308,12 +311,9 @@ class RecordReader:
 
     def balances(self, piece: Piece | None = None) -> list[Balance]:
         """All balances, or those in a piece, in `deflection_unit`."""
-        table, names = self.table(BALANCE.topic, piece), names_with_units(self.deflection_unit)
-        rows = (dict(zip(table.dtype.names or (), row, strict=True)) for row in table.tolist())
-        return [
-            Balance(**{name: row[key] for name, key in names.items()}, unit=self.deflection_unit)
-            for row in rows
-        ]
+        names, unit = names_with_units(self.deflection_unit), self.deflection_unit
+        rows = self.table(BALANCE.topic, piece).tolist()
+        return [Balance(**dict(zip(names, row, strict=True)), unit=unit) for row in rows]
 
     def events(self, piece: Piece | None = None) -> list[Event]:
         """All events, or those in a piece."""

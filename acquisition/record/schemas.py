@@ -1,20 +1,21 @@
 """Flat protobuf messages, defined by names and kinds of fields: descriptor, encoding, decoding.
 
 Numbers are stored with 64 bits (double, sfixed64). A replay therefore obtains exactly the recorded values,
-and all messages of numbers have the same length, so that many can be encoded and decoded at once with numpy.
+and all messages of numbers alone have the same length, so that many can be decoded at once with numpy.
 The descriptor is stored in the file, so that viewers can plot the fields.
 """
 
 import dataclasses
-import struct
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import cached_property
+from operator import index
 from typing import Any, Literal, TypeAlias, get_type_hints
 
 import numpy as np
-from google.protobuf import descriptor_pb2
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from processing.units import unit_of_name
@@ -98,27 +99,28 @@ def comment_of(name: str) -> str:
 
 
 _NUMPY: dict[Kind, str] = {"double": "<f8", "int": "<i8"}
-_WIRE_FIXED64, _WIRE_LENGTH = 1, 2
+_KIND_OF: dict[object, Kind] = {int: "int", bool: "int", float: "double", str: "text"}
+_LAST_SHORT_TAG = 15
+"""Largest number of a field whose tag is one byte; the tags of the others here have two."""
 
 
 @dataclass(frozen=True)
 class MessageType:
-    """A protobuf message: the numbers first, then texts or bytes (`tail`); field numbers count from 1.
+    """A protobuf message of the fields `fields`, whose numbers count from 1.
 
     `description` and `meanings` go into the description that is stored in a file.
     """
 
     name: str
     topic: str
-    numbers: tuple[tuple[str, Kind], ...]
-    tail: tuple[tuple[str, Kind], ...] = ()
+    fields: tuple[tuple[str, Kind], ...]
     description: str = dataclasses.field(default="", compare=False)
     meanings: tuple[Meanings, ...] = dataclasses.field(default=(), compare=False)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the fields in order."""
-        return tuple(name for name, _ in (*self.numbers, *self.tail))
+        return tuple(name for name, _ in self.fields)
 
     @property
     def full_name(self) -> str:
@@ -129,17 +131,18 @@ class MessageType:
     def descriptor(self) -> bytes:
         """Serialised FileDescriptorSet, as it is stored in MCAP files.
 
-        The meanings become enumerations inside the message, to be read by people: a field keeps its 64 bits,
-        since several flags may be set at once.
+        All fields are required, which proto2 alone knows: zeros are then encoded, too. The meanings become
+        enumerations inside the message, to be read by people: a field keeps its 64 bits, since several flags
+        may be set at once.
         """
         files = descriptor_pb2.FileDescriptorSet()
-        file = files.file.add(name=f"{_PACKAGE}/{self.name}.proto", package=_PACKAGE, syntax="proto3")
+        file = files.file.add(name=f"{_PACKAGE}/{self.name}.proto", package=_PACKAGE, syntax="proto2")
         message = file.message_type.add(name=self.name)
         _comment(file, self.description)
-        for place, (field, kind) in enumerate((*self.numbers, *self.tail)):
-            optional = _FIELD.LABEL_OPTIONAL
+        for place, (field, kind) in enumerate(self.fields):
+            required = _FIELD.LABEL_REQUIRED
             message.field.add(
-                name=field, number=place + 1, type=PROTO_TYPE[kind], label=optional, json_name=field
+                name=field, number=place + 1, type=PROTO_TYPE[kind], label=required, json_name=field
             )
             _comment(file, comment_of(field), _FIELD_PATH, place)
         for place, meaning in enumerate(self.meanings):
@@ -152,71 +155,43 @@ class MessageType:
         return files.SerializeToString()
 
     @cached_property
+    def _message(self) -> Any:
+        """The class that protobuf makes of the descriptor."""
+        pool = descriptor_pool.DescriptorPool()
+        pool.Add(descriptor_pb2.FileDescriptorSet.FromString(self.descriptor).file[0])
+        return message_factory.GetMessageClass(pool.FindMessageTypeByName(self.full_name))
+
+    @cached_property
     def table_dtype(self) -> np.dtype[Any]:
-        """Type of the rows of `decode_table`: one field per number."""
-        return np.dtype([(name, _NUMPY[kind]) for name, kind in self.numbers])
+        """Type of the rows of `decode_table`, of a message of numbers alone."""
+        return np.dtype([(name, _NUMPY[kind]) for name, kind in self.fields])
 
     @cached_property
     def wire_dtype(self) -> np.dtype[Any]:
-        """Type of the encoded numbers: each field preceded by its tag."""
+        """Type of an encoded message of numbers alone: each field preceded by its tag."""
         fields: list[Any] = []
-        for tag, (name, kind) in zip(self._tags, self.numbers, strict=True):
-            fields += [(f"tag {name}", f"V{len(tag)}"), (name, _NUMPY[kind])]
+        for number, (name, kind) in enumerate(self.fields, start=1):
+            tag_bytes = 1 if number <= _LAST_SHORT_TAG else 2
+            fields += [(f"tag {name}", f"V{tag_bytes}"), (name, _NUMPY[kind])]
         return np.dtype(fields)
 
-    @cached_property
-    def _tags(self) -> list[bytes]:
-        return [_varint(number << 3 | _WIRE_FIXED64) for number in range(1, len(self.numbers) + 1)]
-
-    @cached_property
-    def _layout(self) -> tuple[struct.Struct, list[Any]]:
-        """Format of the encoded numbers for `struct`, and its arguments, with None in place of the values."""
-        form = "<" + "".join(
-            f"{len(tag)}s{'d' if kind == 'double' else 'q'}"
-            for tag, (_, kind) in zip(self._tags, self.numbers, strict=True)
-        )
-        arguments: list[Any] = [None] * (2 * len(self._tags))
-        arguments[0::2] = self._tags
-        return struct.Struct(form), arguments
-
-    @cached_property
-    def _tail_tags(self) -> list[bytes]:
-        first = len(self.numbers) + 1
-        return [_varint(number << 3 | _WIRE_LENGTH) for number in range(first, first + len(self.tail))]
-
     def encode(self, *values: Any) -> bytes:
-        """Encode a message from the values of its fields in order: numbers, then texts and bytes."""
-        layout, template = self._layout
-        count = len(self.numbers)
-        arguments = template.copy()
-        arguments[1::2] = values[:count]
-        head = layout.pack(*arguments)
-        if not self.tail:
-            return head
-        parts = [head]
-        for tag, value in zip(self._tail_tags, values[count:], strict=True):
-            data = value.encode() if isinstance(value, str) else value
-            parts += [tag, _varint(len(data)), data]
-        return b"".join(parts)
+        """Encode a message from the values of its fields in order."""
+        # protobuf takes no truth value for a whole number
+        stated = {
+            name: index(value) if kind == "int" else value
+            for (name, kind), value in zip(self.fields, values, strict=True)
+        }
+        encoded: bytes = self._message(**stated).SerializeToString()
+        return encoded
 
     def decode(self, data: bytes) -> tuple[Any, ...]:
         """Values of the fields in order. Raises ValueError if the bytes are not such a message."""
-        layout, _ = self._layout
         try:
-            head = layout.unpack_from(data)
-            values, place = [*head[1::2]], layout.size
-            found = [*head[0::2]]
-            for tag, (_, kind) in zip(self._tail_tags, self.tail, strict=True):
-                found.append(data[place : place + len(tag)])
-                length, start = _read_varint(data, place + len(tag))
-                place = start + length
-                raw = data[start:place]
-                values.append(raw.decode() if kind == "text" else raw)
-        except (IndexError, struct.error):
-            raise ValueError(f"{self.full_name}: message of {len(data)} bytes ends inside a field") from None
-        if found != [*self._tags, *self._tail_tags] or place != len(data):
-            raise ValueError(f"{self.full_name}: is not such a message")
-        return tuple(values)
+            message = self._message.FromString(data)
+        except DecodeError as error:
+            raise ValueError(f"{self.full_name}: is not such a message: {error}") from None
+        return tuple(getattr(message, name) for name in self.names)
 
     def decode_table(
         self, messages: bytes | bytearray, names: Collection[str] | None = None, head_bytes: int = 0
@@ -226,7 +201,7 @@ class MessageType:
         `head_bytes` other bytes precede each message.
         """
         wire = np.frombuffer(messages, [("head", f"V{head_bytes}"), ("message", self.wire_dtype)])["message"]
-        wanted = [(name, kind) for name, kind in self.numbers if names is None or name in names]
+        wanted = [(name, kind) for name, kind in self.fields if names is None or name in names]
         table = np.empty(len(wire), dtype=[(name, _NUMPY[kind]) for name, kind in wanted])
         for name, _ in wanted:
             table[name] = wire[name]
@@ -236,39 +211,11 @@ class MessageType:
 def message_type_of(value_class: type, topic: str) -> MessageType:
     """Message type, of the class's name, of a NamedTuple whose fields are int, bool, float or str.
 
-    Texts are placed after the numbers, otherwise the order is kept. Raises TypeError for other fields.
+    Raises TypeError for other fields.
     """
     hints = get_type_hints(value_class)
-    numbers: list[tuple[str, Kind]] = []
-    tail: list[tuple[str, Kind]] = []
     for name, kind in hints.items():
-        if isinstance(kind, type) and issubclass(kind, int):
-            numbers.append((name, "int"))
-        elif kind is float:
-            numbers.append((name, "double"))
-        elif kind is str:
-            tail.append((name, "text"))
-        else:
+        if kind not in _KIND_OF:
             raise TypeError(f"{value_class.__name__}.{name}: {kind} cannot be recorded")
-    description = " ".join((value_class.__doc__ or "").split())
-    return MessageType(value_class.__name__, topic, tuple(numbers), tuple(tail), description)
-
-
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
-
-
-def _read_varint(data: bytes, place: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        byte = data[place]
-        place += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, place
-        shift += 7
+    fields = tuple((name, _KIND_OF[kind]) for name, kind in hints.items())
+    return MessageType(value_class.__name__, topic, fields, " ".join((value_class.__doc__ or "").split()))

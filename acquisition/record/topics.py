@@ -2,7 +2,12 @@
 
 import math
 from enum import IntEnum
-from typing import Final, NamedTuple, Protocol, Self, TypeAlias
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import Message
 
 from acquisition.camera import Image
 from acquisition.record.events import Event, EventKind
@@ -52,12 +57,6 @@ class RecordedReference(NamedTuple):
     amplitude_dn: float
     chi2_per_dof: float
     flags: int
-
-    @classmethod
-    def from_spot(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
-        """Record of a fitted reference spot."""
-        position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
-        return cls(sequence, time_ns, *position, spot.amplitude_dn, spot.chi2_per_dof, spot.flags)
 
 
 class RecordedSeismometer(NamedTuple):
@@ -287,8 +286,8 @@ def _types_in(unit: DeflectionUnit) -> tuple[MessageType, MessageType, MessageTy
     time_ns, *numbers = names_with_units(unit).values()
     half_cycle_meanings = (HalfCycleFlag, TurningSide)
     return (
-        MessageType(f"{prefix}Spot", "/spot", spot, (), _SPOT_DESCRIPTION, (SpotFlag,)),
-        MessageType(f"{prefix}Swing", "/swing", half_cycle, (), _SWING_DESCRIPTION, half_cycle_meanings),
+        MessageType(f"{prefix}Spot", "/spot", spot, _SPOT_DESCRIPTION, (SpotFlag,)),
+        MessageType(f"{prefix}Swing", "/swing", half_cycle, _SWING_DESCRIPTION, half_cycle_meanings),
         MessageType(f"{prefix}Balance", "/balance", (*_ints(time_ns), *_doubles(*numbers))),
     )
 
@@ -298,20 +297,21 @@ TYPES_BY_UNIT: Final = {unit: _types_in(unit) for unit in (DeflectionUnit.RAD, D
 SPOT, SWING, BALANCE = TYPES_BY_UNIT[DeflectionUnit.RAD]
 SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED = TYPES_BY_UNIT[DeflectionUnit.PX]
 """The same without a lever, in px but for the angle of the balance's line."""
-_PIXELS = (
+_PIXELS: tuple[tuple[str, Kind], ...] = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
+    ("pixels", "bytes"),
 )
-WINDOW = MessageType("Window", "/window", _PIXELS, (("pixels", "bytes"),))
+WINDOW = MessageType("Window", "/window", _PIXELS)
 """Pixels row by row: first the low bytes of all, then their high bytes; in a zstd frame if `compressed`.
 
 If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a model of the spot; see
 `acquisition.record.codec`.
 """
-IMAGE = MessageType("Image", "/image", _PIXELS, (("pixels", "bytes"),))
+IMAGE = MessageType("Image", "/image", _PIXELS)
 """A whole frame, stored as a window is."""
 EVENT = MessageType(
-    "Event", "/event", _ints("time_ns"), (("kind", "text"), ("text", "text"), ("level", "text"))
+    "Event", "/event", (("time_ns", "int"), ("kind", "text"), ("text", "text"), ("level", "text"))
 )
 
 
@@ -323,7 +323,7 @@ class TimedMessage(Protocol):
         """Time of the value in ns on the frames' clock."""
 
 
-_VALUE_CLASSES: Final[dict[str, type[TimedMessage] | None]] = {
+_CLASSES: Final[dict[str, type[Any]]] = {
     "/environment": Environment,
     "/reference": RecordedReference,
     "/seismometer": RecordedSeismometer,
@@ -332,34 +332,33 @@ _VALUE_CLASSES: Final[dict[str, type[TimedMessage] | None]] = {
     "/clock": ClockAnchor,
     "/camera_clock_step": RecordedClockStep,
     "/camera_temperature": CameraTemperature,
-    LOG_TOPIC: None,
-    CAMERA_TOPIC: None,
+    LOG_TOPIC: Log,
+    CAMERA_TOPIC: CameraCalibration,
     "/phase": RecordedPhase,
     "/light": RecordedLight,
     "/health": RecordedHealth,
     "/estimate": RecordedEstimate,
     "/fitted": RecordedFittedPoint,
 }
-"""Classes of the values that have a topic of their own, in the order of the channels; None as in `Topics`."""
+"""Classes of the values that have a topic of their own, or Foxglove's, in the order of the channels."""
 KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
     value_class: message_type_of(value_class, topic)
-    for topic, value_class in _VALUE_CLASSES.items()
-    if value_class is not None
+    for topic, value_class in _CLASSES.items()
+    if not issubclass(value_class, Message)
 }
 """Types of the messages that hold one value each, by the class of the value."""
 ENVIRONMENT, REFERENCE, SEISMOMETER, CLOCK = (
     KIND_OF[one] for one in (Environment, RecordedReference, RecordedSeismometer, ClockAnchor)
 )
-Topics: TypeAlias = dict[str, MessageType | None]
-"""Message types of a file by topic, in the order of the channels 1, 2, ...; None: a type of Foxglove's."""
+Topics: TypeAlias = dict[str, MessageType | type[Message]]
+"""Message types of a file by topic, ours or Foxglove's classes, in the order of the channels 1, 2, ..."""
 
 
 def number_topics(unit: DeflectionUnit) -> Topics:
     """Topics in the file of numbers."""
     topics: Topics = {kind.topic: kind for kind in (*TYPES_BY_UNIT[unit], EVENT)}
-    kinds = {topic: None if value is None else KIND_OF[value] for topic, value in _VALUE_CLASSES.items()}
-    return topics | kinds
+    return topics | {topic: KIND_OF.get(value, value) for topic, value in _CLASSES.items()}
 
 
-PIXEL_TOPICS: Final[Topics] = {WINDOW.topic: WINDOW, IMAGE.topic: IMAGE, PREVIEW_TOPIC: None}
+PIXEL_TOPICS: Final[Topics] = {WINDOW.topic: WINDOW, IMAGE.topic: IMAGE, PREVIEW_TOPIC: CompressedImage}
 """Topics in the file of pixels."""

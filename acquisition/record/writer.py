@@ -11,16 +11,12 @@ from pathlib import Path
 from typing import Self
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from acquisition.camera import Frame, Image
 from acquisition.record import pixels_beside
-from acquisition.record.codec import (
-    encode_log,
-    encode_preview,
-    encode_spots,
-    encode_swing,
-    encode_window,
-)
+from acquisition.record.codec import encode_preview
+from acquisition.record.codec import encode_window as encode_window
 from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.topics import (
@@ -47,6 +43,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
 from processing.swing import HalfCycle
+from processing.units import ARCSEC_RAD
 
 _RESERVE_BYTES = 4 * 1024 * 1024
 _FLUSH_INTERVAL_S = 0.25
@@ -161,13 +158,19 @@ class RecordWriter:
         of the deflections is not the record's `deflection_unit`.
         """
         self._check_unit(deflections.unit)
-        messages = encode_spots(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
         times_ns = deflections.times_ns.tolist()
+        times = sequences, times_ns, device_times_ns, host_times_ns
+        tilts = [deflections.x, deflections.y, deflections.u_x, deflections.u_y]
+        if self._unit is DeflectionUnit.RAD:
+            tilts += [deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD]
         with self._writing():
-            for sequence, time_ns, message in zip(sequences, times_ns, messages, strict=True):
-                self._numbers.add(self._spot.topic, sequence, self._log_time_ns(time_ns), message)
+            for *numbers, spot, tilt in zip(*times, spots, zip(*tilts, strict=True), strict=True):
+                message = self._spot.encode(*numbers, *spot, *tilt)
+                self._numbers.add(self._spot.topic, numbers[0], self._log_time_ns(numbers[1]), message)
         for sequence, time_ns, spot in zip(sequences, times_ns, references, strict=bool(references)):
-            self.write(RecordedReference.from_spot(sequence, time_ns, spot))
+            position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
+            quality = spot.amplitude_dn, spot.chi2_per_dof, spot.flags
+            self.write(RecordedReference(sequence, time_ns, *position, *quality))
         self.flush_if_due()
 
     def write_window(
@@ -203,7 +206,10 @@ class RecordWriter:
 
     def write_swing(self, swing: HalfCycle) -> None:
         """Write one half-cycle; amplitude and centre in `deflection_unit`."""
-        self._add(SWING.topic, swing.turn_time_ns, encode_swing(self._swing, swing))
+        values = [getattr(swing, name) for name in HalfCycle.__dataclass_fields__]
+        for_displays = [swing.amplitude / ARCSEC_RAD] if self._unit is DeflectionUnit.RAD else []
+        message = self._swing.encode(*values, *for_displays, 2.0 * swing.half_period_s)
+        self._add(SWING.topic, swing.turn_time_ns, message)
 
     def write_balance(self, balance: Balance) -> None:
         """Write one balance. Raises ValueError if its unit is not the record's `deflection_unit`."""
@@ -255,8 +261,9 @@ class RecordWriter:
 
     def _write_log(self, event: Event, source: str, text: str) -> None:
         """Write a line of the log, which viewers display."""
-        data = encode_log(self._offset_ns + event.time_ns, _LOG_LEVELS[event.level], source, text)
-        self._add(LOG_TOPIC, event.time_ns, data)
+        message = Log(level=_LOG_LEVELS[event.level], message=text, name=source)  # type: ignore[arg-type]
+        message.timestamp.FromNanoseconds(self._offset_ns + event.time_ns)
+        self._add(LOG_TOPIC, event.time_ns, message.SerializeToString())
 
     def attach(self, name: str, data: bytes) -> None:
         """Attach a further file to the record."""
@@ -367,8 +374,3 @@ class RecordWriter:
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
             "rig record recover makes a complete file of it"
         )
-
-
-def compile_window(image: Image, spot: Spot) -> None:
-    """Compile what `RecordWriter.write_window` needs for images of this pixel type."""
-    encode_window(0, 0, image, 0, 0, spot)

@@ -204,37 +204,17 @@ class Scene:
     def image_bytes(self) -> int:
         return self._light_e.size * np.dtype(self._dtype).itemsize
 
-    def draw(
-        self, frame: int, x_px: float, y_px: float, power: float, slope: NDArray[np.float64] | None = None
-    ) -> Image:
-        """Image (ny, nx) of one frame with the spot at (x_px, y_px) on the sensor and this relative power."""
-        slopes = None if slope is None else slope[None, :]
-        images = self.draw_frames(frame, np.array([x_px]), np.array([y_px]), np.array([power]), slopes)
-        image: Image = images[0]
-        return image
-
-    def draw_frames(
-        self,
-        first: int,
-        x_px: NDArray[np.float64],
-        y_px: NDArray[np.float64],
-        power: NDArray[np.float64],
-        slope: NDArray[np.float64] | None = None,
-        beam_px: NDArray[np.float64] | None = None,
-    ) -> Image:
-        """Images (n, ny, nx) of consecutive frames, identical to those of `draw`.
-
-        `slope` and `beam_px` (n, 2) are as in `PlannedFrames`; None: 0.
-        """
+    def draw(self, plan: PlannedFrames, rows: slice) -> Image:
+        """Images (n, ny, nx) of consecutive planned frames; each is the same whichever are drawn with it."""
         camera = self._sensor_settings
         optics = self._settings.optics
-        peak_e = self._peak_e * power
+        peak_e = self._peak_e * plan.power[rows]
         binning = camera.binning
         # the centre of the image's first pixel is the mean of the centres of the pixels that it combines
-        x = (x_px - 0.5 * (binning - 1)) / binning - camera.offset_x_px
-        y = (y_px - 0.5 * (binning - 1)) / binning - camera.offset_y_px
+        x = (plan.x_px[rows] - 0.5 * (binning - 1)) / binning - camera.offset_x_px
+        y = (plan.y_px[rows] - 0.5 * (binning - 1)) / binning - camera.offset_y_px
         main = np.column_stack((x, y, peak_e))
-        sheared = ShearedBeams(optics, np.zeros((len(x), 2)) if slope is None else slope)
+        sheared = ShearedBeams(optics, plan.slope[rows])
         ghost = np.column_stack(
             (
                 x + sheared.ghost_dx_px / binning,
@@ -244,11 +224,10 @@ class Scene:
         )
         reference = self._settings.reference
         if reference.relative > 0:
-            moved = np.zeros((len(x), 2)) if beam_px is None else beam_px / reference.gain
-            place = np.array([reference.x_px, reference.y_px]) + moved - 0.5 * (binning - 1)
-            place = place / binning - (camera.offset_x_px, camera.offset_y_px)
+            place = np.array([reference.x_px, reference.y_px]) + plan.beam_px[rows] / reference.gain
+            place = (place - 0.5 * (binning - 1)) / binning - (camera.offset_x_px, camera.offset_y_px)
             ghost = np.column_stack((place, peak_e * reference.relative))
-        images = np.empty((len(x_px), camera.height_px, camera.width_px), dtype=self._dtype)
+        images = np.empty((len(x), camera.height_px, camera.width_px), dtype=self._dtype)
         sensor.expose_frames(
             images,
             self._light_e,
@@ -261,7 +240,7 @@ class Scene:
             self._edges,
             self._settings.seed,
             self._run,
-            first,
+            plan.first + rows.start,
         )
         return images
 

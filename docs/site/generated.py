@@ -125,7 +125,7 @@ def record_topics() -> str:
 
 
 def _message(message: MessageType) -> str:
-    rows = [(f"`{name}`", kind, _text(comment_of(name))) for name, kind in (*message.numbers, *message.tail)]
+    rows = [(f"`{name}`", kind, _text(comment_of(name))) for name, kind in message.fields]
     title = f"## {message.name}, `{message.topic}`"
     flags = "".join(_flags(meaning) for meaning in message.meanings)
     return f"{title}\n\n{_text(message.description)}\n\n{_table(('field', 'kind', ''), rows)}{flags}"

@@ -166,7 +166,7 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
             elif not reader.sound:
                 row |= {
                     "state": "damaged",
-                    "flaw": "; ".join(one.description for one in reader.damages) or "its bytes have changed",
+                    "flaw": "; ".join(reader.damages) or "its bytes have changed",
                 }
             elif (end := end_of(reader.events())) is None or end.kind in EARLY_ENDS:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"

@@ -37,7 +37,7 @@ def _print_info(path: Path) -> None:
         losses, counts, files = reader.losses(), reader.counts, reader.files
         swings, unit = reader.swings(), reader.deflection_unit
         attachments = {name: len(next(numbers.copies(name), b"")) for name in numbers.attachments}
-        damage = [one.description for one in reader.damages]
+        damage = reader.damages
     clean = [swing.amplitude / unit.shown_size for swing in swings if not swing.flags]
     amplitude = f"{clean[0]:.2f} to {clean[-1]:.2f} {unit.shown}" if clean else "none"
     half_cycles = f"{len(swings)}, {len(swings) - len(clean)} of them flagged"
@@ -173,14 +173,12 @@ def recover(
             return
     target = output or recovered_beside(path)
     recovery = recover_into(path, target)
-    answer(path=target, sound=False, recovery=recovery)
-    counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
-    print_line(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
-    print_line(f"lost: {recovery.lost_bytes} bytes after the last complete record")
-    for damage in recovery.lost:
-        topics = ", ".join(damage.topics)
-        span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
-        print_line(f"lost: {span}{damage.description}")
+    with RecordReader(target) as copy:
+        messages, end_ns = copy.counts, max(file.end_ns for file in copy.files)
+    answer(path=target, sound=False, messages=messages, recovery=recovery)
+    counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in messages.items())
+    print_line(f"{target}: {counts or 'no messages'}, up to {utc_text(end_ns)}")
+    print_line(f"lost: {recovery['lost'] or 'nothing'}")
 
 
 def _size(count: int) -> str:

@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from acquisition.camera import CameraInfo, Frame
 from acquisition.record.digest import camera_metadata
 from acquisition.record.reader import RecordReader
-from acquisition.record.writer import compile_window
+from acquisition.record.writer import encode_window
 from processing import spot as spots
 from processing import swing as swings
 from processing.errors import ConfigurationError, RecordError
@@ -246,7 +246,7 @@ def compile_tracker(sensor: SensorModel) -> None:
     tracker = SpotTracker(sensor)
     for _ in range(2):
         spot = tracker.track(image)
-    compile_window(image, spot)
+    encode_window(0, 0, image, 0, 0, spot)
     spots.compile_kernels(sensor.pixel_noise)
 
 

@@ -24,7 +24,7 @@ def even_frames(
     )
     scene = Scene(settings, FaultSettings(), readings, run)
     plan = scene.plan(count)
-    return [scene.draw(i, plan.x_px[i], plan.y_px[i], 1.0) for i in range(count)]
+    return list(scene.draw(plan, slice(0, count)))
 
 
 def random_sensor(rng: np.random.Generator, size: int = 64) -> SensorTruth:

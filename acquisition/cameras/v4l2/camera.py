@@ -19,21 +19,18 @@ from acquisition.camera import (
     ColourPlane,
     FeatureValue,
     Frame,
-    PixelFormat,
     refuse_unsupported,
 )
 from acquisition.cameras.drivers import V4l2Settings, buffer_count
-from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px
+from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px, preferred_name
 from acquisition.cameras.reading import CameraRun, DeviceCamera, check_end, check_range
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import (
     LAYOUTS,
     VideoDevice,
-    choose,
     find_again,
     find_device,
     image_bytes,
-    pixel_formats_of,
     refusal,
     to_image,
 )
@@ -132,7 +129,7 @@ class LinuxSource:
         try:
             self._device = kernel.open_device(found.path)
             offered = kernel.formats(self._device)
-            fourcc = choose(offered, None) or choose(offered, None, mosaic=True)
+            fourcc = next((code for code in LAYOUTS if code in offered), None)
             if fourcc is None:
                 raise DeviceError(
                     f"{self._name}: offers {', '.join(code.strip() for code in found.formats)}; none is grey "
@@ -295,12 +292,9 @@ class LinuxSource:
     def _set_layout(self, settings: CameraSettings) -> None:
         offered = kernel.formats(self._device)
         fourcc = self._layout.fourcc
-        wanted, mosaic = settings.pixel_format, self._plane is not None
-        present = LAYOUTS[fourcc]
-        if wanted not in (None, present.pixel_format) or bool(present.colours) != mosaic:
-            fourcc = choose(offered, wanted, mosaic=mosaic) or ""
-            if not fourcc:
-                raise DeviceError(f"{self._name}: {_no_format(offered, wanted, mosaic)}")
+        wanted, present = settings.pixel_format, LAYOUTS[fourcc]
+        if wanted not in (None, present.pixel_format) or bool(present.colours) != bool(self._plane):
+            fourcc = preferred_name(self._name, offered, wanted, self._plane, LAYOUTS)
         width_px = settings.width_px or self._layout.width_px
         height_px = settings.height_px or self._layout.height_px
         if self._bounds is not None:
@@ -390,15 +384,6 @@ class LinuxSource:
         if error.errno in (errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF):
             return CameraLost(f"{self._name}: is no longer connected ({error.strerror}); plug it in again")
         return DeviceError(refusal(self._name, error))
-
-
-def _no_format(offered: list[str], wanted: PixelFormat | None, mosaic: bool) -> str:
-    available = pixel_formats_of(offered, mosaic=mosaic)
-    if available:
-        return f"pixel format {wanted} is not supported; there are {', '.join(available)}"
-    if mosaic:
-        return "has no Bayer format; leave camera.colour_plane out"
-    return "has a Bayer mosaic; set camera.colour_plane to the laser's colour"
 
 
 def _key(name: str) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import ColourPlane, Image, PixelFormat, PluggedCamera
 from acquisition.cameras.pixel_formats import PITCH, place_in_mosaic
+from acquisition.cameras.reading import only_camera
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.kernel import PixelLayout
 from processing.errors import DeviceError
@@ -59,23 +60,6 @@ LAYOUTS: Final[dict[str, Layout]] = {
     for layout, fourccs in _MOSAICS.items()
     for colours, fourcc in fourccs.items()
 }
-
-
-def choose(offered: list[str], wanted: PixelFormat | None, *, mosaic: bool = False) -> str | None:
-    """Code of the preferred offered layout with the wanted pixel format, grey or of a mosaic; else None."""
-    fitting = (code for code in _usable(offered, mosaic) if wanted in (None, LAYOUTS[code].pixel_format))
-    return next(fitting, None)
-
-
-def pixel_formats_of(offered: list[str], *, mosaic: bool = False) -> list[PixelFormat]:
-    """Pixel formats of the offered layouts, grey or of a Bayer mosaic."""
-    return list(dict.fromkeys(LAYOUTS[fourcc].pixel_format for fourcc in _usable(offered, mosaic)))
-
-
-def _usable(offered: list[str], mosaic: bool) -> list[str]:
-    return [
-        fourcc for fourcc, layout in LAYOUTS.items() if fourcc in offered and bool(layout.colours) == mosaic
-    ]
 
 
 def image_bytes(layout: PixelLayout) -> int:
@@ -169,33 +153,24 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
         No such device; several, of which none is selected (the message lists them); or no permission.
     """
     devices = list_devices()
-    listed = "; ".join(f"{device.path} {device.name} {device.serial}".strip() for device in devices)
-    chosen, missing = devices, ""
     if path is not None:
         path = f"/dev/video{path}" if path.isdigit() else path
-        chosen = [one for one in devices if one.path == os.path.realpath(path)]
-        missing = f"{path}: is not a camera"
-    elif serial is not None:
-        chosen = [one for one in devices if one.serial == serial]
-        missing = f"no video device has the serial number {serial!r}"
-    if missing and not chosen:
-        raise DeviceError(f"{missing}; there are: {listed or 'none'}")
-    if not chosen:
-        raise DeviceError(
-            "camera.driver = 'v4l2': no video device (/dev/video*) was found; is the camera plugged in, and "
-            "does lsusb show it? rig doctor lists the cameras of all drivers"
-        )
-    readable = [
-        device
-        for device in chosen
-        if any(pixel_formats_of(list(device.formats), mosaic=mosaic) for mosaic in (False, True))
+        fitting = [one for one in devices if one.path == os.path.realpath(path)]
+        if not fitting:
+            there = "; ".join(f"{device.path} {device.name}".strip() for device in devices)
+            raise DeviceError(f"{path}: is not a camera; there are: {there or 'none'}")
+        serial = None
+    else:
+        fitting = [one for one in devices if serial in (None, one.serial)] or devices
+    readable = [device for device in fitting if not LAYOUTS.keys().isdisjoint(device.formats)]
+    named = [
+        (f"{device.path} {device.name} {device.serial}".strip(), device.serial, device)
+        for device in readable or fitting
     ]
-    usable = readable or chosen
-    if len(usable) > 1:
-        raise DeviceError(f"several video devices: {listed}; set camera.v4l2.device to one of them")
-    if usable[0].problem:
-        raise DeviceError(usable[0].problem)
-    return usable[0]
+    found = only_camera("v4l2", named, serial, "camera.v4l2.device")
+    if found.problem:
+        raise DeviceError(found.problem)
+    return found
 
 
 def find_again(known: VideoDevice) -> VideoDevice:

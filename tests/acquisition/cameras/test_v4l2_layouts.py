@@ -8,12 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraSettings, ColourPlane
+from acquisition.camera import CameraSettings, ColourPlane, PixelFormat
 from acquisition.cameras.drivers import V4l2Settings
-from acquisition.cameras.v4l2 import kernel
+from acquisition.cameras.pixel_formats import preferred_name
+from acquisition.cameras.v4l2 import devices, kernel
 from acquisition.cameras.v4l2.camera import LinuxSource
-from acquisition.cameras.v4l2.devices import choose, image_bytes, to_image
+from acquisition.cameras.v4l2.devices import LAYOUTS, VideoDevice, find_device, image_bytes, to_image
 from acquisition.cameras.v4l2.kernel import PixelLayout
+from processing.errors import DeviceError
 
 
 @pytest.mark.parametrize(("fourcc", "bits", "group"), [("Y10P", 10, 4), ("Y12P", 12, 2)])
@@ -82,17 +84,53 @@ def test_one_colour_of_a_mosaic(fourcc: str) -> None:
         assert np.array_equal(image, values[row::2, colours[row].index(letter) :: 2])
 
 
+def chosen(offered: list[str], wanted: PixelFormat | None, plane: ColourPlane | None = None) -> str:
+    return preferred_name("camera", offered, wanted, plane, LAYOUTS)
+
+
 def test_a_mosaic_is_taken_where_a_colour_is_asked_for() -> None:
-    assert choose(["RGGB", "pRAA", "GREY"], None) == "GREY"
-    assert choose(["RGGB", "pRAA", "GREY"], None, mosaic=True) == "RGGB"
-    assert choose(["pRAA", "RG10"], "mono10", mosaic=True) == "RG10"
-    assert choose(["pRAA"], None) is None
+    assert chosen(["RGGB", "pRAA", "GREY"], None) == "GREY"
+    assert chosen(["RGGB", "pRAA", "GREY"], None, "red") == "RGGB"
+    assert chosen(["pRAA", "RG10"], "mono10", "red") == "RG10"
+    with pytest.raises(DeviceError, match=r"no grey pixel format, only pRAA; set camera\.colour_plane"):
+        chosen(["pRAA"], None)
+    with pytest.raises(DeviceError, match=r"no Bayer format, only GREY; leave camera\.colour_plane out"):
+        chosen(["GREY"], None, "red")
 
 
 def test_whole_words_are_preferred_to_packed_pixels() -> None:
-    assert choose(["Y10P", "Y10 "], "mono10") == "Y10 "
-    assert choose(["Y10P", "pBAA"], None) == "Y10P"
-    assert choose(["Y14 "], "mono14") == "Y14 "
+    assert chosen(["Y10P", "Y10 "], "mono10") == "Y10 "
+    assert chosen(["Y10P", "pBAA"], None) == "Y10P"
+    assert chosen(["Y14 "], "mono14") == "Y14 "
+
+
+@pytest.mark.parametrize(
+    ("path", "serial", "expected"),
+    [
+        (None, None, r"several cameras: /dev/video0 A 1; /dev/video2 B 2; set camera\.v4l2\.device"),
+        (None, "7", "no camera has the serial number '7'; there are: /dev/video0 A 1; /dev/video2 B 2"),
+        ("7", None, "/dev/video7: is not a camera; there are: /dev/video0 A; /dev/video1 A; /dev/video2 B"),
+        (None, "2", "/dev/video2"),
+        ("0", "2", "/dev/video0"),
+        (None, "3", "video3: no permission"),
+    ],
+)
+def test_one_device_is_chosen_or_all_are_named(
+    monkeypatch: pytest.MonkeyPatch, path: str | None, serial: str | None, expected: str
+) -> None:
+    """The second device gives no images that can be read, and the last one may not be opened."""
+    found = [
+        VideoDevice("/dev/video0", "A", "usb-1", "1", ("GREY",), ()),
+        VideoDevice("/dev/video1", "A", "usb-1", "1", ("MJPG",), ()),
+        VideoDevice("/dev/video2", "B", "usb-2", "2", ("YUYV",), ()),
+        VideoDevice("/dev/video3", "", "", "3", (), (), "/dev/video3: no permission"),
+    ]
+    monkeypatch.setattr(devices, "list_devices", lambda: found)
+    if expected.startswith("/dev/video") and ":" not in expected:
+        assert find_device(path, serial).path == expected
+    else:
+        with pytest.raises(DeviceError, match=expected):
+            find_device(path, serial)
 
 
 def test_an_exposure_is_set_in_the_kernels_steps_of_a_tenth_of_a_millisecond(

@@ -63,7 +63,7 @@ def test_rows_are_those_of_the_messages_one_by_one(tmp_path: Path) -> None:
 def test_messages_of_another_length_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with RecordWriter(path, 0) as writer:
-        writer._numbers.add(SPOT.topic, 0, 0, SWING.encode(*[0] * len(SWING.numbers)))
+        writer._numbers.add(SPOT.topic, 0, 0, SWING.encode(*[0] * len(SWING.fields)))
     with RecordReader(path) as reader:
         for read in (reader.spots, lambda: reader.table(SPOT.topic, next(reader.unread()))):
             with pytest.raises(RecordError, match="/spot has other fields than this version writes"):

@@ -60,7 +60,7 @@ def test_writing_does_not_wait_for_the_disk(
     path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer = RecordWriter(path, 0, clock=clock)
-    real = mcap_file._sync_file
+    real = mcap_file.sync_file
     entered, go_on = threading.Event(), threading.Event()
     forced: list[int] = []
 
@@ -70,7 +70,7 @@ def test_writing_does_not_wait_for_the_disk(
         real(number)
         forced.append(number)
 
-    monkeypatch.setattr(mcap_file, "_sync_file", slow)
+    monkeypatch.setattr(mcap_file, "sync_file", slow)
     written_after_a_second(writer, clock, "a")
     assert entered.wait(DEADLINE_S)
     for _ in range(20):
@@ -93,7 +93,7 @@ def test_what_fails_behind_ones_back_is_said_by_the_next_flush(
     def gone(number: int) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(mcap_file, "_sync_file", gone)
+    monkeypatch.setattr(mcap_file, "sync_file", gone)
     written_after_a_second(writer, clock, "a")
     with pytest.raises(RecordError, match=r"run\.mcap: could not be closed properly: Input/output error"):
         write_until_it_fails(writer, clock)
@@ -106,7 +106,7 @@ def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
     path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer = RecordWriter(path, 0, clock=clock)
-    real = mcap_file._sync_file
+    real = mcap_file.sync_file
     failures = [OSError(errno.EIO, "Input/output error")]
 
     def once(number: int) -> None:
@@ -114,7 +114,7 @@ def test_a_failure_is_not_lost_when_the_record_is_closed_before_the_next_flush(
             raise failures.pop()
         real(number)
 
-    monkeypatch.setattr(mcap_file, "_sync_file", once)
+    monkeypatch.setattr(mcap_file, "sync_file", once)
     written_after_a_second(writer, clock, "a")
     with pytest.raises(RecordError, match="cannot be written: Input/output error; the record is closed"):
         writer.close()

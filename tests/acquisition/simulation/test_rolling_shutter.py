@@ -50,7 +50,7 @@ def test_every_row_sees_the_spot_at_its_own_time(first_row: str) -> None:
         tilts = axes_motion(settings, fast, slow, row_times_s)
         x_px, y_px = spot_position_px(*tilts, row_times_s, settings.axes, settings.optics, settings.sensor)
         x_px, y_px = x_px[order], y_px[order] - TOP
-        image = scene.draw(frame, plan.x_px[frame], plan.y_px[frame], 1.0, plan.slope[frame]).astype(float)
+        (image,) = scene.draw(plan, slice(frame, frame + 1)).astype(float)
         sigma = settings.optics.sigma_x_px
         down = integrated(rows, y_px, sigma)
         across = integrated(np.arange(120)[None, :], x_px[:, None], sigma)
@@ -70,8 +70,8 @@ def test_a_binned_image_is_the_mean_of_the_sensors_pixels(row_time_s: float) -> 
     )
     plan = whole.plan(200)
     frame = int(np.argmin(np.abs(plan.y_px - 240.0)))
-    image = whole.draw(frame, plan.x_px[frame], plan.y_px[frame], 1.0, plan.slope[frame]).astype(float)
-    seen = part.draw(frame, plan.x_px[frame], plan.y_px[frame], 1.0, plan.slope[frame]).astype(float)
+    (image,) = whole.draw(plan, slice(frame, frame + 1)).astype(float)
+    (seen,) = part.draw(plan, slice(frame, frame + 1)).astype(float)
     expected = image[90:390, 30:90].reshape(100, 3, 20, 3).mean(axis=(1, 3))
     assert expected.max() > 20000.0
     assert np.abs(seen - expected).max() < 1e-3 * 40000.0
@@ -85,7 +85,7 @@ def test_rows_of_a_binned_image_are_later_by_as_many_row_times(binning: int) -> 
     scene = Scene(settings, FaultSettings(), SensorSettings(0, 0, 40, rows, 16, 100.0, 0.0, 50.0, binning), 0)
     plan = scene.plan(200)
     frames = range(40, 200, 40)
-    images = [scene.draw(n, plan.x_px[n], plan.y_px[n], 1.0, plan.slope[n]).astype(float) for n in frames]
+    images = [scene.draw(plan, slice(n, n + 1))[0].astype(float) for n in frames]
     seen_px = np.array([(image.sum(1) @ np.arange(rows)) / image.sum() for image in images])
     config = complete(
         Configuration.model_validate(

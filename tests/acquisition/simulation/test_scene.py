@@ -204,7 +204,8 @@ def test_plans_do_not_depend_on_their_length() -> None:
 def test_ghost_lies_where_it_is_said_to() -> None:
     sharp = {"optics": {"sigma_x_px": 3.0, "sigma_y_px": 3.0, "ghost_relative": 0.5, "ghost_dx_px": 40.0}}
     view = scene(**sharp)
-    image = view.draw(0, 100.0, 300.0, 1.0).astype(float)
+    place = view.plan(1)._replace(x_px=np.array([100.0]), y_px=np.array([300.0]))
+    (image,) = view.draw(place, slice(0, 1)).astype(float)
     assert image[300, 100] == pytest.approx(180, abs=8)
     assert image[300, 140] == pytest.approx(93, abs=6)
     assert image[300, 120] < 10
@@ -249,7 +250,7 @@ def test_images_agree_with_the_plan_and_the_trajectory() -> None:
     truth = true_path(settings, 1.49)
     assert 63.5 - frames.y_px == pytest.approx(np.tan(2 * truth.y_rad) / 4.8e-6, abs=1e-9)
     for row in range(0, 150, 15):
-        image = view.draw(row, frames.x_px[row], frames.y_px[row], frames.power[row])
+        (image,) = view.draw(frames, slice(row, row + 1))
         x_px, y_px = centre_of_light(image, 6.0)
         # centroid of all light over 8,192 pixels: black level noise over the whole frame sets 0.15 px
         assert x_px == pytest.approx(frames.x_px[row], abs=0.2)
