@@ -84,6 +84,8 @@ def refined_half_cycles(
         first = fit.of(swings)
         swings, moved = up_to_rest_step(swings, first.evidence.knocks)
         if moved:
+            harmonics = _harmonics_of(blocks, swings)
+            fit = fit._replace(evidence=evidence_of(drag, harmonics))
             first = fit.of(swings)
         motion = fit.motion(first, swings)
     except DataError:
