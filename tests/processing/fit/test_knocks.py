@@ -13,6 +13,7 @@ from processing.fit import (
     LinearisedFit,
     fit_exact,
     fit_with_knocks,
+    knocks,
     up_to_rest_step,
     with_changes,
 )
@@ -70,6 +71,26 @@ def test_one_wrong_turning_point_is_no_knock() -> None:
     found = fitted(replace(points, amplitude=amplitude))
     assert found.outliers
     assert found.changes == ()
+
+
+@pytest.mark.parametrize(("more", "found"), [(-0.1, 0), (0.1, 1)])
+def test_a_knock_counts_by_its_gain_beyond_that_of_choosing(
+    monkeypatch: pytest.MonkeyPatch, more: float, found: int
+) -> None:
+    """A gain of 20, and of twice the logarithm of the half-cycles among which it was chosen."""
+    points = decay(0.0)
+    limit = 20.0 + 2.0 * np.log(len(points))
+    fit = fit_exact(points, PENDULUM, drag=True, evidence=KNOWN)
+    assert fit.ground is not None
+
+    def stand_in(*_: object, evidence: Evidence, **__: object) -> FitResult:
+        assert fit.ground is not None
+        gain = (limit + more) * bool(evidence.knocks)
+        ground = replace(fit.ground, deviance=fit.ground.deviance - gain)
+        return replace(fit, ground=ground, outliers=(120,), evidence=evidence)
+
+    monkeypatch.setattr(knocks, "fit_exact", stand_in)
+    assert len(fitted(points).changes) == found
 
 
 def half_cycles(centre_arcsec: float, knock: int) -> list[HalfCycle]:
