@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -190,9 +191,9 @@ def test_times_of_a_file_count_from_the_first_frame_of_a_record(
     class Stop(Exception):
         pass
 
-    taken = []
+    taken: list[tuple[Any, ...]] = []
 
-    def take(*arguments: object) -> None:
+    def take(*arguments: Any) -> None:
         taken.append(arguments)
         raise Stop
 
