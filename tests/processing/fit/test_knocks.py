@@ -119,6 +119,37 @@ def test_a_knock_that_moves_the_rest_position_ends_the_fit() -> None:
     assert "at half-cycle 20 a knock moved the rest position by 6.7 % of the last amplitude" in line
 
 
+def test_a_knock_that_is_dated_late_moved_the_rest_position_all_the_same() -> None:
+    """Disturbed half-cycles hid its own, and two of those after it were taken for those before it."""
+    found, line = up_to_rest_step(half_cycles(2.0, 20), [22])
+    assert [swing.flags for swing in found] == 20 * [0] + 40 * [int(HalfCycleFlag.REST_MOVED)]
+    assert "at half-cycle 20" in line
+
+
+def test_a_knock_before_ten_half_cycles_leaves_out_those_before_it() -> None:
+    """A decay of 60 half-cycles of which 9 stood before a knock had no fit at all."""
+    flag = int(HalfCycleFlag.REST_MOVED)
+    found, line = up_to_rest_step(half_cycles(1.0, 9), [9])
+    assert [swing.flags for swing in found] == 9 * [flag] + 51 * [0]
+    assert "before it are left out" in line
+    # with ten, no more behind it, or a large step, those before it are the decay
+    for swings, knock in (
+        (half_cycles(1.0, 10), 10),
+        (half_cycles(1.0, 9)[:17], 9),
+        (half_cycles(2.0, 9), 9),
+    ):
+        found, line = up_to_rest_step(swings, [knock])
+        assert [swing.flags for swing in found] == knock * [0] + (len(swings) - knock) * [flag]
+        assert "from there on are left out" in line
+    # a later knock counts among those that are left
+    again = [
+        replace(swing, centre=swing.centre + 2 * ARCSEC * (swing.index >= 40))
+        for swing in half_cycles(1.0, 9)
+    ]
+    found, _ = up_to_rest_step(again, [9, 40])
+    assert [swing.flags for swing in found] == 9 * [flag] + 31 * [0] + 20 * [flag]
+
+
 def test_a_knock_about_the_same_rest_position_leaves_out_nothing() -> None:
     swings = half_cycles(0.2, 20)
     assert up_to_rest_step(swings, [20]) == (swings, "")
