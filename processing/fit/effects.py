@@ -178,8 +178,9 @@ def _share(coefficient: float, drag_s: float) -> float:
     return _BOUNDARY_LAYER_INTEGRAL * coefficient / (0.5 * pi * drag_s) if drag_s else nan
 
 
-_MAX_NEGLIGIBLE_ERROR_U = 1e-3
-"""Largest error of an amplitude, in its uncertainties, below which a coordinate keeps its prior."""
+_MAX_NEGLIGIBLE_U = 1e-3
+"""Largest error of an amplitude, in its uncertainties, below which a coordinate keeps its prior, and largest
+change of a parameter, in its own, below which a place of rest is no part of them."""
 _SECOND = ORDERS.index(2)
 _FEWEST = 8
 _LEAST_SHARE = 1e-9
@@ -206,7 +207,7 @@ def fit_position_errors(at: LinearisedFit, errors: Floats) -> PositionErrorFit:
     `errors` (points, m) are those of the amplitudes for each of m independent coordinates of variance 1.
     """
     errors = errors[: len(at.points)]
-    felt = np.max(np.abs(errors) / at.points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_ERROR_U
+    felt = np.max(np.abs(errors) / at.points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_U
     by_errors = -at.by_points(amplitude=errors[:, felt])
     noise = 1.0
     for _ in range(2):
@@ -407,7 +408,8 @@ def with_rest_position(at: LinearisedFit, found: TimeAlternation, fit: FitResult
     columns = rows.by_errors.sum(axis=1, keepdims=True)
     good = np.isfinite(at.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
     by = at.to_physical @ FactoredJacobian(at.jacobian[good]).coefficients(columns[good])
-    return fit.with_term(REST_POSITION, by)
+    felt = np.abs(by[:, 0]) > _MAX_NEGLIGIBLE_U * fit.standard_uncertainty
+    return fit.with_term(REST_POSITION, by) if np.any(felt) else fit
 
 
 def without_alternation(points: TurningPoints, found: TimeAlternation) -> TurningPoints:
