@@ -15,7 +15,8 @@ Rows that are exposed in turn delay a spot by its place. Turning points lie on r
 rest, so their times alternate by an amount that is proportional to the amplitude, which no motion of the
 pendulum does. The alternation is taken off the times: the parameters are then those of a stated shutter.
 Where the half-cycles were fitted with a shutter's effect, their times do not alternate; the swing then has a
-second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes.
+second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes. A pendulum
+that rests beside the middle of its contact has another: its times alternate more, the smaller the amplitude.
 """
 
 from collections.abc import Callable, Mapping
@@ -178,9 +179,10 @@ def _share(coefficient: float, drag_s: float) -> float:
     return _BOUNDARY_LAYER_INTEGRAL * coefficient / (0.5 * pi * drag_s) if drag_s else nan
 
 
-_MAX_NEGLIGIBLE_U = 1e-3
-"""Largest error of an amplitude, in its uncertainties, below which a coordinate keeps its prior, and largest
-change of a parameter, in its own, below which a place of rest is no part of them."""
+_MAX_NEGLIGIBLE_ERROR_U = 1e-3
+"""Largest error of an amplitude, in its uncertainties, below which a coordinate keeps its prior."""
+_MIN_FELT_U = 0.01
+"""Change of a parameter, in its uncertainties, above which a place of rest is part of them."""
 _SECOND = ORDERS.index(2)
 _FEWEST = 8
 _LEAST_SHARE = 1e-9
@@ -207,7 +209,7 @@ def fit_position_errors(at: LinearisedFit, errors: Floats) -> PositionErrorFit:
     `errors` (points, m) are those of the amplitudes for each of m independent coordinates of variance 1.
     """
     errors = errors[: len(at.points)]
-    felt = np.max(np.abs(errors) / at.points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_U
+    felt = np.max(np.abs(errors) / at.points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_ERROR_U
     by_errors = -at.by_points(amplitude=errors[:, felt])
     noise = 1.0
     for _ in range(2):
@@ -408,7 +410,7 @@ def with_rest_position(at: LinearisedFit, found: TimeAlternation, fit: FitResult
     columns = rows.by_errors.sum(axis=1, keepdims=True)
     good = np.isfinite(at.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
     by = at.to_physical @ FactoredJacobian(at.jacobian[good]).coefficients(columns[good])
-    felt = np.abs(by[:, 0]) > _MAX_NEGLIGIBLE_U * fit.standard_uncertainty
+    felt = np.abs(by[:, 0]) > _MIN_FELT_U * fit.standard_uncertainty
     return fit.with_term(REST_POSITION, by) if np.any(felt) else fit
 
 
