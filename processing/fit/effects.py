@@ -15,8 +15,8 @@ Rows that are exposed in turn delay a spot by its place. Turning points lie on r
 rest, so their times alternate by an amount that is proportional to the amplitude, which no motion of the
 pendulum does. The alternation is taken off the times: the parameters are then those of a stated shutter.
 Where the half-cycles were fitted with a shutter's effect, their times do not alternate; the swing then has a
-second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes. A pendulum
-that rests beside the middle of its contact has another: its times alternate more, the smaller the amplitude.
+second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes. One that
+rests beside the middle of its contact has another: its times alternate more, the smaller the amplitude.
 """
 
 from collections.abc import Callable, Mapping

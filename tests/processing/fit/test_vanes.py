@@ -105,6 +105,7 @@ def test_an_uncertain_area_counts_as_its_drag(runs: list[VanedRun], found: Measu
     assert 1.1 * u_exact < u_unsure < 1.1 * two_areas
 
 
+@pytest.mark.slow
 def test_an_uncertain_area_moves_the_drag_as_its_derivatives_say() -> None:
     areas = []
     for area_m2, u_m2 in ((0.0, 0.0), (0.1, 0.02)):

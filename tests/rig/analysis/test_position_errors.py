@@ -134,6 +134,7 @@ def test_few_noisy_samples_are_measured_again() -> None:
         assert abs(value - getattr(parameters, name)) < 3 * u_value, name
 
 
+@pytest.mark.slow
 def test_the_waveform_ends_where_a_knock_moved_the_rest_position() -> None:
     """Beside the middle of the contact the swing has a second harmonic, and the rows' times had the blame."""
     parameters, pendulum = paper_pair("glass_k8")
