@@ -68,9 +68,11 @@ def approach_directions(reference: Floats) -> Floats:
     return np.concatenate([[first], way])
 
 
-def approach_if_both(way: Floats) -> Floats | None:
-    """The directions of approach if both occur, so that a hysteresis can be fitted; else None."""
-    return way if np.any(way > 0) and np.any(way < 0) else None
+def approach_if_both(reference: Floats, way: Floats) -> Floats | None:
+    """The directions of approach if both occur where no skew can stand for a hysteresis; else None."""
+    x = reference / np.abs(reference).max()
+    design = np.column_stack([np.ones_like(x), x, x**2, way])
+    return way if np.linalg.matrix_rank(design) == design.shape[1] else None
 
 
 class LadderTrace(NamedTuple):
@@ -188,9 +190,9 @@ def leave_one_out(
     change = np.full(len(steps.reference), np.nan)
     for i in range(len(change)):
         rest = LadderSteps(*(np.delete(getattr(steps, name), i) for name in LadderSteps.__slots__))
-        rest_way = None if way is None else approach_if_both(np.delete(way, i))
         if len(np.unique(rest.reference)) < 3:
             continue
+        rest_way = None if way is None else approach_if_both(rest.reference, np.delete(way, i))
         without = solve_ladder(rest, kind, rest_way, with_skew=with_skew)
         spread = math.sqrt(max(without.u_scale**2 - u_scale**2, (0.05 * u_scale) ** 2))
         change[i] = (without.scale - scale) / spread

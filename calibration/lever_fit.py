@@ -105,7 +105,7 @@ def fit_ladder(
     from scipy.special import chdtrc, fdtrc
 
     check_steps(steps, kind)
-    way = approach_if_both(approach_directions(steps.reference))
+    way = approach_if_both(steps.reference, approach_directions(steps.reference))
     straight = solve_ladder(steps, kind, way, with_skew=False)
     skewed = solve_ladder(steps, kind, way, with_skew=True)
     gain = max(straight.chi2 - skewed.chi2, 0.0)

@@ -8,6 +8,7 @@ from processing.fit.drag import Drag, DragFinding, drag_verdict
 from processing.fit.effects import (
     DRIFTS,
     PositionErrorFit,
+    TimeAlternation,
     amplitude_error_effects,
     boundary_layer_drag,
     drift_effects,
@@ -17,6 +18,7 @@ from processing.fit.effects import (
     sensor_derivatives,
     time_alternation,
     with_boundary_layer_drag,
+    with_rest_position,
     without_alternation,
 )
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, waveform_of
@@ -61,6 +63,7 @@ from processing.fit.result import (
     DISCREPANCY,
     FIXED_PATTERN,
     MEASUREMENT,
+    REST_POSITION,
     Change,
     ChangeKind,
     DiscrepancySize,

@@ -15,7 +15,8 @@ Rows that are exposed in turn delay a spot by its place. Turning points lie on r
 rest, so their times alternate by an amount that is proportional to the amplitude, which no motion of the
 pendulum does. The alternation is taken off the times: the parameters are then those of a stated shutter.
 Where the half-cycles were fitted with a shutter's effect, their times do not alternate; the swing then has a
-second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes.
+second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes. One that
+rests beside the middle of its contact has another: its times alternate more, the smaller the amplitude.
 """
 
 from collections.abc import Callable, Mapping
@@ -31,11 +32,20 @@ from processing.estimate import Estimate
 from processing.fit.exact_model import DiscrepancyColumns, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.reported import RigQuantities
-from processing.fit.result import BOUNDARY_LAYER, FITTED_DRIFTS, FIXED_PATTERN, BoundaryLayerDrag, FitResult
+from processing.fit.result import (
+    BOUNDARY_LAYER,
+    FITTED_DRIFTS,
+    FIXED_PATTERN,
+    REST_POSITION,
+    BoundaryLayerDrag,
+    FitResult,
+)
 from processing.fit.terms import DrivenRows, LinearisedFit, Term, TermSolution, solve
+from processing.least_squares import FactoredJacobian
 from processing.number_text import plain, with_uncertainty
 from processing.quantity import Quantity
 from processing.swing import ORDERS, SwingHarmonics, TurningPoints
+from processing.units import ARCSEC_RAD
 
 _GROWTH_STEP = 1e-3
 """Relative growth of a friction by which the derivatives of its harmonics are taken."""
@@ -171,8 +181,12 @@ def _share(coefficient: float, drag_s: float) -> float:
 
 _MAX_NEGLIGIBLE_ERROR_U = 1e-3
 """Largest error of an amplitude, in its uncertainties, below which a coordinate keeps its prior."""
+_MIN_FELT_U = 0.01
+"""Change of a parameter, in its uncertainties, above which a place of rest is part of them."""
 _SECOND = ORDERS.index(2)
 _FEWEST = 8
+_LEAST_SHARE = 1e-9
+"""Least share of the contact in a loss, so that it has a logarithm."""
 CERTAIN = 1e-6
 """Chance of so large an alternation, below which it is called a shutter's."""
 
@@ -274,19 +288,48 @@ class Alternation:
         )
 
 
+class TimeAlternation(NamedTuple):
+    """What makes turning times alternate: rows that are exposed in turn, and the place of rest.
+
+    `rest_rad` is the distance of the rest position from the middle of the contact, `late_by_rest_s` (points,)
+    the delays that it makes.
+    """
+
+    rows: Alternation
+    rest_rad: Estimate
+    late_by_rest_s: Floats
+
+    @property
+    def rest_seen(self) -> bool:
+        value, u = self.rest_rad
+        return u > 0.0 and erfc(value / u / sqrt(2.0)) < CERTAIN
+
+    @property
+    def taken_off_texts(self) -> tuple[str, ...]:
+        """Remarks, one line each, on turning times that were corrected."""
+        rest = with_uncertainty(*(number / ARCSEC_RAD for number in self.rest_rad))
+        of_rest = (
+            f"turning times at the two ends alternate as where the pendulum rests {rest} arcsec beside the "
+            "middle of its contact: this was subtracted, and uncertainties hold what it changes of the losses"
+        )
+        of_rows = [self.rows.taken_off_text] if self.rows.seen else []
+        return (*of_rows, *([of_rest] if self.rest_seen else []))
+
+
 def row_delay(harmonics: SwingHarmonics, period_s: float) -> Alternation:
     """Delay in proportion to the place of the spot, from the swing's second harmonic.
 
     A delay by k phi makes ``-(k w A^2 / 2) sin(2 w t)`` of A cos(w t). A friction that differs between both
-    directions makes a second harmonic proportional to the friction, A^p, which is fitted as well.
+    directions makes a second harmonic proportional to the friction, A^p, and one about another middle than
+    that of the contact makes one proportional to its derivative, nearly constant: both are fitted as well.
     """
     amplitude, sine = harmonics.amplitude, harmonics.sine[:, _SECOND]
     if len(amplitude) < _FEWEST:
         return Alternation()
     u = np.sqrt(harmonics.covariance_sine[:, _SECOND, _SECOND])
-    friction, delay = amplitude / u, np.pi / period_s * amplitude**2 / u
+    friction, delay = np.column_stack([amplitude, np.ones_like(u)]), np.pi / period_s * amplitude**2 / u
     # the scatter of the pieces contains the ground's part
-    return _alternation(solve(sine / u, friction[:, None], [Term("delay", delay)]), len(sine) - 2)
+    return _alternation(solve(sine / u, friction / u[:, None], [Term("delay", delay)]), len(sine) - 3)
 
 
 def sides(points: TurningPoints) -> Floats:
@@ -294,12 +337,19 @@ def sides(points: TurningPoints) -> Floats:
     return np.asarray(1.0 - 2.0 * (points.index % 2))
 
 
-def time_alternation(at: LinearisedFit) -> Alternation:
+def time_alternation(at: LinearisedFit) -> TimeAlternation:
     """Alternation of the turning times, estimated together with the parameters of an exact fit."""
-    by_delay = -at.by_points(time_s=(sides(at.points) * at.points.amplitude)[:, None])
-    found = at.solved(Term("delay", by_delay))
+    points = at.points
+    late_s = np.column_stack([points.amplitude, _late_per_rest(at)]) * sides(points)[:, None]
+    by = -at.by_points(time_s=late_s)
+    # a pendulum rests within its swing, which is all that a law of constant friction says of it
+    rest = Term("rest", by[:, 1:], float(points.amplitude.min()))
+    found = at.solved(Term("delay", by[:, :1]), rest)
     # the scatter is that without the alternation, which the fit may have taken for noise
-    return _alternation(found, len(found.left) - at.jacobian.shape[1] - 1)
+    dof = len(found.left) - at.jacobian.shape[1] - 2
+    u_rest = sqrt(found.covariance[1, 1]) * found.scatter(dof)
+    at_rest = Estimate(abs(float(found.values[1])), u_rest)
+    return TimeAlternation(_alternation(found, dof), at_rest, late_s[:, 1] * found.values[1])
 
 
 def _alternation(found: TermSolution, dof: int) -> Alternation:
@@ -310,7 +360,65 @@ def _alternation(found: TermSolution, dof: int) -> Alternation:
     return Alternation(delay_s_per_rad=delay, u_delay_s_per_rad=u, chance=erfc(abs(delay) / u / sqrt(2.0)))
 
 
-def without_alternation(points: TurningPoints, found: Alternation) -> TurningPoints:
-    """The turning points with the times that a shutter exposing all rows at once would give."""
-    delay_s = found.delay_s_per_rad * sides(points) * points.amplitude
-    return replace(points, time_s=points.time_s - delay_s)
+def _late_per_rest(at: LinearisedFit) -> Floats:
+    """Delays (points,) of measured turning points by the rest position, in s/rad; they alternate.
+
+    A friction M(|x + r|) is larger by r M'(|x|) on one side than on the other. Of b |x|^p that makes the
+    second harmonic ``(8/3 pi) p b r A^(p-1) / (p + 1) sin(2 w t)``; half-cycles fitted by a swing without it
+    are late by ``4/(3 pi)`` of what it moves the turning points themselves.
+    """
+    amplitude, loss = at.model.losses(at.coordinates)
+    power, of_contact = _contact_power(at, amplitude, loss)
+    harmonic = 4.0 / (3.0 * pi) * power * of_contact * loss / amplitude / at.model.reference
+    late_s = at.fit.mean_period_s.value / (2.0 * pi) * 4.0 / (3.0 * pi) * 2.0 * harmonic / amplitude
+    return np.interp(-at.points.amplitude / at.model.reference, -amplitude, late_s)
+
+
+def _contact_power(at: LinearisedFit, amplitude: Floats, loss: Floats) -> tuple[Floats, Floats]:
+    """The power of the amplitude with which the contact's loss grows, and its share of the loss."""
+    of_contact = loss_shares(at.model, at.coordinates)(amplitude)[0]
+    return _slopes(amplitude, np.log(np.maximum(of_contact, _LEAST_SHARE) * loss))[0], of_contact
+
+
+def _slopes(amplitude: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """First and second derivative of smooth values by ln A."""
+    x = np.log(amplitude)
+    smooth = np.polynomial.Polynomial.fit(x, values, 3)
+    return np.asarray(smooth.deriv()(x)), np.asarray(smooth.deriv(2)(x))
+
+
+def with_rest_position(at: LinearisedFit, found: TimeAlternation, fit: FitResult) -> FitResult:
+    """The fit with uncertainties that contain what a rest position beside the contact's middle changes.
+
+    Over both directions a power p of the angle in the friction loses ``p (p + 1) / 2 (r / A)^2`` more, and
+    one in the elastic moment, of which the period tells, is as much larger in the mean over the swing. The
+    values stay: the series in r/A is right only to some tenths of itself.
+    """
+    rest = found.rest_rad.value / at.model.reference
+
+    def loss_errors(amplitude: Floats, _: Floats) -> Floats:
+        power, of_contact = _contact_power(at, amplitude, np.interp(-amplitude, -nodes, loss))
+        return np.asarray((0.5 * power * (power + 1.0) * of_contact * (rest / amplitude) ** 2)[:, None])
+
+    def duration_errors(amplitude: Floats, node_s: Floats) -> Floats:
+        slope, bend = _slopes(amplitude, np.log(np.gradient(node_s)))
+        return np.asarray((0.5 * (bend + 2.0 * slope) * (rest / amplitude) ** 2)[:, None])
+
+    nodes, loss = at.model.losses(at.coordinates)
+    errors = DiscrepancyColumns(loss_errors, duration_errors)
+    rows = DrivenRows.of(at.model, at.coordinates, at.noise, errors).in_scatter(at.scale)
+    columns = rows.by_errors.sum(axis=1, keepdims=True)
+    good = np.isfinite(at.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
+    by = at.to_physical @ FactoredJacobian(at.jacobian[good]).coefficients(columns[good])
+    felt = np.abs(by[:, 0]) > _MIN_FELT_U * fit.standard_uncertainty
+    return fit.with_term(REST_POSITION, by) if np.any(felt) else fit
+
+
+def without_alternation(points: TurningPoints, found: TimeAlternation) -> TurningPoints:
+    """The turning points with the times that they would have without what is seen of an alternation."""
+    late_s = np.zeros(len(points))
+    if found.rows.seen:
+        late_s += found.rows.delay_s_per_rad * sides(points) * points.amplitude
+    if found.rest_seen:
+        late_s += found.late_by_rest_s
+    return replace(points, time_s=points.time_s - late_s)

@@ -90,9 +90,10 @@ def _change(
     model, columns = ExactModel.of(points, pendulum, replace(fit, evidence=without))
     found, count = model.filtered(columns, model.noise_of(fit)), len(model.points)
     place = int(np.searchsorted(model.points.index, knock))
-    per_amplitude, time_by_amplitude, per_time = found.gains[place, 4:7]
+    per_amplitude, _, per_time = found.gains[place, 4:7]
     lost = found.residuals[place] / per_amplitude
-    late_s = found.residuals[count + place] / per_time + time_by_amplitude * lost
+    # what the amplitude tells of the time is a thousandth of the size
+    late_s = found.residuals[count + place] / per_time
     amplitude = float(model.points.amplitude[place]) / model.reference
     return Change(
         kind=ChangeKind.KNOCK,

@@ -9,6 +9,7 @@ measurement with this waveform the errors of the turning points are independent.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
 from processing.deflections import Deflections
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
+from processing.fit.exact_result import FEWEST_HALF_CYCLES
 from processing.fit.knocks import fit_with_knocks
 from processing.fit.result import FitResult
 from processing.least_squares import Loss
@@ -36,9 +38,14 @@ from processing.units import seconds
 
 _REST_HALF_CYCLES = 6
 """Half-cycles on either side of a knock whose rest positions are compared."""
+_MAX_LATE = 3
+"""Most half-cycles by which a knock is dated late, where those before it were disturbed, too."""
 _MAX_REST_SHARE = 0.01
 """Largest step of the rest position, as a share of the last amplitude, that a fit across it takes: friction
 of the deflection itself changes the losses by its square."""
+_MAX_COVERED_SHARE = 0.05
+"""Largest such step behind which a decay is fitted: beyond, the second measurement may be refused, and its
+enlarged uncertainties hide that turning times alternate."""
 _MIN_REFINED_SHARE = 0.95
 """Share of the half-cycles that the second measurement must find."""
 
@@ -203,27 +210,40 @@ def up_to_rest_step(swings: Sequence[HalfCycle], knocks: Sequence[int]) -> tuple
     """Half-cycles, flagged from the first knock on that moved the rest position, and a line on that.
 
     Friction and elasticity are those of the angle from the middle of the contact, where the pendulum then
-    rests no more. The line is empty where no knock moved the rest position.
+    rests no more. Those before it are flagged where they are too few for a fit, and fewer, and the step is
+    small: what the place of rest changes is then in the uncertainties. The line is empty where no knock moved
+    the rest position.
     """
-    good = [swing for swing in swings if not swing.flags]
-    for knock in knocks:
-        before = [swing.centre for swing in good if swing.index < knock][-_REST_HALF_CYCLES:]
-        after = [swing.centre for swing in good if swing.index >= knock][:_REST_HALF_CYCLES]
+    flag, lines = int(HalfCycleFlag.REST_MOVED), list[str]()
+    for knock, late in product(knocks, range(_MAX_LATE + 1)):
+        good, first = [swing for swing in swings if not swing.flags], knock - late
+        before, after = ([one for one in good if (one.index >= first) is later] for later in (False, True))
         if not before or not after:
             continue
-        share = abs(float(np.median(after) - np.median(before))) / good[-1].amplitude
-        apart = max(before) < min(after) or max(after) < min(before)
-        if apart and share > _MAX_REST_SHARE:
-            flag = int(HalfCycleFlag.REST_MOVED)
-            return [
-                replace(swing, flags=swing.flags | flag) if swing.index >= knock else swing
-                for swing in swings
-            ], (
-                f"at half-cycle {knock} a knock moved the rest position by {100 * share:.2g} % of the last "
-                "amplitude: the half-cycles from there on are left out, since the pendulum rests beside the "
-                "middle of its contact"
-            )
-    return swings, ""
+        centre_before = [swing.centre for swing in before[-_REST_HALF_CYCLES:]]
+        centre_after = [swing.centre for swing in after[:_REST_HALF_CYCLES]]
+        share = abs(float(np.median(centre_after) - np.median(centre_before))) / good[-1].amplitude
+        apart = max(centre_before) < min(centre_after) or max(centre_after) < min(centre_before)
+        if not apart or share <= _MAX_REST_SHARE:
+            continue
+        few = len(before) < min(FEWEST_HALF_CYCLES, len(after)) and share <= _MAX_COVERED_SHARE
+        swings = [
+            replace(swing, flags=swing.flags | flag) if (swing.index < first) is few else swing
+            for swing in swings
+        ]
+        left_out = (
+            "before it are left out, which are too few for a fit; those after it are fitted, though the "
+            "pendulum may rest"
+            if few
+            else "from there on are left out, since the pendulum rests"
+        )
+        lines.append(
+            f"at half-cycle {first} a knock moved the rest position by {100 * share:.2g} % of the last "
+            f"amplitude: the half-cycles {left_out} beside the middle of its contact"
+        )
+        if not few:
+            break
+    return swings, "; ".join(lines)
 
 
 class DecayFit(NamedTuple):

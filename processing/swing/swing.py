@@ -25,7 +25,7 @@ class HalfCycleFlag(IntFlag):
     INFERRED = 16
     """The turning point lies outside the sensor and was inferred from crossings of the sensor."""
     REST_MOVED = 32
-    """A knock before it moved the rest position: the pendulum rests beside the middle of its contact."""
+    """A knock moved the rest position, and the fitted half-cycles are those on its other side."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from processing.fit import (
     DISCREPANCY,
     FIXED_PATTERN,
     NO_EVIDENCE,
+    REST_POSITION,
     DecayFit,
     Evidence,
     FitMethod,
@@ -21,6 +22,7 @@ from processing.fit import (
     Refinement,
     Seismogram,
     SeismometerUse,
+    TimeAlternation,
     boundary_layer_drag,
     describes_as_well,
     domain_warnings,
@@ -38,6 +40,7 @@ from processing.fit import (
     with_boundary_layer_drag,
     with_changes,
     with_discrepancy,
+    with_rest_position,
     without_alternation,
 )
 from processing.least_squares import Loss
@@ -84,6 +87,8 @@ def refined_half_cycles(
         first = fit.of(swings)
         swings, moved = up_to_rest_step(swings, first.evidence.knocks)
         if moved:
+            harmonics = _harmonics_of(blocks, swings)
+            fit = fit._replace(evidence=evidence_of(drag, harmonics))
             first = fit.of(swings)
         motion = fit.motion(first, swings)
     except DataError:
@@ -218,7 +223,7 @@ def fit_decay(
     loss, printed_curvature = loss_of(settings), settings.printed_055
     if exact is None:
         exact = fit_with_knocks(points, pendulum, drag=drag, evidence=evidence, loss=loss)
-    exact, points = _without_rolling_shutter(points, pendulum, exact)
+    exact, points, alternation = _without_alternation(points, pendulum, exact)
     boundary_layer = (
         boundary_layer_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
     )
@@ -235,7 +240,8 @@ def fit_decay(
         # each is estimated about the fit as it ended, so that their order does not matter
         at = LinearisedFit.of(points, pendulum, fit)
         terms = [] if drifts is None else [drift_term(at, drifts)]
-        fit = with_discrepancy(at, at.with_terms(*terms))
+        fit = with_rest_position(at, alternation, at.with_terms(*terms))
+        fit = with_discrepancy(at, fit)
         # a deviation that smooth errors of the law explain is no change
         explained = 0.0 if fit.discrepancy is None else fit.discrepancy.against_law
         fit = with_changes(at, settings.u_ageing, explained, fit)
@@ -253,20 +259,20 @@ def fit_decay(
     if use is not None and use.used:
         # the factor is that of the reported uncertainties, with all findings
         use = use.with_saved(with_findings(alone), exact)
-    asymptotic = asymptotic.with_terms_of(exact, FIXED_PATTERN, DISCREPANCY)
+    asymptotic = asymptotic.with_terms_of(exact, FIXED_PATTERN, DISCREPANCY, REST_POSITION)
     return {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}, points, use
 
 
-def _without_rolling_shutter(
+def _without_alternation(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
-) -> tuple[FitResult, TurningPoints]:
-    """The fit and its points without the effect of a rolling shutter that is not stated, if they show one."""
+) -> tuple[FitResult, TurningPoints, TimeAlternation]:
+    """The fit and its points without alternating turning times, if they show any, and what makes them so."""
     found = time_alternation(LinearisedFit.of(points, pendulum, exact))
-    if not found.seen:
-        return exact, points
-    at_once = without_alternation(points, found)
+    if not found.taken_off_texts:
+        return exact, points, found
+    evened = without_alternation(points, found)
     fit = fit_with_knocks(
-        at_once, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
+        evened, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
     )
     fit = fit.with_terms_of(exact, FIXED_PATTERN)
-    return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once
+    return replace(fit, warnings=(*fit.warnings, *found.taken_off_texts)), evened, found

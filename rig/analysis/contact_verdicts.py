@@ -16,6 +16,7 @@ from processing.fit import (
     BOUNDARY_LAYER,
     FIXED_PATTERN,
     MEASUREMENT,
+    REST_POSITION,
     BaseMotion,
     Budget,
     Determination,
@@ -213,7 +214,7 @@ def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit
 def _widening(fit: FitResult) -> dict[str, float]:
     if MEASUREMENT not in fit.terms:
         return {}
-    at_rest = fit.part(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER)
+    at_rest = fit.part(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER, REST_POSITION)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = fit.standard_uncertainty / np.sqrt(np.diag(at_rest))
     known = dict(zip(fit.names, ratio.tolist(), strict=True))

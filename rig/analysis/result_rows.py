@@ -187,9 +187,7 @@ def series_rows(
         parameter = law_parameters()[name]
         half = item.expanded_uncertainty_95
         lower, upper = item.value - half, item.value + half
-        verdict = Determinacy.DETERMINED
-        if item.standard_uncertainty > WELL_DETERMINED * abs(item.value):
-            verdict = Determinacy.INTERVAL
+        is_limited = item.standard_uncertainty > WELL_DETERMINED * abs(item.value)
         rows = of_runs.get(name, ())
         runs = [_limits(row, run) for row, run in zip(rows, item.runs, strict=False)]
         # limits of what is determined are those of a parabola, with the apparatus
@@ -197,10 +195,17 @@ def series_rows(
             bent |= {name, *(ENERGIES if name == "c" else ())}
             logarithmic = parameter.logarithmic and all(run.value > 0 for run, _ in runs)
             lower, upper = combined_limits(runs, logarithmic=logarithmic)
+            is_limited = True
+        verdict = Determinacy.DETERMINED
+        if is_limited:
+            # beyond the range of the law a limit is none of the data
+            lower, upper = (
+                lower if lower > parameter.lower else nan,
+                upper if upper < parameter.upper else nan,
+            )
             verdict = _verdict(lower, upper)
-        has_upper = verdict in (Determinacy.INTERVAL, Determinacy.UPPER_BOUND)
-        if has_upper and parameter.lower == 0 and not lower > 0:
-            verdict, lower = Determinacy.UPPER_BOUND, 0.0
+        if verdict is Determinacy.UPPER_BOUND and parameter.lower == 0:
+            lower = 0.0
         found.append((item.estimate, Determination(name, verdict, lower, upper, name in bent)))
     # limits of the runs contain the apparatus already
     rest = {name: lines for name, lines in budget.items() if name not in bent}

@@ -93,6 +93,7 @@ _STEPS: Final[Mapping[str, str]] = {
     "ground": "measure while the ground is quieter, or record it beside the run (rig fit --seismometer)",
     "discrepancy": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
     "position_errors": "correct the sensor's errors of position",
+    "rest_position": "let the pendulum stand where it will swing before the release",
     "friction_step": "fit the parts of the decay on their own, or make more runs",
     "ageing": "wait until the contact has settled, or state its history",
     "adhesion_ageing": "wait until the contact has settled, or state its history",

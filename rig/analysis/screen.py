@@ -85,7 +85,7 @@ _FLAGS = {
     HalfCycleFlag.LOW_AMPLITUDE: "too small",
     HalfCycleFlag.START: "of a release or kick",
     HalfCycleFlag.INFERRED: "outside the sensor",
-    HalfCycleFlag.REST_MOVED: "after a knock that moved the rest position",
+    HalfCycleFlag.REST_MOVED: "beyond a knock that moved the rest position",
 }
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import nan
 from pathlib import Path
 from typing import Any, Final
 
@@ -35,11 +36,11 @@ from processing.instruments import (
     over_places,
     ratio,
 )
-from processing.series import SeriesResult, average_curves, combine_runs
+from processing.series import CombinedValue, SeriesResult, average_curves, combine_runs
 from processing.swing import HalfCycle, SwingHarmonics
 from rig.analysis.decay_values import InstrumentSeries
 from rig.analysis.other_instruments import Reduction
-from rig.analysis.result_rows import series_rows, withheld
+from rig.analysis.result_rows import ResultRow, series_rows, withheld
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.settings import InstrumentSettings, KeyUseMonitor
@@ -110,7 +111,7 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
     return Series(
         runs=len(fitted),
         combined_runs=tuple(numbers),
-        fits={method: found.parameters for method, found in combined.items()},
+        fits={method: _with_means(found.parameters, table) for method, found in combined.items()},
         table=table,
         budget=withheld(budget, table),
         disagreements=tuple(
@@ -119,6 +120,20 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
         averaged_curves=averaged,
         problems=tuple(problems),
     )
+
+
+def _with_means(
+    combined: Mapping[str, CombinedValue], table: Sequence[ResultRow]
+) -> dict[str, CombinedValue]:
+    """The parameters over runs; those that the runs only limit have no mean by any method."""
+    limited = {row.quantity for row in table if row.by_profile}
+    none = CombinedValue(value=nan, standard_uncertainty=nan, by_air=nan)
+    return {
+        name: replace(none, degrees_of_freedom=item.degrees_of_freedom, runs=item.runs)
+        if name in limited
+        else item
+        for name, item in combined.items()
+    }
 
 
 def _averaged_curves(

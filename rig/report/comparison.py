@@ -291,9 +291,8 @@ def _combined_of(session: SessionResults) -> Mapping[str, CombinedValue]:
     """The parameters that have a mean: those whose runs only limit them have none to compare."""
     if session.series is None:
         return {}
-    limited = {row.quantity for row in session.series.table if row.by_profile}
     combined = session.series.fits.get(FitMethod.EXACT, {})
-    return {name: item for name, item in combined.items() if name not in limited}
+    return {name: item for name, item in combined.items() if isfinite(item.value)}
 
 
 def _single_run(estimate: Estimate, dof: int) -> CombinedValue:

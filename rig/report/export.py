@@ -185,9 +185,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     if kind == "latex":
         made: Mapping[Path, bytes] = {output / n: text.encode() for n, text in latex_tables(source).items()}
         if not made:
-            raise RecordError(
-                f"{source}: its results have no tables; rig fit makes some where a run is fitted"
-            )
+            raise RecordError(f"{source}: no run of it has a decay, and so there is no table to export")
         for path, content in made.items():
             with written(path):
                 output.mkdir(parents=True, exist_ok=True)

@@ -109,7 +109,7 @@ def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
 
 _ORDER = (
     "kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane", "instrument",
-    "parameters",
+    "parameters", "decay",
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
     "fig13-period", "residuals", "position-errors",

@@ -11,6 +11,7 @@ from processing.fit import Budget, FitMethod
 from processing.quantity import InstrumentQuantities
 from processing.units import ARCSEC_RAD
 from rig.analysis import (
+    DECAY,
     INSTRUMENT,
     AveragedCurves,
     Curves,
@@ -133,6 +134,8 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
     """All tables of one run; a table without content is left out."""
     results = run.results
     tables = [instrument_table(results), conditions_table(results), half_cycle_table(run, curves)]
+    if not results.fits and results.instrument is None:
+        tables = [decay_table(results), *tables]
     if results.fits:
         tables = [
             parameter_table(results),
@@ -284,6 +287,13 @@ def instrument_table(results: RunResults) -> Table:
         lines.append(TableRow(cells, [check.name, f"{check.value:.5g}", check.unit, limits]))
     head = ("", "value ± u", "unit", *(["standard"] if checks else []))
     return Table("instrument", "What this kind of pendulum reports", _VALUE_COLUMNS, head, lines)
+
+
+def decay_table(results: RunResults) -> Table:
+    """Table of what is known of a decay without a law."""
+    rows = [row for row in results.table if row.fit == DECAY and math.isfinite(row.value)]
+    lines = [_line(row.quantity, row.shown.name, row) for row in rows]
+    return Table("decay", "The decay", _VALUE_COLUMNS, ("", "value ± u", "unit"), lines)
 
 
 _VALUE_COLUMNS = ("quantity", "value", "standard_uncertainty")

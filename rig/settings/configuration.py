@@ -260,8 +260,9 @@ class Configuration(Section, frozen=True):
         balls, kind = self.simulation.contact.balls, self.instrument.description()
         if self.simulated and kind.report == "contact" and balls != kind.supports:
             raise ValueError(
-                f"simulation.contact.balls = {balls}: a pendulum of instrument.kind = {kind.kind!r} stands "
-                f"on {kind.supports}, and the fit would take the contact for another; state {kind.supports}"
+                f"simulation.contact.balls = {balls} with instrument.kind = {kind.kind!r}, which stands on "
+                f"{kind.supports}: the fit would take the contact for another; state another kind, or "
+                f"simulation.contact.balls = {kind.supports}"
             )
         try:
             stop_conditions(self.session.stop_when, drag=self.fit.fits_drag)

@@ -139,14 +139,19 @@ def validate_configuration(
     config, found_faults = validated(Configuration, tree)
     if config is not None:
         return config
-    stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
+    overrides = {override.partition("=")[0].strip(): override for override in overrides}
+    stated = {f"{key}." for key in overrides}
     with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
     lines, override_faults = [], []
     for fault in found_faults:
         is_stated, place = _is_from_overrides(fault, with_u), fault.place
         siblings = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
         why = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
-        lines.append(f"{'--set ' if is_stated else f'{source}: '}{fault.line}{why}")
+        of_set = "--set "
+        if not place and not fault.line.startswith(tuple(overrides)):
+            # the line begins with another of the keys that contradict each other
+            of_set += "".join(f"{text}: " for key, text in overrides.items() if key in fault.line)
+        lines.append(f"{of_set if is_stated else f'{source}: '}{fault.line}{why}")
         override_faults += [(dotted(place), f"{fault.line}{why}")] if is_stated else []
     raise FaultyConfiguration(lines, override_faults)
 

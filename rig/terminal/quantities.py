@@ -109,6 +109,7 @@ SOURCES: Final[Mapping[str, str]] = {
     "ground": "motion of the ground",
     "discrepancy": "model discrepancy",
     "friction_step": "a step of the friction",
+    "rest_position": "rest beside the contact's middle",
     "position_errors": "fixed-pattern error",
     "drifts": "drifts over the run, as fitted",
     "boundary_layer_drag": "boundary-layer drag",

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -38,6 +39,19 @@ def test_tilt_and_displacement_are_inverse(skew: float) -> None:
     d = lever.displacement_px(tilt)
     slope = (lever.tilt_rad(d + step) - lever.tilt_rad(d - step)) / (2 * step)
     np.testing.assert_allclose(lever.rad_per_px(d), slope, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["tilt", "shift"])
+def test_three_settings_that_leave_no_hysteresis_to_be_told_from_a_skew(
+    kind: Literal["tilt", "shift"],
+) -> None:
+    """The one setting that was approached from above: a singular matrix, or a scale of −8e4 ± 1e9."""
+    steps = ladder([0, 0, 0, 100, 100, -100, -100, 0])
+    found = fit_ladder(steps, kind)
+    t = np.tan(2 * steps.reference) if kind == "tilt" else steps.reference
+    assert found.scale == pytest.approx(-np.polyfit(t, steps.y_px, 1)[0], abs=3 * found.u_scale)
+    assert found.u_scale < 0.02 * found.scale
+    assert math.isnan(found.hysteresis)
 
 
 def test_plain_geometry_is_the_plain_lever() -> None:

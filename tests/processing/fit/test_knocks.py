@@ -13,6 +13,7 @@ from processing.fit import (
     LinearisedFit,
     fit_exact,
     fit_with_knocks,
+    knocks,
     up_to_rest_step,
     with_changes,
 )
@@ -72,6 +73,26 @@ def test_one_wrong_turning_point_is_no_knock() -> None:
     assert found.changes == ()
 
 
+@pytest.mark.parametrize(("more", "found"), [(-0.1, 0), (0.1, 1)])
+def test_a_knock_counts_by_its_gain_beyond_that_of_choosing(
+    monkeypatch: pytest.MonkeyPatch, more: float, found: int
+) -> None:
+    """A gain of 20, and of twice the logarithm of the half-cycles among which it was chosen."""
+    points = decay(0.0)
+    limit = 20.0 + 2.0 * np.log(len(points))
+    fit = fit_exact(points, PENDULUM, drag=True, evidence=KNOWN)
+    assert fit.ground is not None
+
+    def stand_in(*_: object, evidence: Evidence, **__: object) -> FitResult:
+        assert fit.ground is not None
+        gain = (limit + more) * bool(evidence.knocks)
+        ground = replace(fit.ground, deviance=fit.ground.deviance - gain)
+        return replace(fit, ground=ground, outliers=(120,), evidence=evidence)
+
+    monkeypatch.setattr(knocks, "fit_exact", stand_in)
+    assert len(fitted(points).changes) == found
+
+
 def half_cycles(centre_arcsec: float, knock: int) -> list[HalfCycle]:
     """Of 60 half-cycles of 30 arcsec, those from `knock` on about another centre."""
     return [
@@ -96,6 +117,37 @@ def test_a_knock_that_moves_the_rest_position_ends_the_fit() -> None:
     found, line = up_to_rest_step(half_cycles(2.0, 20), [20])
     assert [swing.flags for swing in found] == 20 * [0] + 40 * [int(HalfCycleFlag.REST_MOVED)]
     assert "at half-cycle 20 a knock moved the rest position by 6.7 % of the last amplitude" in line
+
+
+def test_a_knock_that_is_dated_late_moved_the_rest_position_all_the_same() -> None:
+    """Disturbed half-cycles hid its own, and two of those after it were taken for those before it."""
+    found, line = up_to_rest_step(half_cycles(2.0, 20), [22])
+    assert [swing.flags for swing in found] == 20 * [0] + 40 * [int(HalfCycleFlag.REST_MOVED)]
+    assert "at half-cycle 20" in line
+
+
+def test_a_knock_before_ten_half_cycles_leaves_out_those_before_it() -> None:
+    """A decay of 60 half-cycles of which 9 stood before a knock had no fit at all."""
+    flag = int(HalfCycleFlag.REST_MOVED)
+    found, line = up_to_rest_step(half_cycles(1.0, 9), [9])
+    assert [swing.flags for swing in found] == 9 * [flag] + 51 * [0]
+    assert "before it are left out" in line
+    # with ten, no more behind it, or a large step, those before it are the decay
+    for swings, knock in (
+        (half_cycles(1.0, 10), 10),
+        (half_cycles(1.0, 9)[:17], 9),
+        (half_cycles(2.0, 9), 9),
+    ):
+        found, line = up_to_rest_step(swings, [knock])
+        assert [swing.flags for swing in found] == knock * [0] + (len(swings) - knock) * [flag]
+        assert "from there on are left out" in line
+    # a later knock counts among those that are left
+    again = [
+        replace(swing, centre=swing.centre + 2 * ARCSEC * (swing.index >= 40))
+        for swing in half_cycles(1.0, 9)
+    ]
+    found, _ = up_to_rest_step(again, [9, 40])
+    assert [swing.flags for swing in found] == 9 * [flag] + 31 * [0] + 20 * [flag]
 
 
 def test_a_knock_about_the_same_rest_position_leaves_out_nothing() -> None:

@@ -1,4 +1,4 @@
-"""An unstated rolling shutter: its turning times alternate, which is seen, named and taken off."""
+"""Turning times that alternate, by a rolling shutter or about another middle: seen, named and taken off."""
 
 from dataclasses import replace
 
@@ -8,10 +8,17 @@ import scipy
 
 from processing.contact.laws import PAPER
 from processing.deflections import slow_deflections
-from processing.fit import LinearisedFit, fit_exact, row_delay, time_alternation, without_alternation
+from processing.fit import (
+    LinearisedFit,
+    fit_exact,
+    row_delay,
+    time_alternation,
+    with_rest_position,
+    without_alternation,
+)
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth
 from tests.processing.fit.driven import driven_decay, driven_path
-from tests.processing.fit.frames import points_and_harmonics
+from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
 DELAY_S_PER_RAD = 12.5
@@ -23,14 +30,16 @@ DELAY_S_PER_RAD = 12.5
 def test_alternating_times_are_those_of_a_shutter(q: float) -> None:
     points = driven_decay(PARAMETERS, PENDULUM, q=q, noise_arcsec=0.005, seed=5)
     at_once = fit_exact(points, PENDULUM, averaged=False)
-    assert not time_alternation(LinearisedFit.of(points, PENDULUM, at_once)).seen
+    alone = time_alternation(LinearisedFit.of(points, PENDULUM, at_once))
+    assert not alone.taken_off_texts
+    assert without_alternation(points, alone).time_s.tolist() == points.time_s.tolist()
     late = DELAY_S_PER_RAD * points.amplitude * (1 - 2 * (points.index % 2))
     seen = replace(points, time_s=points.time_s + late)
     fit = fit_exact(seen, PENDULUM, averaged=False)
     found = time_alternation(LinearisedFit.of(seen, PENDULUM, fit))
-    assert found.seen
-    assert found.delay_s_per_rad == pytest.approx(DELAY_S_PER_RAD, rel=0.01)
-    assert "rolling shutter" in found.taken_off_text
+    assert found.rows.delay_s_per_rad == pytest.approx(DELAY_S_PER_RAD, rel=0.01)
+    (text,) = found.taken_off_texts
+    assert "rolling shutter" in text
     mended = fit_exact(without_alternation(seen, found), PENDULUM, averaged=False)
     names = PAPER.names()
     apart = (mended.values - at_once.values)[: len(names)] / at_once.standard_uncertainty[: len(names)]
@@ -38,6 +47,36 @@ def test_alternating_times_are_those_of_a_shutter(q: float) -> None:
     assert mended.standard_uncertainty == pytest.approx(at_once.standard_uncertainty, rel=0.05)
     off = (mended.values[: len(names)] - truth(PARAMETERS, names)) / mended.standard_uncertainty[: len(names)]
     assert np.max(np.abs(off)) < 3.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", ["glass_k8", "silicon"])
+def test_a_rest_beside_the_middle_of_the_contact_is_found_and_covered(pair: str) -> None:
+    """Of 0.5 arcsec at 10 arcsec, n, T0 and gamma lay 5 u off, and a shutter and its rows had the blame."""
+    parameters, pendulum = paper_pair(pair)
+    pull = (2 * np.pi / parameters.period0_s) ** 2 * 0.5 * ARCSEC
+    path = driven_path(
+        parameters, pendulum, q=1e-9, seed=1, last_arcsec=10.0, frames_per_s=25.0,
+        forcing=lambda time_s: np.full(len(time_s), pull),
+    )[2]  # fmt: skip
+    points, harmonics = points_and_harmonics(seen_in_frames(path, 0.005 * ARCSEC, 1))
+    assert not row_delay(harmonics, parameters.period0_s).seen
+    fit = fit_exact(points, pendulum)
+    found = time_alternation(LinearisedFit.of(points, pendulum, fit))
+    assert not found.rows.seen
+    assert found.rest_rad.value / ARCSEC == pytest.approx(0.5, rel=0.2)
+    (text,) = found.taken_off_texts
+    assert "beside the middle" in text
+    evened = without_alternation(points, found)
+    fit = fit_exact(evened, pendulum, near=fit)
+    at = LinearisedFit.of(evened, pendulum, fit)
+    assert not time_alternation(at).rest_seen
+    wider, off = with_rest_position(at, found, fit), []
+    for name in ("c", "n", "period0_s", "gamma_pa"):
+        value, u = fit.estimate(name)
+        off.append(abs(value - getattr(parameters, name)) / u)
+        assert abs(value - getattr(parameters, name)) < 2.5 * wider.estimate(name).standard_uncertainty, name
+    assert max(off) > 2.5
 
 
 @pytest.mark.parametrize("delay_s_per_rad", [0.0, DELAY_S_PER_RAD])

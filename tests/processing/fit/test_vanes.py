@@ -7,10 +7,18 @@ import pytest
 
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import Evidence, MeasuredAir, VanedRun, air_of_vanes, fit_exact, waveform_of
+from processing.fit import (
+    Evidence,
+    MeasuredAir,
+    VanedRun,
+    air_of_vanes,
+    fit_exact,
+    vanes,
+    waveform_of,
+)
 from processing.fit.refinement import DecayFit, fitted_twice
 from processing.swing import HarmonicsMeasurement, swings_of_blocks
-from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.driven import driven_path
 from tests.processing.fit.frames import seen_in_frames
 
@@ -95,6 +103,36 @@ def test_an_uncertain_area_counts_as_its_drag(runs: list[VanedRun], found: Measu
     # by the stated noise: the scatter of each choice of runs is its own
     u_exact, u_unsure, two_areas = (one.per_exposure.standard_uncertainty / one.enlarged for one in measured)
     assert 1.1 * u_exact < u_unsure < 1.1 * two_areas
+
+
+@pytest.mark.slow
+def test_an_uncertain_area_moves_the_drag_as_its_derivatives_say() -> None:
+    areas = []
+    for area_m2, u_m2 in ((0.0, 0.0), (0.1, 0.02)):
+        points = decay(
+            replace(PARAMETERS, drag_s=DRAG_S + PER_M2_S * area_m2), PENDULUM, noise_arcsec=0.005, seed=1
+        )
+        areas.append(VanedRun(points, fit_exact(points, PENDULUM, drag=True), area_m2, u_m2))
+    shared = vanes._SharedParameters([vanes._run_model(one, PENDULUM) for one in areas], by_ratio=False)
+    at = shared.start.copy()
+    at[-1] = 0.5
+    derivatives = shared.run_parameters(at, 1)[1][:, -1]
+    step = np.zeros(len(at))
+    step[-1] = 0.01
+    high, low = (shared.run_parameters(at + sign * step, 1)[0] for sign in (1.0, -1.0))
+    assert derivatives == pytest.approx((high - low) / 0.02, rel=0.05, abs=0.02 * np.abs(derivatives).max())
+    # a larger area has the larger drag: that of another run on it
+    larger = vanes._SharedParameters(
+        [
+            vanes._run_model(one, PENDULUM)
+            for one in (areas[0], replace(areas[1], exposure=0.11, u_exposure=0.0))
+        ],
+        by_ratio=False,
+    )
+    larger.unit, larger.own = shared.unit, shared.own
+    assert shared.run_parameters(at, 1)[0][:-1] == pytest.approx(
+        larger.run_parameters(at[:-1], 1)[0], rel=1e-9
+    )
 
 
 @pytest.mark.slow

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
-from processing.fit import FIXED_PATTERN, Refinement, fit_exact, known_motion, second_measurement
+from processing.fit import (
+    FIXED_PATTERN,
+    Refinement,
+    fit_exact,
+    known_motion,
+    row_delay,
+    second_measurement,
+)
 from processing.spot import SPOT_DTYPE
 from processing.swing import HarmonicsMeasurement, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
@@ -21,7 +28,8 @@ from rig.report.drawing import svg
 from rig.report.figures_motion import position_error_figure
 from rig.settings import FitSettings, load_configuration
 from tests.processing.fit.decays import paper_pair
-from tests.processing.fit.driven import driven_path
+from tests.processing.fit.driven import World, driven_path
+from tests.processing.fit.frames import seen_in_frames
 from tests.processing.position_map.runs import Run, fringes, nothing, run
 from tests.rig.command_line import CONFIGS
 
@@ -124,6 +132,32 @@ def test_few_noisy_samples_are_measured_again() -> None:
     for name in ("n", "period0_s", "gamma_pa"):
         value, u_value = refined.exact.estimate(name)
         assert abs(value - getattr(parameters, name)) < 3 * u_value, name
+
+
+@pytest.mark.slow
+def test_the_waveform_ends_where_a_knock_moved_the_rest_position() -> None:
+    """Beside the middle of the contact the swing has a second harmonic, and the rows' times had the blame."""
+    parameters, pendulum = paper_pair("glass_k8")
+    at_s, moved = 200.0, 3.0 * ARCSEC_RAD
+    rate_rad_per_s = 2 * np.pi / parameters.period0_s
+    _, _, path = driven_path(
+        parameters,
+        pendulum,
+        World(event_s=at_s, knock_rad_per_s=5.0 * ARCSEC_RAD * rate_rad_per_s),
+        q=1e-9,
+        seed=1,
+        last_arcsec=20.0,
+        frames_per_s=25.0,
+        forcing=lambda time_s: np.where(time_s < at_s, 0.0, rate_rad_per_s**2 * moved),
+    )
+    blocks = [seen_in_frames(path, 0.005 * ARCSEC_RAD, 1)]
+    swings = swings_of_blocks(blocks)
+    refined = refined_half_cycles(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
+    assert "moved the rest position" in refined.doubt
+    assert refined.harmonics is not None
+    fitted = turning_points(refined.swings)
+    assert refined.harmonics.amplitude.min() >= fitted.amplitude.min()
+    assert not row_delay(refined.harmonics, parameters.period0_s).seen
 
 
 class _Record:

@@ -180,13 +180,37 @@ def test_runs_that_only_limit_a_parameter_have_limits_together_and_no_mean() -> 
         ResultRow(quantity="n", verdict=Determinacy.UPPER_BOUND, upper=0.284),
     ]
     (row,) = series_rows({"n": mean}, {}, _PENDULUM, {"n": limits})
-    assert (row.verdict, row.by_profile) == (Determinacy.INTERVAL, True)
+    assert (row.verdict, row.by_profile) == (Determinacy.UPPER_BOUND, True)
     assert row.upper > mean.value + mean.expanded_uncertainty_95
     # limits of what is determined contain the apparatus, and may be any number of times wider
     determined = [ResultRow(quantity="n", lower=x - 30 * u, upper=x + 30 * u) for x, u in found]
     assert series_rows({"n": mean}, {}, _PENDULUM, {"n": determined}) == series_rows(
         {"n": mean}, {}, _PENDULUM
     )
+
+
+@pytest.mark.parametrize(
+    ("limits", "verdict"),
+    [
+        (((nan, 4.0), (0.04, 4.5)), Determinacy.UNDETERMINED),
+        (((nan, 0.3), (nan, 0.15)), Determinacy.UPPER_BOUND),
+    ],
+)
+def test_limits_beyond_the_range_of_the_law_are_none(
+    limits: tuple[tuple[float, float], ...], verdict: Determinacy
+) -> None:
+    """n of two runs was -11 to 20; the law has 0.002 to 5."""
+    mean = combine("n", [Estimate(0.174, 0.186), Estimate(0.051, 0.02)])
+    of_runs = [
+        ResultRow(quantity="n", verdict=Determinacy.INTERVAL, lower=low, upper=high) for low, high in limits
+    ]
+    (row,) = series_rows({"n": mean}, {}, _PENDULUM, {"n": of_runs})
+    assert row.verdict is verdict
+    assert isnan(row.lower)
+    assert isnan(row.upper) == (verdict is Determinacy.UNDETERMINED)
+    # of a mean as uncertain, too
+    (row,) = series_rows({"n": replace(mean, value=0.1, standard_uncertainty=0.1)}, {}, _PENDULUM)
+    assert (row.verdict, isnan(row.lower)) == (Determinacy.UPPER_BOUND, True)
 
 
 def test_a_limit_that_only_physics_sets_is_none_of_the_data() -> None:

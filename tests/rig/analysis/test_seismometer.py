@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Response, SeismometerUse
 from processing.fit.seismometer import SeismometerVerdict
-from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, session_results
+from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, record_fit, session_results
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import seismometer_sentences
@@ -28,6 +29,7 @@ from rig.report import make_table_report
 from rig.settings import load_configuration
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
+from tests.rig.command_line import SAMPLES
 from tests.rig.intake.table_cases import analyse_table
 
 STEP_S = 0.1
@@ -179,6 +181,31 @@ def test_times_are_put_on_the_clock_of_the_turning_points(tmp_path: Path) -> Non
     assert seismometer.time_s[0] == pytest.approx(-5.0, abs=1e-6)
     assert known
     assert not absolute.seismogram(0)[1]
+
+
+def test_times_of_a_file_count_from_the_first_frame_of_a_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first frame of a record has any time on its own clock; one at 5 s is at 0 s of the seismometer."""
+
+    class Stop(Exception):
+        pass
+
+    taken: list[tuple[Any, ...]] = []
+
+    def take(*arguments: Any) -> None:
+        taken.append(arguments)
+        raise Stop
+
+    monkeypatch.setattr(record_fit, "analyse_swings", take)
+    times = np.arange(10.0)
+    seismometer = read_seismometer(csv(tmp_path / "a.csv", "time_s,z", times, times))
+    with pytest.raises(Stop):
+        analyse_record(SAMPLES / "series" / "run-1.mcap", seismometer=seismometer)
+    ((_, followed, *_, placed),) = taken
+    first_ns = next(iter(followed.deflections)).times_ns[0]
+    assert first_ns >= 1_000_000_000
+    assert placed.seismogram(int(first_ns) + 3_000_000_000)[0].time_s[0] == pytest.approx(-3.0)
 
 
 def test_a_column_that_is_not_there_is_said(decay: Path) -> None:

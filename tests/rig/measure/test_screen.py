@@ -4,7 +4,9 @@ import io
 import json
 import math
 import re
+import sys
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +20,7 @@ from processing.estimate import Estimate
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.instrument.run_now import CameraClock, Phase, RecordContents, RunNow
+from rig.measure import screen as screen_module
 from rig.measure.run_status import estimate_rows, estimate_texts
 from rig.measure.screen import RunDisplay
 
@@ -46,6 +49,22 @@ def screen(now: RunNow, unit: DeflectionUnit = DeflectionUnit.RAD) -> str:
     output = io.StringIO()
     Console(file=output, width=118, height=40).print(display(output, unit=unit).screen(now))
     return output.getvalue()
+
+
+def test_a_closed_stdout_takes_further_lines_and_ends_no_measurement(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def closed(*_: object) -> None:
+        raise BrokenPipeError
+
+    path = tmp_path / "stdout"
+    with path.open("w") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        monkeypatch.setattr(screen_module, "print_json_line", closed)
+        display(io.StringIO(), json_lines=True).line("state", {})
+        # what was buffered before goes nowhere, and raises no error at the end of the program
+        print("buffered", flush=True)
+    assert path.read_text() == ""
 
 
 def test_without_a_lever_the_screen_says_px_and_knows_no_end() -> None:

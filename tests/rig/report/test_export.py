@@ -284,9 +284,15 @@ def test_what_was_not_fitted_to_the_contact_says_so(tmp_path: Path) -> None:
     tree = json.loads((folder / "results.json").read_text())
     tree["runs"][0] |= {"conditions": []}
     (folder / "results.json").write_text(json.dumps(tree))
+    (made,) = export_session(folder, "latex", tmp_path / "decay")
+    assert made.name == "run-1-decay.tex"
+    period = next(row for row in tree["runs"][0]["table"] if row["quantity"] == "mean_period_s")
+    assert f"{period['value']:.3f}"[:4] in made.read_text()
+    tree["runs"][0] |= {"table": []}
+    (folder / "results.json").write_text(json.dumps(tree))
     done = rig("export", folder, "--format", "latex", "-o", tmp_path / "out")
     assert done.returncode in (1, 2)
-    assert "its results have no tables" in done.stderr
+    assert "no run of it has a decay" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
@@ -302,3 +308,5 @@ def test_a_table_whose_unit_is_a_formula(tmp_path: Path) -> None:
     rows = list(csv.DictReader(line for line in made[2].read_text().splitlines() if not line.startswith("#")))
     assert "'" + FORMULA in {row["unit"] for row in rows}
     assert not [cell for row in rows for cell in row.values() if cell[:1] in ("=", "@")]
+    (latex,) = export_session(tmp_path / "fit", "latex", tmp_path / "tex")
+    assert r"\num{2.51" in latex.read_text()

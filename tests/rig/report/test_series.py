@@ -13,7 +13,7 @@ import pytest
 from pyarrow import parquet
 
 from processing.errors import ConfigurationError
-from processing.estimate import Estimate
+from processing.estimate import Determinacy, Estimate
 from processing.fit import FitMethod
 from processing.instruments import MeanOverPlaces
 from processing.units import size
@@ -21,6 +21,7 @@ from rig.analysis import AnalysedRun, InstrumentSeries, Series, read_results, wr
 from rig.analysis.series import session_results
 from rig.report.export import export_session, latex_tables
 from rig.report.figures_contact import series_figure
+from rig.report.tables import series_table
 
 
 @pytest.fixture
@@ -79,10 +80,40 @@ def test_the_average_curve_knows_the_air_and_the_scatter_of_its_runs(
     assert results.series.averaged_curves is not None
     of_runs = results.series.fits[FitMethod.ASYMPTOTIC]
     averaged = results.series.averaged_curves.parameters
-    for name, item in of_runs.items():
+    means = {name: item for name, item in of_runs.items() if math.isfinite(item.value)}
+    assert "p" in means
+    for name, item in means.items():
         value, u = averaged[name]
         assert u >= item.standard_uncertainty
         assert abs(value - item.value) < 3 * u, name
+
+
+def test_what_the_runs_only_limit_has_no_mean_in_the_file(
+    analysed_series: Sequence[AnalysedRun], tmp_path: Path
+) -> None:
+    """The table had limits of n, the fits beside it a weighted mean with a standard uncertainty."""
+    limited = [
+        replace(
+            run,
+            table=tuple(
+                replace(row, verdict=Determinacy.UPPER_BOUND, lower=math.nan, upper=3.0)
+                if (row.quantity, row.fit) == ("n", FitMethod.EXACT)
+                else row
+                for row in run.table
+            ),
+        )
+        for run in analysed_series
+    ]
+    series = session_results(limited, tmp_path).series
+    assert series is not None
+    assert series["n"].verdict is not Determinacy.DETERMINED
+    for fit in series.fits.values():
+        of_n = fit["n"]
+        assert len(of_n.runs) == 2
+        assert all(math.isnan(number) for number in (*of_n.estimate, of_n.between_runs, of_n.by_air))
+        assert fit["period0_s"].value > 0
+    assert "nan" not in " ".join(cell for row in series_table(series).shown for cell in row)
+    series_figure(series)
 
 
 KOENIG = InstrumentSeries(
