@@ -14,6 +14,7 @@ import numpy as np
 
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
+from processing.fit.drag import contradicted_drag
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
@@ -40,8 +41,12 @@ def fit_with_knocks(
     """The exact fit, anew from each knock on that the decay shows; see `fit_exact` for arguments and errors.
 
     A knock is sought at the worst outlier of a fit, one at a time: where the law has smooth errors, there is
-    none. Knocks of the fit `near` are taken over. All stand in the result's `changes`.
+    none. Knocks of the fit `near` are taken over. All stand in the result's `changes`. What is known of the
+    drag is left out, with a warning, where the data contradict it (see `contradicted_drag`).
     """
+    wrong = contradicted_drag(points, pendulum, evidence, loss=loss, averaged=averaged, near=near)
+    if wrong is not None:
+        evidence, near = replace(evidence, drag_s=None), wrong.fit
 
     def fitted(knocks: Iterable[int], from_fit: FitResult | None) -> FitResult:
         anew = replace(evidence, knocks=tuple(sorted(knocks)))
@@ -71,7 +76,8 @@ def fit_with_knocks(
             break
         fit, gains[worst] = freed, gain
     changes = tuple(_change(points, pendulum, fit, knock, gains[knock]) for knock in sorted(gains))
-    warnings = (f"{one.text}; the fit begins anew after it" for one in changes)
+    warnings = [f"{one.text}; the fit begins anew after it" for one in changes]
+    warnings += [] if wrong is None else [wrong.text]
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
 
 
