@@ -30,10 +30,10 @@ _OUTLIER_U = 4.0
 """Standard uncertainties beyond which a direction counts by its sign alone."""
 _ITERATIONS = 3
 _BISECTIONS = 40
-_LONGEST_GAP_PERIODS = 4.0
-"""Longest interval without a direction, in periods, over which the plane counts as known."""
+_FARTHEST_PERIODS = 2.0
+"""Distance from the nearest direction, in periods, up to which the plane counts as known."""
 _LARGEST_UNKNOWN_PART = 0.05
-"""Largest part of the decay in longer intervals."""
+"""Largest part of the turning points that lie farther off: where there are none, it need not be known."""
 _LARGEST_ROTATION_RAD = 0.1
 """Largest rotation in a period, in rad: beyond it the path is curved within a window of two periods."""
 _LARGEST_SCATTER_RAD = 0.03
@@ -119,15 +119,15 @@ class PlaneOfSwing:
         return _design(self._spline_argument(times_ns), self.knots, self.degree)
 
 
-def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> PlaneOfSwing | None:
+def plane_of_swing(balances: Sequence[Balance], turns_ns: Ints) -> PlaneOfSwing | None:
     """Plane of swing of a decay, from the balances of its periods.
 
     Parameters
     ----------
     balances
         Balances in order of time. Those outside the decay are left out.
-    from_ns, to_ns
-        Times of the first and of the last turning point of the decay.
+    turns_ns
+        Times of the decay's turning points, in order.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> Pla
     known = [
         one
         for one in balances
-        if from_ns <= one.time_ns <= to_ns
+        if turns_ns[0] <= one.time_ns <= turns_ns[-1]
         and math.isfinite(one.line_angle_rad)
         and 0.0 < one.u_line_angle_rad < math.inf
     ]
@@ -167,10 +167,10 @@ def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> Pla
         directions=len(angle),
         chi2_per_dof=chi2_per_dof,
         scatter_rad=float(np.sqrt(np.average((residuals * u) ** 2, weights=size**2))),
-        start_ns=from_ns,
+        start_ns=int(turns_ns[0]),
         period_s=period_s,
     )
-    return replace(plane, doubt=_doubt(plane, times_ns, from_ns, to_ns))
+    return replace(plane, doubt=_doubt(plane, times_ns, turns_ns))
 
 
 def square_axes(deflections: Deflections, oblique_rad: float) -> Deflections:
@@ -294,12 +294,12 @@ def _design(part: Floats, knots: Floats, degree: int) -> Floats:
     return values
 
 
-def _doubt(plane: PlaneOfSwing, times_ns: Ints, from_ns: int, to_ns: int) -> str:
-    period_ns = 1e9 * plane.period_s
-    steps = np.diff(np.concatenate([[from_ns], times_ns, [to_ns]])).astype(np.float64)
-    unknown = float(np.sum(steps[steps > _LONGEST_GAP_PERIODS * period_ns])) / (to_ns - from_ns)
+def _doubt(plane: PlaneOfSwing, times_ns: Ints, turns_ns: Ints) -> str:
+    after = np.clip(np.searchsorted(times_ns, turns_ns), 1, len(times_ns) - 1)
+    off_ns = np.minimum(np.abs(turns_ns - times_ns[after - 1]), np.abs(turns_ns - times_ns[after]))
+    unknown = float(np.mean(seconds(off_ns) > _FARTHEST_PERIODS * plane.period_s))
     if unknown > _LARGEST_UNKNOWN_PART:
-        return f"its direction is not known in {100 * unknown:.0f} % of the decay"
+        return f"its direction is not known in {100 * unknown:.0f} % of the half-cycles"
     fastest = float(np.max(np.abs(plane.rate_rad_per_s(times_ns)))) * plane.period_s
     if fastest > _LARGEST_ROTATION_RAD:
         return f"it turns by {math.degrees(fastest):.0f} degrees in a period, too fast to be followed"

@@ -31,6 +31,9 @@ _MAX_EVALUATIONS = 40
 """Most evaluations of the model in one refit; a second round where it would set a limit unconverged."""
 _MAX_UNCONVERGED = 1
 """Refits that never converge which the search on one side passes over; one more ends it."""
+_ASTRAY = 10.0
+"""Root of the rise of chi2, over that of a limit, beyond which a refit is not of the same valley: it sets no
+limit, unless it begins beside a good one."""
 _MAX_HELD_VALUES = 20
 """Most values at which a parameter is held on each side."""
 _MAX_END_DIFFERENCE = 0.15
@@ -52,7 +55,10 @@ class Determination(NamedTuple):
 
 
 class _ConditionalModel:
-    """The exact model with one physical parameter held fixed, and therefore one column less."""
+    """The exact model with one physical parameter held fixed, and therefore one column less.
+
+    `guess` is the missing column of the last values, at which the search for the next one begins.
+    """
 
     def __init__(self, model: ExactModel, name: str, best: Floats) -> None:
         self._model = model
@@ -61,13 +67,13 @@ class _ConditionalModel:
         self._logarithmic = model.law.parameter(name).logarithmic and positive
         self.column, self._keeps_sign = model.columns.held(name)
         self.free = np.delete(np.arange(len(model.lower)), self.column)
-        self._guess = float(best[self.column])
+        self.guess = float(best[self.column])
 
     def full(self, held: float, free: Floats) -> tuple[Floats, Floats]:
         """All columns, the missing one by Newton's method, and its derivatives with respect to the others."""
         values = np.empty(len(free) + 1)
         values[self.free] = free
-        values[self.column] = self._guess
+        values[self.column] = self.guess
         for _ in range(50 if np.all(np.isfinite(free)) else 0):
             known, slopes = self._model.columns.physical(values)
             slope = slopes[self._row]
@@ -88,7 +94,7 @@ class _ConditionalModel:
                 step = float(np.clip(step, -half, half))
             values[self.column] -= step
             if abs(step) <= 1e-13 * max(abs(values[self.column]), 1e-3):
-                self._guess = float(values[self.column])
+                self.guess = float(values[self.column])
                 return values, -slope[self.free] / slope[self.column]
         return np.full(len(values), np.nan), np.zeros(len(free))
 
@@ -172,6 +178,7 @@ def profile_likelihood(
         start = np.clip(held.follow(value, free_at_lowest, 0.0), low_end, high_end)
         at_zero = refitted(held.at(0.0), start)
         value, lowest_cost, free_at_lowest = 0.0, at_zero.cost, at_zero.values
+    guess_at_lowest = held.guess
     trace: list[tuple[float, float]] = [(value, 0.0)]
 
     def at(z: float) -> float:
@@ -192,13 +199,15 @@ def profile_likelihood(
                 return float("nan")
             # 0 itself is included, but not the limit of a range of search
             farthest = min(farthest, room if parameter.lower == 0 else 0.999 * room)
-        free = free_at_lowest
+        free, guess = free_at_lowest, guess_at_lowest
         low, low_root = 0.0, 0.0
         high, high_root = np.inf, np.inf
         z = farthest_step = min(target * unit, farthest)
         was_below: bool | None = None
         unconverged = 0
         for _ in range(_MAX_HELD_VALUES):
+            # a refit that went astray leaves a guess from which none of the next ones begins
+            held.guess = guess
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
             model_there = held.at(at(sign * z))
@@ -210,16 +219,17 @@ def profile_likelihood(
                     if unconverged > _MAX_UNCONVERGED:
                         z = high
                         break
-            if solution is None:
-                # the law has no value there: u may be thousands of times the range that it allows
+            root = np.inf if solution is None else rise_root(solution)
+            if solution is None or root > _ASTRAY * target:
+                # the law has no value there, or the refit went astray: u may be thousands of times the range
+                # that the law allows, and the valley may bend
                 farthest_step = (z - low) * (0.5 if low else 0.1)
-                z = low + farthest_step
-                nearest, there = at(sign * low), at(sign * z)
-                if z - low < 1e-3 * low or abs(there - nearest) < 1e-9 * abs(nearest):
-                    z = high
+                nearest, there = at(sign * low), at(sign * (low + farthest_step))
+                if farthest_step < 1e-3 * low or abs(there - nearest) < 1e-9 * abs(nearest):
+                    z = high if solution is None else z
                     break
+                z = low + farthest_step
                 continue
-            root = rise_root(solution)
             trace.append((at(sign * z), root**2))
             is_below = root < target
             if abs(root - target) < 0.01 * target:
@@ -228,7 +238,7 @@ def profile_likelihood(
             if is_below:
                 if was_below:
                     high_root = target + 0.5 * (high_root - target)
-                free = solution.values
+                free, guess = solution.values, held.guess
                 farthest_step = max(farthest_step, 2.5 * (z - low))
                 low, low_root = z, root
                 if z >= farthest:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import inf, isnan, nan, sqrt
+from math import hypot, inf, isnan, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +12,11 @@ from processing.contact.laws import DRAG
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.determination import profile_likelihood
-from processing.fit.exact import fit_exact, fit_exact_with, start_near
+from processing.fit.evidence import Evidence
+from processing.fit.exact import fit_exact, fit_exact_with, start_near, starts_of
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
-from processing.least_squares import FactoredJacobian, propagate
+from processing.least_squares import FactoredJacobian, Loss, propagate
 from processing.number_text import plain, with_uncertainty
 from processing.swing import TurningPoints
 
@@ -27,6 +28,8 @@ _MAX_TEST_DIFFERENCE = 0.2
 """Difference of the drag's two tests, by curvature and by likelihood, up to which chi2 is a parabola."""
 _TWO_SIDED = 0.90
 """Coverage of an interval whose upper end is a bound of 95 %."""
+_CONTRADICTS_U = 5.0
+"""Distance of a drag above what is known of it, in standard uncertainties, that contradicts this."""
 
 
 class DragFinding(StrEnum):
@@ -88,6 +91,61 @@ class Drag:
             f"{self.finding}: drag {with_uncertainty(value, u)} s, F = {plain(self.f_statistic, 3)} "
             f"(p = {plain(self.p_value, 2)})"
         )
+
+
+class ContradictedDrag(NamedTuple):
+    """What is known of the drag, and the fit by the data alone that contradicts it."""
+
+    known_s: Estimate
+    fit: FitResult
+
+    @property
+    def text(self) -> str:
+        """Warning in one line."""
+        known, found = (with_uncertainty(*one) for one in (self.known_s, self.fit.estimate(DRAG.key)))
+        return (
+            f"the data contradict what is known of the drag, {known} s: alone they give {found} s, and are "
+            "fitted alone; state fit.drag = 'open', or look for what else takes energy as a drag does"
+        )
+
+
+def contradicted_drag(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    evidence: Evidence,
+    *,
+    loss: Loss,
+    averaged: bool,
+    near: FitResult | None,
+) -> ContradictedDrag | None:
+    """The fit by the data alone where they show a far larger drag than is known; None elsewhere.
+
+    Held near a drag that is far too small, a fit takes the rest of the loss for a drive of the ground, or
+    ends nowhere. That the data ask for less is no evidence against what is known: a law that is wrong does
+    so. `near` is an earlier fit of nearly the same points, else the start values tell whether to look.
+    """
+    known_s = evidence.drag_s
+    if known_s is None:
+        return None
+    evidence = replace(evidence, drag_s=None)
+    try:
+        if near is not None and near.evidence.drag_s is None:
+            return ContradictedDrag(known_s, near)
+        if near is not None:
+            drag_s = near.estimate(DRAG.key).value
+        else:
+            model = ExactModel(points, pendulum, drag=True, evidence=evidence)
+            drag_s = model.values(next(starts_of(model)))[DRAG.key]
+        if drag_s - known_s.value < _CONTRADICTS_U * known_s.standard_uncertainty:
+            return None
+        fit = fit_exact(
+            points, pendulum, drag=True, evidence=evidence, loss=loss, averaged=averaged, near=near
+        )
+    except DataError:
+        return None
+    value, u = fit.estimate(DRAG.key)
+    contradicts = value - known_s.value > _CONTRADICTS_U * hypot(u, known_s.standard_uncertainty)
+    return ContradictedDrag(known_s, fit) if contradicts else None
 
 
 def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Drag:

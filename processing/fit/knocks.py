@@ -14,9 +14,12 @@ import numpy as np
 
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
+from processing.fit.drag import contradicted_drag
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
+from processing.fit.ground import Noise
+from processing.fit.noise_estimate import NoiseSearch
 from processing.fit.result import Change, ChangeKind, FitResult
 from processing.least_squares import Loss
 from processing.swing import TurningPoints
@@ -40,8 +43,13 @@ def fit_with_knocks(
     """The exact fit, anew from each knock on that the decay shows; see `fit_exact` for arguments and errors.
 
     A knock is sought at the worst outlier of a fit, one at a time: where the law has smooth errors, there is
-    none. Knocks of the fit `near` are taken over. All stand in the result's `changes`.
+    none. Knocks of the fit `near` are taken over, but those that these points do not show: what shook the
+    spot alone disturbs a first measurement more than the second. All stand in the result's `changes`. What is
+    known of the drag is left out, with a warning, where the data contradict it (see `contradicted_drag`).
     """
+    wrong = contradicted_drag(points, pendulum, evidence, loss=loss, averaged=averaged, near=near)
+    if wrong is not None:
+        evidence, near = replace(evidence, drag_s=None), wrong.fit
 
     def fitted(knocks: Iterable[int], from_fit: FitResult | None) -> FitResult:
         anew = replace(evidence, knocks=tuple(sorted(knocks)))
@@ -55,7 +63,12 @@ def fit_with_knocks(
         for one in changes
         if one.kind is ChangeKind.KNOCK and one.half_cycle in known
     }
+    enough = _CLEAR_GAIN + 2 * log(len(points))
     fit = fitted(gains, near)
+    for knock in tuple(gains):
+        if not _gain(points, pendulum, fit, knock, averaged=averaged) > enough:
+            del gains[knock]
+            fit = fitted(gains, fit)
     while loss == "linear" and fit.outliers and len(gains) < _MOST_KNOCKS:
         worst = _worst_half_cycle(points, pendulum, fit)
         if worst in gains:
@@ -67,11 +80,12 @@ def fit_with_knocks(
         assert fit.ground is not None
         assert freed.ground is not None
         gain = fit.ground.deviance - freed.ground.deviance
-        if not gain > _CLEAR_GAIN + 2 * log(len(points)):
+        if not gain > enough:
             break
         fit, gains[worst] = freed, gain
     changes = tuple(_change(points, pendulum, fit, knock, gains[knock]) for knock in sorted(gains))
-    warnings = (f"{one.text}; the fit begins anew after it" for one in changes)
+    warnings = [f"{one.text}; the fit begins anew after it" for one in changes]
+    warnings += [] if wrong is None else [wrong.text]
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
 
 
@@ -82,12 +96,26 @@ def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall | None, fi
     return int(model.points.index[np.argmax(np.max(np.abs(residuals), axis=0))])
 
 
+def _gain(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, knock: int, *, averaged: bool
+) -> float:
+    """Gain in -2 ln L by one of the knocks of a fit, by the model that is linear about this fit."""
+    assert fit.ground is not None
+    model, columns = ExactModel.of(points, pendulum, _without(fit, knock))
+    search = NoiseSearch(model, columns, fit.loss, Noise(averaged=averaged))
+    return search.likeliest().deviance - fit.ground.deviance
+
+
+def _without(fit: FitResult, knock: int) -> FitResult:
+    knocks = tuple(one for one in fit.evidence.knocks if one != knock)
+    return replace(fit, evidence=replace(fit.evidence, knocks=knocks))
+
+
 def _change(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, knock: int, gain: float
 ) -> Change:
     """The knock before a half-cycle: how far that lies from its prediction without it, over the amplitude."""
-    without = replace(fit.evidence, knocks=tuple(one for one in fit.evidence.knocks if one != knock))
-    model, columns = ExactModel.of(points, pendulum, replace(fit, evidence=without))
+    model, columns = ExactModel.of(points, pendulum, _without(fit, knock))
     found, count = model.filtered(columns, model.noise_of(fit)), len(model.points)
     place = int(np.searchsorted(model.points.index, knock))
     per_amplitude, _, per_time = found.gains[place, 4:7]

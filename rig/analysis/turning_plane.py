@@ -190,7 +190,7 @@ def follow_plane(
         balances = [one for block in deflections for one in estimator.of(block)]
     balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
     found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
-    plane = plane_of_swing(balances, good[0].turn_time_ns, good[-1].turn_time_ns)
+    plane = plane_of_swing(balances, np.array([one.turn_time_ns for one in good], dtype=np.int64))
     if plane is None or not found.matters(plane):
         return replace(found, plane=plane)
     if plane.doubt:

@@ -153,7 +153,7 @@ def fill_from_truth(config: Configuration) -> Configuration:
         update={
             "sensor": config.sensor or _sensor(truth, config),
             "shutter": config.shutter or _shutter(truth, config.camera.binning or 1),
-            "lever": config.lever or _lever(truth),
+            "lever": config.lever or _lever(truth, config.camera),
             "axes": config.axes or _axes(truth),
             "pendulum": config.pendulum or _pendulum(truth),
             "materials": {**_materials(truth), **config.materials},
@@ -186,14 +186,26 @@ def _shutter(truth: SimulationSettings, binning: int) -> Shutter | None:
     return Shutter(sensor.row_time_s * binning, first_row=sensor.first_row) if sensor.row_time_s else None
 
 
-def _lever(truth: SimulationSettings) -> Lever:
+def _lever(truth: SimulationSettings, camera: CameraSettings) -> Lever:
+    optics, sensor, binning = truth.optics, truth.sensor, camera.binning or 1
+
+    def in_frame(
+        at_px: float | None, size_px: int, offset_px: int | None, region_px: int | None
+    ) -> float | None:
+        """Place in the frame, in pixels of the sensor; None: the middle, where the frame is all of it."""
+        if at_px is None and region_px is None:
+            return None
+        return (0.5 * (size_px - 1) if at_px is None else at_px) - binning * (offset_px or 0)
+
     return Lever(
-        arm_m=truth.optics.arm_m,
+        arm_m=optics.arm_m,
         u_arm_m=truth.stated.u_arm_m,
-        pixel_pitch_m=truth.sensor.pixel_pitch_m,
+        pixel_pitch_m=sensor.pixel_pitch_m,
         u_pixel_pitch_m=truth.stated.u_pixel_pitch_m,
-        reference_x_px=truth.optics.reference_x_px,
-        reference_y_px=truth.optics.reference_y_px,
+        reference_x_px=in_frame(optics.reference_x_px, sensor.width_px, camera.offset_x_px, camera.width_px),
+        reference_y_px=in_frame(
+            optics.reference_y_px, sensor.height_px, camera.offset_y_px, camera.height_px
+        ),
     )
 
 

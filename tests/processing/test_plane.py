@@ -59,7 +59,7 @@ def test_the_curve_is_the_plane_within_its_uncertainty(
 ) -> None:
     pulls = []
     for seed in range(10):
-        plane = plane_of_swing(balances(angle, seed), int(TIMES_NS[0]), int(TIMES_NS[-1]))
+        plane = plane_of_swing(balances(angle, seed), TIMES_NS)
         assert plane is not None
         assert not plane.doubt
         assert len(plane.coefficients) <= most_terms
@@ -73,8 +73,8 @@ def test_the_curve_is_the_plane_within_its_uncertainty(
 
 
 def test_the_ground_across_is_part_of_the_uncertainty() -> None:
-    quiet = plane_of_swing(balances(lambda t: RATE * t), int(TIMES_NS[0]), int(TIMES_NS[-1]))
-    loud = plane_of_swing(balances(lambda t: RATE * t, across=1e-7), int(TIMES_NS[0]), int(TIMES_NS[-1]))
+    quiet = plane_of_swing(balances(lambda t: RATE * t), TIMES_NS)
+    loud = plane_of_swing(balances(lambda t: RATE * t, across=1e-7), TIMES_NS)
     assert quiet is not None
     assert loud is not None
     assert loud.u_mean_rate() > 20 * quiet.u_mean_rate()
@@ -91,13 +91,23 @@ def test_the_ground_across_is_part_of_the_uncertainty() -> None:
     ],
 )
 def test_what_cannot_be_followed_is_said(angle: Callable[[float], float], kept: slice, said: str) -> None:
-    plane = plane_of_swing(balances(angle)[kept], int(TIMES_NS[0]), int(TIMES_NS[-1]))
+    plane = plane_of_swing(balances(angle)[kept], TIMES_NS)
     assert plane is not None
     assert said in plane.doubt
 
 
+def test_a_gap_without_turning_points_leaves_the_plane_known() -> None:
+    """As of a camera that was unplugged for a tenth of the decay."""
+    kept = [one for one in balances(lambda t: RATE * t) if abs(one.time_ns - 300e9) > 34e9]
+    seen = TIMES_NS[np.abs(TIMES_NS - 300e9) > 30e9]
+    for turns_ns, doubt in ((seen, False), (TIMES_NS, True)):
+        plane = plane_of_swing(kept, turns_ns)
+        assert plane is not None
+        assert bool(plane.doubt) is doubt
+
+
 def test_a_few_directions_are_no_plane() -> None:
-    assert plane_of_swing(balances(lambda t: 0.0)[:5], 0, int(TIMES_NS[-1])) is None
+    assert plane_of_swing(balances(lambda t: 0.0)[:5], TIMES_NS) is None
 
 
 @pytest.mark.parametrize("oblique_rad", [0.0, 0.02, -0.02])

@@ -12,6 +12,7 @@ from processing.estimate import Estimate
 from processing.fit import Evidence, LinearisedFit, compare_laws, drift_term, fit_exact, waveform_of
 from processing.fit.evidence import Waveform
 from processing.fit.exact_model import ExactModel
+from processing.fit.knocks import fit_with_knocks
 from processing.swing import ORDERS, SwingHarmonics, TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.driven import World, changing_path, driven_path
@@ -153,6 +154,27 @@ def test_what_is_known_of_the_air_enters_as_it_is_known(
     b, u_b = fit.estimate("b")
     assert abs(b - PARAMETERS.b) < 3 * u_b
     assert u_b > 0.02 * PARAMETERS.b
+
+
+def test_a_drag_far_above_what_is_known_is_that_of_the_data_alone() -> None:
+    """As of a pendulum with a damper, where the estimate is that of a bar of its size."""
+    parameters = paper_pair("glass_k8", drag_s=0.011)[0]
+    path = driven_path(
+        parameters, PENDULUM, q=0.0, seed=1, frames_per_s=RATE, first_arcsec=386.0, last_arcsec=60.0
+    )[2]
+    points, harmonics = points_and_harmonics(seen_in_frames(path, U, [1, 3], RATE))
+    by_data = waveform(harmonics)
+    fit = fit_with_knocks(points, PENDULUM, drag=True, evidence=Evidence(by_data, Estimate(0.35e-3, 0.26e-3)))
+    alone = fit_exact(points, PENDULUM, drag=True, evidence=Evidence(by_data))
+    for name in fit.contact_names:
+        value, u = fit.estimate(name)
+        assert abs(value - getattr(parameters, name)) < 3.5 * u
+        assert u < 1.05 * alone.estimate(name).standard_uncertainty
+    assert "contradict" in fit.warnings[-1]
+    # a law that is wrong may ask for too small a drag, which what is known then restrains
+    above = Estimate(parameters.drag_s + 1e-3, 1e-4)
+    held = fit_with_knocks(points, PENDULUM, drag=True, evidence=Evidence(by_data, above))
+    assert held.evidence.drag_s == above
 
 
 def test_no_drift_moves_nothing_where_points_scatter_more_than_stated(

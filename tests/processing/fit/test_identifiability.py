@@ -255,6 +255,17 @@ def test_a_refit_that_has_not_converged_sets_no_limit() -> None:
     assert not found.upper < parameters.b
 
 
+def test_a_refit_that_went_astray_neither_ends_a_profile_nor_bounds_it() -> None:
+    """Of friction that is 3 % of the loss: p had no upper limit, and in frames b one 200 times too small."""
+    pendulum = paper_pair("glass_k8")[1]
+    parameters = ContactParameters(2.5e-4, 1.164, 1.9e-10, 0.226, 4.005, 49.55e6, 1.628e-3)
+    points = decay(parameters, pendulum, noise_arcsec=0.01, seed=5, first_arcsec=101, last_arcsec=65)
+    known = Evidence(drag_s=Estimate(1.628e-3, 5e-5))
+    found = profile_likelihood(points, pendulum, fit_exact(points, pendulum, drag=True, evidence=known), "p")
+    assert found.lower == pytest.approx(-0.147, abs=4e-3)
+    assert found.upper == pytest.approx(2.441, abs=0.02)
+
+
 def test_period0_and_n_are_named_as_hard_to_tell_apart() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=2), pendulum)

@@ -62,6 +62,8 @@ def test_a_knock_costs_no_more_than_its_half_swing(knock_arcsec: float) -> None:
     assert again.estimate("c").value == pytest.approx(
         found.estimate("c").value, abs=0.05 * found.estimate("c").standard_uncertainty
     )
+    # as of a second measurement, which the shaking of the spot hardly disturbs
+    assert fitted(decay(0.0), near=found).changes == ()
 
 
 def test_one_wrong_turning_point_is_no_knock() -> None:

@@ -179,6 +179,15 @@ def test_unknown_material_is_named_before_anything_is_measured() -> None:
         check_materials(config)
 
 
+def test_the_lever_of_a_simulated_camera_is_that_of_its_region() -> None:
+    """Of 320 x 640 pixels, in which the untilted spot lies in the middle unless its place is stated."""
+    keys = ["width_px=100", "offset_x_px=40", "height_px=200", "offset_y_px=80", "binning=2"]
+    stated = [f"camera.{key}" for key in keys] + ["simulation.optics.reference_y_px=299.5"]
+    lever = complete(load_configuration(CONFIGS / "demo.toml", stated)).lever
+    assert lever is not None
+    assert (lever.reference_x_px, lever.reference_y_px) == (39.5, 69.5)
+
+
 def test_a_simulated_rig_knows_its_apparatus_and_a_stated_section_wins() -> None:
     config = complete(load_configuration(CONFIGS / "demo.toml", ["simulation.contact.mass_kg=0.5"]))
     assert config.pendulum is not None
