@@ -221,12 +221,12 @@ class Alarming:
             session="" if following.folder is None else following.folder.name,
             controller=following.safety.controller,
             sensor_wanted=desk.config.environment_sensor.kind != "none",
-            picture_late_s=0.0 if desk.aligner is None else desk.aligner.late_s,
+            picture_late_s=0.0 if desk.live_picture is None else desk.command.frames_age_s,
         )
 
     def _lit_by(self, news_age_s: float) -> str:
-        aligner, following = self._desk.aligner, self._desk.following
-        if aligner is not None and aligner.running and aligner.safety is not None:
+        following = self._desk.following
+        if self._desk.live_picture is not None and self._desk.command.news:
             return "the live picture"
         measures = (following.news.get("state") or {}).get("phase") == Phase.MEASURING
         has_laser = following.safety.laser is not None

@@ -148,7 +148,7 @@ def _recording(desk: Desk) -> str:
     news = desk.following.news
     if desk.following.running:
         return str(news.get("run") or "") if (news.get("state") or {}).get("phase") == Phase.MEASURING else ""
-    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name.startswith("camera")), "")
+    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name == "camera record"), "")
 
 
 def _keys() -> list[tuple[str, str]]:
