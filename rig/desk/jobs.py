@@ -149,6 +149,10 @@ class Jobs(dict[str, Job]):
 
         `folder` is where a command that uses the camera shows its light.
         """
+        if folder is not None:
+            with suppress(OSError):
+                # without it a rig whose laser is not switched shows no picture
+                folder.mkdir(parents=True, exist_ok=True)
         before = self.get(name)
         if before is not None and before.running:
             raise ConfigurationError(f"rig {name} still runs; wait, or end it first")

@@ -21,7 +21,7 @@ from rig.control import (
     TripCause,
     in_thread,
 )
-from rig.desk.following import CommandWatch, Following, Watched
+from rig.desk.following import Following, Watched
 from rig.desk.run_reader import clock
 from rig.devices import (
     HEARD_WITHIN_S,
@@ -170,7 +170,7 @@ class Safety:
     confirmed states, None before any.
     """
 
-    def __init__(self, rig: SafetyState, following: Following, command: CommandWatch, by: str) -> None:
+    def __init__(self, rig: SafetyState, following: Following, command: Watched, by: str) -> None:
         self._rig, self._following, self._command, self._by = rig, following, command, by
         self.light: ConfirmedState | None = None
         self.interlock: ConfirmedState | None = None

@@ -116,13 +116,14 @@ class Wishes:
 class LivePicture:
     """The camera and the laser of a live picture, and what is told of them to a desk, which gives `orders`.
 
-    `told` are the news, whose state has `note`, what the last wish has led to, and `dark`, why it is dark.
+    `wishes` are carried out between two looks, `note` is what the last one has led to. `told` are the
+    news, whose state has this note, and in `dark` why it is dark.
     """
 
     def __init__(self, config: Configuration, devices: Devices) -> None:
         self._config, self._devices = config, devices
         self.told = SessionNews()
-        self._wishes = Wishes()
+        self.wishes = Wishes()
         self.note = ""
         self._left = False
         self._lit_s = 0.0
@@ -136,13 +137,13 @@ class LivePicture:
                 raise LightRefused(f"{trip.text}: acknowledge it first")
             # it is asked for now: a trip that comes before the picture follows outdates it
             self._devices.permit.request_light()
-            return self._wishes.ask(self._light)
+            return self.wishes.ask(self._light)
 
         def set_(settings: str) -> str:
             wanted = CameraSettings.model_validate_json(settings)
-            return self._wishes.ask(lambda: self._configured(wanted))
+            return self.wishes.ask(lambda: self._configured(wanted))
 
-        return {"key": lambda key: self._wishes.ask(lambda: self._press(key)), "set": set_, "light": light}
+        return {"key": lambda key: self.wishes.ask(lambda: self._press(key)), "set": set_, "light": light}
 
     def show(
         self,
@@ -186,20 +187,20 @@ class LivePicture:
                             view(frame._replace(device_time_ns=at_ns), look.spot, info)
                         if terminal.ends(look, self):
                             return
-                        if self._wishes.waiting:
+                        if self.wishes.waiting:
                             break
                     else:
                         if time.monotonic() < end_s:
                             raise DeviceError("the camera has delivered its last frame")
                         return
                 # a camera is configured while it is stopped, and goes on with the next round
-                self.note = self._wishes.carry_out()
+                self.note = self.wishes.carry_out()
         finally:
             devices.darken("the live picture is closed")
 
     def press(self, key: str) -> None:
         """Request what a key means."""
-        self._wishes.put(partial(self._press, key))
+        self.wishes.put(partial(self._press, key))
 
     def _light(self) -> str:
         """Light; what was done, or why the picture lives in the dark until somebody acknowledges and asks."""

@@ -311,15 +311,16 @@ def light_shown_to_desk(
     It takes `more` orders than those of `light_orders`.
 
     `folder` is the one that the devices were opened with: the rig's lock names it, and a desk knows that of
-    its own commands. Without a laser no socket is opened, unless there are `session_news` (pictures of frames
-    that are recorded). Who has asked a moment ago hears at the end that the laser is off.
+    its own commands. Without a laser no folder is made, and no socket opened, unless there are `session_news`
+    (with pictures). Who has asked a moment ago hears at the end that the laser is off.
     """
-    if devices.laser_report() is None and session_news is None:
+    if devices.laser_report() is not None:
+        with suppress(OSError):
+            # without the folder the command runs unwatched
+            folder.mkdir(parents=True, exist_ok=True)
+    elif session_news is None or not folder.is_dir():
         yield
         return
-    with suppress(OSError):
-        # without the folder the command runs unwatched
-        folder.mkdir(parents=True, exist_ok=True)
     orders = {**light_orders(devices), **(more or {})}
     told = session_news or SessionNews()
     with OrderSocket(folder, told, orders, lambda: safety_values(devices)):

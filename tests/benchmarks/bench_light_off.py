@@ -85,18 +85,18 @@ def _lit_again(page: Page, board: BoardProcess) -> None:
     page.wait_text("LIGHT OFF was pressed")
     page.click("Stop")
     page.wait_text("No live picture yet")
-    page.click("Live picture")
-    page.wait_text("nearest edge")
-    seen = "[...document.querySelectorAll('.cries button')].find(b => b.innerText.startsWith('{}'))"
-    again, trip = seen.format("LIGHT AGAIN"), seen.format("ACKNOWLEDGE TRIP")
+    seen = "[...document.querySelectorAll('button')].find(b => b.innerText.startsWith('{}'))"
+    picture, again, trip = map(seen.format, ("LIVE PICTURE", "LIGHT AGAIN", "ACKNOWLEDGE TRIP"))
     end_s = time.monotonic() + 300.0
     while not board.lit:
         assert time.monotonic() < end_s, page.text()
         # also a trip that comes meanwhile; what moves just when it is clicked is missed
         if page.ask(f"{trip}?.offsetParent != null"):
             page.acknowledge()
-        if page.ask(f"{again}?.offsetParent != null"):
-            page.point_at(again)
+        for button in (picture, again):
+            if page.ask(f"{button}?.offsetParent != null && !{button}.disabled"):
+                page.point_at(button)
+                break
         time.sleep(1.0)
 
 

@@ -35,13 +35,19 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     found.close()
 
 
-def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(desk: Desk) -> None:
-    desk.keep_camera(CameraSettings(exposure_us=125.0, width_px=64, offset_x_px=8))
+def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    applied = {"exposure_us": 125.0, "width_px": 64, "offset_x_px": 8}
+    desk.command.news = {"camera": {"applied": applied}}
+    desk.keep_camera()
     kept = {"camera.exposure_us": 125.0, "camera.width_px": 64, "camera.offset_x_px": 8}
     assert desk.kept == kept
     assert desk.checked().camera.width_px == 64
+    unusable = CameraSettings.model_construct(exposure_us=-1.0)
+    monkeypatch.setattr(type(desk.command), "applied", unusable)
     with pytest.raises(RigError, match="exposure_us"):
-        desk.keep_camera(CameraSettings.model_construct(exposure_us=-1.0))
+        desk.keep_camera()
     assert desk.kept == kept
 
 
@@ -154,10 +160,9 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
+        desk.command.start()
         desk.begin_aligning()
-        aligner = desk.aligner
-        assert aligner is not None
-        until(lambda: aligner.look is not None)
+        until(lambda: desk.command.frames_age_s > 0.0)
         assert not desk.lighting.waits
         assert desk.lighting.off("one") == []
         until(lambda: desk.safety.trip is not None)
@@ -168,9 +173,9 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
             desk.start("doctor", "--preflight")
         desk.lighting.acknowledge(trip.number)
         until(lambda: desk.lighting.waits)
-        desk.lighting.again()
+        assert desk.lighting.again() == "laser on, 0.9 mW"
         until(lambda: not desk.lighting.waits)
-        assert aligner.running
+        assert desk.live_picture is not None
     finally:
         desk.close()
 
@@ -179,6 +184,7 @@ def test_the_bar_knows_the_light_of_a_simulated_rigs_command_and_that_it_is_dark
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
+        desk.command.start()
         desk.safety.start()
         desk.balancing.measure()
         until(lambda: lamps(desk.safety, "")["laser"]["text"] == "on")
