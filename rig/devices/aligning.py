@@ -116,15 +116,15 @@ class Wishes:
 class LivePicture:
     """The camera and the laser of a live picture, and what is told of them to a desk, which gives `orders`.
 
-    `wishes` are carried out between two looks, `note` is what the last one has led to. `told` are the
-    news, whose state has this note, and in `dark` why it is dark.
+    `wishes` are carried out between two looks, `note` is what the last one has led to, and `dark`
+    why the laser is. `told` are the news, whose state has both.
     """
 
     def __init__(self, config: Configuration, devices: Devices) -> None:
         self._config, self._devices = config, devices
         self.told = SessionNews()
         self.wishes = Wishes()
-        self.note = ""
+        self.note = self.dark = ""
         self._left = False
         self._lit_s = 0.0
 
@@ -223,7 +223,8 @@ class LivePicture:
             if now_s - seen_s > _UNSEEN_S or now_s - asked_s > _UNASKED_S:
                 self._left = True
                 devices.darken(_LEFT)
-        told.state({"dark": _LEFT if self._left else devices.darkness(), "note": self.note}, ())
+        self.dark = _LEFT if self._left else devices.darkness()
+        told.state({"dark": self.dark, "note": self.note}, ())
 
     def _press(self, key: str) -> str:
         """Carry out a key that sets the camera; returns what came of it."""
@@ -295,7 +296,7 @@ class AlignmentTerminal:
         answer(picture=tuple(look.lines()), beam=look.beam_line)  # the last one stays
         if time.monotonic() - self._shown_s >= _SHOWN_EACH_S:
             self._shown_s = time.monotonic()
-            self._show(look, picture.note)
+            self._show(look, picture.dark or picture.note)
         return False
 
     def _show(self, look: AlignmentFrame, note: str) -> None:

@@ -304,6 +304,9 @@ _ABOUT = re.compile(r"laser|interlock|controller|stalled|trip|dark|light|killed|
 def _last(trial: Trial, heard: int) -> str:
     """The first thing that the program said of it, in its own words."""
     for line in trial.log.read_bytes()[heard:].decode(errors="replace").splitlines():
+        if line.startswith("peak "):
+            # behind the figures of the live picture stands why it is dark
+            line = line.rpartition("  ")[2]
         if _ABOUT.search(line) and not line.startswith(("  ", "Traceback")):
             return line.strip().replace("|", "/")[:110]
     return ""

@@ -140,7 +140,7 @@ def _build_facts(desk: Desk, tab: Tab) -> None:
         return f"{learned}{tables.table(rows, 'state of the run')}"
 
     def events() -> str:
-        return "".join(map(words.event_line, reversed(tuple(desk.following.events))))
+        return "".join(map(words.event_line, reversed(words.listed(tuple(desk.following.events)))))
 
     with box("state of the run", "shrinks old-with-session", region="state of the run"):
         tab.html(facts)
