@@ -233,9 +233,11 @@ class Desk:
 
     def end_aligning(self) -> None:
         """End the live picture, and wait until the camera is free."""
-        if (job := self.jobs.pop(_ALIGN, None)) is not None:
+        if (job := self.jobs.get(_ALIGN)) is not None:
             job.end()
+            # meanwhile it is heard that the laser is off
             job.wait(_CLOSES_WITHIN_S)
+            self.jobs.pop(_ALIGN, None)
         self.command.forget()
 
     # -- the session ------------------------------------------------------------

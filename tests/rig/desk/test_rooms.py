@@ -161,6 +161,7 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
         desk.command.start()
+        desk.safety.start()
         desk.begin_aligning()
         until(lambda: desk.command.frames_age_s > 0.0)
         assert not desk.lighting.waits
@@ -176,6 +177,10 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         assert desk.lighting.again() == "laser on, 0.9 mW"
         until(lambda: not desk.lighting.waits)
         assert desk.live_picture is not None
+        desk.end_aligning()
+        assert desk.live_picture is None
+        # what it said last is that the laser is off
+        assert re.match(r"off, confirmed", str(lamps(desk.safety, "")["laser"]["last"]))
     finally:
         desk.close()
 
