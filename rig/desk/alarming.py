@@ -228,7 +228,7 @@ class Alarming:
         following = self._desk.following
         if self._desk.live_picture is not None and self._desk.command.news:
             return "the live picture"
-        measures = (following.news.get("state") or {}).get("phase") == Phase.MEASURING
+        measures = following.state.get("phase") == Phase.MEASURING
         has_laser = following.safety.laser is not None
         return "the session" if following.running and measures and has_laser and news_age_s < 1.0 else ""
 

@@ -55,7 +55,7 @@ class Desk:
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
         by = "board" if self.config.laser.kind == "controller" else "laser"
         self.jobs = Jobs()
-        self.command = CommandWatch(self._rig_holder, complete(self.config))
+        self.command = CommandWatch(self._rig_holder)
         self.safety = Safety(self.rig, self.following, self.command, by)
         self.sessions = SessionIndex(self.config.session.output)
         self.started: tuple[subprocess.Popen[bytes], Path] | None = None
@@ -189,7 +189,9 @@ class Desk:
 
     def begin_aligning(self) -> None:
         """Start the live picture. May wait."""
+        config = complete(self.checked())
         self.start(_ALIGN)
+        self.command.begin(config)
 
     @property
     def live_picture(self) -> Job | None:
@@ -233,12 +235,17 @@ class Desk:
 
     def end_aligning(self) -> None:
         """End the live picture, and wait until the camera is free."""
-        if (job := self.jobs.get(_ALIGN)) is not None:
-            job.end()
-            # meanwhile it is heard that the laser is off
-            job.wait(_CLOSES_WITHIN_S)
-            self.jobs.pop(_ALIGN, None)
-        self.command.forget()
+        if (job := self.live_picture) is not None:
+            job.ending = True
+            try:
+                # where a program cannot be interrupted it closes its devices by this alone
+                self.command.order("key q")
+            except RigError:
+                job.end()
+            if not job.wait(_CLOSES_WITHIN_S):
+                darken_beside(self.config.laser, self.config.controller)
+                job.kill()
+        self.jobs.pop(_ALIGN, None)
 
     # -- the session ------------------------------------------------------------
 

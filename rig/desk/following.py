@@ -116,6 +116,11 @@ class Watched:
         return self.news.get("state") or {}
 
     @property
+    def doing(self) -> str:
+        """The phase of its run and its progress in words; empty before it has stated any."""
+        return doing(self.state)
+
+    @property
     def applied(self) -> CameraSettings:
         """Settings of the camera as last read back."""
         return CameraSettings.model_validate((self.news.get("camera") or {}).get("applied") or {})
@@ -185,9 +190,10 @@ class Watched:
 class CommandWatch(Watched):
     """A thread that asks a command with the rig, which is no session, for news; `holder` is its folder."""
 
-    def __init__(self, holder: Callable[[], Path | None], stated: Configuration) -> None:
+    def __init__(self, holder: Callable[[], Path | None]) -> None:
         super().__init__()
-        self._holder, self._stated = holder, stated
+        self._holder = holder
+        self._stated: Configuration | None = None
         self._ended = threading.Event()
 
     @property
@@ -202,9 +208,9 @@ class CommandWatch(Watched):
         """Ask no more."""
         self._ended.set()
 
-    def forget(self) -> None:
-        """Forget the last command, when the next one is started."""
-        self.news, self.look = {}, None
+    def begin(self, stated: Configuration) -> None:
+        """Forget the last live picture, because the next one is started, with this configuration."""
+        self._stated, self.look = stated, None
         self.focus.clear()
 
     def _ask(self) -> None:

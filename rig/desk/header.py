@@ -20,7 +20,7 @@ def build_header(desk: Desk, tab: Tab) -> Callable[[], None]:
     """Build it; returns what unfolds the list of alarms, or folds it."""
 
     def instruction() -> str:
-        return loud(str((desk.following.news.get("state") or {}).get("instruction") or ""))
+        return loud(str(desk.following.state.get("instruction") or ""))
 
     with ui.element("div").classes("cries"):
         toggle = _build_alarms(desk, tab)

@@ -118,6 +118,11 @@ class Job:
         with suppress(OSError):
             self._process.terminate()
 
+    def kill(self) -> None:
+        """Kill it, where it hears nothing; what it has lit must be dark."""
+        self._process.kill()
+        self._process.wait()
+
     def _read(self) -> None:
         assert self._process.stdout is not None
         with self._process.stdout as lines:

@@ -63,7 +63,7 @@ _EXPOSURE_STEP = 1.25
 _GAIN_STEP_DB = 1.0
 _ZOOMS = (1.0, 4.0, 16.0)
 _PICTURE_PX = (1200, 900)
-_PREFIX = "align"
+_PREFIX, _END = "align", ("q", "escape")
 _LOOK_S, _SHOWN_EACH_S = 0.1, 0.2
 _DONE_WITHIN_S = 15.0
 """Longest wait of an order for the camera."""
@@ -125,7 +125,7 @@ class LivePicture:
         self.told = SessionNews()
         self.wishes = Wishes()
         self.note = self.dark = ""
-        self._left = False
+        self._left = self._over = False
         self._lit_s = 0.0
 
     @property
@@ -185,8 +185,7 @@ class LivePicture:
                         if view is not None:
                             at_ns = nanoseconds(time.monotonic() - begun_s)
                             view(frame._replace(device_time_ns=at_ns), look.spot, info)
-                        if terminal.ends(look, self):
-                            return
+                        terminal.take(look, self)
                         if self.wishes.waiting:
                             break
                     else:
@@ -195,6 +194,8 @@ class LivePicture:
                         return
                 # a camera is configured while it is stopped, and goes on with the next round
                 self.note = self.wishes.carry_out()
+                if self._over:
+                    return
         finally:
             devices.darken("the live picture is closed")
 
@@ -229,8 +230,9 @@ class LivePicture:
         told.state({"dark": self.dark, "note": self.note}, ())
 
     def _press(self, key: str) -> str:
-        """Carry out a key that sets the camera; returns what came of it."""
+        """Carry out a key that sets the camera, or ends the picture; returns what came of it."""
         applied = self._applied
+        self._over = self._over or key in _END
         if key == "a":
             camera, info = self._opened.camera, self._opened.info
             found = find_exposure(camera, info, applied, on_frame=self._frame_read)
@@ -283,11 +285,9 @@ class AlignmentTerminal:
         self._live.__exit__(*error)
         self._keys.__exit__(*error)
 
-    def ends(self, look: AlignmentFrame, picture: LivePicture) -> bool:
-        """Show a frame with its figures and a note, and take account of keys; True if one ends it."""
+    def take(self, look: AlignmentFrame, picture: LivePicture) -> None:
+        """Show a frame with its figures and a note, and take account of keys."""
         for key in self._keys.pressed(0.0):
-            if key in ("q", "escape"):
-                return True
             if key == "z":
                 self._zoom = (self._zoom + 1) % len(_ZOOMS)
             elif key == "s":
@@ -299,7 +299,6 @@ class AlignmentTerminal:
         if time.monotonic() - self._shown_s >= _SHOWN_EACH_S:
             self._shown_s = time.monotonic()
             self._show(look, picture.dark or picture.note)
-        return False
 
     def _show(self, look: AlignmentFrame, note: str) -> None:
         """Show a frame with its figures and a note; without a terminal as one line."""

@@ -9,7 +9,6 @@ from nicegui import ui
 from nicegui.events import MouseEventArguments
 
 from rig.desk.desk import Desk
-from rig.desk.following import doing
 from rig.desk.tab import Tab
 from rig.devices import AlignmentFrame, annotated_picture
 
@@ -66,7 +65,7 @@ def _why_none(desk: Desk) -> str:
     if job is not None:
         return f"waiting for the first frame. {job.output[-1] if job.output else ''}"
     if shown is not None:
-        return f"no frame yet: {doing(shown.state) or 'opening devices, compiling kernels'}"
+        return f"no frame yet: {shown.doing or 'opening devices, compiling kernels'}"
     if desk.picture_problem:
         return f"the live picture has ended: {desk.picture_problem}"
     return "No live picture yet. Press Live picture to light the laser and show the camera's view."

@@ -178,11 +178,36 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         until(lambda: not desk.lighting.waits)
         assert desk.live_picture is not None
         desk.end_aligning()
-        assert desk.live_picture is None
+        assert (desk.live_picture, desk.picture_problem) == (None, "")
         # what it said last is that the laser is off
         assert re.match(r"off, confirmed", str(lamps(desk.safety, "")["laser"]["last"]))
     finally:
         desk.close()
+
+
+DEAF = """
+import signal, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("peak", flush=True)
+time.sleep(600.0)
+"""
+
+
+def test_a_live_picture_that_hears_nothing_is_ended_with_its_laser_told_off(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[object] = []
+    monkeypatch.setattr("rig.desk.desk._CLOSES_WITHIN_S", 0.5)
+    monkeypatch.setattr("rig.desk.desk.darken_beside", lambda *lamps: told.append(lamps))
+    monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", DEAF, **how))
+    desk.begin_aligning()
+    job = desk.live_picture
+    assert job is not None
+    until(lambda: bool(job.output))
+    desk.end_aligning()
+    assert not job.running
+    assert len(told) == 1
+    assert desk.live_picture is None
 
 
 def test_the_bar_knows_the_light_of_a_simulated_rigs_command_and_that_it_is_dark(tmp_path: Path) -> None:
