@@ -178,7 +178,7 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
         until(lambda: not desk.lighting.waits)
         assert desk.live_picture is not None
         desk.end_aligning()
-        assert (desk.live_picture, desk.picture_problem) == (None, "")
+        assert (desk.shown, desk.picture_problem) == (None, "")
         # what it said last is that the laser is off
         assert re.match(r"off, confirmed", str(lamps(desk.safety, "")["laser"]["last"]))
     finally:
