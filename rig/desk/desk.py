@@ -306,7 +306,7 @@ class Desk:
         """End what ends with the desk; a session goes on."""
         self.alarming.stop()
         self.following.stop()
-        self.command.stop()
+        self.command.asking.stop()
         self.safety.stop()
         self.end_aligning()
         for job in self.jobs.values():

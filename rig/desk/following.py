@@ -37,22 +37,27 @@ _EVENTS_KEPT = 300
 _FOCUS_POINTS = 600
 
 
-class Heartbeat:
-    """A thread that asks the session in `folder()` for a sign of life, on a connection of its own.
+class Asking:
+    """A thread that asks the program in `folder()` again and again, by a connection of its own.
 
-    News wait for the threads that measure, and take work to make: on a busy machine they come seconds late
-    from a session that is sound. A beat waits for neither.
+    `ask` is called with it, `gone` once nothing answers there. `age_s` is the time since the last answer,
+    infinite where the program of this folder has never given one.
     """
 
-    def __init__(self, folder: Callable[[], Path | None]) -> None:
-        self._folder = folder
-        self._beat_s = -math.inf
-        self._line: OrderConnection | None = None
+    def __init__(
+        self,
+        name: str,
+        folder: Callable[[], Path | None],
+        ask: Callable[[OrderConnection], object],
+        gone: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._name, self._folder, self._ask, self._gone = name, folder, ask, gone
+        self._heard_s = -math.inf
         self._ended = threading.Event()
 
     def start(self) -> None:
         """Begin to ask."""
-        threading.Thread(target=self._ask, name="heartbeat", daemon=True).start()
+        threading.Thread(target=self._ask_repeatedly, name=self._name, daemon=True).start()
 
     def stop(self) -> None:
         """Ask no more."""
@@ -60,27 +65,31 @@ class Heartbeat:
 
     @property
     def age_s(self) -> float:
-        """Time since the session has last answered; infinite where it never has."""
-        return time.monotonic() - self._beat_s
+        return time.monotonic() - self._heard_s
 
-    def _ask(self) -> None:
+    def _ask_repeatedly(self) -> None:
+        line: OrderConnection | None = None
         while not self._ended.wait(_BEAT_S):
             folder = self._folder()
-            if self._line is not None and self._line.folder != folder:
-                self._line.close()
-                self._line, self._beat_s = None, -math.inf
+            if line is not None and line.folder != folder:
+                line.close()
+                line, self._heard_s = None, -math.inf
             try:
-                if folder is not None:
-                    self._line = self._line or OrderConnection(folder)
-                    self._line.beat()
-                    self._beat_s = time.monotonic()
-            except NoSession:
-                # it may be another session's file by now
-                if self._line is not None:
-                    self._line.close()
-                self._line = None
-        if self._line is not None:
-            self._line.close()
+                if folder is None:
+                    self._gone()
+                    continue
+                line = line or OrderConnection(folder)
+                self._ask(line)
+                self._heard_s = time.monotonic()
+            except NoSession as why:
+                # it may be another program's file by now
+                if line is not None:
+                    line.close()
+                line = None
+                if not isinstance(why, SessionBusy):
+                    self._gone()
+        if line is not None:
+            line.close()
 
 
 class Watched:
@@ -188,45 +197,30 @@ class Watched:
 
 
 class CommandWatch(Watched):
-    """A thread that asks a command with the rig, which is no session, for news; `holder` is its folder."""
+    """A command with the rig, which is no session, and has its socket in `holder()`; `asking` asks it.
+
+    While it is busy the last news stay, and their age grows.
+    """
 
     def __init__(self, holder: Callable[[], Path | None]) -> None:
         super().__init__()
-        self._holder = holder
         self._stated: Configuration | None = None
-        self._ended = threading.Event()
+        self.asking = Asking("who has the rig", holder, self._hear, self._forget)
 
     @property
     def config(self) -> Configuration | None:
         return self._stated
-
-    def start(self) -> None:
-        """Begin to ask."""
-        threading.Thread(target=self._ask, name="who has the rig", daemon=True).start()
-
-    def stop(self) -> None:
-        """Ask no more."""
-        self._ended.set()
 
     def begin(self, stated: Configuration) -> None:
         """Forget the last live picture, because the next one is started, with this configuration."""
         self._stated, self.look = stated, None
         self.focus.clear()
 
-    def _ask(self) -> None:
-        while not self._ended.wait(_BEAT_S):
-            self.folder = folder = self._holder()
-            try:
-                if folder is None:
-                    self.news = {}
-                    continue
-                with OrderConnection(folder) as line:
-                    self.news, self.heard_s = line.news(), time.monotonic()
-            except SessionBusy:
-                # the last answer stays, and its age grows
-                continue
-            except NoSession:
-                self.news = {}
+    def _hear(self, line: OrderConnection) -> None:
+        self.news, self.heard_s, self.folder = line.news(), time.monotonic(), line.folder
+
+    def _forget(self) -> None:
+        self.news, self.folder = {}, None
 
 
 class Following(Watched):
@@ -248,7 +242,8 @@ class Following(Watched):
         self.silent = False
         self.ended: deque[RaisedAlarm] = deque(maxlen=8)
         self.unheard: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
-        self.heartbeat = Heartbeat(lambda: self.folder)
+        # news wait for the threads that measure, and come late from a busy machine; a beat waits for nothing
+        self.heartbeat = Asking("heartbeat", lambda: self.folder, OrderConnection.beat)
         self._line: OrderConnection | None = None
         self._reader: RecordFollower | None = None
         self._stated: Configuration | None = None
