@@ -131,11 +131,6 @@ class Lighting:
         return (self._desk.shown or self._desk.following).order("light")
 
     @property
-    def may_follow(self) -> bool:
-        """Whether a session or live picture runs, which could light again after the acknowledgement."""
-        return self._desk.shown is not None
-
-    @property
     def waits(self) -> bool:
         """Whether a session or live picture is dark and waits for a person to light it again."""
         shown, now = self._desk.shown, self._desk.safety.now

@@ -170,6 +170,7 @@ class LivePicture:
         try:
             while True:
                 self.told.begin_run("live picture", info.full_scale_dn, self._applied)
+                self._tell()
                 tracker, reference = optics.tracker(), optics.reference()
                 newest = watch_latest(opened.camera, 1, end_s, _LOOK_S, self._frame_read)
                 with closing(newest):
@@ -227,7 +228,10 @@ class LivePicture:
         self.dark = _LEFT if self._left else devices.darkness()
         if self.dark and devices.permit.needs_request and devices.permit.latched is None:
             self.dark = TO_BE_ASKED
-        told.state({"dark": self.dark, "note": self.note}, ())
+        self._tell()
+
+    def _tell(self) -> None:
+        self.told.state({"dark": self.dark, "note": self.note}, ())
 
     def _press(self, key: str) -> str:
         """Carry out a key that sets the camera, or ends the picture; returns what came of it."""

@@ -152,6 +152,21 @@ def printed() -> Iterator[io.StringIO]:
         yield text
 
 
+def test_a_setting_that_the_camera_does_not_report_is_not_stepped(
+    tmp_path: Path, printed: io.StringIO
+) -> None:
+    config = load_configuration(
+        CONFIGS / "demo.toml", ["simulation.sensor.width_px=160", "simulation.sensor.height_px=640"]
+    )
+    with Devices(config) as devices, devices.camera(config) as opened:
+        unknown = opened._replace(applied=opened.applied.model_copy(update={"gain_db": None}))
+        picture = LivePicture(config, devices)
+        with AlignmentTerminal(tmp_path, Presses("G.q"), Console(file=printed)) as shown:
+            picture.show(unknown, shown)
+        assert picture.note == "the gain: this camera does not report its setting: state a value"
+        assert opened.camera.configure(CameraSettings()).gain_db == opened.applied.gain_db
+
+
 @pytest.mark.parametrize("terminal", [False, True])
 def test_keys_set_the_camera_and_save_pictures(
     tmp_path: Path, printed: io.StringIO, terminal: bool, monkeypatch: pytest.MonkeyPatch
