@@ -221,12 +221,18 @@ class Alarming:
             session="" if following.folder is None else following.folder.name,
             controller=following.safety.controller,
             sensor_wanted=desk.config.environment_sensor.kind != "none",
-            picture_late_s=0.0 if desk.live_picture is None else desk.command.frames_age_s,
+            picture_late_s=desk.command.frames_age_s if self._has_picture else 0.0,
         )
+
+    @property
+    def _has_picture(self) -> bool:
+        """Whether there should be a live picture: what somebody has ended may stand still."""
+        picture = self._desk.live_picture
+        return picture is not None and not picture.ending
 
     def _lit_by(self, news_age_s: float) -> str:
         following = self._desk.following
-        if self._desk.live_picture is not None and self._desk.command.news:
+        if self._has_picture and self._desk.command.news:
             return "the live picture"
         measures = following.state.get("phase") == Phase.MEASURING
         has_laser = following.safety.laser is not None

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from processing.errors import ConfigurationError, RigError
 from rig.commands import calibration
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
+from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
 from rig.desk.lighting import lamps, refusal
@@ -204,6 +206,12 @@ def test_a_live_picture_that_hears_nothing_is_ended_with_its_laser_told_off(
     job = desk.live_picture
     assert job is not None
     until(lambda: bool(job.output))
+    # its picture that stands still is an alarm, but not because somebody has ended it
+    desk.command.news, desk.command.heard_s = {"frames_age_s": 60.0}, time.monotonic()
+    desk.alarming.start()
+    until(lambda: [row.key for row in desk.alarming.alarms.rows()] == [AlarmKey.CAMERA])
+    job.ending = True
+    until(lambda: [row.state for row in desk.alarming.alarms.rows()] == [AlarmState.CLEARED])
     desk.end_aligning()
     assert not job.running
     assert len(told) == 1
