@@ -258,52 +258,42 @@ def align(
 ) -> None:
     """Show the live picture, for aligning.
 
-    With crosshair, saturation, histogram and beam. e and E make the exposure shorter and longer, g and G
-    the gain smaller and larger, z zooms in on the spot, s saves the picture, q ends. What was set holds
-    until the camera loses its power; the lines for the configuration are printed at the end.
+    With crosshair, saturation, histogram and beam, and with the laser lit, if the rig switches one. e and E
+    make the exposure shorter and longer, a finds it, g and G the gain smaller and larger, z zooms in on the
+    spot, s saves the picture, q ends. What was set holds until the camera loses its power.
 
     \b
     Example:
       rig camera align mine.toml --view web
     """
-    from contextlib import ExitStack
+    from contextlib import nullcontext
 
     from rig.devices import align_camera
-    from rig.instrument import complete, configuration_attachments, optics_of, session_metadata
+    from rig.instrument import complete, configuration_attachments, session_metadata
     from rig.view import ScratchView
 
     stated = complete(loaded(config, set_))
-    with ExitStack() as stack:
-        camera, info, applied = stack.enter_context(_opened_camera(stated))
-        show_frame = None
-        if rrd is not None or view:
-            shown = stack.enter_context(
-                ScratchView("aligning", MODES[view], rrd, "balancing", stated.deflection_unit)
-            )
+    is_viewed = rrd is not None or bool(view)
+    with (
+        ScratchView("aligning", MODES[view], rrd, "balancing", stated.deflection_unit)
+        if is_viewed
+        else nullcontext()
+    ) as shown:
 
-            def show_frame(frame: "Frame", spot: "Spot") -> None:
-                if not shown.begun:
-                    shown.begin(
-                        frame.time_ns,
-                        epoch_offset_ns=time.time_ns() - frame.time_ns,
-                        metadata=session_metadata(stated, info, frame),
-                        attachments=configuration_attachments(stated, config),
-                    )
-                shown.look(frame, spot)
+        def show_frame(frame: "Frame", spot: "Spot", info: "CameraInfo") -> None:
+            assert shown is not None
+            if not shown.begun:
+                shown.begin(
+                    frame.time_ns,
+                    epoch_offset_ns=time.time_ns() - frame.time_ns,
+                    metadata=session_metadata(stated, info, frame),
+                    attachments=configuration_attachments(stated, config),
+                )
+            shown.look(frame, spot)
 
-        optics = optics_of(stated, info.full_scale_dn)
-        saved = align_camera(
-            camera,
-            info,
-            applied,
-            optics.tracker(),
-            folder=output,
-            reference=optics.reference(),
-            reference_px=stated.lever_reference_px,
-            seconds=seconds,
-            view=show_frame,
+        print_written(
+            *align_camera(stated, folder=output, seconds=seconds, view=show_frame if is_viewed else None)
         )
-        print_written(*saved)
 
 
 @in_json

@@ -221,14 +221,20 @@ class Alarming:
             session="" if following.folder is None else following.folder.name,
             controller=following.safety.controller,
             sensor_wanted=desk.config.environment_sensor.kind != "none",
-            picture_late_s=0.0 if desk.aligner is None else desk.aligner.late_s,
+            picture_late_s=desk.command.frames_age_s if self._has_picture else 0.0,
         )
 
+    @property
+    def _has_picture(self) -> bool:
+        """Whether there should be a live picture: what somebody has ended may stand still."""
+        picture = self._desk.live_picture
+        return picture is not None and not picture.ending
+
     def _lit_by(self, news_age_s: float) -> str:
-        aligner, following = self._desk.aligner, self._desk.following
-        if aligner is not None and aligner.running and aligner.safety is not None:
+        following = self._desk.following
+        if self._has_picture and self._desk.command.news:
             return "the live picture"
-        measures = (following.news.get("state") or {}).get("phase") == Phase.MEASURING
+        measures = following.state.get("phase") == Phase.MEASURING
         has_laser = following.safety.laser is not None
         return "the session" if following.running and measures and has_laser and news_age_s < 1.0 else ""
 

@@ -9,19 +9,18 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from acquisition.camera import CameraSettings
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.alarming import Alarming
-from rig.desk.aligner import Aligner
 from rig.desk.calibrating import KINDS, Calibration
-from rig.desk.following import Following
+from rig.desk.following import CommandWatch, Following, Watched
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, reason_in, start_session
 from rig.desk.lighting import Lighting, Safety
 from rig.desk.sessions import SessionIndex, last_state, last_summary
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
+from rig.instrument import complete
 from rig.measure import RunState, SessionSummary, session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
@@ -29,6 +28,8 @@ _ENDS_WITHIN_S = 5.0
 _WAKES_WITHIN_S = 10.0
 """Time within which a process that was stopped (Ctrl-Z) and continued answers again, or has ended."""
 _LOOK_S = 0.1
+_CLOSES_WITHIN_S = 10.0
+_ALIGN = "camera align"
 _REGION = ("width_px", "height_px", "offset_x_px", "offset_y_px")
 
 
@@ -37,6 +38,7 @@ class Desk:
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
     `place` is what is kept on disk, `lighting` takes light and gives it, `rig` is the rig's own safety state.
+    `command` is what has the rig and is no session, such as the live picture.
     `archive` is the file whose runs are listed, too; `started` the process and the folder of the session that
     was started here last.
     """
@@ -53,8 +55,8 @@ class Desk:
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
         by = "board" if self.config.laser.kind == "controller" else "laser"
         self.jobs = Jobs()
-        self.safety = Safety(self.rig, self.following, self.jobs, lambda: self.aligner, by)
-        self.aligner: Aligner | None = None
+        self.command = CommandWatch(self._rig_holder)
+        self.safety = Safety(self.rig, self.following, self.command, by)
         self.sessions = SessionIndex(self.config.session.output)
         self.started: tuple[subprocess.Popen[bytes], Path] | None = None
         self.place = DeskStore(source)
@@ -157,12 +159,12 @@ class Desk:
         """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
         if self.following.running or (self.start_runs and not self._has_ended()):
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
+        self.end_aligning()
         for name, job in self.jobs.running(uses_camera=True):
             # what has reported its result, or was asked to end, is about to end
             about_to = job.ending or "preflight" in job.newest
             if not (about_to and job.wait(_ENDS_WITHIN_S)):
                 raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
-        self.end_aligning()
 
     def _has_ended(self) -> bool:
         """Whether the process of the last started session ends within a moment, for which this waits.
@@ -186,10 +188,35 @@ class Desk:
         self.needs_camera(who)
 
     def begin_aligning(self) -> None:
-        """Open the camera for the live picture."""
-        self.needs_camera("camera align")
-        self.aligner = Aligner(self.checked(), self.safety.unfiled)
-        self.aligner.start()
+        """Start the live picture. May wait."""
+        config = complete(self.checked())
+        self.start(_ALIGN)
+        self.command.begin(config)
+
+    @property
+    def live_picture(self) -> Job | None:
+        """The command of the live picture that runs; None without one."""
+        job = self.jobs.get(_ALIGN)
+        return job if job is not None and job.running else None
+
+    @property
+    def picture_problem(self) -> str:
+        """Why the live picture has ended by itself; empty if it has not."""
+        job = self.jobs.get(_ALIGN)
+        return "" if job is None or job.running or job.ending else job.problem
+
+    @property
+    def shown(self) -> Watched | None:
+        """The session that runs, else the live picture; None without either."""
+        if self.following.running:
+            return self.following
+        return None if self.live_picture is None else self.command
+
+    def _rig_holder(self) -> Path | None:
+        """Folder of the command that has the rig; a simulated rig has no file that names it."""
+        if self.following.running:
+            return None
+        return self.jobs.lit_in if self.rig.path is None else self.rig.folder_of_holder
 
     def align_whole_sensor(self) -> None:
         """Open the camera again without the region that was kept. May wait."""
@@ -197,9 +224,9 @@ class Desk:
             self.kept.pop(f"camera.{name}", None)
         self.begin_aligning()
 
-    def keep_camera(self, applied: CameraSettings) -> None:
+    def keep_camera(self) -> None:
         """Use the camera's present settings for all that this desk starts; RigError if they are not valid."""
-        values = applied.model_dump(exclude_none=True)
+        values = self.command.applied.model_dump(exclude_none=True)
         own = {
             f"camera.{name}": values[name] for name in ("exposure_us", "gain_db", *_REGION) if name in values
         }
@@ -207,10 +234,18 @@ class Desk:
         self.kept.update(own)
 
     def end_aligning(self) -> None:
-        """Close the camera of the live picture."""
-        if self.aligner is not None:
-            self.aligner.close()
-            self.aligner = None
+        """End the live picture, and wait until the camera is free."""
+        if (job := self.live_picture) is not None:
+            job.ending = True
+            try:
+                # where a program cannot be interrupted it closes its devices by this alone
+                self.command.order("key q")
+            except RigError:
+                job.end()
+            if not job.wait(_CLOSES_WITHIN_S):
+                darken_beside(self.config.laser, self.config.controller)
+                job.kill()
+        self.jobs.pop(_ALIGN, None)
 
     # -- the session ------------------------------------------------------------
 
@@ -271,6 +306,7 @@ class Desk:
         """End what ends with the desk; a session goes on."""
         self.alarming.stop()
         self.following.stop()
+        self.command.asking.stop()
         self.safety.stop()
         self.end_aligning()
         for job in self.jobs.values():

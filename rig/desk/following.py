@@ -1,4 +1,4 @@
-"""Follows the session that runs on this machine, started by the desk or at a terminal."""
+"""Follows what has the devices: the session that runs on this machine, or a command of the desk."""
 
 import math
 import threading
@@ -10,11 +10,23 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from acquisition.camera import CameraSettings
 from processing.errors import RigError
 from rig.control import STALE_S, SafetyNow
 from rig.desk.alarm_list import AlarmKey, RaisedAlarm
 from rig.desk.run_reader import RecordFollower
-from rig.devices import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
+from rig.devices import (
+    ORDERS_NAME,
+    AlignmentFrame,
+    NoSession,
+    OrderConnection,
+    ReferencePart,
+    SessionBusy,
+    SessionPicture,
+    middle_of,
+    picture,
+    running_sessions,
+)
 from rig.measure import STATE_NAME, RunState, is_in_use, read_session
 from rig.settings import Configuration, unnumbered, validate_configuration
 
@@ -22,24 +34,30 @@ _LOOK_S = 0.2
 _SEARCH_S = 1.0
 _BEAT_S = 0.25
 _EVENTS_KEPT = 300
+_FOCUS_POINTS = 600
 
 
-class Heartbeat:
-    """A thread that asks the session in `folder()` for a sign of life, on a connection of its own.
+class Asking:
+    """A thread that asks the program in `folder()` again and again, by a connection of its own.
 
-    News wait for the threads that measure, and take work to make: on a busy machine they come seconds late
-    from a session that is sound. A beat waits for neither.
+    `ask` is called with it, `gone` once nothing answers there. `age_s` is the time since the last answer,
+    infinite where the program of this folder has never given one.
     """
 
-    def __init__(self, folder: Callable[[], Path | None]) -> None:
-        self._folder = folder
-        self._beat_s = -math.inf
-        self._line: OrderConnection | None = None
+    def __init__(
+        self,
+        name: str,
+        folder: Callable[[], Path | None],
+        ask: Callable[[OrderConnection], object],
+        gone: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._name, self._folder, self._ask, self._gone = name, folder, ask, gone
+        self._heard_s = -math.inf
         self._ended = threading.Event()
 
     def start(self) -> None:
         """Begin to ask."""
-        threading.Thread(target=self._ask, name="heartbeat", daemon=True).start()
+        threading.Thread(target=self._ask_repeatedly, name=self._name, daemon=True).start()
 
     def stop(self) -> None:
         """Ask no more."""
@@ -47,59 +65,188 @@ class Heartbeat:
 
     @property
     def age_s(self) -> float:
-        """Time since the session has last answered; infinite where it never has."""
-        return time.monotonic() - self._beat_s
+        return time.monotonic() - self._heard_s
 
-    def _ask(self) -> None:
+    def _ask_repeatedly(self) -> None:
+        line: OrderConnection | None = None
         while not self._ended.wait(_BEAT_S):
             folder = self._folder()
-            if self._line is not None and self._line.folder != folder:
-                self._line.close()
-                self._line, self._beat_s = None, -math.inf
+            if line is not None and line.folder != folder:
+                line.close()
+                line, self._heard_s = None, -math.inf
             try:
-                if folder is not None:
-                    self._line = self._line or OrderConnection(folder)
-                    self._line.beat()
-                    self._beat_s = time.monotonic()
-            except NoSession:
-                # it may be another session's file by now
-                if self._line is not None:
-                    self._line.close()
-                self._line = None
-        if self._line is not None:
-            self._line.close()
+                if folder is None:
+                    self._gone()
+                    continue
+                line = line or OrderConnection(folder)
+                self._ask(line)
+                self._heard_s = time.monotonic()
+            except NoSession as why:
+                # it may be another program's file by now
+                if line is not None:
+                    line.close()
+                line = None
+                if not isinstance(why, SessionBusy):
+                    self._gone()
+        if line is not None:
+            line.close()
 
 
-class Following:
+class Watched:
+    """A program with an order socket; `folder` has it (None without one).
+
+    `news` is its last answer (empty without one), `heard_s` the monotonic time of it. `look` is the last
+    frame that was asked for, `focus` the sharpness over time (seconds, 1/px).
+    """
+
+    def __init__(self) -> None:
+        self.folder: Path | None = None
+        self.news: dict[str, Any] = {}
+        self.heard_s = -math.inf
+        self.look: AlignmentFrame | None = None
+        self.focus: deque[tuple[float, float]] = deque(maxlen=_FOCUS_POINTS)
+        self._number = 0
+        self._pictures: OrderConnection | None = None
+        self._one_picture = threading.Lock()
+
+    @property
+    def config(self) -> Configuration | None:
+        """Configuration of the program; None where it is not known."""
+        return None
+
+    @property
+    def safety(self) -> SafetyNow:
+        """State of laser, controller and interlock as the program has told it."""
+        return SafetyNow.from_news(self.news.get("safety") or {})
+
+    @property
+    def state(self) -> Mapping[str, Any]:
+        """State of its run, or of its live picture; empty before it has told any."""
+        return self.news.get("state") or {}
+
+    @property
+    def doing(self) -> str:
+        """The phase of its run and its progress in words; empty before it has stated any."""
+        return doing(self.state)
+
+    @property
+    def applied(self) -> CameraSettings:
+        """Settings of the camera as last read back."""
+        return CameraSettings.model_validate((self.news.get("camera") or {}).get("applied") or {})
+
+    @property
+    def frames_age_s(self) -> float:
+        """Age in s of the last frame that the program has processed; 0 before the first one."""
+        stated_s = self.news.get("frames_age_s")
+        return 0.0 if stated_s is None else float(stated_s) + time.monotonic() - self.heard_s
+
+    def order(self, name: str) -> str:
+        """Give the program an order; raises RigError if it cannot be carried out."""
+        if self.folder is None:
+            raise NoSession("no session runs")
+        with OrderConnection(self.folder) as line:
+            return line.order(name)
+
+    def ask_picture(self) -> None:
+        """Take the newest frame into `look`, and ask for the next; blocks for a moment.
+
+        While another caller waits for a program that does not answer, the last frame stays.
+        """
+        folder = self.folder
+        if not self._one_picture.acquire(blocking=False):
+            return
+        try:
+            if self._pictures is not None and self._pictures.folder != folder:
+                self._hang_up()
+                self.look = None
+            if folder is None:
+                return
+            self._pictures = self._pictures or OrderConnection(folder)
+            if (seen := self._pictures.picture(self._number)) is not None:
+                self._number = seen.number
+                self.look = self._looked(seen)
+        except SessionBusy:
+            return
+        except NoSession:
+            # the next program may have this folder, and numbers of its own
+            self._hang_up()
+        finally:
+            self._one_picture.release()
+
+    def _hang_up(self) -> None:
+        if self._pictures is not None:
+            self._pictures.close()
+        self._pictures, self._number = None, 0
+
+    def _looked(self, seen: SessionPicture) -> AlignmentFrame | None:
+        """The frame with its figures; None before the program has told its camera."""
+        if "full_scale_dn" not in (camera := self.news.get("camera") or {}):
+            return None
+        full_scale_dn, config = int(camera["full_scale_dn"]), self.config
+        own, reference = seen.image, None
+        if config is not None and config.reference is not None and seen.reference is not None:
+            row = config.reference.from_row_px
+            reference = ReferencePart.in_image(seen.reference, row, seen.image, full_scale_dn)
+            own = seen.image[:row]
+        figures = picture.figures(own, full_scale_dn)
+        self.focus.append((time.monotonic(), figures.sharpness_per_px))
+        middle_px = middle_of(seen.image, None if config is None else config.lever_reference_px)
+        return AlignmentFrame(
+            seen.image, full_scale_dn, figures, seen.spot, middle_px, self.applied, seen.beam, reference
+        )
+
+
+class CommandWatch(Watched):
+    """A command with the rig, which is no session, and has its socket in `holder()`; `asking` asks it.
+
+    While it is busy the last news stay, and their age grows.
+    """
+
+    def __init__(self, holder: Callable[[], Path | None]) -> None:
+        super().__init__()
+        self._stated: Configuration | None = None
+        self.asking = Asking("who has the rig", holder, self._hear, self._forget)
+
+    @property
+    def config(self) -> Configuration | None:
+        return self._stated
+
+    def begin(self, stated: Configuration) -> None:
+        """Forget the last live picture, because the next one is started, with this configuration."""
+        self._stated, self.look = stated, None
+        self.focus.clear()
+
+    def _hear(self, line: OrderConnection) -> None:
+        self.news, self.heard_s, self.folder = line.news(), time.monotonic(), line.folder
+
+    def _forget(self) -> None:
+        self.news, self.folder = {}, None
+
+
+class Following(Watched):
     """A thread that asks the running session for news, and looks for one while there is none.
 
-    `news` is its last answer (empty without a session), `events` are those of its records. `folder` is its
-    folder (None without a session), `last_folder` that of the last session, at first the newest of `output`,
-    and `fits_last` is True while the process of that one fits and reports. `silent` is True while the session
-    exists and does not answer. `heard_s` is the monotonic time of the last news, `heartbeat` asks for signs
-    of life.
+    `events` are those of its records. `last_folder` is the folder of the last session, at first the newest of
+    `output`, and `fits_last` is True while the process of that one fits and reports. `silent` is True while
+    the session exists and does not answer, `heartbeat` asks for signs of life.
     `ended` are alarms of sessions that ended while they were followed, `unheard` are events; both wait until
     the alarms have been updated by them.
     """
 
     def __init__(self, output: Path) -> None:
+        super().__init__()
         self._output = output
-        self.news: dict[str, Any] = {}
         self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
-        self.folder: Path | None = None
         self.last_folder: Path | None = None
         self.fits_last = False
         self.silent = False
-        self.heard_s = -math.inf
         self.ended: deque[RaisedAlarm] = deque(maxlen=8)
         self.unheard: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
-        self.heartbeat = Heartbeat(lambda: self.folder)
+        # news wait for the threads that measure, and come late from a busy machine; a beat waits for nothing
+        self.heartbeat = Asking("heartbeat", lambda: self.folder, OrderConnection.beat)
         self._line: OrderConnection | None = None
         self._reader: RecordFollower | None = None
         self._stated: Configuration | None = None
-        self._pictures: OrderConnection | None = None
-        self._last_picture: SessionPicture | None = None
-        self._one_picture = threading.Lock()
         self._ended = threading.Event()
         self._wake = threading.Event()
 
@@ -117,9 +264,7 @@ class Following:
         self.heartbeat.stop()
         self._read("")
         with self._one_picture:
-            if self._pictures is not None:
-                self._pictures.close()
-                self._pictures = None
+            self._hang_up()
 
     @property
     def running(self) -> bool:
@@ -137,12 +282,6 @@ class Following:
         return None if line is None else line.process
 
     @property
-    def frames_age_s(self) -> float:
-        """Age in s of the last frame that the running session has processed; 0 before the first one."""
-        stated_s = self.news.get("frames_age_s")
-        return 0.0 if stated_s is None else float(stated_s) + time.monotonic() - self.heard_s
-
-    @property
     def config(self) -> Configuration | None:
         """Configuration of the record, or before a record that of the session; None without a session."""
         reader = self._reader
@@ -155,53 +294,11 @@ class Following:
         config = self.config
         return "" if config is None else config.deflection_unit.shown
 
-    @property
-    def safety(self) -> SafetyNow:
-        """State of laser, controller and interlock as the running session has told it."""
-        return SafetyNow.from_news(self.news.get("safety") or {})
-
     def look_now(self, folder: Path | None = None) -> None:
         """Look for a session at once; `folder`: one that was just started in another place."""
         if folder is not None:
             self._output = folder.parent
         self._wake.set()
-
-    def order(self, name: str) -> str:
-        """Give the running session an order; raises RigError if it cannot be carried out."""
-        if self.folder is None:
-            raise NoSession("no session runs")
-        with OrderConnection(self.folder) as line:
-            return line.order(name)
-
-    @property
-    def last_picture(self) -> SessionPicture | None:
-        """The last frame of the running session that was asked for."""
-        pictures = self._pictures
-        return None if pictures is None or pictures.folder != self.folder else self._last_picture
-
-    def picture(self) -> SessionPicture | None:
-        """The newest frame of the running session, and ask for the next; blocks for a moment.
-
-        While another caller waits for a session that does not answer, the last frame is returned.
-        """
-        folder = self.folder
-        if not self._one_picture.acquire(blocking=False):
-            return self.last_picture
-        try:
-            if self._pictures is not None and self._pictures.folder != folder:
-                self._pictures.close()
-                self._pictures = self._last_picture = None
-            if folder is None:
-                return None
-            self._pictures = self._pictures or OrderConnection(folder)
-            last = self._last_picture
-            with suppress(NoSession):
-                self._last_picture = self._pictures.picture(0 if last is None else last.number) or last
-            return self._last_picture
-        except NoSession:
-            return None
-        finally:
-            self._one_picture.release()
 
     def history(self) -> dict[str, Any]:
         """Values for the charts from the record of the running session; empty without a record. Blocks."""

@@ -20,7 +20,7 @@ def build_header(desk: Desk, tab: Tab) -> Callable[[], None]:
     """Build it; returns what unfolds the list of alarms, or folds it."""
 
     def instruction() -> str:
-        return loud(str((desk.following.news.get("state") or {}).get("instruction") or ""))
+        return loud(str(desk.following.state.get("instruction") or ""))
 
     with ui.element("div").classes("cries"):
         toggle = _build_alarms(desk, tab)
@@ -59,7 +59,7 @@ def _build_waits(desk: Desk, tab: Tab) -> None:
             lambda: "Light again" if lighting.waits else "Light again: once the trip is acknowledged",
             apart(lighting.again),
             f'color="positive" {DELIBERATE}',
-            seen=lambda: lighting.waits or (desk.safety.trip is not None and lighting.may_follow),
+            seen=lambda: lighting.waits or (desk.safety.trip is not None and desk.shown is not None),
             enabled=lambda: lighting.waits,
         )
     tab.keep(lambda: waits.set_visibility(lighting.waits or desk.safety.trip is not None))

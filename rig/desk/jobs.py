@@ -118,6 +118,11 @@ class Job:
         with suppress(OSError):
             self._process.terminate()
 
+    def kill(self) -> None:
+        """Kill it, where it hears nothing; what it has lit must be dark."""
+        self._process.kill()
+        self._process.wait()
+
     def _read(self) -> None:
         assert self._process.stdout is not None
         with self._process.stdout as lines:
@@ -149,6 +154,10 @@ class Jobs(dict[str, Job]):
 
         `folder` is where a command that uses the camera shows its light.
         """
+        if folder is not None:
+            with suppress(OSError):
+                # without it a rig whose laser is not switched shows no picture
+                folder.mkdir(parents=True, exist_ok=True)
         before = self.get(name)
         if before is not None and before.running:
             raise ConfigurationError(f"rig {name} still runs; wait, or end it first")

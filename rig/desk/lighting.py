@@ -3,14 +3,14 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from processing.errors import ConfigurationError, RigError
+from processing.errors import RigError
 from rig.control import (
     STALE_S,
     LatchedTrip,
@@ -21,9 +21,7 @@ from rig.control import (
     TripCause,
     in_thread,
 )
-from rig.desk.aligner import Aligner
-from rig.desk.following import Following
-from rig.desk.jobs import Jobs
+from rig.desk.following import Following, Watched
 from rig.desk.run_reader import clock
 from rig.devices import (
     HEARD_WITHIN_S,
@@ -31,9 +29,6 @@ from rig.devices import (
     ORDERS_NAME,
     Devices,
     LightOff,
-    NoSession,
-    OrderConnection,
-    SessionBusy,
 )
 
 if TYPE_CHECKING:
@@ -91,23 +86,21 @@ class Lighting:
             begun = None
         if begun is not None:
             folders.add(begun[1])
+        picture = desk.live_picture if desk.command.news else None
+        if picture is not None and picture.folder is not None:
+            folders.add(picture.folder)
         pressed = LightOff(desk.config, desk.rig, AT, folders)
-        heard = False
-        dark: Future[None] | None = None
-        if (aligner := desk.aligner) is not None:
-            dark, heard = in_thread(aligner.light_off), aligner.running
-        ended = desk.jobs.running(uses_camera=True)
-        for _, job in ended:
+        # a live picture that answers lives on in the dark
+        ended = [job for _, job in desk.jobs.running(uses_camera=True) if job is not picture]
+        for job in ended:
             job.end()
+        heard = bool(ended)
         if begun is not None and desk.following.last_folder != begun[1] and not _takes_orders(begun[1]):
             # it cannot take an order yet; a session that was followed and is gone is being fitted
             begun[0].terminate()
             heard = True
         problems, answered, kept = pressed.result()
-        heard = heard or answered or bool(ended)
-        if dark is not None:
-            with suppress(TimeoutError):
-                dark.result(HEARD_WITHIN_S)
+        heard = heard or answered
         unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
         if (ended or not heard) and unfiled is not None and unfiled.trip is None:
             # a rig without a file is remembered as long as the desk lives, a command ends before it can be
@@ -126,48 +119,27 @@ class Lighting:
         Raises RigError if the trip cannot be acknowledged. May wait.
         """
         desk = self._desk
-        if (aligner := self._aligner) is not None:
-            return aligner.acknowledge(number)
-        if desk.following.running:
-            return desk.following.order(f"acknowledge {number}")
-        for name, _ in desk.jobs.running(uses_camera=True):
-            raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
+        for one in (desk.following, desk.command):
+            if one.news:
+                return one.order(f"acknowledge {number}")
         with Devices(desk.config, desk.config.session.output, "the desk", desk.safety.unfiled) as devices:
             devices.wait_until_heard()
             return devices.acknowledge(number, "the desk")
 
-    @property
-    def _aligner(self) -> Aligner | None:
-        """The live picture that runs; None without one, and after its end."""
-        aligner = self._desk.aligner
-        return aligner if aligner is not None and aligner.running else None
-
     def again(self) -> str:
         """Ask the live picture or the session to light again; RigError if neither runs. May wait."""
-        if (aligner := self._aligner) is not None:
-            aligner.relight()
-            return "light is asked for"
-        return self._desk.following.order("light")
-
-    @property
-    def may_follow(self) -> bool:
-        """Whether a session or live picture runs, which could light again after the acknowledgement."""
-        return self._desk.following.running or self._aligner is not None
+        return (self._desk.shown or self._desk.following).order("light")
 
     @property
     def waits(self) -> bool:
         """Whether a session or live picture is dark and waits for a person to light it again."""
-        desk = self._desk
-        now = desk.safety.now
-        if now.trip is not None:
+        shown, now = self._desk.shown, self._desk.safety.now
+        if shown is None or now.trip is not None:
             return False
-        if (aligner := desk.aligner) is not None:
-            return aligner.running and bool(aligner.darkness)
-        news = desk.following.news
-        if desk.following.running and now.to_be_asked:
+        if shown is self._desk.following:
             # between two runs, too
-            return True
-        return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
+            return now.to_be_asked or bool(shown.news.get("darkness") and shown.state.get("alarm"))
+        return bool(shown.state.get("dark"))
 
 
 _READ_S = 0.25
@@ -193,42 +165,27 @@ class Safety:
     confirmed states, None before any.
     """
 
-    def __init__(
-        self,
-        rig: SafetyState,
-        following: Following,
-        jobs: Jobs,
-        aligner: Callable[[], Aligner | None],
-        by: str,
-    ) -> None:
-        self._rig, self._following, self._jobs = rig, following, jobs
-        self._aligner, self._by = aligner, by
+    def __init__(self, rig: SafetyState, following: Following, command: Watched, by: str) -> None:
+        self._rig, self._following, self._command, self._by = rig, following, command, by
         self.light: ConfirmedState | None = None
         self.interlock: ConfirmedState | None = None
         self.unfiled = rig if rig.path is None else None
         self._ended = threading.Event()
-        self._of_command: tuple[SafetyNow, float] | None = None
 
     def start(self) -> None:
-        """Start the threads that read the rig's state and ask the program that has the devices."""
+        """Start the thread that reads the rig's state."""
         threading.Thread(target=self._read, name="rig's state", daemon=True).start()
-        threading.Thread(target=self._ask, name="who has the rig", daemon=True).start()
 
     def stop(self) -> None:
-        """Stop the threads."""
+        """Stop the thread."""
         self._ended.set()
 
     @property
     def now(self) -> SafetyNow:
         """The present safety state, with present ages; never blocks."""
-        aligner = self._aligner()
-        own = None if aligner is None else aligner.safety
-        if own is not None:
-            return own
         if (told := self._told()) is None:
             return SafetyNow(trip=self._rig.trip)
-        state, heard_s = told
-        since_s = time.monotonic() - heard_s
+        state, since_s = told.safety, time.monotonic() - told.heard_s
         # of a simulated rig a session has a latch of its own
         is_own = self.unfiled is not None and self._following.running
         return replace(
@@ -238,12 +195,10 @@ class Safety:
             interlock_age_s=state.interlock_age_s + since_s,
         )
 
-    def _told(self) -> tuple[SafetyNow, float] | None:
-        """What the program that has the devices has told, and when (monotonic, s); None without one."""
-        following = self._following
-        if following.running and following.news:
-            return following.safety, following.heard_s
-        return self._of_command
+    def _told(self) -> Watched | None:
+        """The program that has the devices, and has told their state; None without one."""
+        has_told = (one for one in (self._following, self._command) if one.news.get("safety"))
+        return next(has_told, None)
 
     @property
     def trip(self) -> LatchedTrip | None:
@@ -270,29 +225,11 @@ class Safety:
                 continue
             # the latch of a simulated rig ends with the program that has it, a real one's does not
             if (told := self._told()) is not None:
-                latched = told[0].trip
+                latched = told.safety.trip
             elif latched is not None:
                 if self._rig.trip is None:
                     self._rig.latch(latched.cause, latched.why, latched.lit)
                 latched = None
-
-    def _ask(self) -> None:
-        """Ask a command that has the rig, and is no session, for its safety state."""
-        while not self._ended.wait(_READ_S):
-            # a simulated rig has no file that names who holds it
-            holder = self._rig.folder_of_holder if self.unfiled is None else self._jobs.lit_in
-            folder = None if self._following.running else holder
-            try:
-                if folder is None:
-                    self._of_command = None
-                    continue
-                with OrderConnection(folder) as line:
-                    self._of_command = SafetyNow.from_news(line.news()["safety"]), time.monotonic()
-            except SessionBusy:
-                # the last answer stays, and its age grows
-                continue
-            except (NoSession, KeyError, ValueError):
-                self._of_command = None
 
 
 def refusal(safety: SafetyNow) -> str:

@@ -12,7 +12,6 @@ from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmRow
 from rig.desk.desk import Desk
 from rig.desk.dialogs import keys_dialog
-from rig.desk.following import doing
 from rig.desk.header import build_header
 from rig.desk.lighting import lamps
 from rig.desk.panels import PANELS
@@ -124,7 +123,7 @@ def _state(desk: Desk) -> str:
     if following.silent:
         return f"{following.folder and following.folder.name}: does not answer at the moment"
     if following.folder is not None:
-        phase = doing(following.news.get("state"))
+        phase = following.doing
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
     running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
     if running:
@@ -145,10 +144,10 @@ def _state(desk: Desk) -> str:
 
 def _recording(desk: Desk) -> str:
     """Text on the present recording; empty without one."""
-    news = desk.following.news
-    if desk.following.running:
-        return str(news.get("run") or "") if (news.get("state") or {}).get("phase") == Phase.MEASURING else ""
-    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name.startswith("camera")), "")
+    following = desk.following
+    if following.running:
+        return str(following.news.get("run") or "") if following.state.get("phase") == Phase.MEASURING else ""
+    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name == "camera record"), "")
 
 
 def _keys() -> list[tuple[str, str]]:

@@ -127,7 +127,7 @@ class RecordFollower:
                 "kind": event.kind,
                 "level": event.level,
                 "text": event.text,
-                "at": clock(seconds(event.time_ns + reader.epoch_offset_ns)),
+                "at_s": seconds(event.time_ns + reader.epoch_offset_ns),
             }
             self._on_event(event_values)
 

@@ -31,6 +31,7 @@ from rig.devices.order_socket import (
     OrderSocket,
     SessionNews,
     SessionPicture,
+    light_orders,
     light_shown_to_desk,
     safety_values,
     thinned_path,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from processing.errors import RigError
-from rig.devices.order_socket import BEAT, LOOK, LOOPBACK, NEWS, ORDERS_NAME, SessionPicture
+from rig.devices.order_socket import BEAT, LOOK, LOOPBACK, NEWS, ORDERS_NAME, SessionPicture, lives
 
 _ANSWER_S = 3.0
 _ORDER_S = 20.0
@@ -60,7 +60,7 @@ class OrderConnection:
     @property
     def process_lives(self) -> bool:
         """False once the process that answered first is gone, whose port another program may have now."""
-        return not (self._was_seen and not _lives(self.pid))
+        return not (self._was_seen and not lives(self.pid))
 
     @property
     def process(self) -> int | None:
@@ -113,7 +113,7 @@ class OrderConnection:
             except (OSError, EOFError, ValueError) as error:
                 self.close()
                 raise self._unanswered(error) from None
-        self._was_seen = self._was_seen or _lives(self.pid)
+        self._was_seen = self._was_seen or lives(self.pid)
         return done, answer
 
     def _connected(self) -> Connection:
@@ -133,7 +133,7 @@ class OrderConnection:
             answer_challenge(connection, self._key)
         except (TimeoutError, BlockingIOError):
             connection.close()
-            if os.name == "posix" and not _lives(self.pid):
+            if os.name == "posix" and not lives(self.pid):
                 # another program, which waits for a request of its own, has the port
                 raise AuthenticationError from None
             raise
@@ -145,19 +145,6 @@ class OrderConnection:
     def _unanswered(self, error: Exception) -> NoSession:
         why = f"{self.folder}: its session does not answer: {error or 'it has hung up'}"
         return SessionBusy(why) if isinstance(error, (TimeoutError, BlockingIOError)) else NoSession(why)
-
-
-def _lives(pid: int) -> bool:
-    """Whether the process exists; False also where the system cannot be asked."""
-    if os.name != "posix":
-        return False
-    try:
-        os.kill(pid, 0)
-    except PermissionError:
-        return True
-    except OSError:
-        return False
-    return True
 
 
 def running_sessions(output: Path) -> Iterator[Path]:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings, Frame, Image
 from processing.deflections import Deflections
+from processing.errors import ConfigurationError, RigError
 from processing.spot import Spot, SpotFlag
 from processing.units import NS_PER_S
 from rig.devices.session_devices import Devices
@@ -39,24 +40,29 @@ _WATCHED_S = 60.0
 
 
 class SessionPicture(NamedTuple):
-    """A frame (ny, nx) in DN, the spot in it, its number, and the reference's spot where it has one."""
+    """A frame (ny, nx) in DN, the spot in it, and its number.
+
+    `reference` is the reference's spot where there is one, `beam` the verdict on the beam where there is one.
+    """
 
     image: Image
     spot: Spot
     number: int
     reference: Spot | None = None
+    beam: Verdict | None = None
 
 
 class SessionNews:
     """The state of a session; written by its threads, read by those that answer.
 
     Of frames it keeps only references, set in the processing thread. A frame is kept only if a program has
-    asked for one, at most ten times a second. `asked_s` is the monotonic time of the last request for news.
+    asked for one, at most ten times a second. `asked_s` is the monotonic time of the last request for news,
+    `looked_s` that of the last request for a picture.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self.asked_s = -math.inf
+        self.asked_s = self.looked_s = -math.inf
         self._picture_wanted = False
         self._picture_number = 0
         self._picture_s = 0.0
@@ -115,12 +121,17 @@ class SessionNews:
                 self._seen_s = now_s
         if self._picture_wanted and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
             self._picture_wanted, self._picture_s = False, now_s
-            self._picture_number += 1
-            image = frames[-1].image
-            # a camera's frames are read-only and never written to again; anything else is copied
-            held = image.copy() if image.flags.writeable else image
-            reference = block.references[-1] if block.references else None
-            self._frame = SessionPicture(held, spots[-1], self._picture_number, reference)
+            self.show(frames[-1].image, spots[-1], block.references[-1] if block.references else None)
+
+    def show(
+        self, image: Image, spot: Spot, reference: Spot | None = None, beam: Verdict | None = None
+    ) -> None:
+        """Keep a frame, the spots in it and the verdict on its beam."""
+        self._frames_s = time.monotonic()
+        self._picture_number += 1
+        # a camera's frames are read-only and never written to again; anything else is copied
+        held = image.copy() if image.flags.writeable else image
+        self._frame = SessionPicture(held, spot, self._picture_number, reference, beam)
 
     # -- for those that answer -----------------------------------------------
 
@@ -148,7 +159,7 @@ class SessionNews:
 
     def picture(self, after: int = 0) -> SessionPicture | None:
         """The newest frame if its number is above `after`, else None; this also requests the next one."""
-        self._picture_wanted = True
+        self._picture_wanted, self.looked_s = True, time.monotonic()
         frame = self._frame
         return None if frame is None or frame.number <= after else frame
 
@@ -188,6 +199,7 @@ class OrderSocket:
     Each connection has a thread of its own, so that a client that stops in the middle blocks no other; both
     sides first prove that they know the key. `extra` is called for each answer, for values that only the
     devices have. If the socket cannot be opened, the session measures unwatched, for the reason in `problem`.
+    Raises ConfigurationError where another program is watched in this folder: orders would reach only one.
     """
 
     def __init__(
@@ -215,6 +227,9 @@ class OrderSocket:
             self._socket.settimeout(_LOOK_S)
             port = self._socket.getsockname()[1]
             _write(self._path, {"port": port, "key": self._key.hex(), "pid": os.getpid()})
+        except ConfigurationError:
+            self._close()
+            raise
         except OSError as error:
             self.problem = f"nobody can watch this session: {error}"
             self._close()
@@ -275,23 +290,38 @@ def safety_values(devices: Devices) -> dict[str, Any]:
     return {"darkness": devices.darkness(), "safety": asdict(devices.safety())}
 
 
+def light_orders(devices: Devices) -> Orders:
+    """The orders of whoever has the devices; `acknowledge` takes the trip's number and the person."""
+
+    def acknowledge(value: str) -> str:
+        number, _, by = value.partition(" ")
+        if not number.isdecimal():
+            raise RigError(f"acknowledge {value!r}: the number of the trip is needed")
+        return devices.acknowledge(int(number), by or "the desk")
+
+    return {"acknowledge": acknowledge, "dark": lambda by: devices.light_off(by or "the desk")}
+
+
 @contextmanager
 def light_shown_to_desk(
-    devices: Devices, folder: Path, session_news: SessionNews | None = None
+    devices: Devices, folder: Path, session_news: SessionNews | None = None, more: Orders | None = None
 ) -> Iterator[None]:
     """Context in which a command that is no session lets the desk show its light, and darken it.
 
+    It takes `more` orders than those of `light_orders`.
+
     `folder` is the one that the devices were opened with: the rig's lock names it, and a desk knows that of
-    its own commands. Without a laser no socket is opened, unless there are `session_news` (pictures of frames
-    that are recorded). Who has asked a moment ago hears at the end that the laser is off.
+    its own commands. Without a laser no folder is made, and no socket opened, unless there are `session_news`
+    (with pictures). Who has asked a moment ago hears at the end that the laser is off.
     """
-    if devices.laser_report() is None and session_news is None:
+    if devices.laser_report() is not None:
+        with suppress(OSError):
+            # without the folder the command runs unwatched
+            folder.mkdir(parents=True, exist_ok=True)
+    elif session_news is None or not folder.is_dir():
         yield
         return
-    with suppress(OSError):
-        # without the folder the command runs unwatched
-        folder.mkdir(parents=True, exist_ok=True)
-    orders = {"dark": lambda by: devices.light_off(by or "the desk")}
+    orders = {**light_orders(devices), **(more or {})}
     told = session_news or SessionNews()
     with OrderSocket(folder, told, orders, lambda: safety_values(devices)):
         try:
@@ -311,8 +341,45 @@ def _tell_dark(devices: Devices, told: SessionNews) -> None:
 
 
 def _write(path: Path, values: Mapping[str, object]) -> None:
-    """Replace the file as a whole, readable by this user only."""
-    new = path.with_name(f"{path.name}.{os.getpid()}")
+    """Make the file as a whole, readable by this user only; one that a killed program has left is replaced.
+
+    Raises ConfigurationError where the program of the present file lives.
+    """
+    new = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
         json.dump(values, file)
-    new.replace(path)
+    try:
+        # of two that begin at once only one makes the link
+        os.link(new, path)
+        new.unlink()
+    except OSError:
+        if (process := _watched_process(path)) is not None:
+            new.unlink()
+            raise ConfigurationError(
+                f"{path.parent}: process {process} takes its orders there: end it, or name another folder"
+            ) from None
+        new.replace(path)
+
+
+def _watched_process(path: Path) -> int | None:
+    """The process that takes orders by this file, also one that is frozen; None if it is gone."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        stated = json.loads(path.read_text(encoding="ascii"))
+        process = int(stated["pid"])
+        if lives(process):
+            socket.create_connection((LOOPBACK, int(stated["port"])), timeout=_HEARS_WITHIN_S).close()
+            return process
+    return None
+
+
+def lives(process: int) -> bool:
+    """Whether a process exists; False also where the system cannot be asked."""
+    if os.name != "posix":
+        return False
+    try:
+        os.kill(process, 0)
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return True

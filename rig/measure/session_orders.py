@@ -19,7 +19,16 @@ from processing.errors import RigError
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.control import LightRefused
-from rig.devices import AuditEntry, Devices, Orders, SessionNews, ask_leave, at_terminal, wait_for_command
+from rig.devices import (
+    AuditEntry,
+    Devices,
+    Orders,
+    SessionNews,
+    ask_leave,
+    at_terminal,
+    light_orders,
+    wait_for_command,
+)
 from rig.instrument import Phase
 from rig.settings import Configuration
 
@@ -77,7 +86,7 @@ _CHECK_INTERVAL_S = 0.1
 
 
 def orders(devices: Devices, notes: Notes, session_news: SessionNews) -> Orders:
-    """The orders by name; `stop` acts like Ctrl-C, `acknowledge` takes the trip's number and the person.
+    """The orders by name; `stop` acts like Ctrl-C.
 
     `brake on` is refused while a decay is recorded, because a brake would end it unseen.
     """
@@ -95,19 +104,12 @@ def orders(devices: Devices, notes: Notes, session_news: SessionNews) -> Orders:
         devices.audit(AuditEntry.BRAKE, "ordered", on=value == "on")
         return f"brake {value}"
 
-    def acknowledge(value: str) -> str:
-        number, _, by = value.partition(" ")
-        if not number.isdecimal():
-            raise RigError(f"acknowledge {value!r}: the number of the trip is needed")
-        return devices.acknowledge(int(number), by or "the desk")
-
     return {
         "stop": stop,
         "note": notes.write,
-        "acknowledge": acknowledge,
         "light": lambda _: relight(devices),
-        "dark": lambda by: devices.light_off(by or "the desk"),
         "brake": brake,
+        **light_orders(devices),
     }
 
 

@@ -1,6 +1,5 @@
 """One fault on one path to light, with the firmware on MicroPython and the program in its own process."""
 
-import json
 import os
 import re
 import signal
@@ -12,7 +11,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from processing.errors import RigError
 from rig.devices import NoSession, OrderConnection
@@ -166,7 +164,7 @@ class Trial:
             thread.join()
 
     def _listen(self) -> None:
-        folder = self.out / "one" if self.path == "list" else self.out
+        folder = {"list": self.out / "one", "align": self.folder}.get(self.path, self.out)
         while not self._listening.wait(0.05):
             with suppress(NoSession, RigError, OSError), OrderConnection(folder) as line:
                 while not self._listening.wait(0.05):
@@ -224,9 +222,6 @@ def _measured(trial: Trial, process: "subprocess.Popen[bytes]") -> Row:
             process.wait(20.0)
         process.kill()
         process.wait()
-    if trial.path == "align":
-        told = [json.loads(line) for line in trial.log.read_text().splitlines() if line.startswith("{")]
-        trial.says_on_s = max((one["at_s"] for one in told if one["light"] == "on"), default=0.0)
     talks = trial.path in ("run", "list", "align") and fault not in SIGNALS
     says_on_s = max(trial.says_on_s - dark_at_s, 0.0) if talks else None
     needed, violation = _asked(trial)
@@ -309,9 +304,9 @@ _ABOUT = re.compile(r"laser|interlock|controller|stalled|trip|dark|light|killed|
 def _last(trial: Trial, heard: int) -> str:
     """The first thing that the program said of it, in its own words."""
     for line in trial.log.read_bytes()[heard:].decode(errors="replace").splitlines():
-        if line.startswith("{"):
-            told: dict[str, Any] = json.loads(line)
-            line = told["light"] if told["light"] not in ("on", "not yet") else ""
+        if line.startswith("peak "):
+            # behind the figures of the live picture stands why it is dark
+            line = line.rpartition("  ")[2]
         if _ABOUT.search(line) and not line.startswith(("  ", "Traceback")):
             return line.strip().replace("|", "/")[:110]
     return ""

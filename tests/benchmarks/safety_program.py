@@ -1,11 +1,9 @@
 """One path to light in a process of its own; words: path, configuration, folder, and a fault if wanted.
 
-The path is a command of `rig`, or what the desk does without a browser. A fault of the program itself begins
-with SIGUSR1.
+The path is a command of `rig`. A fault of the program itself begins with SIGUSR1.
 """
 
 import errno
-import json
 import signal
 import sys
 import threading
@@ -22,7 +20,6 @@ from processing.errors import DeviceError
 from rig.cli import main
 from rig.control import LightRefused
 from rig.control.service import ControlService
-from rig.desk.aligner import Aligner
 from rig.devices import Devices, session_devices
 from rig.devices.frame_stream import FrameStream
 from rig.interruption import terminated_by_signals
@@ -84,20 +81,6 @@ def _light_as_the_board_says(log: Path) -> None:
     ).start()
 
 
-def _align(config: Path) -> None:
-    """The desk's live picture, whose state is written as it changes."""
-    aligner = Aligner(load_configuration(config))
-    aligner.start()
-    try:
-        while aligner.running:
-            said = aligner.darkness or ("on" if aligner.number else "not yet")
-            print(json.dumps({"at_s": time.monotonic(), "light": said, "note": aligner.note}), flush=True)
-            time.sleep(0.1)
-        print(f"ended: {aligner.problem}", flush=True)
-    finally:
-        aligner.close()
-
-
 def _ask(config: Path) -> None:
     """What another program gets that asks for light, without and with a person's acknowledgement."""
     with Devices(load_configuration(config), task="the benchmark") as devices:
@@ -141,15 +124,14 @@ def begin(path: str, config: Path, folder: Path, fault: str) -> None:
         "balance": ["balance", str(config), "--follow", "3"],
         "preflight": ["doctor", str(config), "--preflight"],
         "doctor": ["doctor", str(config)],
+        "align": ["camera", "align", str(config)],
     }.get(path)
     if words is not None:
         sys.argv = ["rig", *words]
         main()
         return
     with terminated_by_signals():
-        if path == "align":
-            _align(config)
-        elif path == "ask":
+        if path == "ask":
             _ask(config)
         else:
             record_plainly(load_configuration(config), config, folder / "calibration.mcap", 60.0)

@@ -8,11 +8,9 @@ import numpy as np
 from nicegui import ui
 from nicegui.events import MouseEventArguments
 
-from acquisition.camera import CameraSettings
 from rig.desk.desk import Desk
-from rig.desk.following import doing
 from rig.desk.tab import Tab
-from rig.devices import AlignmentFrame, ReferencePart, annotated_picture, middle_of, picture
+from rig.devices import AlignmentFrame, annotated_picture
 
 INTERVAL_S = 0.1
 _NUMBER = count()
@@ -26,7 +24,7 @@ class LivePicture:
         desk: Desk,
         tab: Tab,
         size: tuple[int, int],
-        on_mouse: Callable[[MouseEventArguments], None] | None = None,
+        on_mouse: Callable[[MouseEventArguments], object] | None = None,
     ) -> None:
         self._desk, self._size = desk, size
         self.zoom = 1
@@ -49,7 +47,7 @@ class LivePicture:
         why = _why_none(self._desk)
         self._words.set_text(why)
         self._words.set_visibility(bool(why))
-        if has_picture(self._desk):
+        if self._desk.shown is not None:
             width, height = self._size
             self.element.set_source(
                 f"/picture?width={width}&height={height}&zoom={self.zoom}&n={next(_NUMBER)}"
@@ -59,49 +57,23 @@ class LivePicture:
             self.element.set_source("")
 
 
-def has_picture(desk: Desk) -> bool:
-    """Whether something has the camera whose picture can be asked for."""
-    return desk.following.running or desk.aligner is not None
-
-
 def _why_none(desk: Desk) -> str:
     """Why there is no picture; empty if there is one."""
-    now = desk.aligner
-    if now is not None:
-        if now.problem:
-            return f"the live picture has ended: {now.problem}"
-        return "" if now.look is not None else f"waiting for the first frame. {now.note}"
-    if desk.following.last_picture is not None:
+    shown, job = desk.shown, desk.live_picture
+    if shown is not None and shown.look is not None:
         return ""
-    if desk.following.running:
-        phase = doing(desk.following.news.get("state"))
-        return f"no frame yet: {phase or 'opening devices, compiling kernels'}"
+    if job is not None:
+        return f"waiting for the first frame. {job.output[-1] if job.output else ''}"
+    if shown is not None:
+        return f"no frame yet: {shown.doing or 'opening devices, compiling kernels'}"
+    if desk.picture_problem:
+        return f"the live picture has ended: {desk.picture_problem}"
     return "No live picture yet. Press Live picture to light the laser and show the camera's view."
 
 
 def look_now(desk: Desk) -> AlignmentFrame | None:
-    """The newest look that is here; None without one. Never blocks.
-
-    Of a session's beam nothing is judged here: its state says it.
-    """
-    aligner = desk.aligner
-    if aligner is not None:
-        return aligner.look
-    seen, camera = desk.following.last_picture, desk.following.news.get("camera") or {}
-    if seen is None or "full_scale_dn" not in camera:
-        return None
-    full_scale_dn, config = int(camera["full_scale_dn"]), desk.following.config
-    own, reference = seen.image, None
-    if config is not None and config.reference is not None and seen.reference is not None:
-        row = config.reference.from_row_px
-        reference = ReferencePart.in_image(seen.reference, row, seen.image, full_scale_dn)
-        own = seen.image[:row]
-    figures = picture.figures(own, full_scale_dn)
-    middle_px = middle_of(seen.image, None if config is None else config.lever_reference_px)
-    applied = CameraSettings.model_validate(camera["applied"])
-    return AlignmentFrame(
-        seen.image, full_scale_dn, figures, seen.spot, middle_px, applied, reference=reference
-    )
+    """The newest look that is here; None without one. Never blocks."""
+    return None if desk.shown is None else desk.shown.look
 
 
 def picture_now(desk: Desk, width_px: int, height_px: int, zoom: float) -> bytes:
@@ -109,11 +81,8 @@ def picture_now(desk: Desk, width_px: int, height_px: int, zoom: float) -> bytes
 
     A page that asks for it is being looked at: the live picture stays lit.
     """
-    aligner = desk.aligner
-    if aligner is None:
-        desk.following.picture()
-    else:
-        aligner.looked_at()
+    if desk.shown is not None:
+        desk.shown.ask_picture()
     look = look_now(desk)
     shown = np.zeros((height_px, width_px, 3), np.uint8)
     if look is not None:

@@ -56,12 +56,6 @@ def build(desk: Desk, tab: Tab) -> None:
     tab.keep(refresh)
 
 
-def _run_state(desk: Desk) -> Mapping[str, Any]:
-    """State of the run that goes on, as its session tells it; empty without one."""
-    found: Mapping[str, Any] = desk.following.news.get("state") or {}
-    return found
-
-
 def _why_blind(desk: Desk) -> str:
     """Why the values of a run are old; empty while they are not."""
     no_frame_s = desk.following.frames_age_s
@@ -77,18 +71,18 @@ def _build_numbers(desk: Desk, tab: Tab) -> None:
     question = Question(tab, "stop the session", "Stop it", "", no="Go on", properties=properties)
 
     def amplitude() -> str:
-        value = _run_state(desk).get("amplitude")
+        value = desk.following.state.get("amplitude")
         if value is None:
             return tables.span("–", "dim")
         return f"{float(value):.2f}{tables.span(f' {following.unit}', 'unit')}"
 
     def remark() -> str:
         why = _why_blind(desk)
-        if not why and (no_swing_s := float(_run_state(desk).get("no_swing_s") or 0.0)):
+        if not why and (no_swing_s := float(desk.following.state.get("no_swing_s") or 0.0)):
             why = f"no swing for {no_swing_s:.0f} s"
         if why:
-            return f"{why}: values are old" if _run_state(desk).get("amplitude") is not None else why
-        return "" if _run_state(desk).get("phase") == Phase.MEASURING else "nothing recorded yet"
+            return f"{why}: values are old" if desk.following.state.get("amplitude") is not None else why
+        return "" if desk.following.state.get("phase") == Phase.MEASURING else "nothing recorded yet"
 
     def brake_is_on() -> bool:
         status = following.safety.status
@@ -107,9 +101,9 @@ def _build_numbers(desk: Desk, tab: Tab) -> None:
     tab.html(amplitude, "huge", 'role="status" aria-live="off" id="amplitude"')
     with ui.row().classes("items-baseline"):
         ui.label("time left").classes("title")
-        tab.label(lambda: words.time_left(_run_state(desk)), "middle")
+        tab.label(lambda: words.time_left(desk.following.state), "middle")
     done = ui.linear_progress(value=0.0, show_value=False).props('aria-label="part of the run done"')
-    tab.keep(lambda: done.set_value(round(float(_run_state(desk).get("done") or 0.0), 3)))
+    tab.keep(lambda: done.set_value(round(float(desk.following.state.get("done") or 0.0), 3)))
     with ui.row():
         tab.button("Stop", stop, 'color="negative" size="lg" aria-label="Stop the session"')
         tab.button(
@@ -118,7 +112,7 @@ def _build_numbers(desk: Desk, tab: Tab) -> None:
             'outline size="lg"',
             seen=lambda: following.safety.controller is not None,
             # a brake would end the decay unseen: the session refuses it, too
-            enabled=lambda: brake_is_on() or _run_state(desk).get("phase") != Phase.MEASURING,
+            enabled=lambda: brake_is_on() or desk.following.state.get("phase") != Phase.MEASURING,
         )
 
 
@@ -136,11 +130,11 @@ def _build_facts(desk: Desk, tab: Tab) -> None:
 
     def facts() -> str:
         rows = desk.following.news.get("rows") or []
-        learned = tables.table(words.estimate_rows(_run_state(desk)), "parameters so far")
+        learned = tables.table(words.estimate_rows(desk.following.state), "parameters so far")
         return f"{learned}{tables.table(rows, 'state of the run')}"
 
     def events() -> str:
-        return "".join(map(words.event_line, reversed(tuple(desk.following.events))))
+        return "".join(map(words.event_line, reversed(words.listed(tuple(desk.following.events)))))
 
     with box("state of the run", "shrinks old-with-session", region="state of the run"):
         tab.html(facts)
@@ -155,7 +149,7 @@ def _build_facts(desk: Desk, tab: Tab) -> None:
 def _steps(desk: Desk) -> str:
     if not desk.following.running and not desk.starting:
         return ""
-    return words.strip(_run_state(desk), (desk.following.config or desk.config).start.way)
+    return words.strip(desk.following.state, (desk.following.config or desk.config).start.way)
 
 
 _REDRAW_S = 1.0

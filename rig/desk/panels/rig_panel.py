@@ -1,8 +1,9 @@
 """Rig: what the camera sees with its figures, exposure and region, then the checks before a run."""
 
 import html
+import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -13,19 +14,17 @@ from nicegui.events import MouseEventArguments
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
 from rig.desk import tables
-from rig.desk.aligner import Aligner
 from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.panels.between_runs import as_typed, setting_field
-from rig.desk.panels.live_picture import LivePicture, has_picture, look_now
+from rig.desk.panels.live_picture import LivePicture, look_now
 from rig.desk.tab import DELIBERATE, Handler, Tab, apart, box
 from rig.devices import AlignmentFrame
 from rig.terminal import Verdict
 
 KEYS = (("z", "rig: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
-_STEP, _STEP_DB = 1.25, 1.0
 _BARS = 64
 _LEAST_REGION_PX = 8
 _SHORT = 24
@@ -44,20 +43,13 @@ def build(desk: Desk, tab: Tab) -> None:
         _build_checks(desk, tab)
 
 
-def aligner_of(desk: Desk) -> Aligner:
-    """The live picture; raises ConfigurationError without one."""
-    if desk.aligner is None:
-        raise ConfigurationError("no live picture: press Live picture first")
-    return desk.aligner
-
-
 def _build_picture(desk: Desk, tab: Tab) -> None:
     """The live picture with its buttons; a rectangle drawn over the whole frame is the camera's region."""
     corner: tuple[float, float] | None = None
 
-    def mouse(event: MouseEventArguments) -> None:
+    async def mouse(event: MouseEventArguments) -> None:
         nonlocal corner
-        if desk.aligner is None or picture.zoom != 1:
+        if desk.live_picture is None or picture.zoom != 1:
             return
         if event.type == "pointerdown":
             corner = event.image_x, event.image_y
@@ -68,13 +60,14 @@ def _build_picture(desk: Desk, tab: Tab) -> None:
             is_region = event.type != "pointerup" or min(width, height) > _LEAST_REGION_PX
             if event.type == "pointerup":
                 corner = None
-                if is_region:
-                    _ask_region(desk, left, top, width, height)
             drawn = (
                 f"<rect x='{left}' y='{top}' width='{width}' height='{height}' fill='none' "
                 "stroke='white' stroke-width='2'/>"
             )
             picture.element.content = drawn if is_region else ""
+            if corner is None and is_region and (region := _region(desk, left, top, width, height)):
+                order = f"set {region.model_dump_json(exclude_none=True)}"
+                await tab.act(partial(_order, desk, order))()
 
     async def whole() -> None:
         picture.element.content = ""
@@ -86,7 +79,7 @@ def _build_picture(desk: Desk, tab: Tab) -> None:
         return f"used for everything this desk starts: {lines}" if lines else ""
 
     def is_on() -> bool:
-        return desk.aligner is not None
+        return desk.live_picture is not None
 
     picture = LivePicture(desk, tab, _SIZE, mouse)
     tab.key("z", picture.zoom_on)
@@ -98,30 +91,35 @@ def _build_picture(desk: Desk, tab: Tab) -> None:
             lambda: f"Zoom {picture.zoom}",
             picture.zoom_on,
             'outline aria-label="Zoom to the spot, key z"',
-            enabled=lambda: has_picture(desk),
+            enabled=lambda: desk.shown is not None,
         )
         # it begins the picture anew, and with it the light
         tab.button("Whole sensor", whole, f"outline {DELIBERATE}")
-        tab.button(
-            "Keep for runs",
-            lambda: desk.keep_camera(aligner_of(desk).applied),
-            "outline",
-            enabled=lambda: is_on() and aligner_of(desk).running,
-        )
+        tab.button("Keep for runs", desk.keep_camera, "outline", enabled=lambda: look_now(desk) is not None)
     tab.label(kept, "dim")
 
 
-def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:
-    """Ask the camera for the rectangle, which is in px of the picture."""
-    aligner = aligner_of(desk)
-    if (look := aligner.look) is None:
-        return
+async def _order(desk: Desk, order: str) -> None:
+    """Give the live picture an order, whose result its note says."""
+    await run.io_bound(desk.command.order, order)
+
+
+def _region(desk: Desk, left: float, top: float, width: float, height: float) -> CameraSettings | None:
+    """The rectangle in px of the picture as a region of the sensor; the frame may be one already."""
+    if (look := look_now(desk)) is None:
+        return None
     rows, columns = look.image.shape
     scale = min(_SIZE[0] / columns, _SIZE[1] / rows)
     # the frame is in the middle of the picture
     left -= 0.5 * (_SIZE[0] - columns * scale)
     top -= 0.5 * (_SIZE[1] - rows * scale)
-    aligner.wish_region(*(round(one / scale) for one in (left, top, width, height)))
+    x_px, y_px, width_px, height_px = (round(one / scale) for one in (left, top, width, height))
+    return CameraSettings(
+        width_px=max(_LEAST_REGION_PX, min(width_px, columns)),
+        height_px=max(_LEAST_REGION_PX, min(height_px, rows)),
+        offset_x_px=(look.applied.offset_x_px or 0) + max(0, x_px),
+        offset_y_px=(look.applied.offset_y_px or 0) + max(0, y_px),
+    )
 
 
 def _build_controls(desk: Desk, tab: Tab) -> None:
@@ -134,26 +132,25 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
         look = look_now(desk)
 
     def lamps() -> str:
-        now = desk.aligner
         # of a frame that is dark on purpose there is nothing to be judged: why it is stands below
-        if look is None or (now is not None and now.darkness):
+        if look is None or desk.shown is None or desk.shown.state.get("dark"):
             return ""
-        best = max((one for _, one in (tuple(now.focus) if now else ())), default=0.0)
-        return _lamps(look.lamps(best))
+        return _lamps(look.lamps(max((one for _, one in tuple(desk.shown.focus)), default=0.0)))
 
     def note() -> str:
-        now = desk.aligner
-        if now is None:
+        if desk.live_picture is None:
             return tables.span("settings need a live picture", "dim")
-        wrong = now.problem or now.darkness
-        return tables.span(wrong or now.note, "caution" if wrong else "dim")
+        state = desk.command.state
+        dark = str(state.get("dark") or "")
+        return tables.span(dark or str(state.get("note") or ""), "caution" if dark else "dim")
 
     def figures() -> str:
         return "" if look is None else tables.table(look.rows(), "figures of the picture")
 
     def draw() -> None:
-        now = desk.aligner
-        sharpness = [] if now is None else list(now.focus)
+        sharpness = [] if desk.shown is None else list(desk.shown.focus)
+        since_s = sharpness[0][0] if sharpness else 0.0
+        sharpness = [(at_s - since_s, value) for at_s, value in sharpness]
         focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
         if look is None:
             histogram.show([[]], empty="no picture yet")
@@ -167,57 +164,38 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
     tab.keep(take)
     tab.html(lamps, props='role="status" aria-label="lamps"')
     tab.html(note, props='role="status"')
-    _build_setting(desk, tab, "exposure_us", "exposure / µs", lambda us, sense: us * _STEP**sense)
-    _build_setting(desk, tab, "gain_db", "gain / dB", lambda db, sense: db + sense * _STEP_DB)
+    _build_setting(desk, tab, "exposure_us", "exposure / µs", "eE")
+    _build_setting(desk, tab, "gain_db", "gain / dB", "gG")
     histogram = Chart("histogram", "level_dn", (ChartCurve("pixels", style="bar"),), "small")
     focus = Chart("focus", "elapsed_s", (ChartCurve("sharpness_per_px"),), "small")
     tab.html(figures, props='aria-live="off"')
     tab.keep(draw)
 
 
-def _build_setting(desk: Desk, tab: Tab, name: str, label: str, step: Callable[[float, int], float]) -> None:
-    """A row for one setting: field, Set, for the exposure Auto, and a step down (-1) and up (1)."""
+def _build_setting(desk: Desk, tab: Tab, name: str, label: str, keys: str) -> None:
+    """A row for one setting: field, Set, Auto for the exposure, steps down and up by the keys of `rig`."""
     what, key = label.partition(" ")[0], f"camera.{name}"
 
-    def ask(wish: Callable[[CameraSettings], CameraSettings]) -> None:
-        aligner_of(desk).wish(wish)
+    async def ask(order: str) -> None:
         # empty, the field says what the camera has now
         field.set_value("")
-
-    def auto() -> None:
-        aligner_of(desk).wish_exposure()
-        field.set_value("")
+        await _order(desk, order)
 
     def small(text: str, do: Handler, words: str) -> None:
         tab.button(
-            text,
-            do,
-            f'outline dense aria-label="{words}"',
-            enabled=lambda: desk.aligner is not None and desk.aligner.running,
+            text, do, f'outline dense aria-label="{words}"', enabled=lambda: desk.live_picture is not None
         ).classes("step")
 
-    def typed() -> None:
+    async def typed() -> None:
         value = as_typed(field.value, True)
         if value == "":
             raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
         if fault := desk.fault(key, value):
             raise ConfigurationError(fault)
-        wanted = CameraSettings.model_validate({name: value})
-        ask(lambda _: wanted)
-
-    def turned(sense: int) -> None:
-        def wanted(applied: CameraSettings) -> CameraSettings:
-            stated = getattr(applied, name)
-            if stated is None:
-                raise ConfigurationError(
-                    "this camera does not report its setting; type a value, then press Set"
-                )
-            return CameraSettings.model_validate({name: step(stated, sense)})
-
-        ask(wanted)
+        await ask(f"set {json.dumps({name: value})}")
 
     def hint() -> None:
-        value = None if desk.aligner is None else getattr(desk.aligner.applied, name)
+        value = None if desk.live_picture is None else getattr(desk.command.applied, name)
         placeholder = "" if value is None else f"now {value:.6g}"
         if field.props.get("placeholder") != placeholder:
             field.props(f'placeholder="{placeholder}"')
@@ -228,9 +206,9 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, step: Callable[[
         tab.keep(hint)
         small("Set", typed, f"Set {label}")
         if name == "exposure_us":
-            small("Auto", auto, "Auto exposure")
-        small("-", partial(turned, -1), f"smaller {what}")
-        small("+", partial(turned, 1), f"larger {what}")
+            small("Auto", partial(ask, "key a"), "Auto exposure")
+        for text, key_, words in zip("-+", keys, ("smaller", "larger"), strict=True):
+            small(text, partial(ask, f"key {key_}"), f"{words} {what}")
 
 
 def _lamps(verdicts: Sequence[Verdict]) -> str:

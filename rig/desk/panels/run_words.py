@@ -2,10 +2,13 @@
 
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from operator import itemgetter
 from typing import Any
 
+from acquisition.record.events import Severity
 from processing.estimate import Estimate
+from rig.desk.run_reader import clock
 from rig.instrument import Phase
 from rig.measure import FIRST_HALF_CYCLES, estimate_texts
 from rig.terminal import quantity
@@ -71,9 +74,22 @@ def estimate_rows(run_state: Mapping[str, Any]) -> list[list[str]]:
     return rows or [["parameters", f"nothing yet: {first_fit(run_state)}"]]
 
 
+def listed(events: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Events in the order of time, in which no record must have them; what a trip says stands there once."""
+    found, trip = list[Mapping[str, Any]](), ""
+    for one in sorted(events, key=itemgetter("at_s")):
+        text = str(one["text"])
+        if one["level"] == Severity.TRIP:
+            trip = text
+        elif trip and text.endswith(trip):
+            one = {**one, "text": text.removesuffix(trip).removesuffix(": ")}
+        found.append(one)
+    return found
+
+
 def event_line(event: Mapping[str, Any]) -> str:
     """An event with its time of the day."""
     grave = {"trip": "no", "alarm": "no", "warning": "caution"}.get(str(event["level"]), "")
     # some have said all with their kind
     text = html.escape(": ".join(str(event[part]) for part in ("kind", "text") if event[part]))
-    return f"<div class='{grave}'><span class='dim'>{event['at']}</span> {text}</div>"
+    return f"<div class='{grave}'><span class='dim'>{clock(event['at_s'])}</span> {text}</div>"

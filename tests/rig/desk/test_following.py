@@ -163,10 +163,15 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     with OrderSocket(folder, told, {}):
         desk.following.start()
         until(lambda: "camera" in desk.following.news)
-        desk.following.picture()
+        desk.following.ask_picture()
         # as before a record: the run's phases show their frames the same way
         told.look([Frame(image, 1, 1, 1)], Block([spot], none, [], [], [spot._replace(y_px=50.0)]))
-        until(lambda: desk.following.picture() is not None)
+
+        def looked() -> bool:
+            desk.following.ask_picture()
+            return look_now(desk) is not None
+
+        until(looked)
         look = look_now(desk)
     desk.close()
     assert look is not None

@@ -1,10 +1,8 @@
 """LIGHT OFF at the desk that reaches no program: it is kept, and says what it could not do."""
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
-from unittest.mock import Mock
 
 import pytest
 
@@ -127,21 +125,3 @@ def test_a_press_at_a_disk_that_hangs_is_not_said_to_be_kept(
     monkeypatch.setattr(type(desk.rig.presses), "press", lambda *_: goes_on.wait(60.0))
     assert any("the disk hangs" in text for text in desk.lighting.off("one"))
     goes_on.set()
-
-
-def test_a_live_picture_whose_trip_hangs_at_the_disk_keeps_no_other_way_to_the_dark(
-    desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    desk = desk_of(REAL + LASER)
-    goes_on = Event()
-    monkeypatch.setattr(
-        desk, "aligner", Mock(running=True, safety=None, light_off=lambda: goes_on.wait(30.0))
-    )
-    try:
-        began_s = time.monotonic()
-        said = desk.lighting.off("one")
-        assert time.monotonic() - began_s < 3.0
-        assert said[0].startswith("/dev/ttyNobodyHasIt: cannot be switched off")
-    finally:
-        goes_on.set()
-        monkeypatch.undo()

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from processing.errors import ConfigurationError, RigError
 from rig.commands import calibration
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
+from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
 from rig.desk.lighting import lamps, refusal
@@ -35,13 +37,19 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     found.close()
 
 
-def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(desk: Desk) -> None:
-    desk.keep_camera(CameraSettings(exposure_us=125.0, width_px=64, offset_x_px=8))
+def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    applied = {"exposure_us": 125.0, "width_px": 64, "offset_x_px": 8}
+    desk.command.news = {"camera": {"applied": applied}}
+    desk.keep_camera()
     kept = {"camera.exposure_us": 125.0, "camera.width_px": 64, "camera.offset_x_px": 8}
     assert desk.kept == kept
     assert desk.checked().camera.width_px == 64
+    unusable = CameraSettings.model_construct(exposure_us=-1.0)
+    monkeypatch.setattr(type(desk.command), "applied", unusable)
     with pytest.raises(RigError, match="exposure_us"):
-        desk.keep_camera(CameraSettings.model_construct(exposure_us=-1.0))
+        desk.keep_camera()
     assert desk.kept == kept
 
 
@@ -154,10 +162,10 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
+        desk.command.asking.start()
+        desk.safety.start()
         desk.begin_aligning()
-        aligner = desk.aligner
-        assert aligner is not None
-        until(lambda: aligner.look is not None)
+        until(lambda: desk.command.frames_age_s > 0.0)
         assert not desk.lighting.waits
         assert desk.lighting.off("one") == []
         until(lambda: desk.safety.trip is not None)
@@ -168,17 +176,53 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
             desk.start("doctor", "--preflight")
         desk.lighting.acknowledge(trip.number)
         until(lambda: desk.lighting.waits)
-        desk.lighting.again()
+        assert desk.lighting.again() == "laser on, 0.9 mW"
         until(lambda: not desk.lighting.waits)
-        assert aligner.running
+        assert desk.live_picture is not None
+        desk.end_aligning()
+        assert (desk.shown, desk.picture_problem) == (None, "")
+        # what it said last is that the laser is off
+        assert re.match(r"off, confirmed", str(lamps(desk.safety, "")["laser"]["last"]))
     finally:
         desk.close()
+
+
+DEAF = """
+import signal, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("peak", flush=True)
+time.sleep(600.0)
+"""
+
+
+def test_a_live_picture_that_hears_nothing_is_ended_with_its_laser_told_off(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[object] = []
+    monkeypatch.setattr("rig.desk.desk._CLOSES_WITHIN_S", 0.5)
+    monkeypatch.setattr("rig.desk.desk.darken_beside", lambda *lamps: told.append(lamps))
+    monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", DEAF, **how))
+    desk.begin_aligning()
+    job = desk.live_picture
+    assert job is not None
+    until(lambda: bool(job.output))
+    # its picture that stands still is an alarm, but not because somebody has ended it
+    desk.command.news, desk.command.heard_s = {"frames_age_s": 60.0}, time.monotonic()
+    desk.alarming.start()
+    until(lambda: [row.key for row in desk.alarming.alarms.rows()] == [AlarmKey.CAMERA])
+    job.ending = True
+    until(lambda: [row.state for row in desk.alarming.alarms.rows()] == [AlarmState.CLEARED])
+    desk.end_aligning()
+    assert not job.running
+    assert len(told) == 1
+    assert desk.live_picture is None
 
 
 def test_the_bar_knows_the_light_of_a_simulated_rigs_command_and_that_it_is_dark(tmp_path: Path) -> None:
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
+        desk.command.asking.start()
         desk.safety.start()
         desk.balancing.measure()
         until(lambda: lamps(desk.safety, "")["laser"]["text"] == "on")

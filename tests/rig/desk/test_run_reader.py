@@ -14,7 +14,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.swing import HalfCycle
 from processing.units import nanoseconds
-from rig.desk.run_reader import RecordFollower, clock, decimated
+from rig.desk.run_reader import RecordFollower, decimated
 from tests.waiting import until
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
@@ -57,11 +57,9 @@ def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name
         until(lambda: reader.begun and bool(reader.path()["y"]))
         assert reader.path()["y"] == [0.0] * 16
         until(lambda: bool(events))
-        began_s = time.time() - 3.0
-        of_day = [clock(began_s - ago_s) for ago_s in range(60)]
-        assert [(one["kind"], one["elapsed_s"], one["at"] in of_day) for one in events] == [
-            ("start", 0.0, True)
-        ]
+        (event,) = events
+        assert (event["kind"], event["elapsed_s"]) == ("start", 0.0)
+        assert 3.0 <= time.time() - event["at_s"] < 60.0
         spots(record, 1.0)
         record.flush()
         until(lambda: len(reader.path()["y"]) == 32)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from rig.desk.panels.run_words import first_fit, strip, time_left
+from rig.desk.panels.run_words import first_fit, listed, strip, time_left
 from rig.instrument import Phase
 from rig.measure import FIRST_HALF_CYCLES
 
@@ -50,3 +50,26 @@ def test_time_left(state: dict[str, float], words: str) -> None:
 def test_the_first_fit_is_promised_only_while_it_is_ahead() -> None:
     assert first_fit({"half_cycles": 12}).endswith(f"from {FIRST_HALF_CYCLES} half-cycles on; 12 so far")
     assert first_fit({"half_cycles": 66}) == "the first fit of 66 half-cycles is being made"
+
+
+def test_events_stand_in_the_order_of_time_and_say_a_trip_once() -> None:
+    trip = "trip 1 (PERSON): LIGHT OFF was pressed at the desk"
+    events = [
+        {"at_s": at_s, "kind": kind, "level": level, "text": text}
+        for at_s, kind, level, text in (
+            (0.4, "beam", "information", "one Gaussian"),
+            (0.0, "start", "information", "first frame"),
+            (5.2, "controller", "information", f"laser off: {trip}"),
+            (5.1, "trip", "trip", trip),
+            (6.0, "laser dark", "alarm", trip),
+            (7.0, "laser dark", "alarm", "the relay does not close"),
+        )
+    ]
+    assert [(one["kind"], one["text"]) for one in listed(events)] == [
+        ("start", "first frame"),
+        ("beam", "one Gaussian"),
+        ("trip", trip),
+        ("controller", "laser off"),
+        ("laser dark", ""),
+        ("laser dark", "the relay does not close"),
+    ]

@@ -12,11 +12,10 @@ from rich.console import Console
 
 from acquisition.camera import CameraSettings
 from processing.spot import SensorModel, SpotTracker
-from rig.devices import align_camera
-from rig.devices.aligning import half_blocks, histogram_line
+from rig.devices import Devices
+from rig.devices.aligning import AlignmentTerminal, LivePicture, half_blocks, histogram_line
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
-from rig.instrument import camera_settings, make_camera
 from rig.settings import load_configuration
 from rig.terminal import palette
 from rig.terminal.quantities import Keys
@@ -153,32 +152,36 @@ def printed() -> Iterator[io.StringIO]:
         yield text
 
 
+def test_a_setting_that_the_camera_does_not_report_is_not_stepped(
+    tmp_path: Path, printed: io.StringIO
+) -> None:
+    config = load_configuration(
+        CONFIGS / "demo.toml", ["simulation.sensor.width_px=160", "simulation.sensor.height_px=640"]
+    )
+    with Devices(config) as devices, devices.camera(config) as opened:
+        unknown = opened._replace(applied=opened.applied.model_copy(update={"gain_db": None}))
+        picture = LivePicture(config, devices)
+        with AlignmentTerminal(tmp_path, Presses("G.q"), Console(file=printed)) as shown:
+            picture.show(unknown, shown)
+        assert picture.note == "the gain: this camera does not report its setting: state a value"
+        assert opened.camera.configure(CameraSettings()).gain_db == opened.applied.gain_db
+
+
 @pytest.mark.parametrize("terminal", [False, True])
-def test_keys_set_the_camera_and_save_pictures(tmp_path: Path, printed: io.StringIO, terminal: bool) -> None:
+def test_keys_set_the_camera_and_save_pictures(
+    tmp_path: Path, printed: io.StringIO, terminal: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.devices.aligning._SHOWN_EACH_S", 0.0)
     config = load_configuration(
         CONFIGS / "demo.toml",
         ["simulation.sensor.width_px=160", "simulation.sensor.height_px=640", "camera.exposure_us=100"],
     )
-    camera = make_camera(config)
-    info = camera.open()
-    try:
-        applied = camera.configure(camera_settings(config))
-        tracker = SpotTracker(
-            SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=info.full_scale_dn)
-        )
-        console = Console(file=printed, force_terminal=terminal, width=100, height=40)
-        saved = align_camera(
-            camera,
-            info,
-            applied,
-            tracker,
-            folder=tmp_path,
-            keys=Presses(".EEezs.sq"),
-            console=console,
-        )
-        assert camera.configure(CameraSettings()).exposure_us == pytest.approx(100 * 1.25, rel=0.01)
-    finally:
-        camera.close()
+    console = Console(file=printed, force_terminal=terminal, width=100, height=40)
+    with Devices(config) as devices, devices.camera(config) as opened:
+        with AlignmentTerminal(tmp_path, Presses(".EEezs.sq"), console) as shown:
+            LivePicture(config, devices).show(opened, shown)
+        assert opened.camera.configure(CameraSettings()).exposure_us == pytest.approx(100 * 1.25, rel=0.01)
+    saved = shown.saved
     assert [path.name for path in saved] == ["align-1.png", "align-2.png"]
     picture = cv2.imread(str(saved[0]))
     assert picture is not None

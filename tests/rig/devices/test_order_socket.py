@@ -2,6 +2,7 @@
 
 import http.server
 import json
+import os
 import socket
 import stat
 import subprocess
@@ -17,7 +18,7 @@ import pytest
 
 from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
-from processing.errors import DeviceError, RigError
+from processing.errors import ConfigurationError, DeviceError, RigError
 from processing.spot import Spot
 from rig.control import Interlock
 from rig.devices import (
@@ -181,6 +182,20 @@ def test_of_a_killed_session_only_the_file_is_left(told: SessionNews, tmp_path: 
     # one that nobody can watch is measured all the same
     with OrderSocket(tmp_path / "missing", told, {}) as watched:
         assert "nobody can watch" in watched.problem
+
+
+def test_two_programs_do_not_take_orders_in_one_folder(told: SessionNews, tmp_path: Path) -> None:
+    """The second would be given the first one's orders, and take away its file."""
+    with OrderSocket(tmp_path, told, {"dark": lambda _: "dark"}):
+        with pytest.raises(ConfigurationError, match=f"process {os.getpid()} takes its orders there"):
+            OrderSocket(tmp_path, told, {}).__enter__()
+        with OrderConnection(tmp_path) as line:
+            assert line.order("dark") == "dark"
+        assert [path.name for path in tmp_path.iterdir()] == [ORDERS_NAME]
+    # the file of one that was killed is in nobody's way
+    (tmp_path / ORDERS_NAME).write_text(json.dumps({"port": 1, "key": "00ff", "pid": os.getpid()}))
+    with OrderSocket(tmp_path, told, {}), OrderConnection(tmp_path) as line:
+        line.beat()
 
 
 class _Another(http.server.BaseHTTPRequestHandler):

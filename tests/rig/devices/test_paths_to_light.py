@@ -1,9 +1,11 @@
 """Every path to light goes through the rig's permit: found in the code, and each walked with a trip."""
 
 import ast
+import io
 import json
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -11,23 +13,25 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rich.console import Console
 
 import rig
 from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from processing.errors import DeviceError
-from rig.control import ControlService, LightRefused, Stage, TripCause
+from rig.control import TO_BE_ASKED, ControlService, LightRefused, Stage, TripCause, in_thread
 from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
-from rig.desk.aligner import Aligner
 from rig.devices import Devices, LightWatch, SessionNews
 from rig.devices.acknowledgement import TypedAcknowledgement
+from rig.devices.aligning import AlignmentTerminal, LivePicture
 from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly
 from rig.measure.notices import PreflightWait
 from rig.measure.session_orders import Notes, orders
 from rig.prepare.balancing import BalanceView, measure
 from rig.settings import Configuration
+from rig.terminal import Keys
 from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, configured
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
@@ -39,7 +43,7 @@ LIVE = CONFIGS / "live.toml"
 ASKS = {
     # what asks the rig for light; a new name here needs a walk below
     ("prepare/balancing.py", "measure"),
-    ("desk/aligner.py", "_lit"),
+    ("devices/aligning.py", "_light"),
     ("devices/acknowledgement.py", "_light"),
     ("measure/run.py", "_execute"),
     ("measure/session_orders.py", "relight"),
@@ -192,24 +196,53 @@ def test_after_a_trip_no_path_lights(
     assert lit.at == []
 
 
+class EndsWhenTold(Keys):
+    """A keyboard on which q is pressed once `over` is set."""
+
+    def __init__(self) -> None:
+        super().__init__(io.StringIO())
+        self.over = Event()
+
+    def pressed(self, wait_s: float) -> list[str]:
+        return ["q"] if self.over.is_set() else []
+
+
+@contextmanager
+def live_picture(config: Configuration, folder: Path) -> Iterator[tuple[LivePicture, Devices]]:
+    """A live picture in a thread, which must end without an error."""
+    keys, errors = EndsWhenTold(), list[Exception]()
+    with Devices(config) as devices, devices.camera(config) as opened:
+        picture = LivePicture(config, devices)
+
+        def show() -> None:
+            try:
+                with AlignmentTerminal(folder, keys, Console(file=io.StringIO())) as terminal:
+                    picture.show(opened, terminal)
+            except Exception as error:
+                errors.append(error)
+
+        showing = Thread(target=show)
+        showing.start()
+        try:
+            yield picture, devices
+        finally:
+            keys.over.set()
+            showing.join(30.0)
+    assert errors == []
+    assert not showing.is_alive()
+
+
 def test_after_a_trip_the_live_picture_lives_in_the_dark(
-    config: Configuration, lit: Lit, tripped: None
+    config: Configuration, lit: Lit, tripped: None, tmp_path: Path
 ) -> None:
-    aligner = Aligner(config)
-    aligner.start()
-    try:
-        until(lambda: aligner.look is not None)
-        assert aligner.safety is not None
-        assert aligner.safety.trip is not None
-        assert "trip 1 (INTERLOCK)" in aligner.note
+    with live_picture(config, tmp_path) as (picture, _):
+        until(lambda: picture.told.picture() is not None)
+        assert "trip 1 (INTERLOCK)" in picture.note
         assert lit.at == []
-    finally:
-        aligner.close()
-    assert aligner.problem == ""
 
 
 def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
-    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, tmp_path: Path
 ) -> None:
     """The picture hangs meanwhile; then the trip is acknowledged, which lights nothing."""
     runs = Event()
@@ -220,28 +253,49 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
         runs.wait(20.0)
         return usual(camera, timeout_s)
 
+    def shown() -> int:
+        found = picture.told.picture()
+        return 0 if found is None else found.number
+
     monkeypatch.setattr(SimulatedCamera, "read", read)
-    aligner = Aligner(config)
-    aligner.start()
-    try:
-        until(lambda: len(lit.at) == 1 and aligner.number > 0)
+    with live_picture(config, tmp_path) as (picture, devices):
+        until(lambda: len(lit.at) == 1 and shown() > 0)
         runs.clear()
-        aligner.relight()
-        aligner.light_off()
-        until(lambda: (now := aligner.safety) is not None and now.light == "off")
-        now = aligner.safety
-        assert now is not None
-        assert now.trip is not None
-        aligner.acknowledge(now.trip.number)
+        asked = in_thread(picture.orders["light"], "")
+        until(lambda: picture.wishes.waiting)
+        devices.light_off("the desk")
+        until(lambda: devices.safety().light == "off")
+        trip = devices.permit.latched
+        assert trip is not None
+        with pytest.raises(LightRefused, match="acknowledge it first"):
+            picture.orders["light"]("")
+        devices.acknowledge(trip.number, "the desk")
         runs.set()
-        seen = aligner.number
-        until(lambda: aligner.number > seen + 3)
+        assert TO_BE_ASKED in asked.result(20.0)
+        seen = shown()
+        until(lambda: shown() > seen + 3)
         assert len(lit.at) == 1
-        aligner.relight()
+        picture.orders["light"]("")
         until(lambda: len(lit.at) == 2)
-    finally:
-        runs.set()
-        aligner.close()
+
+
+@pytest.mark.parametrize("silent", ["looked_s", "asked_s"])
+def test_a_live_picture_that_nobody_sees_at_a_desk_goes_dark_until_light_is_asked_for(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, tmp_path: Path, silent: str
+) -> None:
+    """No browser fetches it, or the desk is frozen or gone."""
+    monkeypatch.setattr("rig.devices.aligning._UNSEEN_S", 1.0)
+    monkeypatch.setattr("rig.devices.aligning._UNASKED_S", 1.0)
+    with live_picture(config, tmp_path) as (picture, devices):
+        told = picture.told
+        until(lambda: len(lit.at) == 1 and not devices.darkness())
+        told.asked_s = told.looked_s = time.monotonic() + 60.0
+        setattr(told, silent, time.monotonic())
+        until(lambda: devices.confirmed_dark)
+        until(lambda: "nobody has looked" in told.news()["state"]["dark"])
+        assert devices.permit.latched is None
+        picture.orders["light"]("")
+        until(lambda: len(lit.at) == 2)
 
 
 def a_slow_laser(monkeypatch: pytest.MonkeyPatch) -> tuple[Event, Event]:
@@ -354,7 +408,7 @@ def test_the_last_run_of_a_session_is_followed_by_no_light(
 
 
 def test_every_path_is_walked() -> None:
-    assert set(WALKS) | {("desk/aligner.py", "_lit")} == ASKS
+    assert set(WALKS) | {("devices/aligning.py", "_light")} == ASKS
 
 
 class Loop:
