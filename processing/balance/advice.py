@@ -14,7 +14,7 @@ import numpy as np
 
 from processing.arrays import Flags, Floats
 from processing.balance.balance import BalanceLimits, Doubt, Room, Turn, Unreachable
-from processing.balance.weight_response import WeightResponse
+from processing.balance.weight_response import MAX_PLAY, WeightResponse
 
 _SMALLEST_SWING_ARCSEC = 10.0
 """Smallest amplitude of the next measurement that a turn must leave possible."""
@@ -146,8 +146,7 @@ class WeightResponses:
         """Best turn of one weight, or a test turn if the best one is too small to show whether it moves."""
         scaled_state = np.nan_to_num(state / self._scale)
         best = self._best(weight, state, scaled_state, room)
-        known = self._weights[weight]
-        shows = abs(sum(best.parts)) > known.largest_play
+        shows = abs(sum(best.parts)) > MAX_PLAY
         parts = best.parts if shows else self._test(weight, state, scaled_state, room)
         return self._turn(weight, parts, state, room, f"{why}; ")
 
@@ -161,7 +160,7 @@ class WeightResponses:
         known = self._weights[weight]
         size = float(np.linalg.norm(known.nominal))
         distance = float(np.linalg.norm(np.nan_to_num(state / self._scale)))
-        return (distance / (_WEAKEST_EFFECT * size) if size else _MAX_UNKNOWN_TURNS) + known.largest_play
+        return (distance / (_WEAKEST_EFFECT * size) if size else _MAX_UNKNOWN_TURNS) + MAX_PLAY
 
     def advise(self, state: Floats, room: Room | None = None) -> Turn | Unreachable | None:
         """Next turn of one weight; None if the state is within the limits.
@@ -217,7 +216,7 @@ class WeightResponses:
         allowed = self._allowed(state, move, u_move, room)
         if not weight.learned_turns:
             # a first turn needs a take-up, as in `_test`, unless it is longer than the play
-            allowed &= (then != 0) | (np.abs(first) > weight.largest_play)
+            allowed &= (then != 0) | (np.abs(first) > MAX_PLAY)
         allowed |= first == 0
         k = int(np.argmin(np.where(allowed, cost, np.inf)))
         gain = float(cost[first == 0].min() - cost[k])
@@ -264,7 +263,7 @@ class WeightResponses:
         most = min(
             self.largest_turns(name, state), _TEST_MOVE / max(float(np.linalg.norm(np.hypot(mean, u))), 1e-9)
         )
-        most += weight.largest_play * min(1, weight.learned_turns)
+        most += MAX_PLAY * min(1, weight.learned_turns)
         turns = np.round(np.linspace(-most, most, 40), 2)
         # without a take-up a first turn may be lost in the play of the screw
         then = np.zeros_like(turns) if weight.learned_turns else -np.sign(turns) * _TAKE_UP

@@ -51,7 +51,7 @@ from processing.swing import (
     TurningPoints,
     with_learned_weights,
 )
-from rig.analysis.air import OPEN_DRAG, FittedDrag, evidence_of
+from rig.analysis.ambient import FREE_DRAG, FittedDrag, evidence_of
 from rig.settings import FitSettings
 
 
@@ -62,7 +62,7 @@ def refined_half_cycles(
     pendulum: PendulumOnBall | None,
     settings: FitSettings,
     clock_rate: float = 1.0,
-    drag: FittedDrag = OPEN_DRAG,
+    drag: FittedDrag = FREE_DRAG,
 ) -> Refinement:
     """Half-cycles measured a second time with the motion that was fitted to all of them.
 

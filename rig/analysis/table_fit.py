@@ -28,7 +28,7 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis.air import ambient_warnings, stated_ambient, table_ambient
+from rig.analysis.ambient import ambient_warnings, stated_ambient, table_ambient
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import amplitude_damping, decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings

@@ -11,8 +11,8 @@ from pathlib import Path
 from acquisition.camera import Camera
 from processing.errors import DeviceError, RigError
 from rig.control import (
+    NEEDS_REQUEST,
     STALE_S,
-    TO_BE_ASKED,
     ControlService,
     ControlState,
     Interlock,
@@ -115,8 +115,8 @@ class LitDevices:
     def _light_once(self, in_run: bool) -> str:
         kind = self._config.laser.kind
         if self.permit.needs_request:
-            self.audit(AuditEntry.REFUSED, TO_BE_ASKED)
-            raise LightRefused(TO_BE_ASKED)
+            self.audit(AuditEntry.REFUSED, NEEDS_REQUEST)
+            raise LightRefused(NEEDS_REQUEST)
         if why := self.darkness():
             self.went_dark(why)
             if self.state.path is not None or not through_controller(self._config.laser):

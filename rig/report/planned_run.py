@@ -17,7 +17,7 @@ from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsMeasurement, TurningPoints, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, nanoseconds
-from rig.analysis import AnalysedRun, Fit, known_drag, read_results, stated_ambient
+from rig.analysis import AnalysedRun, Fit, drag_of_fit, read_results, stated_ambient
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
@@ -53,7 +53,7 @@ def planned_contact(config: Configuration, frame_noise_rad: float | None = None)
     if pendulum is None:
         raise ConfigurationError("rig plan needs [pendulum]: state mass_kg and ball_radius_m")
     contact = config.simulation.contact
-    drag, _ = known_drag(config, stated_ambient(config), pendulum, contact.period0_s)
+    drag, _ = drag_of_fit(config, stated_ambient(config), pendulum, contact.period0_s)
     truth = contact.model_dump() | {DRAG.key: contact.whole_drag_s}
     values = {name: float(truth[name]) for name in DEFAULT_LAW.names(drag=drag.fitted)}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
@@ -63,7 +63,7 @@ def planned_contact(config: Configuration, frame_noise_rad: float | None = None)
         u_time_s * _AMPLITUDE_RAD,
         _drive(config, pendulum),
         sine_covariance=harmonics_covariance,
-        known_drag_s=drag.known_s,
+        known_drag_s=drag.prior_s,
         seismometer_noise=_seismometer_noise(config),
     )
     return PlannedContact(values, pendulum, conditions, config.session.max_duration_s)

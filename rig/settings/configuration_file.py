@@ -20,7 +20,7 @@ from processing.errors import ConfigurationError, dotted, require_schema
 from processing.units import unit_of_name
 from rig.settings.configuration import Configuration
 from rig.settings.number_input import quantity, states_unit
-from rig.settings.validation_messages import KeyFault, validated
+from rig.settings.validation_messages import KeyFault, validate
 
 _TWICE_MESSAGES = ("Cannot overwrite a value", "Cannot declare", "Duplicate")
 
@@ -136,7 +136,7 @@ def validate_configuration(
     """
     # an empty section, so that the missing key in it is reported, not the section
     tree = {"camera": {}, **tree}
-    config, found_faults = validated(Configuration, tree)
+    config, found_faults = validate(Configuration, tree)
     if config is not None:
         return config
     stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
@@ -163,7 +163,7 @@ def keys_with_faults(keys: Mapping[str, Any], whole: str = "") -> list[str]:
         for section in sections:
             place = place.setdefault(section, {})
         place[name] = value
-    _, found_faults = validated(Configuration, tree)
+    _, found_faults = validate(Configuration, tree)
     asked = {*keys, whole} - {""}
     return [fault.line for fault in found_faults if dotted(fault.place) in asked]
 

@@ -55,7 +55,7 @@ def test_a_recorder_is_watched_only_while_there_is_one(permit: LightPermit, cloc
     assert permit.refusal == ""
     others_move_for(2.0)
     assert "the writing of the record" in permit.refusal
-    permit.ended(Stage.RECORDER)
+    permit.note_end(Stage.RECORDER)
     assert permit.refusal == ""
 
 
@@ -93,10 +93,10 @@ def test_what_is_found_on_opening_is_latched_once(clock: Clock) -> None:
     """Who acknowledges opens the devices: the trip must keep the number that was shown."""
     permit = LightPermit(clock.monotonic)
     for _ in range(2):
-        permit.found(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
+        permit.latch_found(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
     assert permit.latched is not None
     assert permit.latched.number == 1
-    permit.found(TripCause.OUTPUT, "it stays lit")
+    permit.latch_found(TripCause.OUTPUT, "it stays lit")
     assert permit.latched.number == 2
 
 

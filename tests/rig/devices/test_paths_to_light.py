@@ -17,7 +17,7 @@ from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from processing.errors import DeviceError
 from rig.control import ControlService, LightRefused, Stage, TripCause
-from rig.control.light_permit import LONGEST_PAUSE_S, OVER
+from rig.control.light_permit import ENDED, LONGEST_PAUSE_S
 from rig.control.simulated import SimulatedBoard
 from rig.desk.aligner import Aligner
 from rig.devices import Devices, LightWatch, SessionNews
@@ -314,7 +314,7 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_the_end_of_the_ru
         answers.set()
         asking.join(20.0)
         assert lit.at == []
-        assert [OVER in text for text in said] == [True], said
+        assert [ENDED in text for text in said] == [True], said
         assert not devices.permit.begun
         # the next run lights by itself
         assert devices.light() == "laser on, 0.9 mW"

@@ -37,7 +37,7 @@ from rig.instrument import (
     session_metadata,
 )
 from rig.measure.session import simulate_record
-from rig.prepare import Filing, calibrate_shutter, filed
+from rig.prepare import Filing, calibrate_shutter, read_calibration_report
 from rig.settings import Configuration, FitSettings, load_configuration, validate_configuration
 from rig.view.replay import Replay
 from tests.rig.command_line import rig
@@ -212,7 +212,7 @@ def pulsed_record(path: Path, exposure: dict[str, str]) -> Path:
 
 def test_the_brightness_along_the_rows_gives_the_row_time(tmp_path: Path) -> None:
     record = pulsed_record(tmp_path / "run.mcap", {"exposure_us": str(EXPOSURE_US)})
-    shown = filed(calibrate_shutter(record, Filing(tmp_path / "calibrations")))
+    shown = read_calibration_report(calibrate_shutter(record, Filing(tmp_path / "calibrations")))
     found = shown.calibration
     assert found.method == "brightness of a pulsed spot"
     assert found.values["row_time_s"] == pytest.approx(1e-6 * ROW_TIME_US, rel=0.01)

@@ -15,7 +15,7 @@ from processing.instruments import DEGREE_RAD, SharedError
 from processing.spot import Spot
 from processing.swing import HalfCycle
 from rig.analysis import clock_rate_of, known_drag
-from rig.analysis.air import assumed_drifts
+from rig.analysis.ambient import assumed_drifts
 from rig.analysis.contact_verdicts import base_motion, rig_quantities
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
