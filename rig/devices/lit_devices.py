@@ -163,7 +163,7 @@ class LitDevices:
             self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
         return "the laser is commanded off" if self._config.laser.kind != "none" else NOT_OURS
 
-    def _look_at_what_was_left(self) -> None:
+    def _find_earlier_trips(self) -> None:
         """Latch, before devices are opened, an earlier press and a light that was not confirmed off."""
         self.permit.look_for_presses()
         if not self.state.left_lit:
@@ -317,7 +317,7 @@ class LitDevices:
         """Add a change of the light, or an action of a person, to the audit log; never blocks."""
         self._log.append(what, why, **details)
 
-    def _darkened(self) -> tuple[str, KeyboardInterrupt | None]:
+    def _darken_at_end(self) -> tuple[str, KeyboardInterrupt | None]:
         """Switch the laser off; returns a text on what confirms it, or that nothing does, and a Ctrl-C."""
         asked: list[tuple[str, Callable[[], Future[None]], float]] = []
         if self.control is not None and through_controller(self._config.laser):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
-from rig.intake.cell_text import is_moment, moments_ns
+from rig.intake.cell_text import is_timestamp, timestamps_ns
 from rig.intake.cells import Cells, read_cells
 from rig.intake.columns import HeaderColumns, RowsOfRun, separate_runs
 from rig.intake.doubts import (
@@ -193,11 +193,11 @@ class _TableReader:
 
     def _times(self, column: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], str, int]:
         cells = [row[column] for row in self._cells.rows]
-        if sum(map(is_moment, cells[:50])) > 0.5 * len(cells[:50]):
+        if sum(map(is_timestamp, cells[:50])) > 0.5 * len(cells[:50]):
             form, source = clock_form(
                 self._path, self._names[column], self._columns.named[column], self._options.time_unit, cells
             )
-            found = moments_ns(cells, minutes_first=form == M_SS)
+            found = timestamps_ns(cells, minutes_first=form == M_SS)
             good = np.array([one is not None for one in found])
             kept = [one for one in found if one is not None]
             times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)

@@ -246,7 +246,7 @@ class Replay:
             if window is not None and window.sequence == sequence:
                 spots.append(
                     self._pipeline.tracker.track(
-                        window.image, window.origin_px, self._pipeline.tracked(self._shape)
+                        window.image, window.origin_px, self._pipeline.spots.pendulum_shape(self._shape)
                     )
                 )
             else:

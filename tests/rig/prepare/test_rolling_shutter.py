@@ -29,7 +29,7 @@ from processing.swing import swings_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis import refined_half_cycles
 from rig.instrument import (
-    Deflector,
+    DeflectionConverter,
     complete,
     configuration_attachments,
     pendulum_on_ball,
@@ -81,7 +81,7 @@ def fitted(
     pendulum = pendulum_on_ball(complete(Configuration.model_validate(tree)))
     assert pendulum is not None
     lever = Lever(arm_m=settings.optics.arm_m, pixel_pitch_m=settings.sensor.pixel_pitch_m)
-    at = Deflector(lever, Axes(), (640, 320), shutter)(frame_ns, spots)
+    at = DeflectionConverter(lever, Axes(), (640, 320), shutter)(frame_ns, spots)
     swings = [one for one in swings_of_blocks([at]) if one.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     slow = slow_deflections(at.times_ns, at.y, at.u_y)
     refined = refined_half_cycles(swings, [slow], slow.unit, pendulum, FitSettings())
