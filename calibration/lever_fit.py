@@ -10,12 +10,12 @@ from calibration.ladder import (
     SKEW_PRIOR_STD,
     LadderSteps,
     approach_directions,
-    approach_if_both,
     check_steps,
     ladder_notes,
     leave_one_out,
     scale_evidence,
     solve_ladder,
+    two_sided_approach,
 )
 from calibration.light_lever import Lever
 from processing.arrays import Floats
@@ -105,7 +105,7 @@ def fit_ladder(
     from scipy.special import chdtrc, fdtrc
 
     check_steps(steps, kind)
-    way = approach_if_both(approach_directions(steps.reference))
+    way = two_sided_approach(approach_directions(steps.reference))
     straight = solve_ladder(steps, kind, way, with_skew=False)
     skewed = solve_ladder(steps, kind, way, with_skew=True)
     gain = max(straight.chi2 - skewed.chi2, 0.0)

@@ -12,7 +12,7 @@ from rig.control.ports import (
     udev_board,
     udev_matches,
 )
-from rig.control.presses import darken_beside
+from rig.control.presses import darken_directly
 from rig.control.protocol import ControllerReset, ControllerStatus, Trip
 from rig.control.safety_state import (
     LatchedTrip,

@@ -12,7 +12,7 @@ from pathlib import Path
 from acquisition.camera import CameraSettings
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
-from rig.control import SafetyState, darken_beside, rig_state_path
+from rig.control import SafetyState, darken_directly, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import KINDS, Calibration
@@ -138,7 +138,7 @@ class Desk:
         process = following.process
         if process is None:
             raise NoSession("the session does not answer, and its process is not known; end it by hand")
-        problems = darken_beside(self.config.laser, self.config.controller)
+        problems = darken_directly(self.config.laser, self.config.controller)
         lit = f"; the laser may be lit: {'; '.join(problems)}" if problems else ""
         with suppress(ProcessLookupError):
             os.kill(process, signal.SIGTERM)

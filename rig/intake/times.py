@@ -157,7 +157,7 @@ def clock_form(
         None of them decides, or two disagree.
     """
     two = [cell.strip() for cell in cells if _has_two_fields(cell)]
-    by_option, by_header = (_form(asked), _form(title) or _form(named.strange) or _form(named.unit))
+    by_option, by_header = (_form(asked), _form(title) or _form(named.unknown) or _form(named.unit))
     if not two:
         if _FORM.search(asked) and cells:
             raise ConfigurationError(
