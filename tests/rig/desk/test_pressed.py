@@ -68,7 +68,7 @@ def test_a_press_that_cannot_be_kept_is_said_and_all_else_is_done(
 ) -> None:
     (rig_states / "optical-pendulum-rig").write_text("a file in its place")
     ordered: list[object] = []
-    monkeypatch.setattr(LightOff, "_holder_dark", lambda _, told: bool(ordered.append(told)))
+    monkeypatch.setattr(LightOff, "_order_holder_dark", lambda _, told: bool(ordered.append(told)))
     desk = desk_of(REAL + LASER)
     off, unkept, nobody = desk.lighting.off("one")
     assert off.startswith("/dev/ttyNobodyHasIt: cannot be switched off")
