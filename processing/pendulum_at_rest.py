@@ -37,7 +37,7 @@ def oscillation_at_rest(time_s: Floats, deflection: Floats) -> OscillationAtRest
     Raises DataError for fewer than eight periods.
     """
     has_spot = np.isfinite(deflection)
-    time_s, deflection = _binned(time_s[has_spot], deflection[has_spot])
+    time_s, deflection = _bin_means(time_s[has_spot], deflection[has_spot])
     span_s = float(np.ptp(time_s)) if len(time_s) else 0.0
     if span_s < _FEWEST_PERIODS * _PERIODS_S[0]:
         raise DataError(f"{span_s:.3g} s of the pendulum at rest are too short to see the ground")
@@ -51,7 +51,7 @@ def oscillation_at_rest(time_s: Floats, deflection: Floats) -> OscillationAtRest
     return OscillationAtRest(time_s, deflection, period_s, periods)
 
 
-def _binned(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
+def _bin_means(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
     """Means over `_BIN_S`."""
     if not len(time_s):
         return time_s, deflection
@@ -291,7 +291,7 @@ class _StepComparison(NamedTuple):
 
 def _compare_steps(rest: OscillationAtRest, signals: Signals) -> _StepComparison:
     quadratures = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
-    use = _covered(rest, signals)
+    use = _are_covered(rest, signals)
     step, middle = np.diff(quadratures)[use], (0.5 * (quadratures[1:] + quadratures[:-1]))[use]
     driven = step - middle * (np.vdot(middle, step) / np.vdot(middle, middle))
     power = float(np.vdot(driven, driven).real)
@@ -326,7 +326,7 @@ def _predicted_steps(rest: OscillationAtRest, signals: Signals) -> NDArray[np.co
     return np.swapaxes(steps.reshape(signals.value.shape[1], len(_DELAYS), -1), 0, 1)
 
 
-def _covered(rest: OscillationAtRest, signals: Signals) -> Flags:
+def _are_covered(rest: OscillationAtRest, signals: Signals) -> Flags:
     """Whether the seismometer's record covers each step from period to period."""
     edges = rest.time_s[0] + rest.period_s * np.arange(rest.periods + 1)
     pause = np.flatnonzero(np.diff(signals.time_s) > signals.longest_step_s)

@@ -104,7 +104,7 @@ def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
     kinds = np.stack([spectrum, turned, slope * spectrum, slope * turned], axis=2)
     found = np.fft.irfft(kinds.reshape(len(nu), -1), len(padded), axis=0)
     found = found[padding : padding + len(time)]
-    usable = ~_dilated(~good, ceil(_GUARD_PERIODS * period_s / step_s))
+    usable = ~_dilate(~good, ceil(_GUARD_PERIODS * period_s / step_s))
     return Signals(time[usable], np.ascontiguousarray(found[usable]), _MIN_GAP_STEPS * step_s)
 
 
@@ -139,7 +139,7 @@ def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, flo
     return even, found[:kept].reshape(len(even), together, -1).mean(axis=1), step_s * together
 
 
-def _dilated(lost: Flags, guard: int) -> Flags:
+def _dilate(lost: Flags, guard: int) -> Flags:
     """Whether each sample is at most `guard` samples from a lost one."""
     count = np.concatenate([[0], np.cumsum(lost)])
     places = np.arange(len(lost))

@@ -64,7 +64,7 @@ class NormalEquations(NamedTuple):
         return np.asarray(inverse * np.outer(scale, scale), dtype=np.float64)
 
 
-def summed(parts: Sequence[NormalEquations]) -> NormalEquations:
+def sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
     """Sum of one or more normal equations."""
     return NormalEquations(
         np.asarray(sum(part.information for part in parts)), np.asarray(sum(part.score for part in parts))
@@ -72,7 +72,7 @@ def summed(parts: Sequence[NormalEquations]) -> NormalEquations:
 
 
 class Accumulator:
-    """Normal equations summed over cycles, with the parameters of each cycle free.
+    """Normal equations sum_equations over cycles, with the parameters of each cycle free.
 
     The products of the splines are a band matrix, from which each cycle's free parameters take a few columns:
     the large matrix is not computed for every cycle.
@@ -160,7 +160,7 @@ _FEWEST_CYCLES = 8
 _SAMPLED_CYCLES = 24
 """Number of cycles whose residuals are stored, to measure their scatter about a common error."""
 _MAX_SUMS = 64
-"""About the largest number of groups of neighbouring cycles whose scores are summed."""
+"""About the largest number of groups of neighbouring cycles whose scores are sum_equations."""
 _CROSS_VALIDATION_PARTS = 10
 """Number of parts of the run, each of which is predicted by the others."""
 _SMALLEST_CONFIRMATION = 0.8
@@ -222,7 +222,7 @@ class PositionMapSearch:
         if len(self._scores) < _FEWEST_CYCLES:
             return None
         parts = [part.sums() for part in self._parts if part.cycles]
-        total = summed(parts)
+        total = sum_equations(parts)
         scores = np.array(self._scores)
         scores = scores[:, :_SPLINES] - scores[:, _SPLINES:] @ total.common_gain().T
         significance = max(_significance(self._prior(length), scores) for length in _LENGTHS)
@@ -236,7 +236,7 @@ class PositionMapSearch:
             best = max(peaks, key=lambda peak: peak.gain)
             scale = self._scatter(best, total)
         best = _likeliest(best.length, self._prior(best.length), total.spline_equations(scale))
-        if not self._confirmed(parts, best.length, scale):
+        if not self._is_confirmed(parts, best.length, scale):
             return None
         return PositionMap(
             splines=self._splines,
@@ -259,14 +259,14 @@ class PositionMapSearch:
         u_scale = float(np.std(error) / np.std(place[1:-1]))
         return np.asarray(u_scale**2 * np.outer(place, place), dtype=np.float64)
 
-    def _confirmed(self, parts: Sequence[NormalEquations], length: float, scale: float) -> bool:
+    def _is_confirmed(self, parts: Sequence[NormalEquations], length: float, scale: float) -> bool:
         """Whether the parts of the run are described better with the map of the others than without one.
 
         Residuals from another motion are alike in neighbouring cycles, but not over the whole run.
         """
         gains = []
         for part in parts:
-            others = summed([other for other in parts if other is not part])
+            others = sum_equations([other for other in parts if other is not part])
             predicted = _likeliest(length, self._prior(length), others.spline_equations(scale)).coefficients
             gains.append(
                 part.explained(others.complete(predicted))

@@ -91,7 +91,7 @@ def refined_half_cycles(
     watch = CycleWatch(swings, motion)
     turns = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turns), max(turns), watch.cycles)
-    remeasured = second_measurement(swings, _searched(blocks, watch, search), motion)
+    remeasured = second_measurement(swings, _search_errors(blocks, watch, search), motion)
     refined = judge_refinement(swings, remeasured, motion, first, fit)
     doubt = "; ".join(filter(None, [remark, refined.doubt]))
     refined = refined._replace(doubt=doubt, harmonics=harmonics)
@@ -108,7 +108,7 @@ def refined_half_cycles(
     return corrected._replace(doubt=remark)
 
 
-def _searched(
+def _search_errors(
     blocks: Iterable[Deflections], watch: CycleWatch, search: PositionMapSearch
 ) -> Iterator[Deflections]:
     for block in blocks:
@@ -166,7 +166,7 @@ def _with_remaining_errors(
     """
     watch = CycleWatch(swings, motion)
     search = PositionMapSearch(*position_map.limits, watch.cycles)
-    for _ in _searched(map(position_map.corrected, blocks), watch, search):
+    for _ in _search_errors(map(position_map.corrected, blocks), watch, search):
         pass
     remaining = search.position_map()
     return position_map if remaining is None else position_map.plus(remaining)

@@ -55,7 +55,7 @@ def analyse_swings(
     """
     deflections, unit = followed.deflections, followed.deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
-        return _reduced(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
+        return _reduce_run(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
     drag, of_air = FREE_DRAG, None
     detected = points_in_true_time(followed.swings, clock_rate)
@@ -120,7 +120,7 @@ def analyse_swings(
     return with_contact(run, pendulum, followed.amplitude_errors(points), of_air, stated=config.pendulum)
 
 
-def _reduced(
+def _reduce_run(
     path: Path,
     followed: FollowedPlane,
     config: Configuration,

@@ -33,7 +33,7 @@ class LightOff:
         self._ports = in_thread(darken_directly, *self._lamps)
         self._press = None if rig.presses is None else in_thread(rig.presses.press, at)
         absolute = {folder.absolute() for folder in folders}
-        self._orders = [in_thread(self._order_dark, folder) for folder in absolute]
+        self._orders = [in_thread(self._order_session_dark, folder) for folder in absolute]
         self._orders.append(in_thread(self._order_holder_dark, absolute))
 
     def result(self) -> tuple[list[str], bool, bool]:
@@ -66,7 +66,7 @@ class LightOff:
             return str(error)
         return ""
 
-    def _order_dark(self, folder: Path) -> bool:
+    def _order_session_dark(self, folder: Path) -> bool:
         with suppress(RigError), OrderConnection(folder) as line:
             line.order(f"dark {self._place}")
             return True
@@ -75,4 +75,4 @@ class LightOff:
     def _order_holder_dark(self, folders: Collection[Path]) -> bool:
         """Order a program that has the rig and works in another folder to darken; True if it answered."""
         folder = self._rig.folder_of_holder
-        return folder is not None and folder not in folders and self._order_dark(folder)
+        return folder is not None and folder not in folders and self._order_session_dark(folder)

@@ -74,7 +74,7 @@ class LitDevices:
         self._lighting = threading.Lock()
         self._was_lit = self._is_lit = self._disagreed = False
         self.lights_again = True
-        self.permit = LightPermit(state=self.state, tripped=self._tripped)
+        self.permit = LightPermit(state=self.state, tripped=self._note_trip)
 
     def light(self, *, asked: bool = False, in_run: bool = False) -> str:
         """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
@@ -252,7 +252,7 @@ class LitDevices:
             finally:
                 camera.stop()
 
-    def _tripped(self, trip: LatchedTrip, now: bool) -> None:
+    def _note_trip(self, trip: LatchedTrip, now: bool) -> None:
         if now:
             self.audit(AuditEntry.TRIP, trip.why, cause=trip.cause, lit=trip.lit)
         self.audit(AuditEntry.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)

@@ -67,7 +67,7 @@ class TableColumns:
         """
         cells, chosen, all_runs = self._runs(path)
         if len(chosen) > 1:
-            raise ConfigurationError(f"{path}: {_listed(all_runs)}; choose one with --run")
+            raise ConfigurationError(f"{path}: {_list_text(all_runs)}; choose one with --run")
         return self._trajectory(path, cells, chosen[0], all_runs)
 
     def read_runs(self, path: Path) -> list[Trajectory]:
@@ -82,18 +82,18 @@ class TableColumns:
         all_runs = separate_runs(cells, columns, columns.time(self.time, self.rate_hz, self.time_unit))
         chosen = [run for run in all_runs if self.run in ("", run.name)]
         if not chosen:
-            known = _listed(all_runs) if len(all_runs) > 1 else "holds one run; leave the option out"
+            known = _list_text(all_runs) if len(all_runs) > 1 else "holds one run; leave the option out"
             raise ConfigurationError(f"{path}: --run {self.run}: is not there; {known}")
         return cells, chosen, all_runs
 
     def _trajectory(self, path: Path, whole: Cells, run: RowsOfRun, all_runs: list[RowsOfRun]) -> Trajectory:
-        remarks = [f"{_listed(all_runs)}; this is {run.name}"] if len(all_runs) > 1 else []
+        remarks = [f"{_list_text(all_runs)}; this is {run.name}"] if len(all_runs) > 1 else []
         without = len(whole.rows) - sum(len(one.cells.rows) for one in all_runs)
         remarks += [f"left out: {without} rows that are of no run"] if without else []
         return _TableReader(path, self, run, remarks).trajectory()
 
 
-def _listed(runs: Sequence[RowsOfRun]) -> str:
+def _list_text(runs: Sequence[RowsOfRun]) -> str:
     named = ", ".join(f"{run.name} ({len(run.cells.rows)} rows)" for run in runs)
     return f"{len(runs)} runs, told apart by {runs[0].separator}: {named}"
 

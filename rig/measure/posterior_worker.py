@@ -218,9 +218,9 @@ class FollowedMotion:
                 swings = self._reader.swings(piece)
                 yield swings, self._reader.deflections(spots)
             else:
-                yield self._corrected(self._beam_correction, spots, piece)
+                yield self._correct(self._beam_correction, spots, piece)
 
-    def _corrected(
+    def _correct(
         self, correction: BeamCorrection, spots: NDArray[Any], piece: Piece
     ) -> tuple[Sequence[HalfCycle], Deflections]:
         new = self._reader.table(REFERENCE.topic, piece)
@@ -303,7 +303,7 @@ def fits(reader: RecordReader, *, synchronous: bool) -> Iterator[Posterior]:
     the standard input, which says that the record was flushed.
     """
     run, is_warm, due_half_cycles, due_s = FollowedRun(reader), False, FIRST_HALF_CYCLES, 0.0
-    for _ in _flushed(reader) if synchronous else reader.follow(_LOOK_INTERVAL_S):
+    for _ in _flushes(reader) if synchronous else reader.follow(_LOOK_INTERVAL_S):
         run.read()
         if not synchronous and (run.half_cycles < due_half_cycles or time.monotonic() < due_s):
             continue
@@ -317,7 +317,7 @@ def fits(reader: RecordReader, *, synchronous: bool) -> Iterator[Posterior]:
         due_s = time.monotonic() + (time.process_time() - began_s) / _MAX_CORE_FRACTION
 
 
-def _flushed(reader: RecordReader) -> Iterator[None]:
+def _flushes(reader: RecordReader) -> Iterator[None]:
     for _ in sys.stdin.buffer:
         reader.update()
         yield None

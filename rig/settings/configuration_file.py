@@ -102,7 +102,7 @@ def read_toml_tree(path: Path, visited: tuple[Path, ...] = ()) -> dict[str, Any]
         raise ConfigurationError(
             f"{path}: extends = {base!r}: no such file in {path.parent.resolve()}, the folder of this one"
         )
-    return _merged(read_toml_tree(path.parent / base, (*visited, path.resolve())), tree)
+    return _merge(read_toml_tree(path.parent / base, (*visited, path.resolve())), tree)
 
 
 def unnumbered(tree: Mapping[str, Any], what: str) -> dict[str, Any]:
@@ -179,11 +179,11 @@ def _is_from_overrides(fault: KeyFault, stated: set[str]) -> bool:
     return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
 
 
-def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     result = dict(base)
     for key, value in changes.items():
         inner = result.get(key)
-        result[key] = _merged(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
+        result[key] = _merge(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
     return result
 
 

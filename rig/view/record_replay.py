@@ -198,7 +198,7 @@ def replay_record(
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _wait_for_quit(keys)
         partial = replay.partial or replay.was_restarted or player.ended_by_user
-        run = _analysed(reader, config, result, key_monitor)
+        run = _analyse(reader, config, result, key_monitor)
         if partial:
             part = f"replayed from {replay.pipeline_start_s:.2f} s to {replay.position_s:.2f} s of the record"
             # a part has another end than the record
@@ -238,10 +238,10 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
         replay = Replay(reader, config, retrack=retrack)
         while replay.advance(math.inf, MAX_FRAMES[retrack]) is not None:
             pass
-        return _analysed(reader, config, replay.finish())
+        return _analyse(reader, config, replay.finish())
 
 
-def _analysed(
+def _analyse(
     reader: RecordReader, config: Configuration, result: ReplayResult, monitor: KeyUseMonitor | None = None
 ) -> AnalysedRun:
     return analyse_run(

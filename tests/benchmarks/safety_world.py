@@ -190,7 +190,7 @@ class Program(Devices):
     def __init__(self, world: World, path: str) -> None:
         super().__init__(world.config, None, path)
         self.world, self.path = world, path
-        self.permit = LightPermit(world.clock.monotonic, self.state, self._tripped)
+        self.permit = LightPermit(world.clock.monotonic, self.state, self._note_trip)
         self.frozen_to_s = 0.0
         self.stalled = False
         self.watch = LightWatch(self)
