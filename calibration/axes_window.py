@@ -239,16 +239,14 @@ def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tup
 class Oscillation:
     """Least-squares fit of one sinusoid, whose amplitude changes linearly in time, about a straight line.
 
-    `amplitude` (at the middle of the samples), `noise` (standard deviation of the residuals) and `residuals`
-    (n,), the residuals, have the unit of the samples. `explained` is the fraction of the variance about a
-    line that the sinusoid explains.
+    `amplitude` (at the middle of the samples) and `noise` (standard deviation of the residuals) have the unit
+    of the samples. `explained` is the fraction of the variance about a line that the sinusoid explains.
     """
 
     period_s: float
     amplitude: float
     noise: float
     explained: float
-    residuals: Floats
 
 
 def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> Oscillation:
@@ -281,9 +279,7 @@ def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> 
     residuals, amplitude = _sinusoid_fit(times_s, values, float(found.x))
     variance = float(np.var(uniform))
     noise = math.sqrt(float(residuals @ residuals) / max(count - 7, 1))
-    return Oscillation(
-        1.0 / float(found.x), amplitude, noise, 1.0 - noise**2 / max(variance, 1e-300), residuals
-    )
+    return Oscillation(1.0 / float(found.x), amplitude, noise, 1.0 - noise**2 / max(variance, 1e-300))
 
 
 def _sinusoid_fit(times_s: Floats, values: Floats, frequency_hz: float) -> tuple[Floats, float]:

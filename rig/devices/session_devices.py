@@ -246,14 +246,10 @@ class Devices(LitDevices):
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the devices since the last call, as (kind, text); never blocks."""
-        events = [(EventKind.CONTROLLER, text) for text in self.control.take_events()] if self.control else []
-        if self.laser is not None:
-            events += [(EventKind.LASER, text) for text in self.laser.take_events()]
-        if self.sensor is not None:
-            events += [(EventKind.SENSOR, text) for text in self.sensor.take_events()]
-        if self.seismometer is not None:
-            events += [(EventKind.SENSOR, text) for text in self.seismometer.take_events()]
-        return events
+        kinds = EventKind.CONTROLLER, EventKind.LASER, EventKind.SENSOR, EventKind.SENSOR
+        devices = self.control, self.laser, self.sensor, self.seismometer
+        pairs = [(kind, device) for kind, device in zip(kinds, devices, strict=True) if device is not None]
+        return [(kind, text) for kind, device in pairs for text in device.take_events()]
 
     def environment(self) -> tuple[float, float, float]:
         """Temperature in °C, humidity in % and pressure in Pa, as last measured by sensor or controller.

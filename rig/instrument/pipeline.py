@@ -241,12 +241,6 @@ class Optics:
         """The conversion of spots to deflections on a sensor of (ny, nx) pixels."""
         return DeflectionConverter(self.lever, self.axes, sensor_shape, self.shutter)
 
-    def pipeline(
-        self, sensor_shape: tuple[int, int], *, threaded: bool = False, guard: ObserverGuard | None = None
-    ) -> Pipeline:
-        """A new pipeline from frames to deflections and half-cycles."""
-        return Pipeline(self, sensor_shape, threaded=threaded, guard=guard)
-
     @property
     def unit(self) -> DeflectionUnit:
         """Unit of the deflections."""

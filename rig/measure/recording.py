@@ -155,7 +155,7 @@ class Recording:
         self._counts = FrameCounts(first, nanoseconds(keep.full_frame_interval_s), keep_windows=keep.windows)
         shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
         threaded = not self._on_demand
-        self._pipeline = parts.optics.pipeline(shape, threaded=threaded, guard=parts.guard)
+        self._pipeline = Pipeline(parts.optics, shape, threaded=threaded, guard=parts.guard)
         self._beam_correction: BeamCorrection | None = None
         if gain is not None:
             self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain, threaded=threaded)

@@ -20,6 +20,7 @@ from rig.instrument import (
     DIRECTIONS,
     WEIGHTS,
     Block,
+    Pipeline,
     advice_for,
     complete,
     configuration_attachments,
@@ -126,7 +127,7 @@ def measure(
             if first is None:
                 raise DataError("the camera delivered no frame at all")
             shape = (first.image.shape[0], first.image.shape[1])
-            pipeline = optics.pipeline(shape)
+            pipeline = Pipeline(optics, shape)
             view.begin(first, camera.info)
             lost = taken = 0
             begin_ns = first.time_ns + nanoseconds(_start_swing(config, devices, swing_arcsec))
