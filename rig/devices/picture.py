@@ -84,15 +84,18 @@ def average(frames: Sequence[Frame]) -> Image:
     return mean.astype(np.uint8) if first.dtype == np.uint8 else mean.astype(np.uint16)
 
 
-def histogram_bars(image: Image, full_scale_dn: int, bars: int = 16, width: int = 50) -> list[str]:
+_BARS, _BAR_WIDTH = 16, 50
+
+
+def histogram_bars(image: Image, full_scale_dn: int) -> list[str]:
     """Lines of a histogram for a terminal; the length of a bar is logarithmic in the count."""
-    counts: NDArray[np.int64] = np.histogram(image, bars, (0, full_scale_dn + 1))[0]
+    counts: NDArray[np.int64] = np.histogram(image, _BARS, (0, full_scale_dn + 1))[0]
     longest = np.log1p(counts.max())
     lines = []
     for index, count in enumerate(counts):
-        low = index * (full_scale_dn + 1) // bars
-        bar = "#" * round(float(np.log1p(count) / longest) * width)
-        lines.append(f"{low:>6} DN {bar:<{width}} {count}")
+        low = index * (full_scale_dn + 1) // _BARS
+        bar = "#" * round(float(np.log1p(count) / longest) * _BAR_WIDTH)
+        lines.append(f"{low:>6} DN {bar:<{_BAR_WIDTH}} {count}")
     return lines
 
 
