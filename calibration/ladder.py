@@ -92,9 +92,9 @@ class LadderSolution:
     """Solution of the least-squares problem along and across the motion of the spot.
 
     The fields are those of `LadderFit`; `skew` is 0 and `hysteresis` NaN where they are not fitted. The
-    uncertainties are enlarged along the motion by `birge`, across it by `birge_across`. `along_dof` are the
-    degrees of freedom of `birge`, infinite if it is 1. `trace` is the ladder along the motion. `residual_px`
-    (n, 2) are the positions minus those of the fitted ladder at the stated settings.
+    uncertainties are enlarged by Birge ratios, along the motion `birge`, across it `birge_across`.
+    `along_dof` are the degrees of freedom of `birge`, infinite if it is 1. `trace` is the ladder along the
+    motion. `residual_px` (n, 2) are the positions minus those of the fitted ladder at the stated settings.
     """
 
     scale: float
@@ -124,7 +124,7 @@ def abscissa(setting: Floats, kind: str) -> tuple[Floats, Floats]:
     return setting, np.ones_like(setting)
 
 
-def _line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floats, float]:
+def _fit_line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floats, float]:
     """Coefficients of a weighted fit, their covariance by the stated uncertainties, and chi-square."""
     weighted = design / u_px[:, None]
     values, *_ = np.linalg.lstsq(weighted, places_px / u_px, rcond=None)
@@ -154,8 +154,8 @@ def solve_ladder(
     by_hysteresis = None if approach is None else 0.5 * approach * slope
     columns += [] if by_hysteresis is None else [by_hysteresis]
     design = np.column_stack(columns)
-    values, covariance, chi2_along = _line(design, along_px, u_along_px)
-    values_across, covariance_across, chi2_across = _line(design[:, :2], across_px, u_across_px)
+    values, covariance, chi2_along = _fit_line(design, along_px, u_along_px)
+    values_across, covariance_across, chi2_across = _fit_line(design[:, :2], across_px, u_across_px)
     dof_along, dof_across = len(t) - len(values), len(t) - 2
     birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
     scale, u = float(values[1]), birge * np.sqrt(np.diag(covariance))

@@ -183,9 +183,9 @@ def fit_damping(
     covariance = full.covariance[1:4, 1:4] * np.outer(sizes, sizes) * excess
     ends = amplitude_at(_ENDS, *full.values[:4])
     if chi2_per_dof > _MIN_EXCESS:
-        above = amplitude_at(t / span_s, *full.values[:4])
-        observed = np.hypot(above, level) if np.isfinite(level) else above
-        is_clear = above > (_MIN_FLOOR_RATIO * level if np.isfinite(level) else _MIN_RELATIVE_AMPLITUDE)
+        decay = amplitude_at(t / span_s, *full.values[:4])
+        observed = np.hypot(decay, level) if np.isfinite(level) else decay
+        is_clear = decay > (_MIN_FLOOR_RATIO * level if np.isfinite(level) else _MIN_RELATIVE_AMPLITUDE)
         with np.errstate(divide="ignore"):
             residual, u_residual = (
                 ((y - level_db) / (2.0 * _DB) - np.log(observed), u / (2.0 * _DB))
@@ -193,7 +193,7 @@ def fit_damping(
                 else (y / scale / observed - 1.0, u / scale / observed)
             )
         covariance *= _rate_excess(
-            t[is_clear], residual[is_clear], u_residual[is_clear], above[is_clear] * unit, covariance
+            t[is_clear], residual[is_clear], u_residual[is_clear], decay[is_clear] * unit, covariance
         )
     parts = [
         DampingTerm(
@@ -287,9 +287,9 @@ class _Fit:
         amplitude = 10 ** (self._y / 20.0) if self._decibel else self._y
         head = max(len(amplitude) // 50, 1)
         first = float(np.median(amplitude[:head]))
-        below = np.nonzero(amplitude < 0.5 * first)[0]
-        half = float(self._t[below[0]]) if len(below) and below[0] > 0 else 1.0
-        return np.array([first, 0.0, max(log(2.0) / half, 0.05), 0.0])
+        halved = np.nonzero(amplitude < 0.5 * first)[0]
+        half_time = float(self._t[halved[0]]) if len(halved) and halved[0] > 0 else 1.0
+        return np.array([first, 0.0, max(log(2.0) / half_time, 0.05), 0.0])
 
     def parts(self, subset: Sequence[str], start: Floats, *, floor: bool = False) -> _DampingSolution:
         """Fit the parts in `subset`, and a noise floor if `floor`."""

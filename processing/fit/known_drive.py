@@ -217,14 +217,14 @@ def _losses(amplitude: Floats) -> Floats:
 
 def _half_cycle_response(signals: Signals, time: Floats, side: Floats, rate: Floats, loss: Floats) -> Floats:
     w, s = 0.5 * (rate[1:] + rate[:-1]), side[1:, None]
-    before, after = w * (1 - 0.5 * loss), w * (1 + 0.5 * loss)
+    first_quarter, second_quarter = w * (1 - 0.5 * loss), w * (1 + 0.5 * loss)
     # counted from the middle: from either end the phase would hold half of the effect that is sought
     crossing = 0.5 * (time[1:] + time[:-1]) + 0.25 * np.pi * loss / w
     response = np.zeros((2, len(w), signals.value.shape[1]))
-    for frequency, low, high in ((before, time[:-1], crossing), (after, crossing, time[1:])):
+    for frequency, low, high in ((first_quarter, time[:-1], crossing), (second_quarter, crossing, time[1:])):
         moments = _moments(signals, crossing + 0.5 * np.pi / frequency, frequency, low, high)
-        response[0] -= s / after[:, None] * moments[:, :, 1]
-        response[1] += s / (frequency * after)[:, None] * moments[:, :, 0]
+        response[0] -= s / second_quarter[:, None] * moments[:, :, 1]
+        response[1] += s / (frequency * second_quarter)[:, None] * moments[:, :, 0]
     return response
 
 

@@ -197,14 +197,14 @@ def score_general(
             weight = 1.0 / variance
             chi2 += z
             pixels += 1
-            wr = weight * r
+            weighted_residual = weight * r
             # a constant number of parameters each, for which the compiler unrolls the sums
             if has_second:
-                _add_pixel(PARAMETERS, weight, wr, derivative, gradient, matrix)
+                _add_pixel(PARAMETERS, weight, weighted_residual, derivative, gradient, matrix)
             elif tilted:
-                _add_pixel(TILTED, weight, wr, derivative, gradient, matrix)
+                _add_pixel(TILTED, weight, weighted_residual, derivative, gradient, matrix)
             else:
-                _add_pixel(UPRIGHT, weight, wr, derivative, gradient, matrix)
+                _add_pixel(UPRIGHT, weight, weighted_residual, derivative, gradient, matrix)
     # a row and column of the unit matrix give a parameter that is not fitted the step zero
     for k in range(PARAMETERS):
         if (k == COVARIANCE and not tilted) or (k >= SECOND_AMPLITUDE and not has_second):

@@ -49,18 +49,18 @@ _FAST_MODE_CHI2 = 1.2
 """Reduced chi-square above which a fast mode is searched for."""
 
 
-def first_guess(pivots: Sequence[Pivot]) -> Vector:
+def rough_state(pivots: Sequence[Pivot]) -> Vector:
     """State at the first of the rough turning points: amplitude, frequency, damping and centre."""
     times = seconds(np.array([p.time_ns - pivots[0].time_ns for p in pivots]))
     values = np.array([p.deflection for p in pivots])
-    span = np.abs(np.diff(values))
-    loss = max(0.0, 1.0 - float(span[-1] / span[0]) ** (1.0 / max(len(span) - 1, 1)))
-    x = np.zeros(STATES)
-    x[AMPLITUDE] = 0.5 * span[0] * (1.0 + 0.5 * loss)
-    x[RATE] = math.pi * (len(pivots) - 1) / times[-1]
-    x[SHAPE + DAMPING] = loss / math.pi
-    x[CENTRE] = float(np.mean(0.5 * (values[1:] + values[:-1])))
-    return x
+    height = np.abs(np.diff(values))
+    loss = max(0.0, 1.0 - float(height[-1] / height[0]) ** (1.0 / max(len(height) - 1, 1)))
+    state = np.zeros(STATES)
+    state[AMPLITUDE] = 0.5 * height[0] * (1.0 + 0.5 * loss)
+    state[RATE] = math.pi * (len(pivots) - 1) / times[-1]
+    state[SHAPE + DAMPING] = loss / math.pi
+    state[CENTRE] = float(np.mean(0.5 * (values[1:] + values[:-1])))
+    return state
 
 
 def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:

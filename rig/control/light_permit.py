@@ -31,7 +31,7 @@ seen earlier may have left the sensor instead."""
 class SpotWatch:
     """Detects the laser's spot in frames, by comparison with frames that were taken while the laser was lit.
 
-    The code that reads the camera calls `frame`, the code that knows the laser's state calls the other
+    The code that reads the camera calls `examine`, the code that knows the laser's state calls the other
     methods; each from any thread.
     """
 
@@ -47,7 +47,7 @@ class SpotWatch:
         self._since_s = 0.0
         self.exposure_s = 0.0
 
-    def frame(self, image: Image) -> None:
+    def examine(self, image: Image) -> None:
         """Take account of a frame; it is examined if none was in the last 0.4 s."""
         now_s = self._clock_s()
         if now_s - self._sampled_s < _EXAMINE_INTERVAL_S:
@@ -73,7 +73,7 @@ class SpotWatch:
             self._lit_dn = max(self._lit_dn, self._contrast_dn)
         if lit:
             self._examined_lit_s = self._sampled_s
-            if self.seen:
+            if self.visible:
                 self._seen_lit_s = self._sampled_s
 
     @property
@@ -82,22 +82,22 @@ class SpotWatch:
         return self._clock_s() - self._sampled_s
 
     @property
-    def seen(self) -> bool | None:
+    def visible(self) -> bool | None:
         """Whether the spot is in the newest frame; None if no frame showed it while the laser was lit."""
         if not self._lit_dn:
             return None
         return self._contrast_dn >= max(_MIN_CONTRAST * self._lit_dn, _MIN_OVER_NOISE * self._noise_dn)
 
     @property
-    def disagrees(self) -> bool:
+    def contradicts(self) -> bool:
         """Whether the laser reports that it is off, and frames contradict it: they still show the spot."""
-        return self._lit is False and self._is_settled and self.seen is True
+        return self._lit is False and self._is_settled and self.visible is True
 
     @property
-    def agrees(self) -> bool:
+    def confirms(self) -> bool:
         """Whether the laser reports that it is off, and frames confirm it: the spot is gone."""
         was_seen = self._examined_lit_s - self._seen_lit_s <= _MAX_SEEN_BEFORE_S
-        return self._lit is False and self._is_settled and was_seen and self.seen is False
+        return self._lit is False and self._is_settled and was_seen and self.visible is False
 
     @property
     def _is_settled(self) -> bool:
@@ -191,7 +191,7 @@ class LightPermit:
     def frame_read(self, image: Image) -> None:
         """Note that the camera has delivered a frame, and examine it for the laser's spot."""
         self.note_progress(Stage.CAMERA)
-        self.spot.frame(image)
+        self.spot.examine(image)
 
     def note_end(self, stage: Stage) -> None:
         """Note that a stage has ended regularly."""
@@ -280,7 +280,7 @@ class LightPermit:
     def _unheard(self) -> str:
         looked_s = self._looked_s
         unheard = looked_s is not None and self._clock_s() - looked_s > _MAX_LOOK_INTERVAL_S
-        return "nobody hears of LIGHT OFF: the disk of the rig's state hangs" if unheard else ""
+        return "LIGHT OFF would not be heard: the disk of the rig's state hangs" if unheard else ""
 
     @property
     def refusal_to_light(self) -> str:

@@ -212,7 +212,7 @@ class LitDevices:
         state = None if self.laser is None else self.laser.snapshot.state
         if state is not None and state.excess:
             raise DeviceError(f"trip {number} cannot be acknowledged: {state.excess}")
-        if self.permit.spot.disagrees and self.permit.spot.age_s <= STALE_S:
+        if self.permit.spot.contradicts and self.permit.spot.age_s <= STALE_S:
             raise DeviceError(f"trip {number} cannot be acknowledged: {_STILL_SEEN}")
         if self.control is not None:
             # the board has its own numbers, and refuses to clear a trip that it has not yet reported
@@ -228,7 +228,7 @@ class LitDevices:
         if laser is None or laser.light not in (Light.ON, Light.OFF, Light.INTERLOCK_OPEN):
             return
         spot.note_laser(laser.on)
-        if not spot.disagrees:
+        if not spot.contradicts:
             self._disagreed = False
         elif not self._disagreed:
             self._disagreed = True
@@ -244,10 +244,10 @@ class LitDevices:
         with suppress(RigError, OSError):
             camera.start()
             try:
-                while time.monotonic() < end_s and not (spot.agrees or spot.disagrees):
+                while time.monotonic() < end_s and not (spot.confirms or spot.contradicts):
                     if (frame := camera.read(_LOOKS_FOR_S)) is None:
                         return
-                    spot.frame(frame.image)
+                    spot.examine(frame.image)
                     self.compare()
             finally:
                 camera.stop()
@@ -341,7 +341,7 @@ class LitDevices:
             self.state.lit(False)
         if not asked:
             return NOT_OURS, interrupt
-        confirming = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.agrees
+        confirming = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.confirms
         return f"laser off, confirmed by the {' and the '.join(confirming)}", interrupt
 
     def darkness(self) -> str:
@@ -409,12 +409,12 @@ class LitDevices:
         return SafetyNow(
             trip=self.permit.latched,
             refusal=self.permit.refusal or self.state.problem,
-            light=Light.DISAGREES if spot.disagrees else laser.light,
+            light=Light.DISAGREES if spot.contradicts else laser.light,
             # the age of a device's state is infinite while the device is silent
             light_age_s=math.inf if laser.light in _SILENT else laser.age_s,
             interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
             interlock_age_s=oldest_s,
-            seen=spot.seen if spot.age_s <= STALE_S else None,
+            seen=spot.visible if spot.age_s <= STALE_S else None,
             seen_age_s=spot.age_s,
             to_be_asked=self.permit.needs_request,
             laser=report,

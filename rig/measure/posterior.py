@@ -48,7 +48,7 @@ class LivePosterior:
     def latest(self) -> Posterior:
         """The newest fit."""
         while not self._answers.empty():
-            self._note(self._answers.get())
+            self._take_answer(self._answers.get())
         return self._latest
 
     @property
@@ -96,7 +96,7 @@ class LivePosterior:
         self._due_half_cycles = next_fit_half_cycles(self._half_cycles)
         while True:
             with suppress(Empty):
-                self._note(self._answers.get(timeout=_CALL_INTERVAL_S))
+                self._take_answer(self._answers.get(timeout=_CALL_INTERVAL_S))
                 return
             keep_alive()
 
@@ -119,10 +119,10 @@ class LivePosterior:
 
     def _start_process(self) -> "subprocess.Popen[bytes] | None":
         pipe, synchronous = subprocess.PIPE, ["synchronous"] if self._is_synchronous else []
-        words = "-c", _PROGRAM, str(self._record), *synchronous
+        arguments = "-c", _PROGRAM, str(self._record), *synchronous
         try:
             process: subprocess.Popen[bytes] = start_python(
-                *words, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=_ONE_THREAD
+                *arguments, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=_ONE_THREAD
             )
         except OSError as error:
             self._end(f"the process that fits cannot be started ({error})")
@@ -133,7 +133,7 @@ class LivePosterior:
         self._reader.start()
         return process
 
-    def _note(self, answer: Posterior | None) -> None:
+    def _take_answer(self, answer: Posterior | None) -> None:
         if answer is None:
             self._end("the process that fits while the run is measured has died")
         elif answer.estimates:

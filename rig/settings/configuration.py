@@ -306,8 +306,8 @@ class Configuration(Section, frozen=True):
     @property
     def on_demand(self) -> bool:
         """Whether frames are simulated or read from files on request, so that none can be lost."""
-        paced = self.simulated and self.simulation.real_time
-        return find_driver(self.camera.driver).on_demand and not paced
+        real_time = self.simulated and self.simulation.real_time
+        return find_driver(self.camera.driver).on_demand and not real_time
 
     @property
     def stop_conditions(self) -> tuple[StopCondition, ...]:

@@ -108,7 +108,7 @@ def _limits(builtin: Limits | None, value: float | None, tolerance: float | None
 
 
 class WeightSettings(BaseModel, frozen=True, extra="forbid"):
-    """A trimming weight on a screw. `sense` -1: a clockwise turn moves it in the negative direction.
+    """A trimming weight on a screw; at `sense` -1 a clockwise turn moves it in the negative direction.
 
     `mass_kg` 0 means that the mass is unknown.
     """

@@ -492,17 +492,17 @@ def test_a_spot_that_is_still_seen_cannot_be_acknowledged(config: Configuration)
         bright[20:40, 20:40] = 200
 
         def shown(image: NDArray[np.uint8]) -> None:
-            spot.frame(image)
+            spot.examine(image)
             devices.compare()
 
         devices.light()
-        until(lambda: shown(bright) is None and spot.seen is True)
+        until(lambda: shown(bright) is None and spot.visible is True)
         devices.darken()
         until(lambda: shown(bright) is None and devices.permit.latched is not None)
         assert devices.safety().light == "commanded off, but its output or its light is seen to be on"
         with pytest.raises(DeviceError, match="the camera still sees its spot"):
             devices.acknowledge(1, "test")
-        until(lambda: shown(dark) is None and spot.agrees)
+        until(lambda: shown(dark) is None and spot.confirms)
         devices.acknowledge(1, "test")
 
 
