@@ -90,7 +90,7 @@ def window_directions(
     # overtones of the slow mode move the spot along the slow direction only, and only the fast mode across it
     across, along = (spots @ basis).T
     third, prior_overtones = _overtones(
-        design, along, coefficients @ basis[:, 1], is_separate=fast_omega > 4.0 * slow_omega
+        design, along, coefficients @ basis[:, 1], distinct=fast_omega > 4.0 * slow_omega
     )
     full_design = np.column_stack([design, third, prior_overtones])
     full_coefficients, *_ = np.linalg.lstsq(full_design, along, rcond=None)
@@ -136,9 +136,7 @@ def _principal_basis(coefficients: Floats) -> Floats:
     return np.column_stack([[-along[1], along[0]], along])
 
 
-def _overtones(
-    design: Floats, along: Floats, slow_coefficients: Floats, *, is_separate: bool
-) -> tuple[Floats, Floats]:
+def _overtones(design: Floats, along: Floats, slow: Floats, *, distinct: bool) -> tuple[Floats, Floats]:
     """Columns of the slow mode's overtones: (n, 2) of those that are free, and (n, m) of those with a prior.
 
     Friction and elasticity of the contact add odd harmonics to the slow mode, nearly in proportion to its
@@ -149,10 +147,7 @@ def _overtones(
     by its standard deviations.
     """
     powers = design[:, 4 * _ENVELOPE_TERMS :]
-    c, s = (
-        powers @ slow_coefficients[:_ENVELOPE_TERMS],
-        powers @ slow_coefficients[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS],
-    )
+    c, s = powers @ slow[:_ENVELOPE_TERMS], powers @ slow[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS]
     phasor = (c - 1j * s) * (design[:, 0] + 1j * design[:, _ENVELOPE_TERMS])
     amplitude = np.abs(phasor)
 
@@ -160,7 +155,7 @@ def _overtones(
         motion = size * amplitude * (phasor / amplitude) ** order
         return np.column_stack([motion.real, -motion.imag])
 
-    if not is_separate:
+    if not distinct:
         return np.empty((len(along), 0)), columns(3, _THIRD_STD)
     third = columns(3, 1.0)
     values, *_ = np.linalg.lstsq(np.column_stack([design, third]), along, rcond=None)
@@ -183,15 +178,9 @@ def fast_angles(windows: list[WindowDirections]) -> tuple[Floats, Floats, float]
         Standard uncertainty of all angles together, from that of the overtones.
     """
     first = windows[0].fast
-    angles_rad = [modulo_pi(angle_of(window.fast) - angle_of(first)) for window in windows]
+    angles = [modulo_pi(angle_of(window.fast) - angle_of(first)) for window in windows]
     precision = np.sum([window.precision for window in windows], axis=0)
-    score = np.sum(
-        [
-            window.score + window.precision[:, 0] * angle_rad
-            for window, angle_rad in zip(windows, angles_rad, strict=True)
-        ],
-        axis=0,
-    )
+    score = np.sum([w.score + w.precision[:, 0] * a for w, a in zip(windows, angles, strict=True)], axis=0)
     covariance = np.linalg.inv(precision + _prior(precision))
     overtones = (covariance @ score)[1:]
     u2_rad = np.array([1.0 / window.precision[0, 0] for window in windows])

@@ -133,10 +133,8 @@ def _fit_line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, 
     return values.astype(np.float64), covariance, float(unexplained @ unexplained)
 
 
-def solve_ladder(
-    steps: LadderSteps, kind: str, approach: Floats | None, *, with_skew: bool
-) -> LadderSolution:
-    """Least squares, with the skew as a parameter if `with_skew` and the hysteresis if `approach` is given.
+def solve_ladder(steps: LadderSteps, kind: str, approach: Floats | None, *, fit_skew: bool) -> LadderSolution:
+    """Least squares, with the skew as a parameter if `fit_skew` and the hysteresis if `approach` is given.
 
     An error of a setting moves the spot along the motion alone: its uncertainty is added to that of the
     position there (the effective variance of W. A. Fuller, Measurement Error Models, 1987).
@@ -150,7 +148,7 @@ def solve_ladder(
     u_along_px = np.hypot(u_along_px, np.hypot(*direction) * slope * steps.u_reference)
     along_px, across_px = rotation @ places_px.T
     columns = [np.ones_like(t), t]
-    columns += [t**2] if with_skew else []
+    columns += [t**2] if fit_skew else []
     by_hysteresis = None if approach is None else 0.5 * approach * slope
     columns += [] if by_hysteresis is None else [by_hysteresis]
     design = np.column_stack(columns)
@@ -170,8 +168,8 @@ def solve_ladder(
         u_origin_px=np.sqrt(rotation.T**2 @ np.array([u[0], u_across[0]]) ** 2),
         direction_rad=math.atan2(kx, -ky),
         u_direction_rad=float(u_across[1]) / scale,
-        skew=float(values[2]) / scale if with_skew else 0.0,
-        u_skew=float(u[2]) / scale if with_skew else 0.0,
+        skew=float(values[2]) / scale if fit_skew else 0.0,
+        u_skew=float(u[2]) / scale if fit_skew else 0.0,
         hysteresis=math.nan if approach is None else float(values[-1]) / scale,
         u_hysteresis=math.nan if approach is None else float(u[-1]) / scale,
         chi2=chi2_along + chi2_across,
@@ -185,7 +183,7 @@ def solve_ladder(
 
 
 def leave_one_out(
-    steps: LadderSteps, kind: str, approach: Floats | None, with_skew: bool, scale: float, u_scale: float
+    steps: LadderSteps, kind: str, approach: Floats | None, fit_skew: bool, scale: float, u_scale: float
 ) -> Floats:
     """Changes (n,) of the scale without each step, over their own standard uncertainties; NaN: no fit."""
     change = np.full(len(steps.reference), np.nan)
@@ -194,7 +192,7 @@ def leave_one_out(
         other_approach = None if approach is None else two_sided_approach(np.delete(approach, i))
         if len(np.unique(others.reference)) < 3:
             continue
-        solution = solve_ladder(others, kind, other_approach, with_skew=with_skew)
+        solution = solve_ladder(others, kind, other_approach, fit_skew=fit_skew)
         spread = math.sqrt(max(solution.u_scale**2 - u_scale**2, (0.05 * u_scale) ** 2))
         change[i] = (solution.scale - scale) / spread
     return change

@@ -106,8 +106,8 @@ def fit_ladder(
 
     check_steps(steps, kind)
     way = two_sided_approach(approach_directions(steps.reference))
-    straight = solve_ladder(steps, kind, way, with_skew=False)
-    skewed = solve_ladder(steps, kind, way, with_skew=True)
+    straight = solve_ladder(steps, kind, way, fit_skew=False)
+    skewed = solve_ladder(steps, kind, way, fit_skew=True)
     gain = max(straight.chi2 - skewed.chi2, 0.0)
     # the test allows for residuals that scatter more than stated even with the skew, as noise
     gain /= skewed.birge**2

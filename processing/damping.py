@@ -172,9 +172,8 @@ def fit_damping(
     chi2_per_dof = full.chi2 / freedom
     # if all parts together leave more than the stated noise, the noise is taken from their residuals
     excess = max(1.0, chi2_per_dof)
-    weights = {
-        subset: solution.chi2 / excess + (len(subset) + 1) * log(len(y)) for subset, solution in fits.items()
-    }
+    per_part = log(len(y))
+    weights = {names: one.chi2 / excess + (len(names) + 1) * per_part for names, one in fits.items()}
     least = min(weights.values())
     chances = {subset: exp(-0.5 * (weight - least)) for subset, weight in weights.items()}
     total = sum(chances.values())
@@ -185,16 +184,15 @@ def fit_damping(
     if chi2_per_dof > _MIN_EXCESS:
         decay = amplitude_at(t / span_s, *full.values[:4])
         observed = np.hypot(decay, level) if np.isfinite(level) else decay
-        is_clear = decay > (_MIN_FLOOR_RATIO * level if np.isfinite(level) else _MIN_RELATIVE_AMPLITUDE)
+        clear = decay > (_MIN_FLOOR_RATIO * level if np.isfinite(level) else _MIN_RELATIVE_AMPLITUDE)
         with np.errstate(divide="ignore"):
             residual, u_residual = (
                 ((y - level_db) / (2.0 * _DB) - np.log(observed), u / (2.0 * _DB))
                 if decibel
                 else (y / scale / observed - 1.0, u / scale / observed)
             )
-        covariance *= _rate_excess(
-            t[is_clear], residual[is_clear], u_residual[is_clear], decay[is_clear] * unit, covariance
-        )
+        amplitude = decay[clear] * unit
+        covariance *= _rate_excess(t[clear], residual[clear], u_residual[clear], amplitude, covariance)
     parts = [
         DampingTerm(
             float(full.values[k + 1] * sizes[k]),
@@ -225,12 +223,10 @@ def fit_damping(
     )
 
 
-def _rate_excess(
-    t_s: Floats, residual: Floats, u_residual: Floats, amplitude: Floats, covariance: Floats
-) -> float:
+def _rate_excess(t_s: Floats, residual: Floats, u: Floats, amplitude: Floats, covariance: Floats) -> float:
     """Mean square by which the rates of stretches lie off the fitted one, in its variances; at least 1.
 
-    `residual` (n,) is that of ln(amplitude), with `u_residual`, `covariance` (3, 3) that of the parts. Slopes
+    `residual` (n,) is that of ln(amplitude), with `u`, `covariance` (3, 3) that of the parts. Slopes
     of the residuals that agree with their noise, as each stretch shows it, enlarge nothing.
     """
     count = min(_STRETCHES, len(t_s) // _FEWEST_OF_STRETCH)
@@ -238,7 +234,7 @@ def _rate_excess(
         return 1.0
     slopes2, u2, fitted2 = np.empty((3, count))
     for k, rows in enumerate(np.array_split(np.arange(len(t_s)), count)):
-        weight = 1.0 / u_residual[rows] ** 2
+        weight = 1.0 / u[rows] ** 2
         x = t_s[rows] - np.average(t_s[rows], weights=weight)
         y = residual[rows] - np.average(residual[rows], weights=weight)
         spread = float(np.sum(weight * x**2))

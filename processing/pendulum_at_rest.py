@@ -21,7 +21,7 @@ _BIN_S = 0.1
 """Time over which the deflections are averaged; no motion of a pendulum at rest is faster."""
 
 
-class OscillationAtRest(NamedTuple):
+class RestOscillation(NamedTuple):
     """Oscillation of a pendulum that only the ground moves, in means over `_BIN_S`, arrays (n,)."""
 
     time_s: Floats
@@ -31,7 +31,7 @@ class OscillationAtRest(NamedTuple):
     """Number of whole periods in the record."""
 
 
-def oscillation_at_rest(time_s: Floats, deflection: Floats) -> OscillationAtRest:
+def rest_oscillation(time_s: Floats, deflection: Floats) -> RestOscillation:
     """Find the period in deflections of a pendulum at rest (n,), NaN without a spot.
 
     Raises DataError for fewer than eight periods.
@@ -48,7 +48,7 @@ def oscillation_at_rest(time_s: Floats, deflection: Floats) -> OscillationAtRest
             f"the spot at rest moves mostly with a period of {period_s:.3g} s; {span_s:.3g} s contain "
             f"{periods} periods, and the ground needs {_FEWEST_PERIODS}"
         )
-    return OscillationAtRest(time_s, deflection, period_s, periods)
+    return RestOscillation(time_s, deflection, period_s, periods)
 
 
 def _bin_means(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
@@ -71,7 +71,7 @@ def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
     return float(1 / frequency_hz[np.argmax(amplitude)])
 
 
-def quadratures_of(rest: OscillationAtRest, deflections: Floats) -> tuple[NDArray[np.complex128], float]:
+def quadratures_of(rest: RestOscillation, deflections: Floats) -> tuple[NDArray[np.complex128], float]:
     """Complex amplitudes (cosine + i sine) in each period (periods, series) of deflections (times, series).
 
     They are fitted together with an offset and a slope. The second result is the variance of either amplitude
@@ -151,7 +151,7 @@ def drive_at_rest(time_s: Floats, deflection: Floats) -> GroundDrive:
     """
     from scipy.fft import dst
 
-    rest = oscillation_at_rest(time_s, deflection)
+    rest = rest_oscillation(time_s, deflection)
     period_s, periods = rest.period_s, rest.periods
     quadratures, expected = quadratures_of(rest, rest.deflection[:, None])
     steps = driven_steps(quadratures[:, 0])
@@ -249,7 +249,7 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
     """
     from scipy.special import betaincinv
 
-    rest = oscillation_at_rest(time_s, deflection)
+    rest = rest_oscillation(time_s, deflection)
     signals = plain_signals(seismometer, rest.period_s)
     if not np.all(np.ptp(signals.value, axis=0) > 0):
         raise DataError("its values do not change")
@@ -289,7 +289,7 @@ class _StepComparison(NamedTuple):
     period_s: float
 
 
-def _compare_steps(rest: OscillationAtRest, signals: Signals) -> _StepComparison:
+def _compare_steps(rest: RestOscillation, signals: Signals) -> _StepComparison:
     quadratures = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
     use = _are_covered(rest, signals)
     step, middle = np.diff(quadratures)[use], (0.5 * (quadratures[1:] + quadratures[:-1]))[use]
@@ -307,7 +307,7 @@ def _compare_steps(rest: OscillationAtRest, signals: Signals) -> _StepComparison
     return _StepComparison(len(step), 1 - smallest / power, period_s)
 
 
-def _predicted_steps(rest: OscillationAtRest, signals: Signals) -> NDArray[np.complex128]:
+def _predicted_steps(rest: RestOscillation, signals: Signals) -> NDArray[np.complex128]:
     """Steps (delays, components, periods - 1) of an undamped pendulum that a component drives."""
     # at the record's own times and between them, so that each sample has the same weight
     points = ceil(_STEPS_A_PERIOD * signals.longest_step_s / rest.period_s)
@@ -326,7 +326,7 @@ def _predicted_steps(rest: OscillationAtRest, signals: Signals) -> NDArray[np.co
     return np.swapaxes(steps.reshape(signals.value.shape[1], len(_DELAYS), -1), 0, 1)
 
 
-def _are_covered(rest: OscillationAtRest, signals: Signals) -> Flags:
+def _are_covered(rest: RestOscillation, signals: Signals) -> Flags:
     """Whether the seismometer's record covers each step from period to period."""
     edges = rest.time_s[0] + rest.period_s * np.arange(rest.periods + 1)
     pause = np.flatnonzero(np.diff(signals.time_s) > signals.longest_step_s)

@@ -96,9 +96,8 @@ class WeightResponse:
             residual = np.where(measured, step - displacement * mean, 0.0)
             learned = mean + gain * residual
             size2 = learned**2
-        self._log = self._log - 0.5 * np.sum(
-            np.where(measured, residual**2 / total + np.log(total), 0.0), axis=1
-        )
+        square = np.where(measured, residual**2 / total + np.log(total), 0.0)
+        self._log = self._log - 0.5 * np.sum(square, axis=1)
         self._mean = learned
         self._variance = np.maximum(variance * (1.0 - gain * displacement), 1e-12)
         self.learned_turns += 1

@@ -301,9 +301,8 @@ class DrivenCoordinates:
         derivative = np.zeros((*steps.shape[:2], width))
         derivative[:, :, : self.terms] = steps
         unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
-        return KnownSteps(
-            np.ascontiguousarray(steps @ gains), derivative, unknown, np.zeros(len(unknown), np.bool_)
-        )
+        known, knocked = np.ascontiguousarray(steps @ gains), np.zeros(len(unknown), np.bool_)
+        return KnownSteps(known, derivative, unknown, knocked)
 
     def least_unexplained(self, columns: Floats) -> float:
         """The least step of the drive that remains unexplained, in units of the reference."""

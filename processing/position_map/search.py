@@ -341,6 +341,5 @@ def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _Likeliho
     log_v = float(tried[np.argmax([gain(one) for one in tried.tolist()])])
     v = math.exp(log_v)
     weight = v / (1.0 + v * size)
-    return _LikelihoodPeak(
-        0.5 * gain(log_v), length, basis @ (weight * projected), (basis * weight) @ basis.T
-    )
+    coefficients = basis @ (weight * projected)
+    return _LikelihoodPeak(0.5 * gain(log_v), length, coefficients, (basis * weight) @ basis.T)

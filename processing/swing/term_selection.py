@@ -106,9 +106,7 @@ def relative_loss(x: Vector) -> float:
     return abs(1.0 - float(transition[1, 0]))
 
 
-def select_terms(
-    start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None
-) -> Arc | None:
+def select(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None) -> Arc | None:
     """Fit the four models (anharmonic or not, with a fast mode or not) and choose one by its chi-square.
 
     Each additional term must reduce chi-square enough; fast modes are tried only where the fit without them

@@ -36,6 +36,7 @@ def udev_board() -> str:
     return f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{PICO:04x}"'
 
 
+_SENSOR_PATIENCE_S = 5.0
 _TRIP_ERRORS = range(101, 105)
 """Error codes of the board that report trips; its latch reports them in more detail."""
 
@@ -187,9 +188,6 @@ def _interlock(settings: LaserSettings, closed: bool) -> Iterator[Verdict]:
             else "the controller's relay opens its interlock if the program ends or is killed",
             "check the wiring in docs/controller.md" if closed else "",
         )
-
-
-_SENSOR_PATIENCE_S = 5.0
 
 
 def check_environment(settings: EnvironmentSettings) -> tuple[Verdict, ...]:

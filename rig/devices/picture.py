@@ -17,6 +17,7 @@ from acquisition.frames.guard import FrameChecks
 from acquisition.frames.queue import BoundedQueue
 from processing.errors import DataError, DeviceError
 
+_BARS, _BAR_WIDTH = 16, 50
 _FLOOR = 0.1
 # sqrt(A / B) for exp(-u) - 0.1 where it is positive, u = r^2 / (2 s^2), u0 = ln 10:
 # A = (1 - exp(-2 u0) (1 + 2 u0)) / 2, B = 0.99 / 2 - 0.2 * 0.9 + 0.01 u0
@@ -82,9 +83,6 @@ def average(frames: Sequence[Frame]) -> Image:
         total += frame.image
     mean = np.rint(total / len(frames))
     return mean.astype(np.uint8) if first.dtype == np.uint8 else mean.astype(np.uint16)
-
-
-_BARS, _BAR_WIDTH = 16, 50
 
 
 def histogram_bars(image: Image, full_scale_dn: int) -> list[str]:

@@ -236,12 +236,10 @@ class Devices(LitDevices):
         )
         return simulated_controller(config.controller, limit_w, inputs, interlock.laser, interlock.closed)
 
-    def required_control(self, purpose: str) -> ControlService:
-        """The controller; raises ConfigurationError, which names the purpose, if there is none."""
+    def required_control(self, task: str) -> ControlService:
+        """The controller; raises ConfigurationError, which names the task, if there is none."""
         if self.control is None:
-            raise ConfigurationError(
-                f"{purpose} needs a controller: set controller.kind to serial or simulated"
-            )
+            raise ConfigurationError(f"{task} needs a controller: set controller.kind to serial or simulated")
         return self.control
 
     def take_events(self) -> list[tuple[EventKind, str]]:

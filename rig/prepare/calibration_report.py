@@ -55,12 +55,9 @@ def numbers_of(calibration: CalibrationFile) -> dict[str, bool | str | int | flo
     return numbers
 
 
-def _values(calibration: CalibrationFile) -> Table:
+def _values(file: CalibrationFile) -> Table:
     return _table(
-        "values",
-        f"{calibration.kind}: {calibration.method}",
-        ("quantity", "value"),
-        list(numbers_of(calibration).items()),
+        "values", f"{file.kind}: {file.method}", ("quantity", "value"), list(numbers_of(file).items())
     )
 
 

@@ -161,12 +161,10 @@ def _runs_table(results: CampaignResults) -> Table:
     for run in results.runs:
         cells: list[Cell] = [run.label, run.contact, run.sha256, run.results_sha256, run.bad]
         residuals = [run.residuals.get(name, nan) for name in names]
-        for name, residual in zip(names, residuals, strict=True):
-            cells += [*run.alone.get(name, unknown), *run.together.get(name, unknown), residual]
+        for name, z in zip(names, residuals, strict=True):
+            cells += [*run.alone.get(name, unknown), *run.together.get(name, unknown), z]
         bad = f"{100 * run.bad:.0f} %" if run.bad > 0.05 else ""
-        rows.append(
-            TableRow(cells, [run.label, run.contact, *(plain(residual, 2) for residual in residuals), bad])
-        )
+        rows.append(TableRow(cells, [run.label, run.contact, *(plain(z, 2) for z in residuals), bad]))
     return Table(
         "runs", "Residuals by run", columns,
         ("run", "contact", *(quantity(name).symbol for name in names), "bad"), rows,

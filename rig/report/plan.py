@@ -141,10 +141,8 @@ def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> tuple[tuple[PlannedSeri
     pairs = [
         planned_series([best, run], wait_s, prior) for run in second_runs for wait_s in sorted(set(waits_s))
     ]
-    good = [pair for pair in pairs if pair.u["b"] < _MAX_AGEING_FACTOR * pair.u_steady["b"]]
-    proposed = (
-        min(good, key=lambda pair: pair.duration_s) if good else min(pairs, key=lambda pair: pair.u["b"])
-    )
+    good = [one for one in pairs if one.u["b"] < _MAX_AGEING_FACTOR * one.u_steady["b"]]
+    proposed = min(good, key=lambda one: one.duration_s) if good else min(pairs, key=lambda one: one.u["b"])
     return (planned_series([best], known_drag_s=prior), *pairs), proposed
 
 

@@ -24,7 +24,7 @@ from processing.fit import Seismogram
 from processing.pendulum_at_rest import (
     SeismometerAtRest,
     drive_at_rest,
-    oscillation_at_rest,
+    rest_oscillation,
     seismometer_at_rest,
 )
 from processing.reference_gain import ReferenceAtRest, gain_while_swinging, reference_at_rest
@@ -307,7 +307,7 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
         return not_at_rest("reference", limit)
     at = look.deflections
     try:
-        period_s = oscillation_at_rest(at.times_s, at.y).period_s
+        period_s = rest_oscillation(at.times_s, at.y).period_s
         spots, refs = _positions(look.spots), _positions(look.references)
         axes = []
         for axis, name in enumerate("xy"):
