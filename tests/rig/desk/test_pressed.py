@@ -108,7 +108,7 @@ def test_a_disk_that_hangs_holds_nothing_up(
 
     monkeypatch.setattr(type(desk.rig.presses), "press", lambda *_: goes_on.wait(60.0))
     monkeypatch.setattr("rig.devices.light_off.darken_directly", darkened)
-    monkeypatch.setattr("rig.devices.light_off._STORED_WITHIN_S", 60.0)
+    monkeypatch.setattr("rig.devices.light_off._MAX_STORE_S", 60.0)
     said = in_thread(desk.lighting.off, "one")
     assert dark.wait(10.0)
     dark.clear()
