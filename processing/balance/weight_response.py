@@ -70,7 +70,7 @@ class WeightResponse:
         _, self._slack = self._displacement([np.asarray(turn) for turn in turns])
 
     def log_evidence(self, turns: Sequence[float], step: Floats, u_step: Floats) -> float:
-        """Log probability of a change `step` (3,) of the state if these turns made it; NaN: not measured."""
+        """Log likelihood of these turns, given the change `step` (3,) of the state; NaN: not measured."""
         displacement, _ = self._displacement([np.asarray(turn) for turn in turns])
         measured, displacement = np.isfinite(step), displacement[:, None]
         size2 = np.sum(self._mean**2 + self._variance, axis=1, keepdims=True)

@@ -118,13 +118,13 @@ class Signals:
     value: Floats
     longest_step_s: float
 
-    def only(self, terms: list[int]) -> "Signals":
+    def select(self, terms: list[int]) -> "Signals":
         """The signals in some of the columns."""
         return replace(self, value=np.ascontiguousarray(self.value[:, terms]))
 
-    def delayed(self, by_s: float) -> "Signals":
-        """The same signals, later by `by_s`."""
-        return replace(self, time_s=self.time_s + by_s)
+    def delayed(self, delay_s: float) -> "Signals":
+        """The same signals, later by `delay_s`."""
+        return replace(self, time_s=self.time_s + delay_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,7 @@ class KnownDrive:
     def terms(self) -> int:
         return int(self.steps.shape[2])
 
-    def only(self, terms: list[int]) -> "KnownDrive":
+    def select(self, terms: list[int]) -> "KnownDrive":
         """The drive by the signals in some of the columns."""
         return KnownDrive(self.steps[:, :, terms], self.missing, self.gains[terms])
 

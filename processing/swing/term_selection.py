@@ -152,19 +152,19 @@ def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, 
     """
     terms = tuple(active.tolist())
     anharmonic = SHAPE + RISE in terms
-    same = fit_arc(first, prior(first, anharmonic), halves, reference, terms)
-    if anharmonic or same is None:
-        return same
-    base = same.states[0].copy()
+    plain = fit_arc(first, prior(first, anharmonic), halves, reference, terms)
+    if anharmonic or plain is None:
+        return plain
+    base = plain.states[0].copy()
     mean, sigma = prior(base, anharmonic=True)
     sigma[SHAPE + DAMPING] = math.inf
     mean[[SHAPE + DRY, SHAPE + RISE]] = 0.0
     base[[SHAPE + P, SHAPE + N]] = mean[[SHAPE + P, SHAPE + N]]
-    gain = gain_of_more(same, base, (mean, sigma), halves, terms + ANHARMONIC_LINEAR)
+    gain = gain_of_more(plain, base, (mean, sigma), halves, terms + ANHARMONIC_LINEAR)
     if gain < _GAIN_PER_TERM * len(ANHARMONIC):
-        return same
-    more = fit_arc(friction_start(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
-    return same if more is None else best_arc((same, more))
+        return plain
+    full = fit_arc(friction_start(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
+    return plain if full is None else best_arc((plain, full))
 
 
 def _typical_variance(halves: Sequence[HalfCycleSamples]) -> float:

@@ -52,9 +52,9 @@ class AuditEntry(StrEnum):
 
 
 class AuditLog:
-    """Adds lines to the log of a folder (None: no log) in a thread of its own, in their order.
+    """Adds lines to the log of a folder (None: no log), in their order, for a program with this task.
 
-    A log that cannot be written is reported, and stops nothing.
+    A thread of its own writes them. A log that cannot be written is reported, and stops nothing.
     """
 
     def __init__(self, folder: Path | None, operator: str, task: str, state: SafetyState) -> None:

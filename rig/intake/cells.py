@@ -12,7 +12,7 @@ from typing import Final
 from processing.errors import DataError
 from rig.intake.cell_text import NumberFormat, counts_rows, is_timestamp, is_value, number_format, split_unit
 from rig.intake.files import binary_rows, decode, read_bytes_of
-from rig.intake.units import TIME_NAME, is_time, known_unit, named_unit
+from rig.intake.units import TIME_NAME, is_time, known_unit, split_name
 
 _COMMENTS: Final = ("#", "%", "//", "!")
 _SEPARATORS: Final = {"tabs": "\t", "semicolons": ";", "bars": "|", "commas": ","}
@@ -218,7 +218,7 @@ def _fitted_to_columns(cells: list[str], columns: list[list[str]], separator: st
 
 def _is_name(name: str) -> bool:
     """Whether a cell is clearly a column's name: it contains a time or a unit."""
-    return bool(TIME_NAME.fullmatch(name) or named_unit(name).unit)
+    return bool(TIME_NAME.fullmatch(name) or split_name(name).unit)
 
 
 def _names(lines: list[list[str]]) -> list[str]:

@@ -13,7 +13,7 @@ from processing.errors import ConfigurationError, DataError
 from rig.intake.cell_text import counts_rows, is_timestamp, timestamps_ns
 from rig.intake.cells import Cells
 from rig.intake.times import number
-from rig.intake.units import TIME_NAME, ColumnName, is_time, known_unit, named_unit
+from rig.intake.units import TIME_NAME, ColumnName, is_time, known_unit, split_name
 
 _RUN_NAME: Final = re.compile(
     r"(?:run|trial|lauf|versuch|messung|messreihe|serie|series|experiment|essai|repeat|repetition|"
@@ -117,7 +117,7 @@ class HeaderColumns:
         raise ConfigurationError(f"{self._path}: has no column {name!r}; columns: {known}")
 
     def _unit_of(self, column: int) -> ColumnName:
-        named = named_unit(self.names[column]) if self._cells.names else ColumnName(self.names[column], "")
+        named = split_name(self.names[column]) if self._cells.names else ColumnName(self.names[column], "")
         beside = self._cells.units[column]
         if not beside:
             return named

@@ -14,14 +14,14 @@ TIME_NAME: Final = re.compile(
     r"(?:(?:[\W_]|(?-i:[A-Z])).*)?",
     re.IGNORECASE,
 )
-_MULTIPLES: Final = {"": "", "milli": "m", "mili": "m", "micro": "u", "mikro": "u", "nano": "n", "centi": "c"}
-_NAMES: Final = {
+_PREFIXES: Final = {"": "", "milli": "m", "mili": "m", "micro": "u", "mikro": "u", "nano": "n", "centi": "c"}
+_LONG_SPELLINGS: Final = {
     "s": "sec secs second seconds sek sekunde sekunden seconde secondes segundo segundos secondi seconden",
     "m": "meter metre meters metres",
     "rad": "radian radians radiant",
     "V": "volt volts",
 }
-_SHORT: Final = {
+_SPELLINGS: Final = {
     "s": "s", "ms": "msec msecs msek millis millis()", "us": "usec usecs µsec μsec micros micros()",
     "ns": "nsec nsecs nanos", "min": "mins minute minutes minuten minutos minuti",
     "h": "hr hrs hour hours stunde stunden heures horas", "d": "day days tag tage",
@@ -31,11 +31,11 @@ _SHORT: Final = {
     "arcmin": "′ ' arcmins arcminute arcminutes bogenminute bogenminuten",
 }  # fmt: skip
 _WORDS: Final = {
-    part + word: prefix + unit
-    for unit, words in _NAMES.items()
+    prefix + word: symbol + unit
+    for unit, words in _LONG_SPELLINGS.items()
     for word in words.split()
-    for part, prefix in _MULTIPLES.items()
-} | {word: unit for unit, words in _SHORT.items() for word in words.split()}
+    for prefix, symbol in _PREFIXES.items()
+} | {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
 _CAPITALS: Final = ("s", "ms", "us", "ns", "min", "deg", "rad", "mrad", "px", "mm", "arcsec")
 """Units that are recognised in capitals, too."""
 _NOT_ALONE: Final = ("m", "s", "g", "a", "v", "n", "j", "w", "d", "h", "e", "1", "min", "t")
@@ -101,7 +101,7 @@ def is_time(unit: str) -> bool:
     return bool(unit) and dict(size(unit).powers) == dict(size("s").powers)
 
 
-def named_unit(name: str) -> ColumnName:
+def split_name(name: str) -> ColumnName:
     """Split a column's name into name and unit."""
     text = _SEPARATE_PREFIX.sub(r"\1", name.strip())
     if factor := _FACTOR.search(text):
@@ -118,7 +118,7 @@ def named_unit(name: str) -> ColumnName:
         ((begin, end), unit), *_ = units
         return ColumnName(" ".join(f"{text[:begin].rstrip()} {text[end:].lstrip()}".split()), unit)
     plain = _BRACKETS.sub(" ", text).strip()
-    if split := _without_brackets(plain):
+    if split := _split_plain_name(plain):
         return ColumnName(split[0] if plain == text else text, split[1])
     of_time = TIME_NAME.fullmatch(plain)
     unknown = [
@@ -146,7 +146,7 @@ def _bracketed_unit(text: str) -> str:
     return _unit(text) or next((unit for word in words if (unit := known_unit(word))), "")
 
 
-def _without_brackets(text: str) -> tuple[str, str] | None:
+def _split_plain_name(text: str) -> tuple[str, str] | None:
     """Name and unit, if a unit follows a mark, or stands anywhere if it is clearly one; else None."""
     if text.lower() not in _NOT_ALONE and (unit := _unit(text)):
         return text, unit

@@ -74,7 +74,7 @@ class FrameCounts:
         """The model of the beam, and whether the choice of it is still open, in words."""
         return self.beam.text if self._model is not None else f"{self.beam.text}, being judged"
 
-    def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> RecordEntry:
+    def record_entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> RecordEntry:
         """The record's entry for these frames."""
         numbers = [frame.sequence - self._first_number for frame in frames]
         events: list[Event] = []
@@ -164,7 +164,7 @@ class Recording:
         self._readings = SideReadings(parts, first.time_ns)
         self._published_ns = self._half_cycles = 0
 
-    def make(self, frames: list[Frame], events: list[Event]) -> str:
+    def record(self, frames: list[Frame], events: list[Event]) -> str:
         """Record until the run ends; returns why the start was rejected, else an empty text.
 
         The record begins with `frames`, and with `events` before them. An error raised here ends the run and
@@ -257,7 +257,7 @@ class Recording:
                 Event(times_ns[-1], EventKind.BEAM, text) for text in self._beam_correction.take_news()
             ]
         self._half_cycles += len(corrected.swings)
-        entry = counts.entry(frames, block, self._pipeline)
+        entry = counts.record_entry(frames, block, self._pipeline)
         self._last = frames[-1]
         messages, clock_events = self._readings.take(frames)
         messages += self._notes()

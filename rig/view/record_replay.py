@@ -42,6 +42,7 @@ from rig.view.scratch import Mode, ScratchView
 
 _MAX_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is attributed to rounding."""
+_KEY_INTERVAL_S = 0.2
 _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 
@@ -113,9 +114,6 @@ def _largest(differences: Differences, place: str) -> str:
     texts = [f"{plain(differences.largest_u, 2)} u, {place}"] if differences.largest_u > 0 else []
     texts += [f"{differences.once} in one of the two only"] if differences.once else []
     return "; ".join(texts or ["only in uncertainties or flags"]) if differences.changed else ""
-
-
-_KEY_INTERVAL_S = 0.2
 
 
 def _events(reader: RecordReader) -> list[Event]:

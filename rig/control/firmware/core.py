@@ -221,19 +221,19 @@ class Firmware(Lines):
         return (
             f"{self.board.ticks_ms()},{int(self.board.interlock_closed())},{int(self.laser)},{self.power_w:.7g},"
             f"{int(self.magnet)},{int(self.starter)},{int(self.clamp)},{int(self.brake)},"
-            f"{self.trip},{len(self._errors)},{self._latched()},{int(self._trip_lit)},"
+            f"{self.trip},{len(self._errors)},{self._latched_number()},{int(self._trip_lit)},"
             f"{int(self.board.laser_enabled())},{'-' if sees is None else int(sees)}"
         )
 
-    def _latched(self) -> int:
+    def _latched_number(self) -> int:
         return 0 if self.trip == "NONE" else self.number
 
     def _report_trip(self, _: str) -> str:
-        return f"{self._latched()},{self.trip},{self._trip_ms},{'lit' if self._trip_lit else 'dark'}"
+        return f"{self._latched_number()},{self.trip},{self._trip_ms},{'lit' if self._trip_lit else 'dark'}"
 
     def _acknowledge(self, argument: str) -> str:
         if self.trip == "NONE" or argument != str(self.number):
-            raise Refused(-222, f"Data out of range; trip {self._latched()} is latched")
+            raise Refused(-222, f"Data out of range; trip {self._latched_number()} is latched")
         if persists := self._cause_persists():
             raise Refused(-221, "Settings conflict; " + persists)
         self._clear()

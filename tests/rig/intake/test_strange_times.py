@@ -11,7 +11,7 @@ import pytest
 from processing.errors import ConfigurationError, DataError
 from rig.intake.cell_text import timestamps_ns
 from rig.intake.table import TableColumns
-from rig.intake.units import named_unit
+from rig.intake.units import split_name
 
 N = 400
 STEP = timedelta(seconds=0.05)
@@ -143,5 +143,5 @@ def test_twenty_four_o_clock_is_the_next_midnight(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["TIMESTAMP", "TEMPS", "TIMES", "ELAPSED", "UTCS", "DATETIMES"])
 def test_a_letter_of_a_name_in_capitals_is_no_unit(name: str) -> None:
     """Times in ms under TIMESTAMP were s by its header, a thousand times too long."""
-    assert named_unit(name).unit == ""
-    assert named_unit(f"{name}_MS")[:2] == (name, "ms")
+    assert split_name(name).unit == ""
+    assert split_name(f"{name}_MS")[:2] == (name, "ms")
