@@ -52,7 +52,7 @@ class StoredTurningPoints:
         fitted = (self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
         left_out = (self.left_out_time_s, self.left_out_amplitude, self.left_out_flags)
         if len(set(map(len, fitted))) > 1 or len(set(map(len, left_out))) > 1:
-            raise ValueError("the columns must have equal lengths")
+            raise ValueError("columns of equal length")
 
     @classmethod
     def of(
@@ -98,7 +98,7 @@ class PositionErrors:
 
     def __post_init__(self) -> None:
         if len({len(self.place), len(self.error), len(self.u_error)}) > 1:
-            raise ValueError("the columns must have equal lengths")
+            raise ValueError("columns of equal length")
 
     @classmethod
     def of(cls, position_map: PositionMap, unit: DeflectionUnit) -> "PositionErrors":
