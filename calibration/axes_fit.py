@@ -270,7 +270,7 @@ def fit_axes(
         u_off_rad,
     )
     right_handed_rad = across.angle_rad + (math.pi if mirrored else 0.0)
-    non_orthogonality = _wrapped(right_handed_rad - along.angle_rad - 0.5 * math.pi)
+    non_orthogonality = _wrap_angle(right_handed_rad - along.angle_rad - 0.5 * math.pi)
     notes = []
     if slow_began is None:
         notes.append(
@@ -356,7 +356,7 @@ def _combine(
         rate = float(weight @ (t * (differences_rad - mean))) / spread
         u_rate = 1.0 / math.sqrt(spread)
     parts = PartDirections(tuple(middles_s), tuple((differences_rad - mean).tolist()), tuple(u_rad.tolist()))
-    return _Combined(_wrapped(base_rad + mean), u_mean, rate, u_rate, total, parts)
+    return _Combined(_wrap_angle(base_rad + mean), u_mean, rate, u_rate, total, parts)
 
 
 def _refuse_changing_direction(mode: str, found: _Combined) -> None:
@@ -393,6 +393,6 @@ def _to_the_right(vector: Floats, slow: Floats, mirrored: bool) -> Floats:
     return vector if (cross > 0) != mirrored else -vector
 
 
-def _wrapped(angle: float) -> float:
+def _wrap_angle(angle: float) -> float:
     """The angle in [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

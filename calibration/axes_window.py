@@ -21,30 +21,32 @@ _OVERTONE_STD = (0.15, 0.08, 0.05)
 """Prior standard deviations of the fifth, seventh and ninth harmonic, in phase and in quadrature, as
 fractions of the third.
 """
-_SLOPE_STEPS = 5
+_SLOPE_ITERATIONS = 5
+"""Iterations of the fast direction's slope, by which the variance of its residuals changes."""
 
 
 @dataclass(frozen=True, slots=True)
 class WindowDirections:
-    """Directions of the modes in one time window.
+    """Directions of the modes in one time window, as vectors (x, y) on the sensor in px.
 
-    `slow` and `fast` are vectors (x, y) on the sensor in px. The length is the mode's amplitude at the
-    beginning of the window, the sign that of its cosine at the beginning of the record. `u_slow_rad` is the
-    standard uncertainty of its angle, `u_fast_slope` that of the fast one as a slope. `slow_chi2` is
-    chi-square of the slow mode's motion across its direction, with `SLOW_DOF` degrees of freedom: it shows
-    noise that is larger there than elsewhere. `precision` (1 + m, 1 + m) and `pull` (1 + m,) are matrix and
-    right-hand side of the normal equations of the fast direction's angle in rad, from that of `fast` on, and
-    of the slow mode's m overtones in units of their prior standard deviations, without the prior.
+    The length of a vector is the mode's amplitude at the beginning of the window, the sign that of its cosine
+    at the beginning of the record. The normal equations are those of the angle in rad from `fast` to the fast
+    direction, and of the slow mode's m overtones in their prior standard deviations, without the prior.
     """
 
     middle_s: float
     slow: Floats
     u_slow_rad: float
+    """Standard uncertainty of the angle of `slow`."""
     slow_chi2: float
+    """Chi-square (`SLOW_DOF`) of the slow mode's motion across `slow`; large if noise is larger there."""
     fast: Floats
     u_fast_slope: float
+    """Standard uncertainty of the direction of `fast`, as a slope."""
     precision: Floats
-    pull: Floats
+    """Matrix (1 + m, 1 + m) of the normal equations."""
+    score: Floats
+    """Right-hand side (1 + m,) of the normal equations."""
 
 
 def window_directions(
@@ -65,85 +67,87 @@ def window_directions(
 
     Notes
     -----
-    Each coordinate is a linear least-squares fit of ``(a_0 + a_1 u + a_2 u^2) cos(omega t)`` and the same
-    with the sine, for both modes, and of a parabola, with u = -1 to 1 over the window. The fast mode is then
-    the motion across the slow direction; its direction follows from how much of this motion is along it.
+    Each coordinate is a linear least-squares fit of ``(a_0 + a_1 x + a_2 x^2) cos(omega t)`` and the same
+    with the sine, for both modes, and of a parabola, with x from -1 to 1 over the window. The fast
+    mode is then the motion across the slow direction; its direction follows from how much of it is along.
     """
     middle = 0.5 * (t[0] + t[-1])
     half = 0.5 * (t[-1] - t[0])
-    u = (t - middle) / half
+    x = (t - middle) / half
     slow_c, slow_s = np.cos(slow_omega * (t - start_s)), np.sin(slow_omega * (t - start_s))
     fast_c, fast_s = np.cos(fast_omega * (t - start_s)), np.sin(fast_omega * (t - start_s))
     design = np.column_stack(
         [
-            *(slow_c * u**k for k in range(_ENVELOPE_TERMS)),
-            *(slow_s * u**k for k in range(_ENVELOPE_TERMS)),
-            *(fast_c * u**k for k in range(_ENVELOPE_TERMS)),
-            *(fast_s * u**k for k in range(_ENVELOPE_TERMS)),
-            *(u**k for k in range(_ENVELOPE_TERMS)),
+            *(slow_c * x**k for k in range(_ENVELOPE_TERMS)),
+            *(slow_s * x**k for k in range(_ENVELOPE_TERMS)),
+            *(fast_c * x**k for k in range(_ENVELOPE_TERMS)),
+            *(fast_s * x**k for k in range(_ENVELOPE_TERMS)),
+            *(x**k for k in range(_ENVELOPE_TERMS)),
         ]
     )
     coefficients, *_ = np.linalg.lstsq(design, spots, rcond=None)
-    frame = _frame(coefficients[[0, _ENVELOPE_TERMS]])
+    basis = _principal_basis(coefficients[[0, _ENVELOPE_TERMS]])
     # overtones of the slow mode move the spot along the slow direction only, and only the fast mode across it
-    across, along = (spots @ frame).T
-    third, higher = _overtones(design, along, coefficients @ frame[:, 1], apart=fast_omega > 4.0 * slow_omega)
-    whole = np.column_stack([design, third, higher])
-    values, *_ = np.linalg.lstsq(whole, along, rcond=None)
-    overtones = whole[:, design.shape[1] :] @ values[design.shape[1] :]
-    clean = spots - np.outer(overtones, frame[:, 1])
-    coefficients, *_ = np.linalg.lstsq(design, clean, rcond=None)
-    residual = clean - design @ coefficients
-    covariance: Floats = residual.T @ residual / (len(t) - whole.shape[1])
+    across, along = (spots @ basis).T
+    third, prior_overtones = _overtones(
+        design, along, coefficients @ basis[:, 1], distinct=fast_omega > 4.0 * slow_omega
+    )
+    full_design = np.column_stack([design, third, prior_overtones])
+    full_coefficients, *_ = np.linalg.lstsq(full_design, along, rcond=None)
+    overtone_motion = full_design[:, design.shape[1] :] @ full_coefficients[design.shape[1] :]
+    fundamentals = spots - np.outer(overtone_motion, basis[:, 1])
+    coefficients, *_ = np.linalg.lstsq(design, fundamentals, rcond=None)
+    residual = fundamentals - design @ coefficients
+    covariance: Floats = residual.T @ residual / (len(t) - full_design.shape[1])
     slow, u_slow, slow_chi2 = _direction(coefficients, np.linalg.inv(design.T @ design), covariance)
     fast_columns = slice(2 * _ENVELOPE_TERMS, 4 * _ENVELOPE_TERMS)
-    rows = (coefficients @ frame)[fast_columns, 0]
-    fast = design[:, fast_columns] @ rows
-    others = np.column_stack([np.delete(design, fast_columns, axis=1), third])
-    basis, _ = np.linalg.qr(others)
-    wanted = np.column_stack([fast, higher, across, along])
-    wanted -= basis @ (basis.T @ wanted)
-    products, noise = wanted.T @ wanted, frame.T @ covariance @ frame
+    fast_coefficients = (coefficients @ basis)[fast_columns, 0]
+    fast = design[:, fast_columns] @ fast_coefficients
+    nuisances = np.column_stack([np.delete(design, fast_columns, axis=1), third])
+    nuisance_basis, _ = np.linalg.qr(nuisances)
+    columns = np.column_stack([fast, prior_overtones, across, along])
+    columns -= nuisance_basis @ (nuisance_basis.T @ columns)
+    products, noise = columns.T @ columns, basis.T @ covariance @ basis
     slope = 0.0
-    for _ in range(_SLOPE_STEPS):
-        turn, by_angle = np.array([-slope, 1.0]), np.ones(len(products) - 2)
+    for _ in range(_SLOPE_ITERATIONS):
+        normal, derivative = np.array([-slope, 1.0]), np.ones(len(products) - 2)
         # a positive angle is a smaller slope
-        by_angle[0] = -(1.0 + slope**2)
-        variance = float(turn @ noise @ turn)
-        precision = np.outer(by_angle, by_angle) * products[:-2, :-2] / variance
-        pull = by_angle * (products[:-2, -2:] @ turn) / variance
-        u2 = np.linalg.inv(precision + _prior(precision))
-        slope += by_angle[0] * float(u2[0] @ pull)
-    size = float(np.hypot(*turn))
-    fast_vector = _vector(rows * size, frame @ [1.0, -turn[0]] / size)
-    u_slope = size * math.sqrt(u2[0, 0])
-    return WindowDirections(float(middle), slow, u_slow, slow_chi2, fast_vector, u_slope, precision, pull)
+        derivative[0] = -(1.0 + slope**2)
+        variance = float(normal @ noise @ normal)
+        precision = np.outer(derivative, derivative) * products[:-2, :-2] / variance
+        score = derivative * (products[:-2, -2:] @ normal) / variance
+        angle_covariance = np.linalg.inv(precision + _prior(precision))
+        slope += derivative[0] * float(angle_covariance[0] @ score)
+    size = float(np.hypot(*normal))
+    fast_vector = _vector(fast_coefficients * size, basis @ [1.0, -normal[0]] / size)
+    u_slope = size * math.sqrt(angle_covariance[0, 0])
+    return WindowDirections(float(middle), slow, u_slow, slow_chi2, fast_vector, u_slope, precision, score)
 
 
 def _prior(precision: Floats) -> Floats:
-    """The precision of the prior of the overtones, for normal equations of this shape."""
+    """The precision matrix of the overtones' prior, in the shape of the normal equations."""
     return np.diag([0.0, *np.ones(len(precision) - 1)])
 
 
-def _frame(rows: Floats) -> Floats:
+def _principal_basis(coefficients: Floats) -> Floats:
     """Matrix (2, 2) whose columns are unit vectors across and along the direction of the largest motion."""
-    _, vectors = np.linalg.eigh(rows.T @ rows)
+    _, vectors = np.linalg.eigh(coefficients.T @ coefficients)
     along = vectors[:, 1]
     return np.column_stack([[-along[1], along[0]], along])
 
 
-def _overtones(design: Floats, along: Floats, slow_rows: Floats, *, apart: bool) -> tuple[Floats, Floats]:
+def _overtones(design: Floats, along: Floats, slow: Floats, *, distinct: bool) -> tuple[Floats, Floats]:
     """Columns of the slow mode's overtones: (n, 2) of those that are free, and (n, m) of those with a prior.
 
     Friction and elasticity of the contact add odd harmonics to the slow mode, nearly in proportion to its
     amplitude. A harmonic near the fast mode's frequency would be attributed to the fast mode. The third is
     free in each window and limits the higher ones: for moments proportional to powers of the tilt from 0 to
-    1, the fifth is 0.11 to 0.2 of the third, the others less. If the fast mode is not `apart` from the third,
-    that has a prior and the higher ones are left out. The columns with a prior are as large as its standard
-    deviations.
+    1, the fifth is 0.11 to 0.2 of the third, the others less. Where the fast mode's frequency is not separate
+    from the third's, the third has a prior, and the higher ones are left out. Columns with a prior are scaled
+    by its standard deviations.
     """
     powers = design[:, 4 * _ENVELOPE_TERMS :]
-    c, s = powers @ slow_rows[:_ENVELOPE_TERMS], powers @ slow_rows[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS]
+    c, s = powers @ slow[:_ENVELOPE_TERMS], powers @ slow[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS]
     phasor = (c - 1j * s) * (design[:, 0] + 1j * design[:, _ENVELOPE_TERMS])
     amplitude = np.abs(phasor)
 
@@ -151,7 +155,7 @@ def _overtones(design: Floats, along: Floats, slow_rows: Floats, *, apart: bool)
         motion = size * amplitude * (phasor / amplitude) ** order
         return np.column_stack([motion.real, -motion.imag])
 
-    if not apart:
+    if not distinct:
         return np.empty((len(along), 0)), columns(3, _THIRD_STD)
     third = columns(3, 1.0)
     values, *_ = np.linalg.lstsq(np.column_stack([design, third]), along, rcond=None)
@@ -160,31 +164,29 @@ def _overtones(design: Floats, along: Floats, slow_rows: Floats, *, apart: bool)
 
 
 def fast_angles(windows: list[WindowDirections]) -> tuple[Floats, Floats, float]:
-    """Angles of the windows' fast directions relative to those of their `fast`, with common overtones.
+    """Angles from each window's `fast` to the fast direction that a fit with common overtones gives.
 
-    A harmonic so near to the fast mode's frequency that no window separates them moves the directions of all
-    windows; in a longer record their phases part. The overtones, in proportion to the third harmonic, are
-    therefore fitted to all windows together, with one fast direction.
+    A harmonic near the fast mode's frequency turns the direction of a window that is too short to separate
+    the two. Over the whole record their phases drift apart: the overtones, in proportion to the third
+    harmonic, are therefore fitted to all windows together, with one fast direction.
 
     Returns
     -------
-    off_rad, u_off_rad : (k,)
+    correction_rad, u_correction_rad : (k,)
         The angles, and their standard uncertainties from noise.
     u_common_rad
         Standard uncertainty of all angles together, from that of the overtones.
     """
-    base = windows[0].fast
-    places = [modulo_pi(angle_of(one.fast) - angle_of(base)) for one in windows]
-    together = np.sum([one.precision for one in windows], axis=0)
-    pull = np.sum(
-        [one.pull + one.precision[:, 0] * at for one, at in zip(windows, places, strict=True)], axis=0
-    )
-    covariance = np.linalg.inv(together + _prior(together))
-    overtones = (covariance @ pull)[1:]
-    u2_rad = np.array([1.0 / one.precision[0, 0] for one in windows])
-    off_rad = u2_rad * [one.pull[0] - one.precision[0, 1:] @ overtones for one in windows]
-    u2_common = float(covariance[0, 0]) - 1.0 / float(together[0, 0])
-    return off_rad, np.sqrt(u2_rad), math.sqrt(max(u2_common, 0.0))
+    first = windows[0].fast
+    angles = [modulo_pi(angle_of(window.fast) - angle_of(first)) for window in windows]
+    precision = np.sum([window.precision for window in windows], axis=0)
+    score = np.sum([w.score + w.precision[:, 0] * a for w, a in zip(windows, angles, strict=True)], axis=0)
+    covariance = np.linalg.inv(precision + _prior(precision))
+    overtones = (covariance @ score)[1:]
+    u2_rad = np.array([1.0 / window.precision[0, 0] for window in windows])
+    correction_rad = u2_rad * [window.score[0] - window.precision[0, 1:] @ overtones for window in windows]
+    u2_common = float(covariance[0, 0]) - 1.0 / float(precision[0, 0])
+    return correction_rad, np.sqrt(u2_rad), math.sqrt(max(u2_common, 0.0))
 
 
 def angle_of(vector: Floats) -> float:
@@ -197,9 +199,9 @@ def modulo_pi(angle_rad: float) -> float:
     return (angle_rad + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
 
-def _vector(rows: Floats, direction: Floats) -> Floats:
+def _vector(coefficients: Floats, direction: Floats) -> Floats:
     """Vector of a mode with this direction (see `WindowDirections`), from the coefficients along it."""
-    cosine, sine = rows.reshape(2, -1) @ (-1.0) ** np.arange(_ENVELOPE_TERMS)
+    cosine, sine = coefficients.reshape(2, -1) @ (-1.0) ** np.arange(_ENVELOPE_TERMS)
     return math.copysign(math.hypot(cosine, sine), cosine) * direction
 
 
@@ -226,16 +228,14 @@ def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tup
 class Oscillation:
     """Least-squares fit of one sinusoid, whose amplitude changes linearly in time, about a straight line.
 
-    `amplitude` (at the middle of the samples), `noise` (standard deviation of the residuals) and `residuals`
-    (n,), the residuals, have the unit of the samples. `explained` is the fraction of the variance about a
-    line that the sinusoid explains.
+    `amplitude` (at the middle of the samples) and `noise` (standard deviation of the residuals) have the unit
+    of the samples. `explained` is the fraction of the variance about a line that the sinusoid explains.
     """
 
     period_s: float
     amplitude: float
     noise: float
     explained: float
-    residuals: Floats
 
 
 def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> Oscillation:
@@ -253,38 +253,36 @@ def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> 
 
     count = len(times_s)
     span_s = float(times_s[-1] - times_s[0])
-    even = np.interp(np.linspace(times_s[0], times_s[-1], count), times_s, values)
-    even = even - np.polyval(np.polyfit(np.arange(count), even, 1), np.arange(count))
-    power = np.abs(np.fft.rfft(even * np.hanning(count), 8 * count)) ** 2
+    uniform = np.interp(np.linspace(times_s[0], times_s[-1], count), times_s, values)
+    uniform = uniform - np.polyval(np.polyfit(np.arange(count), uniform, 1), np.arange(count))
+    power = np.abs(np.fft.rfft(uniform * np.hanning(count), 8 * count)) ** 2
     frequency = np.fft.rfftfreq(8 * count, span_s / (count - 1))
-    top = int(np.argmax(np.where(frequency >= 1.0 / longest_s, power, -1.0)))
-    half_line = 0.5 / span_s
+    peak = int(np.argmax(np.where(frequency >= 1.0 / longest_s, power, -1.0)))
+    half_width_hz = 0.5 / span_s
     found = minimize_scalar(
         lambda f: float(np.sum(_sinusoid_fit(times_s, values, f)[0] ** 2)),
-        bounds=(max(frequency[top] - half_line, 0.1 / span_s), frequency[top] + half_line),
+        bounds=(max(frequency[peak] - half_width_hz, 0.1 / span_s), frequency[peak] + half_width_hz),
         method="bounded",
         options={"xatol": 1e-7 / span_s},
     )
     residuals, amplitude = _sinusoid_fit(times_s, values, float(found.x))
-    flat = float(np.var(even))
+    variance = float(np.var(uniform))
     noise = math.sqrt(float(residuals @ residuals) / max(count - 7, 1))
-    return Oscillation(1.0 / float(found.x), amplitude, noise, 1.0 - noise**2 / max(flat, 1e-300), residuals)
+    return Oscillation(1.0 / float(found.x), amplitude, noise, 1.0 - noise**2 / max(variance, 1e-300))
 
 
 def _sinusoid_fit(times_s: Floats, values: Floats, frequency_hz: float) -> tuple[Floats, float]:
     """Residuals of the linear fit of a sinusoid at this frequency, and its amplitude."""
     phase = 2.0 * math.pi * frequency_hz * (times_s - times_s[0])
-    u = (times_s - times_s[0]) / (times_s[-1] - times_s[0]) - 0.5
+    x = (times_s - times_s[0]) / (times_s[-1] - times_s[0]) - 0.5
     cosine, sine = np.cos(phase), np.sin(phase)
-    design = np.column_stack([cosine, sine, u * cosine, u * sine, np.ones_like(u), u])
+    design = np.column_stack([cosine, sine, x * cosine, x * sine, np.ones_like(x), x])
     solution, *_ = np.linalg.lstsq(design, values, rcond=None)
     return values - design @ solution, float(np.hypot(solution[0], solution[1]))
 
 
-_MIN_SWING_PX = 0.05
-"""Smallest amplitude of a swing that is rejected, if it exceeds the limit below, too."""
-_MIN_OVER_NOISE = 3.0
-"""Smallest amplitude relative to the standard deviation of the residuals."""
+_MIN_OSCILLATION_PX, _MIN_OSCILLATION_RATIO = 0.05, 3.0
+"""Smallest amplitude of an oscillation that is rejected: in px, and over the residuals' scatter."""
 
 
 def require_rest(times_s: Floats, x_px: Floats, y_px: Floats, what: str) -> None:
@@ -308,11 +306,11 @@ def require_rest(times_s: Floats, x_px: Floats, y_px: Floats, what: str) -> None
         The pendulum swings.
     """
     for name, values in (("x", x_px), ("y", y_px)):
-        line = np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
-        flat = values - line
-        fit = strongest_oscillation(times_s, flat, float(times_s[-1] - times_s[0]))
-        loud = fit.amplitude > max(_MIN_SWING_PX, _MIN_OVER_NOISE * fit.noise)
-        if loud and fit.explained > 0.5 and fit.period_s > 0.2:
+        drift = np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
+        deviation = values - drift
+        fit = strongest_oscillation(times_s, deviation, float(times_s[-1] - times_s[0]))
+        is_significant = fit.amplitude > max(_MIN_OSCILLATION_PX, _MIN_OSCILLATION_RATIO * fit.noise)
+        if is_significant and fit.explained > 0.5 and fit.period_s > 0.2:
             raise DataError(
                 f"{what}: the pendulum swings by {fit.amplitude:.3g} px in {name} with a period of "
                 f"{fit.period_s:.3g} s where it should rest; clamp it or let it come to rest"

@@ -60,31 +60,31 @@ def check_steps(steps: LadderSteps, kind: str) -> None:
 
 def approach_directions(reference: Floats) -> Floats:
     """Directions of approach (n,): +1 from below, -1 from above; that of the setting before if repeated."""
-    way = np.sign(np.diff(reference))
-    for i in range(1, len(way)):
-        way[i] = way[i] or way[i - 1]
-    first = way[np.flatnonzero(way)[0]] if np.any(way) else 1.0
-    way[way == 0] = first
-    return np.concatenate([[first], way])
+    approach = np.sign(np.diff(reference))
+    for i in range(1, len(approach)):
+        approach[i] = approach[i] or approach[i - 1]
+    first = approach[np.flatnonzero(approach)[0]] if np.any(approach) else 1.0
+    approach[approach == 0] = first
+    return np.concatenate([[first], approach])
 
 
-def approach_if_both(reference: Floats, way: Floats) -> Floats | None:
+def two_sided_approach(reference: Floats, approach: Floats) -> Floats | None:
     """The directions of approach if both occur where no skew can stand for a hysteresis; else None."""
     x = reference / np.abs(reference).max()
-    design = np.column_stack([np.ones_like(x), x, x**2, way])
-    return way if np.linalg.matrix_rank(design) == design.shape[1] else None
+    design = np.column_stack([np.ones_like(x), x, x**2, approach])
+    return approach if np.linalg.matrix_rank(design) == design.shape[1] else None
 
 
 class LadderTrace(NamedTuple):
     """A ladder along the motion of the spot, arrays (n,).
 
-    `t` is the tangent of twice the tilt, or the shift in m; `place_px` the position of the spot. `u_px`
+    `t` is the tangent of twice the tilt, or the shift in m; `position_px` the position of the spot. `u_px`
     includes the reference's uncertainty. `by_hysteresis` is the derivative of t with respect to the
     hysteresis, None if all settings were approached from one side.
     """
 
     t: Floats
-    place_px: Floats
+    position_px: Floats
     u_px: Floats
     by_hysteresis: Floats | None
 
@@ -94,9 +94,9 @@ class LadderSolution:
     """Solution of the least-squares problem along and across the motion of the spot.
 
     The fields are those of `LadderFit`; `skew` is 0 and `hysteresis` NaN where they are not fitted. The
-    uncertainties are enlarged along the motion by `birge`, across it by `birge_across`. `along_dof` are the
-    degrees of freedom of `birge`, infinite if it is 1. `trace` is the ladder along the motion. `residual_px`
-    (n, 2) are the positions minus those of the fitted ladder at the stated settings.
+    uncertainties are enlarged by Birge ratios, along the motion `birge`, across it `birge_across`.
+    `along_dof` are the degrees of freedom of `birge`, infinite if it is 1. `trace` is the ladder along the
+    motion. `residual_px` (n, 2) are the positions minus those of the fitted ladder at the stated settings.
     """
 
     scale: float
@@ -118,15 +118,15 @@ class LadderSolution:
     residual_px: Floats
 
 
-def carrier(setting: Floats, kind: str) -> tuple[Floats, Floats]:
-    """Tangents of twice the tilts, or the shifts, to which the spot's position is proportional, and their
-    derivatives with respect to the settings."""
+def abscissa(setting: Floats, kind: str) -> tuple[Floats, Floats]:
+    """Abscissae to which the spot's position is proportional, tangents of twice the tilts or the shifts, and
+    their derivatives with respect to the settings."""
     if kind == "tilt":
         return np.tan(2.0 * setting), 2.0 / np.cos(2.0 * setting) ** 2
     return setting, np.ones_like(setting)
 
 
-def _line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floats, float]:
+def _fit_line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floats, float]:
     """Coefficients of a weighted fit, their covariance by the stated uncertainties, and chi-square."""
     weighted = design / u_px[:, None]
     values, *_ = np.linalg.lstsq(weighted, places_px / u_px, rcond=None)
@@ -135,67 +135,70 @@ def _line(design: Floats, places_px: Floats, u_px: Floats) -> tuple[Floats, Floa
     return values.astype(np.float64), covariance, float(unexplained @ unexplained)
 
 
-def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew: bool) -> LadderSolution:
-    """Least squares, with the skew as a parameter if `with_skew` and the hysteresis if `way` is given.
+def solve_ladder(steps: LadderSteps, kind: str, approach: Floats | None, *, fit_skew: bool) -> LadderSolution:
+    """Least squares, with the skew as a parameter if `fit_skew` and the hysteresis if `approach` is given.
 
     An error of a setting moves the spot along the motion alone: its uncertainty is added to that of the
     position there (the effective variance of W. A. Fuller, Measurement Error Models, 1987).
     """
-    t, slope = carrier(steps.reference, kind)
+    t, slope = abscissa(steps.reference, kind)
     places_px = np.column_stack([steps.x_px, steps.y_px])
-    motion = np.polyfit(t, places_px, 1)[0]
+    direction = np.polyfit(t, places_px, 1)[0]
     # rows: unit vectors along and across the motion
-    turn = np.array([motion, [-motion[1], motion[0]]]) / np.hypot(*motion)
-    u_along_px, u_across_px = np.sqrt(turn**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
-    u_along_px = np.hypot(u_along_px, np.hypot(*motion) * slope * steps.u_reference)
-    along_px, across_px = turn @ places_px.T
+    rotation = np.array([direction, [-direction[1], direction[0]]]) / np.hypot(*direction)
+    u_along_px, u_across_px = np.sqrt(rotation**2 @ np.array([steps.u_x_px, steps.u_y_px]) ** 2)
+    u_along_px = np.hypot(u_along_px, np.hypot(*direction) * slope * steps.u_reference)
+    along_px, across_px = rotation @ places_px.T
     columns = [np.ones_like(t), t]
-    columns += [t**2] if with_skew else []
-    columns += [] if way is None else [0.5 * way * slope]
+    columns += [t**2] if fit_skew else []
+    by_hysteresis = None if approach is None else 0.5 * approach * slope
+    columns += [] if by_hysteresis is None else [by_hysteresis]
     design = np.column_stack(columns)
-    values, covariance, chi2_along = _line(design, along_px, u_along_px)
-    values_across, covariance_across, chi2_across = _line(design[:, :2], across_px, u_across_px)
+    values, covariance, chi2_along = _fit_line(design, along_px, u_along_px)
+    values_across, covariance_across, chi2_across = _fit_line(design[:, :2], across_px, u_across_px)
     dof_along, dof_across = len(t) - len(values), len(t) - 2
     birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
     scale, u = float(values[1]), birge * np.sqrt(np.diag(covariance))
     u_across = birge_across * np.sqrt(np.diag(covariance_across))
-    origin_px = turn.T @ [values[0], values_across[0]]
-    kx, ky = turn.T @ [scale, values_across[1]]
-    moved_px = np.outer((design @ values - values[0]) / scale, [kx, ky])
+    origin_px = rotation.T @ [values[0], values_across[0]]
+    kx, ky = rotation.T @ [scale, values_across[1]]
+    fitted_px = np.outer((design @ values - values[0]) / scale, [kx, ky])
     return LadderSolution(
         scale=scale,
         u_scale=float(u[1]),
         origin_px=origin_px,
-        u_origin_px=np.sqrt(turn.T**2 @ np.array([u[0], u_across[0]]) ** 2),
+        u_origin_px=np.sqrt(rotation.T**2 @ np.array([u[0], u_across[0]]) ** 2),
         direction_rad=math.atan2(kx, -ky),
         u_direction_rad=float(u_across[1]) / scale,
-        skew=float(values[2]) / scale if with_skew else 0.0,
-        u_skew=float(u[2]) / scale if with_skew else 0.0,
-        hysteresis=math.nan if way is None else float(values[-1]) / scale,
-        u_hysteresis=math.nan if way is None else float(u[-1]) / scale,
+        skew=float(values[2]) / scale if fit_skew else 0.0,
+        u_skew=float(u[2]) / scale if fit_skew else 0.0,
+        hysteresis=math.nan if approach is None else float(values[-1]) / scale,
+        u_hysteresis=math.nan if approach is None else float(u[-1]) / scale,
         chi2=chi2_along + chi2_across,
         dof=dof_along + dof_across,
         birge=birge,
         birge_across=birge_across,
         along_dof=dof_along if birge > 1.0 else math.inf,
-        trace=LadderTrace(t, along_px - values[0], u_along_px, None if way is None else 0.5 * way * slope),
-        residual_px=places_px - origin_px - moved_px,
+        trace=LadderTrace(t, along_px - values[0], u_along_px, by_hysteresis),
+        residual_px=places_px - origin_px - fitted_px,
     )
 
 
 def leave_one_out(
-    steps: LadderSteps, kind: str, way: Floats | None, with_skew: bool, scale: float, u_scale: float
+    steps: LadderSteps, kind: str, approach: Floats | None, fit_skew: bool, scale: float, u_scale: float
 ) -> Floats:
     """Changes (n,) of the scale without each step, over their own standard uncertainties; NaN: no fit."""
     change = np.full(len(steps.reference), np.nan)
     for i in range(len(change)):
-        rest = LadderSteps(*(np.delete(getattr(steps, name), i) for name in LadderSteps.__slots__))
-        if len(np.unique(rest.reference)) < 3:
+        others = LadderSteps(*(np.delete(getattr(steps, name), i) for name in LadderSteps.__slots__))
+        if len(np.unique(others.reference)) < 3:
             continue
-        rest_way = None if way is None else approach_if_both(rest.reference, np.delete(way, i))
-        without = solve_ladder(rest, kind, rest_way, with_skew=with_skew)
-        spread = math.sqrt(max(without.u_scale**2 - u_scale**2, (0.05 * u_scale) ** 2))
-        change[i] = (without.scale - scale) / spread
+        other_approach = (
+            None if approach is None else two_sided_approach(others.reference, np.delete(approach, i))
+        )
+        solution = solve_ladder(others, kind, other_approach, fit_skew=fit_skew)
+        spread = math.sqrt(max(solution.u_scale**2 - u_scale**2, (0.05 * u_scale) ** 2))
+        change[i] = (solution.scale - scale) / spread
     return change
 
 
@@ -205,7 +208,7 @@ _CUBIC_STD = (3e-4, 1e-3, 5e-3)
 """Prior standard deviations of the cubic part at the ladder's end, relative to the displacement there, all
 equally probable. No reference is quite linear: what the steps do not show of it is part of the uncertainty.
 """
-_P_WRONG = 0.01
+_PRIOR_P_WRONG = 0.01
 """Prior probability that a step is wrong."""
 _WRONG_STEP_STD = (6.0, 60.0)
 """Standard deviations of a wrong step, in units of its stated uncertainty."""
@@ -237,8 +240,8 @@ class ScaleEvidence(NamedTuple):
 class _Model(NamedTuple):
     """Fit of one model: logarithm of its probability, parameters, their covariance, chi-square of the steps.
 
-    `wrong` is the number of the wrong step, or -1; `spent` are the degrees of freedom that the model uses in
-    addition to those of the simplest.
+    `wrong` is the number of the wrong step, or -1; `extra_dof` are the degrees of freedom that the model uses
+    in addition to those of the simplest.
     """
 
     log_probability: float
@@ -246,7 +249,7 @@ class _Model(NamedTuple):
     covariance: Floats
     chi2: float
     wrong: int
-    spent: int
+    extra_dof: int
 
 
 def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: float) -> ScaleEvidence:
@@ -262,16 +265,16 @@ def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: fl
     scale
         An estimate of the scale in px per unit of t, accurate to a percent.
     """
-    found, best = _posterior(steps, kind, scale, 1.0)
+    evidence, best = _posterior(steps, kind, scale, 1.0)
     # the skew of a stage has no prior, so it uses up a degree of freedom, as the scale does
-    count, used = len(steps.t), (2 if kind == "tilt" else 3) + (steps.by_hysteresis is not None)
+    count, fitted = len(steps.t), (2 if kind == "tilt" else 3) + (steps.by_hysteresis is not None)
     # only scatter that no model explains is noise in excess of the stated uncertainties
-    birge = birge_ratio(best.chi2, max(count - used - best.spent, 1))
+    birge = birge_ratio(best.chi2, max(count - fitted - best.extra_dof, 1))
     if birge == 1.0:
-        return found
-    dof = max(count - used, 1)
-    plain = _fit(steps, kind, scale, _CUBIC_STD[0])
-    birge = math.sqrt(max(plain.chi2 / dof, 1.0))
+        return evidence
+    dof = max(count - fitted, 1)
+    simplest = _fit(steps, kind, scale, _CUBIC_STD[0])
+    birge = math.sqrt(max(simplest.chi2 / dof, 1.0))
     return _posterior(steps, kind, scale, birge)[0]._replace(birge=birge, dof=float(dof))
 
 
@@ -299,43 +302,43 @@ def _posterior(
     count = len(steps.t)
     enlarged = steps._replace(u_px=birge * steps.u_px)
     # where all steps scatter by more than stated, wrong ones cannot be recognised
-    suspects = range(-1, count if birge == 1.0 else 0)
+    candidates = range(-1, count if birge == 1.0 else 0)
     models = [
-        _fit(enlarged, kind, scale, cubic_std, wrong, by)
+        _fit(enlarged, kind, scale, cubic_std, wrong, factor)
         for cubic_std in _CUBIC_STD
-        for wrong in suspects
-        for by in (_WRONG_STEP_STD if wrong >= 0 else (1.0,))
+        for wrong in candidates
+        for factor in (_WRONG_STEP_STD if wrong >= 0 else (1.0,))
     ]
     logs = np.array([model.log_probability for model in models])
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
-    at = np.array([model.wrong for model in models])
+    wrong_steps = np.array([model.wrong for model in models])
 
     def mean(values: Floats, variances: Floats) -> tuple[float, float]:
         middle = float(weight @ values)
         return middle, math.sqrt(float(weight @ (variances + (values - middle) ** 2)))
 
     scales = np.array([model.values[1] for model in models])
-    found, u_found = mean(scales, np.array([model.covariance[1, 1] for model in models]))
+    mean_scale, u_mean_scale = mean(scales, np.array([model.covariance[1, 1] for model in models]))
     cubic, u_cubic = mean(
         np.array([model.values[3] for model in models]) / scales,
         np.array([model.covariance[3, 3] for model in models]) / scales**2,
     )
-    wrong = np.array([weight[at == k].sum() for k in range(count)])
-    evidence = ScaleEvidence(found, u_found, cubic, u_cubic, wrong, birge=1.0, dof=math.inf)
+    wrong = np.array([weight[wrong_steps == k].sum() for k in range(count)])
+    evidence = ScaleEvidence(mean_scale, u_mean_scale, cubic, u_cubic, wrong, birge=1.0, dof=math.inf)
     return evidence, models[int(np.argmax(logs))]
 
 
 def _fit(
-    steps: LadderTrace, kind: str, scale: float, cubic_std: float, wrong: int = -1, by: float = 1.0
+    steps: LadderTrace, kind: str, scale: float, cubic_std: float, wrong: int = -1, factor: float = 1.0
 ) -> _Model:
     """Fit of one model in closed form; its parameters are origin, scale, scale times skew, scale times cubic
-    part, and hysteresis. The uncertainty of the step `wrong` is enlarged by the factor `by`.
+    part, and hysteresis. The uncertainty of the step `wrong` is enlarged by `factor`.
     """
     t = steps.t
     end = float(np.abs(t).max())
-    u = steps.u_px * np.where(np.arange(len(t)) == wrong, by, 1.0)
-    p_steps = 1.0 - len(t) * _P_WRONG if wrong < 0 else _P_WRONG / len(_WRONG_STEP_STD)
+    u = steps.u_px * np.where(np.arange(len(t)) == wrong, factor, 1.0)
+    p_steps = 1.0 - len(t) * _PRIOR_P_WRONG if wrong < 0 else _PRIOR_P_WRONG / len(_WRONG_STEP_STD)
     columns = [np.ones_like(t), t, t**2, t * (t / end) ** 2]
     skew = scale * SKEW_PRIOR_STD if kind == "tilt" else _FLAT_PRIOR_STD * scale / end
     widths = [_FLAT_PRIOR_STD * scale * end, _FLAT_PRIOR_STD * scale, skew, cubic_std * scale]
@@ -344,17 +347,17 @@ def _fit(
         widths.append(_FLAT_PRIOR_STD * end / float(np.abs(steps.by_hysteresis).max()))
     width = np.array(widths)
     design = np.column_stack(columns) * width / u[:, None]
-    position = steps.place_px / u
+    position = steps.position_px / u
     precision = design.T @ design + np.eye(len(width))
     values = np.linalg.solve(precision, design.T @ position)
     residual = position - design @ values
     chi2 = float(residual @ residual)
     log_probability = (
-        math.log(max(p_steps, _P_WRONG))
+        math.log(max(p_steps, _PRIOR_P_WRONG))
         - 0.5 * (chi2 + float(values @ values))
         - 0.5 * float(np.linalg.slogdet(precision)[1])
         - float(np.log(u).sum())
     )
     covariance = np.linalg.inv(precision) * np.outer(width, width)
-    spent = (cubic_std > _CUBIC_STD[0]) + (wrong >= 0)
-    return _Model(log_probability, values * width, covariance, chi2, wrong, spent)
+    extra_dof = (cubic_std > _CUBIC_STD[0]) + (wrong >= 0)
+    return _Model(log_probability, values * width, covariance, chi2, wrong, extra_dof)

@@ -10,12 +10,12 @@ from calibration.ladder import (
     SKEW_PRIOR_STD,
     LadderSteps,
     approach_directions,
-    approach_if_both,
     check_steps,
     ladder_notes,
     leave_one_out,
     scale_evidence,
     solve_ladder,
+    two_sided_approach,
 )
 from calibration.light_lever import Lever
 from processing.arrays import Floats
@@ -105,9 +105,9 @@ def fit_ladder(
     from scipy.special import chdtrc, fdtrc
 
     check_steps(steps, kind)
-    way = approach_if_both(steps.reference, approach_directions(steps.reference))
-    straight = solve_ladder(steps, kind, way, with_skew=False)
-    skewed = solve_ladder(steps, kind, way, with_skew=True)
+    way = two_sided_approach(steps.reference, approach_directions(steps.reference))
+    straight = solve_ladder(steps, kind, way, fit_skew=False)
+    skewed = solve_ladder(steps, kind, way, fit_skew=True)
     gain = max(straight.chi2 - skewed.chi2, 0.0)
     # the test allows for residuals that scatter more than stated even with the skew, as noise
     gain /= skewed.birge**2

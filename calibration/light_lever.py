@@ -246,10 +246,8 @@ def _spot_on_sensor_m(geometry: LeverGeometry, tilt_rad: float) -> Floats:
     forward = np.cross(axis, [0.0, 1.0, 0.0])
     level = np.array([math.sin(across), 0.0, math.cos(across)])
     arm_of_point = geometry.beam_reach_m * level + geometry.beam_height_m * np.array([0.0, 1.0, 0.0])
-    turned = _rotated(normal, axis, tilt_rad)
-    point = (
-        geometry.ball_radius_m * tilt_rad * forward + _rotated(arm_of_point, axis, tilt_rad) - arm_of_point
-    )
+    turned = _rotate(normal, axis, tilt_rad)
+    point = geometry.ball_radius_m * tilt_rad * forward + _rotate(arm_of_point, axis, tilt_rad) - arm_of_point
     on_mirror = incoming * (point @ turned) / (incoming @ turned)
     outgoing = incoming - 2.0 * (incoming @ turned) * turned
     t_along, t_across = geometry.sensor_tilt_along_rad, geometry.sensor_tilt_across_rad
@@ -269,7 +267,7 @@ def _spot_on_sensor_m(geometry: LeverGeometry, tilt_rad: float) -> Floats:
     return np.array([spot @ right, spot @ up])
 
 
-def _rotated(vector: Floats, axis: Floats, angle: float) -> Floats:
+def _rotate(vector: Floats, axis: Floats, angle: float) -> Floats:
     """The vector rotated about a unit `axis` (Rodrigues' formula), angle in rad."""
     rotated: Floats = (
         vector * math.cos(angle)

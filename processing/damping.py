@@ -2,10 +2,10 @@
 
     dA/dt = -(c + g A + q A^2)
 
-c is friction that does not depend on speed (Coulomb), g is viscous or structural damping, which a decay at
-one frequency cannot distinguish, q is drag that grows with the square of the speed. tau(A) = -A / (dA/dt) is
-the time constant at an amplitude. A = x/y solves it with x' = -g x/2 - c y, y' = q x + g y/2, whose matrix
-squared is (g^2/4 - q c) times the unit matrix.
+The constant c is friction that does not depend on speed (Coulomb), the linear g is viscous or structural
+damping, which a decay at one frequency cannot distinguish, the quadratic q is drag that grows with the square
+of the speed. tau(A) = -A / (dA/dt) is the time constant at an amplitude. A = x/y solves it with
+x' = -g x/2 - c y, y' = q x + g y/2, whose matrix squared is (g^2/4 - q c) times the unit matrix.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,14 +28,14 @@ _DB: Final = 10.0 / log(10.0)
 _MIN_RELATIVE_AMPLITUDE: Final = 1e-9
 """Smallest amplitude in units of the largest one; smaller ones count as this."""
 _ENDS: Final = np.array([0.0, 1.0])
-_FLOOR_CHI2: Final = 12.0
+_MIN_FLOOR_CHI2: Final = 12.0
 """Smallest reduction of chi-square by a noise floor; by chance it occurs once in 2000 decays."""
-_MORE_THAN_NOISE: Final = 4.0
+_MIN_EXCESS: Final = 4.0
 """Mean square, in its variances, from which on a residual is more than noise."""
 _STRETCHES, _FEWEST_STRETCHES, _FEWEST_OF_STRETCH = 12, 4, 5
 """Number of equal stretches of a decay whose own rates are compared with the fitted one, and the fewest of
 them and of their amplitudes."""
-_FLOORS_ABOVE: Final = 3.0
+_MIN_FLOOR_RATIO: Final = 3.0
 """Amplitude in noise floors from which on the floor hardly changes the rate."""
 
 
@@ -113,11 +113,11 @@ def amplitude_at(times_s: Floats, first: float, constant: float, linear: float, 
         cosine, sine = np.cos(x), np.sin(x) / s
     else:
         cosine, sine = np.ones_like(times_s), times_s
-    above = first * (cosine - 0.5 * linear * sine) - constant * sine
-    below = quadratic * first * sine + cosine + 0.5 * linear * sine
+    numerator = first * (cosine - 0.5 * linear * sine) - constant * sine
+    denominator = quadratic * first * sine + cosine + 0.5 * linear * sine
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.where(below > 0, above / below, inf)
-    return np.asarray(np.clip(found, 0.0, 1e6 * abs(first) + 1.0))
+        amplitude = np.where(denominator > 0, numerator / denominator, inf)
+    return np.asarray(np.clip(amplitude, 0.0, 1e6 * abs(first) + 1.0))
 
 
 def fit_damping(
@@ -137,8 +137,8 @@ def fit_damping(
     DataError
         Fewer than 12 values, uncertainties or amplitudes that are not positive, or values that do not fall.
     """
-    good = np.isfinite(values) & np.isfinite(u_values)
-    t, y, u = times_s[good] - times_s[good][:1], values[good], u_values[good]
+    valid = np.isfinite(values) & np.isfinite(u_values)
+    t, y, u = times_s[valid] - times_s[valid][:1], values[valid], u_values[valid]
     if len(y) < _FEWEST_AMPLITUDES:
         raise DataError(f"the decay has {len(y)} amplitudes; at least {_FEWEST_AMPLITUDES} are needed")
     if not np.min(u) > 0:
@@ -156,46 +156,48 @@ def fit_damping(
     level_db = float(np.max(y)) if decibel else 0.0
     fit = _Fit(t / span_s, (y - level_db) if decibel else y / scale, u if decibel else u / scale, decibel)
     start = fit.start()
-    bare, level = fit.parts(PARTS, start), nan
+    full, level = fit.parts(PARTS, start), nan
     if floor:
-        at_floor = fit.parts(PARTS, start, floor=True)
-        below = amplitude_at(_ENDS, *at_floor.values[:4])[1] < at_floor.floor
-        if below and bare.chi2 - at_floor.chi2 > _FLOOR_CHI2:
-            bare, level = at_floor, at_floor.floor
+        with_floor = fit.parts(PARTS, start, floor=True)
+        reaches_floor = amplitude_at(_ENDS, *with_floor.values[:4])[1] < with_floor.floor
+        if reaches_floor and full.chi2 - with_floor.chi2 > _MIN_FLOOR_CHI2:
+            full, level = with_floor, with_floor.floor
     unit = 10 ** (level_db / 20.0) if decibel else scale
     fits = {
-        kept: fit.parts(kept, start, floor=bool(np.isfinite(level)))
+        subset: fit.parts(subset, start, floor=bool(np.isfinite(level)))
         for size in (1, 2)
-        for kept in combinations(PARTS, size)
-    } | {PARTS: bare}
+        for subset in combinations(PARTS, size)
+    } | {PARTS: full}
     freedom = len(y) - 4 - (1 if np.isfinite(level) else 0)
-    chi2_per_dof = bare.chi2 / freedom
+    chi2_per_dof = full.chi2 / freedom
     # if all parts together leave more than the stated noise, the noise is taken from their residuals
     excess = max(1.0, chi2_per_dof)
-    weights = {kept: found.chi2 / excess + (len(kept) + 1) * log(len(y)) for kept, found in fits.items()}
-    best = min(weights.values())
-    chances = {kept: exp(-0.5 * (weight - best)) for kept, weight in weights.items()}
+    per_part = log(len(y))
+    weights = {names: one.chi2 / excess + (len(names) + 1) * per_part for names, one in fits.items()}
+    least = min(weights.values())
+    chances = {subset: exp(-0.5 * (weight - least)) for subset, weight in weights.items()}
     total = sum(chances.values())
     # amplitude in `unit`, time in spans: constant unit/span, linear 1/span, quadratic 1/(unit span)
     sizes = np.array([unit, 1.0, 1.0 / unit]) / span_s
-    covariance = bare.covariance[1:4, 1:4] * np.outer(sizes, sizes) * excess
-    ends = amplitude_at(_ENDS, *bare.values[:4])
-    if chi2_per_dof > _MORE_THAN_NOISE:
-        above = amplitude_at(t / span_s, *bare.values[:4])
-        shown = np.hypot(above, level) if np.isfinite(level) else above
-        clear = above > (_FLOORS_ABOVE * level if np.isfinite(level) else _MIN_RELATIVE_AMPLITUDE)
+    covariance = full.covariance[1:4, 1:4] * np.outer(sizes, sizes) * excess
+    ends = amplitude_at(_ENDS, *full.values[:4])
+    if chi2_per_dof > _MIN_EXCESS:
+        decay = amplitude_at(t / span_s, *full.values[:4])
+        observed = np.hypot(decay, level) if np.isfinite(level) else decay
+        clear = decay > (_MIN_FLOOR_RATIO * level if np.isfinite(level) else _MIN_RELATIVE_AMPLITUDE)
         with np.errstate(divide="ignore"):
-            left, u_left = (
-                ((y - level_db) / (2.0 * _DB) - np.log(shown), u / (2.0 * _DB))
+            residual, u_residual = (
+                ((y - level_db) / (2.0 * _DB) - np.log(observed), u / (2.0 * _DB))
                 if decibel
-                else (y / scale / shown - 1.0, u / scale / shown)
+                else (y / scale / observed - 1.0, u / scale / observed)
             )
-        covariance *= _rates_off2(t[clear], left[clear], u_left[clear], above[clear] * unit, covariance)
+        amplitude = decay[clear] * unit
+        covariance *= _rate_excess(t[clear], residual[clear], u_residual[clear], amplitude, covariance)
     parts = [
         DampingTerm(
-            float(bare.values[k + 1] * sizes[k]),
+            float(full.values[k + 1] * sizes[k]),
             sqrt(covariance[k, k]),
-            float(sum(chance for kept, chance in chances.items() if name in kept) / total),
+            float(sum(chance for subset, chance in chances.items() if name in subset) / total),
         )
         for k, name in enumerate(PARTS)
     ]
@@ -205,7 +207,7 @@ def fit_damping(
     if not rate > 3.0 * u_rate:
         raise DataError("the amplitude does not fall: this is not a ring-down, or too short a part of one")
     tau_s = span_s / rate
-    u_tau_s = sqrt((tau_s * u_rate / rate) ** 2 + _spread2(fits, chances, ends, rate) * span_s**2)
+    u_tau_s = sqrt((tau_s * u_rate / rate) ** 2 + _tau_variance(fits, chances, ends, rate) * span_s**2)
     return DampingTerms(
         samples=len(y),
         constant=parts[0],
@@ -221,33 +223,33 @@ def fit_damping(
     )
 
 
-def _rates_off2(t_s: Floats, left: Floats, u_left: Floats, amplitude: Floats, covariance: Floats) -> float:
+def _rate_excess(t_s: Floats, residual: Floats, u: Floats, amplitude: Floats, covariance: Floats) -> float:
     """Mean square by which the rates of stretches lie off the fitted one, in its variances; at least 1.
 
-    `left` (n,) are the residuals of ln(amplitude) with `u_left`, `covariance` (3, 3) that of the parts. Noise
-    leaves the slopes of the residuals as uncertain as each stretch by itself tells; they then count nothing.
+    `residual` (n,) is that of ln(amplitude), with `u`, `covariance` (3, 3) that of the parts. Slopes
+    of the residuals that agree with their noise, as each stretch shows it, enlarge nothing.
     """
     count = min(_STRETCHES, len(t_s) // _FEWEST_OF_STRETCH)
     if count < _FEWEST_STRETCHES:
         return 1.0
     slopes2, u2, fitted2 = np.empty((3, count))
-    for place, rows in enumerate(np.array_split(np.arange(len(t_s)), count)):
-        weight = 1.0 / u_left[rows] ** 2
+    for k, rows in enumerate(np.array_split(np.arange(len(t_s)), count)):
+        weight = 1.0 / u[rows] ** 2
         x = t_s[rows] - np.average(t_s[rows], weights=weight)
-        y = left[rows] - np.average(left[rows], weights=weight)
+        y = residual[rows] - np.average(residual[rows], weights=weight)
         spread = float(np.sum(weight * x**2))
         slope = float(np.sum(weight * x * y)) / spread
         scatter = float(np.sum(weight * (y - slope * x) ** 2)) / (len(rows) - 2)
-        at = float(np.mean(amplitude[rows]))
-        powers = np.array([1.0 / at, 1.0, at])
-        slopes2[place], u2[place] = slope**2, max(1.0, scatter) / spread
-        fitted2[place] = powers @ covariance @ powers
-    if not np.mean(slopes2 / u2) > _MORE_THAN_NOISE:
+        mean_amplitude = float(np.mean(amplitude[rows]))
+        powers = np.array([1.0 / mean_amplitude, 1.0, mean_amplitude])
+        slopes2[k], u2[k] = slope**2, max(1.0, scatter) / spread
+        fitted2[k] = powers @ covariance @ powers
+    if not np.mean(slopes2 / u2) > _MIN_EXCESS:
         return 1.0
     return max(1.0, float(np.mean((slopes2 - u2) / fitted2)))
 
 
-def _spread2(
+def _tau_variance(
     fits: Mapping[tuple[str, ...], _DampingSolution],
     chances: Mapping[tuple[str, ...], float],
     ends: Floats,
@@ -261,8 +263,8 @@ def _spread2(
     quarters = np.geomspace(ends[0], max(ends[1], 0.02 * ends[0]), 5)[[1, 3]]
     powers = np.stack([1.0 / quarters, np.ones(2), quarters])
     weighted = [
-        chances[kept] * np.ptp(1.0 / np.maximum(found.values[1:] @ powers, rate / 8)) ** 2
-        for kept, found in fits.items()
+        chances[subset] * np.ptp(1.0 / np.maximum(solution.values[1:] @ powers, rate / 8)) ** 2
+        for subset, solution in fits.items()
     ]
     return float(sum(weighted)) / sum(chances.values()) / 3.0
 
@@ -281,18 +283,18 @@ class _Fit:
         amplitude = 10 ** (self._y / 20.0) if self._decibel else self._y
         head = max(len(amplitude) // 50, 1)
         first = float(np.median(amplitude[:head]))
-        below = np.nonzero(amplitude < 0.5 * first)[0]
-        half = float(self._t[below[0]]) if len(below) and below[0] > 0 else 1.0
-        return np.array([first, 0.0, max(log(2.0) / half, 0.05), 0.0])
+        halved = np.nonzero(amplitude < 0.5 * first)[0]
+        half_time = float(self._t[halved[0]]) if len(halved) and halved[0] > 0 else 1.0
+        return np.array([first, 0.0, max(log(2.0) / half_time, 0.05), 0.0])
 
-    def parts(self, kept: Sequence[str], start: Floats, *, floor: bool = False) -> _DampingSolution:
-        """Fit the parts `kept`, and a noise floor if `floor`."""
-        free = np.array([True, *(name in kept for name in PARTS)])
+    def parts(self, subset: Sequence[str], start: Floats, *, floor: bool = False) -> _DampingSolution:
+        """Fit the parts in `subset`, and a noise floor if `floor`."""
+        free = np.array([True, *(name in subset for name in PARTS)])
         begin = start.copy()
-        if "linear" not in kept:
+        if "linear" not in subset:
             # another part gives the same initial rate of the fall
             rate, begin[2] = begin[2], 0.0
-            begin[1 if "constant" in kept else 3] = 0.5 * rate / (1.0 if "constant" in kept else begin[0])
+            begin[1 if "constant" in subset else 3] = 0.5 * rate / (1.0 if "constant" in subset else begin[0])
         count = int(free.sum())
 
         def residual(p: Floats) -> Floats:
@@ -303,12 +305,12 @@ class _Fit:
         at_start = (
             np.append(begin[free], log(self._lowest + _MIN_RELATIVE_AMPLITUDE)) if floor else begin[free]
         )
-        found = solve(differenced(residual), at_start)
+        solution = solve(differenced(residual), at_start)
         values, covariance = np.zeros(4), np.zeros((4, 4))
-        values[free] = found.values[:count]
-        covariance[np.ix_(free, free)] = found.covariance[:count, :count]
+        values[free] = solution.values[:count]
+        covariance[np.ix_(free, free)] = solution.covariance[:count, :count]
         return _DampingSolution(
-            values, covariance, exp(min(found.values[count], 5.0)) if floor else nan, found.chi2
+            values, covariance, exp(min(solution.values[count], 5.0)) if floor else nan, solution.chi2
         )
 
     def _residual(self, p: Floats, floor: float) -> Floats:

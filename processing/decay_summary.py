@@ -251,14 +251,14 @@ class _Decay:
         steps = 0.5 * (values[1:] + values[:-1]) * (self._grid[:-1] - self._grid[1:])
         return np.concatenate([[0.0], np.cumsum(steps)])
 
-    def _interpolated(self, amplitudes: Floats, on_grid: Floats) -> Floats:
+    def _interpolate(self, amplitudes: Floats, on_grid: Floats) -> Floats:
         return np.asarray(np.interp(-amplitudes, -self._grid, on_grid))
 
     def _times(self, parameters: Floats) -> Floats:
         """Predicted times of the amplitudes and, last, of the final one."""
         amplitudes = np.append(self._a, self._final)
         return np.asarray(
-            self._interpolated(amplitudes, self._integral(self._paces(parameters))) + parameters[0]
+            self._interpolate(amplitudes, self._integral(self._paces(parameters))) + parameters[0]
         )
 
     def _white_noise_fit(self) -> Floats:
@@ -286,13 +286,13 @@ class _Decay:
         prior_rows = np.eye(4)[2:] / _U_PRIOR[:, None]
         # a step of the walk stays in the amplitude, so that its effect on the time grows with the pace; it
         # adds from one amplitude to the next whether that one is lower or higher
-        squares = self._interpolated(self._a, paces**2)
+        squares = self._interpolate(self._a, paces**2)
         steps = 0.5 * (squares[1:] + squares[:-1]) * np.maximum(np.diff(self._t), 0.0) / half_period_s
         median_u2 = float(np.median(self._u)) ** 2
         walk_variance = median_u2 * np.concatenate([[0.0], np.cumsum(steps)])
         walk_ahead = self._integral(paces**3) / half_period_s
-        walk_left = median_u2 * float(walk_ahead[-1] - self._interpolated(self._a[-1:], walk_ahead)[0])
-        noise = np.diag((self._u * self._interpolated(self._a, paces)) ** 2)
+        walk_left = median_u2 * float(walk_ahead[-1] - self._interpolate(self._a[-1:], walk_ahead)[0])
+        noise = np.diag((self._u * self._interpolate(self._a, paces)) ** 2)
         earlier_index = np.minimum.outer(np.arange(count), np.arange(count))
 
         def solved(ratio: float) -> tuple[float, float, float]:

@@ -188,7 +188,7 @@ def _has_cusps(parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> 
     largest = sorted(parts, key=lambda part: -float(np.ptp(part[1])))[:_MOST_CYCLES]
     left = np.array(
         [
-            [_mean_square(cycles, values, shape) / np.ptp(values) ** 2 for shape in (_rectified, _sinusoid)]
+            [_mean_square(cycles, values, shape) / np.ptp(values) ** 2 for shape in (_rectify, _sinusoid)]
             for cycles, values in largest
             if np.ptp(values) > 0
         ]
@@ -199,7 +199,7 @@ def _has_cusps(parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> 
     return bool(rectified < min(_LARGEST_SQUARES_RATIO * sinusoid, _LARGEST_SCATTER**2))
 
 
-def _rectified(cycles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rectify(cycles: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.abs(np.sin(np.pi * cycles))
 
 

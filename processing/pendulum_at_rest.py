@@ -18,24 +18,26 @@ _PERIODS_S = (1.5, 15.0)
 _FEWEST_SAMPLES = 8
 """Fewest samples in a period."""
 _BIN_S = 0.1
+"""Time over which the deflections are averaged; no motion of a pendulum at rest is faster."""
 
 
-class SwingAtRest(NamedTuple):
-    """Times (s) and deflections of a pendulum at rest in steps of 0.1 s, period, number of whole periods."""
+class RestOscillation(NamedTuple):
+    """Oscillation of a pendulum that only the ground moves, in means over `_BIN_S`, arrays (n,)."""
 
     time_s: Floats
     deflection: Floats
     period_s: float
     periods: int
+    """Number of whole periods in the record."""
 
 
-def swing_at_rest(time_s: Floats, deflection: Floats) -> SwingAtRest:
+def rest_oscillation(time_s: Floats, deflection: Floats) -> RestOscillation:
     """Find the period in deflections of a pendulum at rest (n,), NaN without a spot.
 
     Raises DataError for fewer than eight periods.
     """
-    seen = np.isfinite(deflection)
-    time_s, deflection = _binned(time_s[seen], deflection[seen])
+    has_spot = np.isfinite(deflection)
+    time_s, deflection = _bin_means(time_s[has_spot], deflection[has_spot])
     span_s = float(np.ptp(time_s)) if len(time_s) else 0.0
     if span_s < _FEWEST_PERIODS * _PERIODS_S[0]:
         raise DataError(f"{span_s:.3g} s of the pendulum at rest are too short to see the ground")
@@ -46,11 +48,11 @@ def swing_at_rest(time_s: Floats, deflection: Floats) -> SwingAtRest:
             f"the spot at rest moves mostly with a period of {period_s:.3g} s; {span_s:.3g} s contain "
             f"{periods} periods, and the ground needs {_FEWEST_PERIODS}"
         )
-    return SwingAtRest(time_s, deflection, period_s, periods)
+    return RestOscillation(time_s, deflection, period_s, periods)
 
 
-def _binned(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
-    """Means over tenths of a second; no motion here is faster."""
+def _bin_means(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
+    """Means over `_BIN_S`."""
     if not len(time_s):
         return time_s, deflection
     _, start, count = np.unique(np.floor(time_s / _BIN_S), return_index=True, return_counts=True)
@@ -65,60 +67,67 @@ def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
     frequency_hz = np.arange(1 / _PERIODS_S[1], 1 / _PERIODS_S[0], 0.05 / span_s)
     change, middle_s = np.diff(deflection), 0.5 * (time_s[1:] + time_s[:-1])
     change -= np.mean(change)
-    found = [abs(np.exp(2j * np.pi * one * middle_s) @ change) for one in frequency_hz]
-    return float(1 / frequency_hz[np.argmax(found)])
+    amplitude = [abs(np.exp(2j * np.pi * frequency * middle_s) @ change) for frequency in frequency_hz]
+    return float(1 / frequency_hz[np.argmax(amplitude)])
 
 
-def quadratures_of(rest: SwingAtRest, deflections: Floats) -> tuple[NDArray[np.complex128], float]:
+def quadratures_of(rest: RestOscillation, deflections: Floats) -> tuple[NDArray[np.complex128], float]:
     """Complex amplitudes (cosine + i sine) in each period (periods, series) of deflections (times, series).
 
     They are fitted together with an offset and a slope. The second result is the variance of either amplitude
     of the first series, from the residuals of neighbouring samples. Raises DataError for too few samples.
     """
     time_s, period_s = rest.time_s - rest.time_s[0], rest.period_s
-    out = np.empty((rest.periods, deflections.shape[1]), dtype=np.complex128)
+    quadratures = np.empty((rest.periods, deflections.shape[1]), dtype=np.complex128)
     variance = np.empty(rest.periods)
     phase = 2 * np.pi * time_s / period_s
-    columns = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase), phase])
+    design = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase), phase])
     for k in range(rest.periods):
         inside = (time_s >= k * period_s) & (time_s < (k + 1) * period_s)
         if np.count_nonzero(inside) < _FEWEST_SAMPLES:
             raise DataError(
                 f"{np.count_nonzero(inside)} samples in a period of {period_s:.3g} s at rest are too few"
             )
-        fitted = np.linalg.lstsq(columns[inside], deflections[inside], rcond=None)[0]
-        out[k] = fitted[0] + 1j * fitted[1]
-        left = np.diff(deflections[inside, 0] - columns[inside] @ fitted[:, 0])
-        variance[k] = np.mean(left**2) / (np.count_nonzero(inside) - 4)
-    return out, float(np.median(variance))
+        fitted = np.linalg.lstsq(design[inside], deflections[inside], rcond=None)[0]
+        quadratures[k] = fitted[0] + 1j * fitted[1]
+        residual_step = np.diff(deflections[inside, 0] - design[inside] @ fitted[:, 0])
+        variance[k] = np.mean(residual_step**2) / (np.count_nonzero(inside) - 4)
+    return quadratures, float(np.median(variance))
 
 
-def without_decay(turning: NDArray[np.complex128]) -> Floats:
-    """Steps (periods - 1, 2) without the part proportional to the oscillation: decay, error of the period."""
-    step, middle = np.diff(turning), 0.5 * (turning[1:] + turning[:-1])
-    left = step - middle * np.vdot(middle, step) / np.vdot(middle, middle)
-    left *= np.sqrt(len(step) / (len(step) - 1))
-    return np.column_stack([left.real, left.imag])
+def driven_steps(quadratures: NDArray[np.complex128]) -> Floats:
+    """Steps (periods - 1, 2) of the quadratures without the part in proportion to them.
+
+    The decay and an error of the period give that part; what the ground drives is independent of it.
+    """
+    step, middle = np.diff(quadratures), 0.5 * (quadratures[1:] + quadratures[:-1])
+    driven = step - middle * np.vdot(middle, step) / np.vdot(middle, middle)
+    driven *= np.sqrt(len(step) / (len(step) - 1))
+    return np.column_stack([driven.real, driven.imag])
 
 
-_ONE_SIGMA, _ONE_SIDED = 1.0, 2.706
-"""Rises of -2 ln L for a standard uncertainty, and for a bound of 95 %."""
+_RISE_OF_U, _RISE_OF_BOUND = 1.0, 2.706
+"""Rises of -2 ln L for a standard uncertainty, and for a one-sided bound of 95 %."""
 _MIN_OSCILLATION_RATIO = 5.0
-"""Smallest mean square of the oscillation, relative to that of the reading noise, that is significant."""
-_U_LOG_READING = 0.5
-"""Uncertainty of ln(variance of the reading) from neighbouring samples; slow air has a larger variance."""
+"""Smallest mean square of the oscillation, relative to that of the reading noise, that shows a drive."""
+_U_LOG_READING_VARIANCE = 0.5
+"""Standard uncertainty of the logarithm of the reading's variance, which neighbouring samples show too small
+where the air moves slowly."""
 _GRID = 10.0 ** np.arange(-6.0, 2.01, 0.05)
+"""Variances that are tried, relative to the mean square of the steps."""
 
 
-class GroundAtRest(NamedTuple):
-    """Density of the drive in rad/s^2/sqrt(Hz) (or the deflections' unit), its bound of 95 %, the period."""
+class GroundDrive(NamedTuple):
+    """Amplitude spectral density with which the ground drives a pendulum at rest."""
 
     density: Estimate
+    """In rad/s^2/sqrt(Hz), or in the deflections' unit in place of rad."""
     upper_95: float
+    """Upper bound of 95 % of the density."""
     period_s: float
 
 
-def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
+def drive_at_rest(time_s: Floats, deflection: Floats) -> GroundDrive:
     """Density of the drive, from the deflections of a free pendulum at rest along its slow mode.
 
     The oscillation that the ground sustains wanders in both quadratures. It is fitted again in every period.
@@ -142,31 +151,31 @@ def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
     """
     from scipy.fft import dst
 
-    rest = swing_at_rest(time_s, deflection)
+    rest = rest_oscillation(time_s, deflection)
     period_s, periods = rest.period_s, rest.periods
-    turning, expected = quadratures_of(rest, rest.deflection[:, None])
-    steps = without_decay(turning[:, 0])
+    quadratures, expected = quadratures_of(rest, rest.deflection[:, None])
+    steps = driven_steps(quadratures[:, 0])
     power = np.sum(dst(steps, type=1, axis=0, norm="ortho") ** 2, axis=1)
-    turn = np.cos(np.pi * np.arange(1, periods) / periods)
+    cosine = np.cos(np.pi * np.arange(1, periods) / periods)
     unit = float(np.mean(power)) / 2
-    drive, reading = unit * _GRID[:, None, None], unit * _GRID[None, :, None]
-    variance = drive * (2 / 3 + turn / 3) + reading * (2 - 2 * turn)
+    drive_variance, reading_variance = unit * _GRID[:, None, None], unit * _GRID[None, :, None]
+    variance = drive_variance * (2 / 3 + cosine / 3) + reading_variance * (2 - 2 * cosine)
     deviance = np.sum(2 * np.log(variance) + power / variance, axis=2)
-    deviance += (np.log(reading[:, :, 0] / expected) / _U_LOG_READING) ** 2
+    deviance += (np.log(reading_variance[:, :, 0] / expected) / _U_LOG_READING_VARIANCE) ** 2
     deviance = np.min(deviance, axis=1)
     best = int(np.argmin(deviance))
     rise = deviance - deviance[best]
-    low, high = (_crossing(rise, best, side, _ONE_SIGMA) for side in (-1, 1))
+    low, high = (_crossing(rise, best, side, _RISE_OF_U) for side in (-1, 1))
     to_density = density_of_step(1.0, 0.5 * period_s)
 
     def density(variance_a_period: float) -> float:
         return to_density * float(np.sqrt(0.5 * unit * variance_a_period))
 
-    swings = float(np.mean(np.abs(turning) ** 2)) > _MIN_OSCILLATION_RATIO * 2 * expected
-    value = density(_GRID[best]) if swings and rise[0] > GROUND_SEEN else 0.0
+    is_driven = float(np.mean(np.abs(quadratures) ** 2)) > _MIN_OSCILLATION_RATIO * 2 * expected
+    value = density(_GRID[best]) if is_driven and rise[0] > GROUND_SEEN else 0.0
     u = 0.5 * (density(high) - density(low)) if value else density(high)
-    upper = _crossing(rise, best, 1, _ONE_SIDED)
-    return GroundAtRest(Estimate(value, u), density(upper), period_s)
+    upper = _crossing(rise, best, 1, _RISE_OF_BOUND)
+    return GroundDrive(Estimate(value, u), density(upper), period_s)
 
 
 def _crossing(rise: Floats, best: int, side: int, target: float) -> float:
@@ -180,11 +189,11 @@ def _crossing(rise: Floats, best: int, side: int, target: float) -> float:
 _STEPS_A_PERIOD = 80
 """Intervals per period over which the seismometer's record is integrated."""
 _DELAYS = np.linspace(-0.25, 0.25, 11)
-"""Delays of the seismometer that are tried, in periods: text and packets arrive late."""
-_DELAY_FREEDOM = 0.5
-"""Degrees of freedom (complex) that the choice of the delay uses."""
+"""Delays of the seismometer that are tried, in periods: a serial line or network delivers samples late."""
+_DELAY_DOF = 0.5
+"""Complex degrees of freedom that the choice of the delay uses."""
 _STEPS_PER_INDEPENDENT = 1.125
-"""Number of steps worth an independent one: neighbours correlate by 1/4 in pendulum and seismometer."""
+"""Number of steps that count as one independent step: neighbours correlate by 1/4 in both records."""
 _MIN_FREE_STEPS = 5
 _PERIOD_ITERATIONS = 3
 _CHANCE_LEVEL = 0.95
@@ -206,7 +215,7 @@ class SeismometerAtRest:
         Squared coherence that one in twenty unrelated records exceeds.
     factor
         Factor by which the amplitude of the changes would fall; without noise and air it would fall by more.
-    least, most
+    lower_95, upper_95
         Bounds of 95 % of the factor, at most that between two seismometers at one place.
     """
 
@@ -214,8 +223,8 @@ class SeismometerAtRest:
     coherence: float
     chance_coherence: float
     factor: float
-    least: float
-    most: float
+    lower_95: float
+    upper_95: float
 
     @property
     def related(self) -> bool:
@@ -240,35 +249,35 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
     """
     from scipy.special import betaincinv
 
-    rest = swing_at_rest(time_s, deflection)
+    rest = rest_oscillation(time_s, deflection)
     signals = plain_signals(seismometer, rest.period_s)
     if not np.all(np.ptp(signals.value, axis=0) > 0):
         raise DataError("its values do not change")
-    compared = _compare_steps(rest, signals)
+    comparison = _compare_steps(rest, signals)
     for _ in range(_PERIOD_ITERATIONS):
         # a wandering oscillation shows its period only roughly; with the seismometer it is better known
-        periods = int(np.ptp(rest.time_s) / compared.period_s)
-        rest = rest._replace(period_s=compared.period_s, periods=periods)
-        compared = _compare_steps(rest, signals)
-    coherence, components = compared.coherence, signals.value.shape[1]
-    # one degree of freedom for the decay, and those of the gains
-    free = compared.steps - 1 - components - _DELAY_FREEDOM
-    if free < _MIN_FREE_STEPS - 1:
+        periods = int(np.ptp(rest.time_s) / comparison.period_s)
+        rest = rest._replace(period_s=comparison.period_s, periods=periods)
+        comparison = _compare_steps(rest, signals)
+    coherence, components = comparison.coherence, signals.value.shape[1]
+    # the decay takes one degree of freedom, each component's gain another
+    dof = comparison.steps - 1 - components - _DELAY_DOF
+    if dof < _MIN_FREE_STEPS - 1:
         raise DataError(
-            f"seismometer and pendulum at rest have {compared.steps} periods in common; at least "
+            f"seismometer and pendulum at rest have {comparison.steps} periods in common; at least "
             f"{_MIN_FREE_STEPS + 1 + components} are needed"
         )
-    taken = components + _DELAY_FREEDOM
-    of_chance = min(1.0, (1 - coherence) * (free + taken) / free)
-    fisher, u = np.arctanh(np.sqrt(1 - of_chance)), np.sqrt(_STEPS_PER_INDEPENDENT / (2 * (free - 1)))
+    fitted_dof = components + _DELAY_DOF
+    unexplained = min(1.0, (1 - coherence) * (dof + fitted_dof) / dof)
+    fisher, u = np.arctanh(np.sqrt(1 - unexplained)), np.sqrt(_STEPS_PER_INDEPENDENT / (2 * (dof - 1)))
     low, high = np.cosh(max(0.0, fisher - _NORMAL_95 * u)), np.cosh(fisher + _NORMAL_95 * u)
     return SeismometerAtRest(
-        steps=compared.steps,
+        steps=comparison.steps,
         coherence=coherence,
-        chance_coherence=float(betaincinv(taken, free / _STEPS_PER_INDEPENDENT, _CHANCE_LEVEL)),
+        chance_coherence=float(betaincinv(fitted_dof, dof / _STEPS_PER_INDEPENDENT, _CHANCE_LEVEL)),
         factor=float(min(np.cosh(fisher), _LARGEST_FACTOR)),
-        least=float(min(low, _LARGEST_FACTOR)),
-        most=float(min(high, _LARGEST_FACTOR)),
+        lower_95=float(min(low, _LARGEST_FACTOR)),
+        upper_95=float(min(high, _LARGEST_FACTOR)),
     )
 
 
@@ -280,44 +289,44 @@ class _StepComparison(NamedTuple):
     period_s: float
 
 
-def _compare_steps(rest: SwingAtRest, signals: Signals) -> _StepComparison:
-    turning = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
-    use = _covered(rest, signals)
-    step, middle = np.diff(turning)[use], (0.5 * (turning[1:] + turning[:-1]))[use]
-    alone = step - middle * (np.vdot(middle, step) / np.vdot(middle, middle))
-    power = float(np.vdot(alone, alone).real)
-    predicted = _predicted_steps(rest, signals)[:, :, use]
-    found = []
-    for columns in predicted:
-        every = np.column_stack([middle, *columns])
-        gains = np.linalg.lstsq(every, step, rcond=None)[0]
-        after = step - every @ gains
-        found.append((float(np.vdot(after, after).real), float(gains[0].imag)))
-    least, turned = min(found)
-    period_s = rest.period_s / (1 - turned / (2 * np.pi))
-    return _StepComparison(len(step), 1 - least / power, period_s)
+def _compare_steps(rest: RestOscillation, signals: Signals) -> _StepComparison:
+    quadratures = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
+    use = _are_covered(rest, signals)
+    step, middle = np.diff(quadratures)[use], (0.5 * (quadratures[1:] + quadratures[:-1]))[use]
+    driven = step - middle * (np.vdot(middle, step) / np.vdot(middle, middle))
+    power = float(np.vdot(driven, driven).real)
+    predictions = _predicted_steps(rest, signals)[:, :, use]
+    fits = []
+    for prediction in predictions:
+        design = np.column_stack([middle, *prediction])
+        gains = np.linalg.lstsq(design, step, rcond=None)[0]
+        residual = step - design @ gains
+        fits.append((float(np.vdot(residual, residual).real), float(gains[0].imag)))
+    smallest, phase_error = min(fits)
+    period_s = rest.period_s / (1 - phase_error / (2 * np.pi))
+    return _StepComparison(len(step), 1 - smallest / power, period_s)
 
 
-def _predicted_steps(rest: SwingAtRest, signals: Signals) -> NDArray[np.complex128]:
+def _predicted_steps(rest: RestOscillation, signals: Signals) -> NDArray[np.complex128]:
     """Steps (delays, components, periods - 1) of an undamped pendulum that a component drives."""
     # at the record's own times and between them, so that each sample has the same weight
-    parts = ceil(_STEPS_A_PERIOD * signals.longest_step_s / rest.period_s)
+    points = ceil(_STEPS_A_PERIOD * signals.longest_step_s / rest.period_s)
     number = np.arange(len(signals.time_s))
-    time_s = np.interp(np.arange(0, number[-1] + 0.5 / parts, 1 / parts), number, signals.time_s)
-    turn = np.exp(2j * np.pi * time_s / rest.period_s)
+    time_s = np.interp(np.arange(0, number[-1] + 0.5 / points, 1 / points), number, signals.time_s)
+    phasor = np.exp(2j * np.pi * time_s / rest.period_s)
     series = []
-    for one in signals.value.T:
-        drive = np.interp(time_s, signals.time_s, one) * turn.conj()
-        summed = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time_s) * (drive[1:] + drive[:-1]))])
-        angle = (turn * summed).imag
+    for component in signals.value.T:
+        drive = np.interp(time_s, signals.time_s, component) * phasor.conj()
+        integral = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time_s) * (drive[1:] + drive[:-1]))])
+        angle = (phasor * integral).imag
         angle /= np.std(angle)
         series += [np.interp(rest.time_s + delay * rest.period_s, time_s, angle) for delay in _DELAYS]
-    turning = quadratures_of(rest, np.column_stack(series))[0]
-    steps = np.diff(turning, axis=0).T
+    quadratures = quadratures_of(rest, np.column_stack(series))[0]
+    steps = np.diff(quadratures, axis=0).T
     return np.swapaxes(steps.reshape(signals.value.shape[1], len(_DELAYS), -1), 0, 1)
 
 
-def _covered(rest: SwingAtRest, signals: Signals) -> Flags:
+def _are_covered(rest: RestOscillation, signals: Signals) -> Flags:
     """Whether the seismometer's record covers each step from period to period."""
     edges = rest.time_s[0] + rest.period_s * np.arange(rest.periods + 1)
     pause = np.flatnonzero(np.diff(signals.time_s) > signals.longest_step_s)

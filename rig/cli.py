@@ -143,7 +143,7 @@ def main() -> None:
     moved = [word for word in sys.argv[1:] if word in ("--debug", "-v", "--verbose")]
     sys.argv = [sys.argv[0], *moved, *(word for word in sys.argv[1:] if word not in moved)]
     try:
-        sys.argv = _completed(sys.argv)
+        sys.argv = _complete(sys.argv)
         with terminated_by_signals():
             status = app(prog_name="rig", standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt) as ended:
@@ -162,7 +162,7 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _completed(words: list[str]) -> list[str]:
+def _complete(words: list[str]) -> list[str]:
     """The words, with `--view` alone said in full; raises ConfigurationError for an empty one.
 
     Conditions of the archive may be empty.

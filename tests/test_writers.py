@@ -21,7 +21,7 @@ ALLOWED = {
     "acquisition/record/mcap_file.py": "a record while it is measured, which a cut must leave readable",
     # names that being_written or folder_being_written gave
     "rig/report/export.py": "under the name that being_written gives",
-    "rig/settings/written_file.py": "under the name that being_written gives",
+    "rig/settings/configuration_writer.py": "under the name that being_written gives",
     "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
     # lines that are added, never changed
     "rig/prepare/learned_turns.py": "a history to which lines are added",

@@ -164,7 +164,7 @@ def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
         tilting: list[tuple[float, Term]] = []
         if record is not None:
             if mode < record.accelerations_m_per_s2.shape[1]:
-                shaking.append((1.0, _recorded(record, mode, truth.file_offset_s)))
+                shaking.append((1.0, _record_term(record, mode, truth.file_offset_s)))
         elif truth.model != "none":
             shaking.append((1.0, _noise(truth, rate_hz, (seed, run, _ACCELERATION[mode]))))
         if settings.person.passes:
@@ -212,7 +212,7 @@ def _knots_of_file(truth: GroundTruth) -> GroundRecord:
     return GroundRecord(record.rate_hz * more / fewer, values[:count])
 
 
-def _recorded(record: GroundRecord, column: int, offset_s: float) -> Term:
+def _record_term(record: GroundRecord, column: int, offset_s: float) -> Term:
     through = coefficients_through(record.accelerations_m_per_s2[:, column])
     offset = round(offset_s * record.rate_hz)
 

@@ -22,8 +22,8 @@ from acquisition.simulation.settings import ARCSEC_RAD, ContactTruth, FastModeTr
 from acquisition.simulation.smooth_series import DEGREE, Pieces, SmoothSeries
 from processing.errors import ConfigurationError
 
-_ROWS = 256
-_TURNS = 64
+_MAX_STEPS, _MAX_TURNING_POINTS = 256, 64
+"""Steps of the integration, and turning points, for which a block has room."""
 
 
 def contact_radius_m(contact: ContactTruth) -> float:
@@ -72,7 +72,9 @@ def fast_mode(contact: ContactTruth, fast: FastModeTruth) -> ModeConstants:
 
 
 class Motion:
-    """Motion of one mode. Times must not decrease from call to call, because earlier motion is discarded.
+    """Motion of one mode, integrated block by block as far as it is asked for.
+
+    Times must not decrease from call to call, because earlier blocks are discarded.
 
     Parameters
     ----------
@@ -108,18 +110,18 @@ class Motion:
             )
         self._mode = mode
         self._ground = ground
-        self._no_motion = Pieces(0.0, 1.0, np.empty((0, DEGREE + 1)))
-        self._rule = equation_of_motion.collocation()
-        self._rows = np.zeros((_ROWS, COLUMNS))
-        self._turns = np.zeros((_TURNS, 2))
+        self._still_ground = Pieces(0.0, 1.0, np.empty((0, DEGREE + 1)))
+        self._collocation = equation_of_motion.collocation()
+        self._steps = np.zeros((_MAX_STEPS, COLUMNS))
+        self._turning_points = np.zeros((_MAX_TURNING_POINTS, 2))
         self._state = np.zeros(4)
-        self._row = 0
-        self._n_rows = 0
+        self._step_index = 0
+        self._n_steps = 0
         self._kicks: list[tuple[float, float]] = []
         self._held = False
         if start_s > 0:
-            self._rows[0, : POLYNOMIAL + 1] = 0.0, start_s, held_rad
-            self._n_rows = 1
+            self._steps[0, : POLYNOMIAL + 1] = 0.0, start_s, held_rad
+            self._n_steps = 1
         self._state[:] = start_s, angle_rad, rate_rad_per_s, 0.0
         self._set_direction()
 
@@ -150,20 +152,20 @@ class Motion:
         self._mode = self._mode._replace(push_rad=push_rad, drag_s=drag_s)
         self._set_direction()
 
-    def tilt(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def sample(self, times_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Angles in rad and rates in rad/s at `times_s` (n,), which must not decrease."""
         angles = np.empty(len(times_s))
         rates = np.empty(len(times_s))
-        reached = 0
+        sampled = 0
         while True:
-            self._row, reached = equation_of_motion.sample(
-                self._rows, self._row, self._n_rows, times_s, reached, angles, rates
+            self._step_index, sampled = equation_of_motion.sample(
+                self._steps, self._step_index, self._n_steps, times_s, sampled, angles, rates
             )
-            if reached == len(times_s):
+            if sampled == len(times_s):
                 return angles, rates
-            self.step(math.inf)
+            self.advance(math.inf)
 
-    def step(self, until_s: float) -> NDArray[np.float64]:
+    def advance(self, until_s: float) -> NDArray[np.float64]:
         """Integrate one block further, at most to `until_s`.
 
         Returns the turning points passed: (k, 2), time in s and angle in rad.
@@ -179,11 +181,11 @@ class Motion:
         pieces = self._pieces()
         if len(pieces.coefficients):
             stop_s = min(stop_s, pieces.start_s + len(pieces.coefficients) * pieces.step_s)
-        self._row = 0
-        self._n_rows, n_turns = equation_of_motion.advance(
-            self._state, stop_s, pieces, self._mode, self._rule, self._rows, self._turns
+        self._step_index = 0
+        self._n_steps, n_turning_points = equation_of_motion.advance(
+            self._state, stop_s, pieces, self._mode, self._collocation, self._steps, self._turning_points
         )
-        return self._turns[:n_turns].copy()
+        return self._turning_points[:n_turning_points].copy()
 
     @property
     def w0_rad_per_s(self) -> float:
@@ -203,7 +205,7 @@ class Motion:
     def _pieces(self) -> Pieces:
         """Driving angle of the ground from now on; zero while the pendulum is held."""
         if self._ground is None or self._held:
-            return self._no_motion
+            return self._still_ground
         time_s = float(self._state[TIME])
         if time_s > self._ground.end_s - 1e-6 / self._ground.rate_hz:
             raise ConfigurationError(
@@ -213,11 +215,11 @@ class Motion:
         return self._ground.pieces(time_s)
 
     def _move_to(self, time_s: float) -> None:
-        """Bring the state to `time_s`, which must not be before a time already requested."""
+        """Bring the state to `time_s`: integrate, or discard what was integrated beyond it."""
         if self._state[TIME] > time_s:
             self._return_to(time_s)
         while self._state[TIME] < time_s:
-            self.step(time_s)
+            self.advance(time_s)
 
     def _set_direction(self) -> None:
         rate = self._state[RATE]
@@ -233,20 +235,16 @@ class Motion:
     def _return_to(self, time_s: float) -> None:
         """Discard the motion that was integrated beyond `time_s`."""
         angles, rates = np.empty(1), np.empty(1)
-        row, _ = equation_of_motion.sample(
-            self._rows, self._row, self._n_rows, np.array([time_s]), 0, angles, rates
+        last, _ = equation_of_motion.sample(
+            self._steps, self._step_index, self._n_steps, np.array([time_s]), 0, angles, rates
         )
-        begin_s = self._rows[row, START]
-        self._rows[row, LENGTH:] = self._cut(self._rows[row], time_s - begin_s)
-        self._n_rows = row + 1
+        step, length_s = self._steps[last], time_s - self._steps[last, START]
+        # the polynomial is one of the time relative to the step's length
+        step[POLYNOMIAL:] *= (length_s / step[LENGTH]) ** np.arange(COLUMNS - POLYNOMIAL)
+        step[LENGTH] = length_s
+        self._n_steps = last + 1
         self._state[:3] = time_s, angles[0], rates[0]
         self._set_direction()
-
-    @staticmethod
-    def _cut(row: NDArray[np.float64], length_s: float) -> NDArray[np.float64]:
-        """Length and polynomial of a step that is shortened to `length_s`."""
-        ratio = length_s / row[LENGTH]
-        return np.concatenate(([length_s], row[POLYNOMIAL:] * ratio ** np.arange(COLUMNS - POLYNOMIAL)))
 
 
 def motions(settings: SimulationSettings, run: int = 0) -> tuple[Motion, Motion]:
@@ -257,7 +255,7 @@ def motions(settings: SimulationSettings, run: int = 0) -> tuple[Motion, Motion]
     fast = fast_mode(settings.contact, settings.fast)
     release = settings.release
     amplitude_rad = release.amplitude_arcsec * ARCSEC_RAD
-    fast_rad = settings.fast.amplitude_arcsec * ARCSEC_RAD
+    fast_amplitude_rad = settings.fast.amplitude_arcsec * ARCSEC_RAD
     phase = settings.fast.phase_rad
     if release.way == "let go":
         slow_motion = Motion(slow, amplitude_rad, 0.0, release.at_s, amplitude_rad, slow_ground)
@@ -267,10 +265,10 @@ def motions(settings: SimulationSettings, run: int = 0) -> tuple[Motion, Motion]
         return Motion(fast, 0.0, 0.0, 0.0, 0.0, fast_ground), Motion(slow, 0.0, 0.0, 0.0, 0.0, slow_ground)
     fast_motion = Motion(
         fast,
-        fast_rad * math.cos(phase),
-        -fast_rad * fast.w0_rad_per_s * math.sin(phase),
+        fast_amplitude_rad * math.cos(phase),
+        -fast_amplitude_rad * fast.w0_rad_per_s * math.sin(phase),
         release.at_s,
-        fast_rad * math.cos(phase) if release.way == "let go" else 0.0,
+        fast_amplitude_rad * math.cos(phase) if release.way == "let go" else 0.0,
         fast_ground,
     )
     return fast_motion, slow_motion

@@ -156,7 +156,7 @@ def _integrals(out: NDArray[np.float64], centre_px: float, sigma_px: float) -> N
 
 
 _NODES = 9
-_ROUNDS = 12
+_MAX_ITERATIONS = 12
 
 
 class RollingReadout:
@@ -187,7 +187,7 @@ class RollingReadout:
         """
         path = np.einsum("kj,njc->nkc", self._to_polynomial, moving_px)
         part = np.full(len(path), 0.5)
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             y_px = self._along(path, part)[:, 1]
             part = np.clip((y_px - self._first) / (self._last - self._first), 0.0, 1.0)
         powers = np.arange(1, _NODES)

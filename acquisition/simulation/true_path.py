@@ -46,7 +46,7 @@ def true_turning_points(
         found.append([[settings.release.at_s, settings.release.amplitude_arcsec * ARCSEC_RAD]])
     final_rad = final_amplitude_arcsec * ARCSEC_RAD
     while slow.reached_s < max_duration_s and not slow.at_rest:
-        turns = slow.step(max_duration_s)
+        turns = slow.advance(max_duration_s)
         found.append(turns.tolist())
         if len(turns) and abs(turns[-1, 1]) < final_rad:
             break
@@ -63,8 +63,8 @@ def axes_motion(
     """Tilts (X, Y) in rad at `times_s` (n,): the modes, leakage, and the rest position with its drift."""
     axes = settings.axes
     minutes = times_s / 60.0
-    fast_rad, _ = fast.tilt(times_s)
-    slow_rad, slow_rate = slow.tilt(times_s)
+    fast_rad, _ = fast.sample(times_s)
+    slow_rad, slow_rate = slow.sample(times_s)
     w0 = 2 * math.pi / settings.contact.period0_s
     rest_fast = (axes.rest_fast_arcsec + axes.rest_drift_fast_arcsec_per_min * minutes) * ARCSEC_RAD
     rest_slow = (axes.rest_slow_arcsec + axes.rest_drift_slow_arcsec_per_min * minutes) * ARCSEC_RAD

@@ -14,7 +14,7 @@ import numpy as np
 
 from processing.arrays import Flags, Floats
 from processing.balance.balance import BalanceLimits, Doubt, Room, Turn, Unreachable
-from processing.balance.weight_response import WeightResponse
+from processing.balance.weight_response import MAX_PLAY, WeightResponse
 
 _SMALLEST_SWING_ARCSEC = 10.0
 """Smallest amplitude of the next measurement that a turn must leave possible."""
@@ -146,8 +146,7 @@ class WeightResponses:
         """Best turn of one weight, or a test turn if the best one is too small to show whether it moves."""
         scaled_state = np.nan_to_num(state / self._scale)
         best = self._best(weight, state, scaled_state, room)
-        known = self._weights[weight]
-        shows = abs(sum(best.parts)) > known.largest_play
+        shows = abs(sum(best.parts)) > MAX_PLAY
         parts = best.parts if shows else self._test(weight, state, scaled_state, room)
         return self._turn(weight, parts, state, room, f"{why}; ")
 
@@ -161,7 +160,7 @@ class WeightResponses:
         known = self._weights[weight]
         size = float(np.linalg.norm(known.nominal))
         distance = float(np.linalg.norm(np.nan_to_num(state / self._scale)))
-        return (distance / (_WEAKEST_EFFECT * size) if size else _MAX_UNKNOWN_TURNS) + known.largest_play
+        return (distance / (_WEAKEST_EFFECT * size) if size else _MAX_UNKNOWN_TURNS) + MAX_PLAY
 
     def advise(self, state: Floats, room: Room | None = None) -> Turn | Unreachable | None:
         """Next turn of one weight; None if the state is within the limits.
@@ -209,22 +208,22 @@ class WeightResponses:
         first, then = np.round(first, 2), np.round(then, 2)
         move, u_move = weight.predict([first, then])
         remaining = scaled_state + move
-        residual_projector = self._uncorrected(name)
+        residual_projector = self._uncorrectable_form(name)
         cost = np.einsum(
             "ni,ij,nj->n", remaining, residual_projector, remaining
         ) + _VARIANCE_WEIGHT * u_move**2 @ np.diag(residual_projector)
         cost += _TAKE_UP_COST * (then != 0) * bool(weight.learned_turns)
-        allowed = self._allowed(state, move, u_move, room)
+        allowed = self._stays_on_sensor(state, move, u_move, room)
         if not weight.learned_turns:
             # a first turn needs a take-up, as in `_test`, unless it is longer than the play
-            allowed &= (then != 0) | (np.abs(first) > weight.largest_play)
+            allowed &= (then != 0) | (np.abs(first) > MAX_PLAY)
         allowed |= first == 0
         k = int(np.argmin(np.where(allowed, cost, np.inf)))
         gain = float(cost[first == 0].min() - cost[k])
         suffices = bool(np.all(np.abs(remaining[k]) + 2.0 * u_move[k] <= 0.9)) and first[k] != 0
         return _Option((float(first[k]), float(then[k])), gain, float(np.linalg.norm(u_move[k])), suffices)
 
-    def _uncorrected(self, name: str) -> Floats:
+    def _uncorrectable_form(self, name: str) -> Floats:
         """Quadratic form (3, 3): squared distance from balance that the other weights cannot correct."""
         others = [weight.effect() for other, weight in self._weights.items() if other != name]
         if not others:
@@ -233,7 +232,7 @@ class WeightResponses:
         variances = np.diag([float(u @ u) + 1e-9 for _, u in others])
         return np.asarray(np.eye(3) - effects @ np.linalg.solve(effects.T @ effects + variances, effects.T))
 
-    def _allowed(self, state: Floats, move: Floats, u_move: Floats, room: Room | None) -> Flags:
+    def _stays_on_sensor(self, state: Floats, move: Floats, u_move: Floats, room: Room | None) -> Flags:
         """Whether each move (n, 3) leaves the spot on the sensor, or further from its edge than it is now."""
         if room is None:
             return np.ones(len(move), dtype=np.bool_)
@@ -264,12 +263,12 @@ class WeightResponses:
         most = min(
             self.largest_turns(name, state), _TEST_MOVE / max(float(np.linalg.norm(np.hypot(mean, u))), 1e-9)
         )
-        most += weight.largest_play * min(1, weight.learned_turns)
+        most += MAX_PLAY * min(1, weight.learned_turns)
         turns = np.round(np.linspace(-most, most, 40), 2)
         # without a take-up a first turn may be lost in the play of the screw
         then = np.zeros_like(turns) if weight.learned_turns else -np.sign(turns) * _TAKE_UP
         move, u_move = weight.predict([turns - then, then])
-        allowed = self._allowed(state, move, u_move, room) & (turns != 0)
+        allowed = self._stays_on_sensor(state, move, u_move, room) & (turns != 0)
         if not allowed.any():
             return round(math.copysign(0.02, -float(scaled_state @ mean) or 1.0), 2), 0.0
         cost = np.sum((scaled_state + move) ** 2, axis=-1) - np.sum(u_move**2, axis=-1)

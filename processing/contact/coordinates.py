@@ -153,10 +153,10 @@ class Coordinates:
         key = columns.tobytes()
         if key not in self._found:
             self._found.clear()  # the last columns stay: a search of the noise needs them a hundred times
-            self._found[key] = self._differentiated(columns)
+            self._found[key] = self._derivatives(columns)
         return self._found[key]
 
-    def _differentiated(self, columns: Floats) -> tuple[Floats, Floats]:
+    def _derivatives(self, columns: Floats) -> tuple[Floats, Floats]:
         count = len(columns)
         out = np.full((len(self._own) + 4, 1 + count), np.nan, dtype=np.complex128)
         if np.all(np.abs(columns) < _MAX_COLUMN):

@@ -67,10 +67,10 @@ class OneHalfSwing(NamedTuple):
         reached = index <= len(self.amplitude)
         at = index[reached]
         return HalfSwings(
-            _filled(reached, np.concatenate([self.amplitude, last])[at]),
-            _filled(reached, time[at]),
-            _filled(reached, gradient[at]),
-            _filled(reached, time_gradient[at]),
+            _fill(reached, np.concatenate([self.amplitude, last])[at]),
+            _fill(reached, time[at]),
+            _fill(reached, gradient[at]),
+            _fill(reached, time_gradient[at]),
         )
 
 
@@ -180,7 +180,7 @@ def walk(
     )
 
 
-def _filled(where: Flags, values: Floats) -> Floats:
+def _fill(where: Flags, values: Floats) -> Floats:
     out = np.full((len(where), *values.shape[1:]), np.nan)
     out[where] = values
     return out

@@ -41,7 +41,7 @@ _PER_OCTAVE, _BEYOND, _FEWEST = 12, 1, 4
 """Numbers of amplitudes of a table: in each factor of two, beyond either end of the range, and at least."""
 _RELATIVE_STEP = 1e-5
 """Relative step of the numerical derivatives with respect to the parameters."""
-_ROUNDS, _NEWTON_ROUNDS, _DRAG_ROUNDS = 12, 20, 20
+_MAX_ITERATIONS, _MAX_NEWTON_ITERATIONS, _MAX_DRAG_ITERATIONS = 12, 20, 20
 """Most iterations of a drag's work, of the next reversal, of the speed with a drag. Swings take 5, 5 and 6.
 A search also tries values for which one amplitude of many never converges: all would wait for it."""
 
@@ -144,8 +144,8 @@ def _half_swing(
     radius, drag_work = amplitude.copy(), np.zeros_like(amplitude)  # work of the drag over r^2
     wide_q = {key: value[..., None] for key, value in q.items()}
     with np.errstate(all="ignore"):
-        for _ in range(_ROUNDS):
-            for _ in range(_NEWTON_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
+            for _ in range(_MAX_NEWTON_ITERATIONS):
                 distance = 2 * radius
                 mean = branch.mean_resistance(distance, turn_moment, q)
                 slope = (
@@ -163,7 +163,7 @@ def _half_swing(
             if not np.any(drag):
                 root = np.sqrt(1 + 2 * excess / (wide_distance - s))
                 break
-            for _ in range(_DRAG_ROUNDS):
+            for _ in range(_MAX_DRAG_ITERATIONS):
                 whole = ((nodes.sin2 * root) @ nodes.weight)[..., None]
                 by_drag = wide_q["drag"] * (0.25 * wide_distance) * (whole - root @ nodes.work_per_share.T)
                 new = np.sqrt(1 + 2 * (excess + by_drag) / (wide_distance - s))

@@ -42,7 +42,7 @@ StatedMoment = Callable[..., Floats]
 """A moment over m g R: function of |phi| (rad) and of parameters by name, whose defaults are start values."""
 
 
-def _checked(moment: StatedMoment, name: str) -> StatedMoment:
+def _check_result(moment: StatedMoment, name: str) -> StatedMoment:
     """A stated moment whose result is an array of floats; it raises DataError with the fault of any other.
 
     It gets a copy of the angles, so that a function that writes into them changes no others.
@@ -198,7 +198,7 @@ def _law(
     elastic, name = stated.elastic, stated.name
     start = _starts_of(stated.friction)
     own = tuple(start)
-    friction = _checked(stated.friction, name)
+    friction = _check_result(stated.friction, name)
     _require_finite(friction, start, points, name)
     if elastic is None:
         if taken := set(own) & set(_ELASTIC):
@@ -208,7 +208,7 @@ def _law(
         if taken := set(own) & set(_starts_of(elastic)):
             raise DataError(f"{name}: its parameter {min(taken)} is one of the elastic moment, too")
         of_elastic = _starts_of(elastic)
-        elastic = _checked(elastic, getattr(elastic, "__name__", "elastic"))
+        elastic = _check_result(elastic, getattr(elastic, "__name__", "elastic"))
         _require_finite(elastic, of_elastic, points, f"{name}, elastic")
         start |= of_elastic
     names = tuple(start)

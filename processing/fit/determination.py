@@ -211,9 +211,9 @@ def profile_likelihood(
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
             model_there = held.at(at(sign * z))
-            solution = _refitted(refitted, model_there, start)
+            solution = _refit(refitted, model_there, start)
             if solution is not None and is_open(solution):
-                solution = _refitted(refitted, model_there, solution.values)
+                solution = _refit(refitted, model_there, solution.values)
                 if solution is not None and is_open(solution):
                     solution, unconverged = None, unconverged + 1
                     if unconverged > _MAX_UNCONVERGED:
@@ -269,7 +269,7 @@ def profile_likelihood(
     return Profile(lower, upper, np.array(trace))
 
 
-def _refitted(
+def _refit(
     refit: Callable[..., Solution],
     model: Callable[[Floats], tuple[Floats, Floats]],
     start: Floats,

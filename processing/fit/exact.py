@@ -29,7 +29,7 @@ _GOOD_CHI2 = 1.5
 _GOOD_EVIDENCE = 8.0
 """Mean square of the evidence's residuals above which a minimum may be a local one, too: a strong drive gives
 any turning points a good chi-square."""
-_ROUNDS = 12
+_MAX_ITERATIONS = 12
 """Most alternations of noise and parameters; two or three suffice."""
 _STEPS = 60
 """Most steps of one alternation; the last search has as many as it needs."""
@@ -62,7 +62,7 @@ def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> 
     noise: Noise | None = None
     near: ExactModel | None = None
     near_enough = False
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         try:
             if near is None or not near_enough:
                 near = model.linearised_at(columns)

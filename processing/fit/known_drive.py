@@ -9,23 +9,24 @@ order, with s the side of the later turning point k, w the frequency and theta =
 
 A turning point that is measured on the samples of its half-cycle, between its zero crossings, is that of the
 oscillation that fits them best. Relative to the motion through the true turning point, f adds to the samples
-the response that begins there, forwards and backwards. Its least-squares fit has, with u = pi/2 - |theta|:
+the response that begins there, forwards and backwards. Its least-squares fit has, with x = pi/2 - |theta|:
 
-    amplitude, equilibrium known  (s/w) int f p dt / pi,      p = cos(theta) - u sin|theta|
+    amplitude, equilibrium known  (s/w) int f p dt / pi,      p = cos(theta) - x sin|theta|
     amplitude, equilibrium free   (s/w) int f (pi p/2 - 2 r) dt / (pi^2/2 - 4),  r = 1 - sin|theta|
-    time, times the amplitude     (s/w^2) int f u cos(theta) sign(theta) dt / pi
+    time, times the amplitude     (s/w^2) int f x cos(theta) sign(theta) dt / pi
     equilibrium position          (1/w) int f (pi r/2 - p) dt / (pi^2/2 - 4)
 
 The equilibrium position is known from earlier half-cycles, which f has moved too: its error moves the
-amplitude by -(4/pi) s of it. This term alone looks back and not ahead; without it the fitted delay of a
-seismometer would be 0.1 s too long at a period of 4 s.
+amplitude by -(4/pi) s of it. This is the only term that depends on earlier f alone; without it the fitted
+delay of a seismometer would be 0.1 s too long at a period of 4 s.
 
 f is linear between its samples, and all integrals have closed forms.
 
-Friction that grows nearly in proportion to the deflection, as Eq. 1's with p near 1, is a softer spring up
-to the zero crossing and a stiffer one after it. With a relative loss e of amplitude in a half-swing the two
-quarters have frequencies of w (1 - e/2) and w (1 + e/2); w in s/w is then that of the second, w^2 in s/w^2
-the product of the second's and the quarter's own. Without that a few thousandths of the drive would stay.
+Friction that grows nearly in proportion to the deflection, as that of Eq. 1 with p near 1, acts as a softer
+spring before the zero crossing and a stiffer one after it. With a relative loss e of amplitude in a
+half-swing the two quarters have the frequencies w (1 - e/2) and w (1 + e/2). The factor s/w of the amplitude
+then takes the frequency of the second quarter, the factor s/w^2 of the delay the product of the second's and
+the quarter's own. Otherwise a few thousandths of the drive would be left in the residuals.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +43,7 @@ from processing.swing import TurningPoints
 _FREQUENCY_NEIGHBOURS = 4
 """Half-swings on either side over which the frequency is averaged: the ground makes single ones uneven."""
 _LOSS_NEIGHBOURS = 15
-"""Half-swings on either side over which the loss is averaged; a tenth of it is accurate enough."""
+"""Half-swings on either side over which the loss is averaged; an error of a tenth has no visible effect."""
 _INTEGRALS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
 FREE_REST_WEIGHT, U_FREE_REST_WEIGHT = 1 / 3, 0.3
@@ -56,6 +57,7 @@ fitted delay, at a period of 4 s by -0.026 s for each 0.1: with 0.2, 1/3 and 0.5
 got 0.067, 0.024 and -0.012 s (each 0.016, of four long runs). At one frequency a delay is a phase, which the
 response takes up."""
 _REST_DENOMINATOR = np.pi**2 / 2 - 4
+"""Denominator of the fits with a free equilibrium position, see above."""
 
 
 @kernel
@@ -71,21 +73,21 @@ def moments_of(
     origin, rate, low, high
         Of each interval (n,): time at which theta is 0, its rate in rad/s, and the limits.
     longest
-        Largest step between samples that is no gap, s. Integrals that meet a gap, or reach beyond the
+        Largest time in s between two samples; a longer one is a gap. Integrals over a gap, or beyond the
         samples, are NaN.
     """
     count, terms, samples = len(origin), value.shape[1], len(time)
-    out = np.zeros((count, terms, _INTEGRALS))
+    integrals = np.zeros((count, terms, _INTEGRALS))
     for i in range(count):
         a = np.searchsorted(time, low[i], side="right") - 1
         if a < 0 or high[i] > time[samples - 1]:
-            out[i] = np.nan
+            integrals[i] = np.nan
             continue
         w = rate[i]
         while a < samples - 1 and time[a] < high[i]:
             step = time[a + 1] - time[a]
             if step > longest:
-                out[i] = np.nan
+                integrals[i] = np.nan
                 break
             x0 = w * (max(low[i], time[a]) - origin[i])
             x1 = w * (min(high[i], time[a + 1]) - origin[i])
@@ -95,34 +97,34 @@ def moments_of(
                 f0 = value[a, j] + slope * (x0 - w * (time[a] - origin[i]))
                 f1 = f0 + slope * (x1 - x0)
                 # antiderivatives by parts: of f e^(i x) and of x f e^(i x)
-                out[i, j, 0] += (f1 * s1 + slope * c1 - f0 * s0 - slope * c0) / w
-                out[i, j, 1] += (slope * s1 - f1 * c1 - slope * s0 + f0 * c0) / w
+                integrals[i, j, 0] += (f1 * s1 + slope * c1 - f0 * s0 - slope * c0) / w
+                integrals[i, j, 1] += (slope * s1 - f1 * c1 - slope * s0 + f0 * c0) / w
                 p0, p1, d0, d1 = x0 * f0, x1 * f1, f0 + slope * x0, f1 + slope * x1
-                out[i, j, 2] += ((p1 - 2 * slope) * s1 + d1 * c1 - (p0 - 2 * slope) * s0 - d0 * c0) / w
-                out[i, j, 3] += (d1 * s1 - (p1 - 2 * slope) * c1 - d0 * s0 + (p0 - 2 * slope) * c0) / w
-                out[i, j, 4] += 0.5 * (f0 + f1) * (x1 - x0) / w
+                integrals[i, j, 2] += ((p1 - 2 * slope) * s1 + d1 * c1 - (p0 - 2 * slope) * s0 - d0 * c0) / w
+                integrals[i, j, 3] += (d1 * s1 - (p1 - 2 * slope) * c1 - d0 * s0 + (p0 - 2 * slope) * c0) / w
+                integrals[i, j, 4] += 0.5 * (f0 + f1) * (x1 - x0) / w
             a += 1
-    return out
+    return integrals
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
     """Samples of signals that may drive a pendulum, each up to a gain: times (s), values (samples, terms).
 
-    `longest_step_s` is the largest step between samples that is no gap.
+    A time between two samples above `longest_step_s` is a gap.
     """
 
     time_s: Floats
     value: Floats
     longest_step_s: float
 
-    def only(self, terms: list[int]) -> "Signals":
+    def select(self, terms: list[int]) -> "Signals":
         """The signals in some of the columns."""
         return replace(self, value=np.ascontiguousarray(self.value[:, terms]))
 
-    def delayed(self, by_s: float) -> "Signals":
-        """The same signals, later by `by_s`."""
-        return replace(self, time_s=self.time_s + by_s)
+    def delayed(self, delay_s: float) -> "Signals":
+        """The same signals, later by `delay_s`."""
+        return replace(self, time_s=self.time_s + delay_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +154,7 @@ class KnownDrive:
     def terms(self) -> int:
         return int(self.steps.shape[2])
 
-    def only(self, terms: list[int]) -> "KnownDrive":
+    def select(self, terms: list[int]) -> "KnownDrive":
         """The drive by the signals in some of the columns."""
         return KnownDrive(self.steps[:, :, terms], self.missing, self.gains[terms])
 
@@ -165,8 +167,8 @@ class KnownDrive:
 
         It is the mean square of the known steps, and 0 where the drive is known.
         """
-        seen = self.steps[0][~self.missing] @ gains
-        mean = float(np.mean(seen**2)) if len(seen) else 0.0
+        known_steps = self.steps[0][~self.missing] @ gains
+        mean = float(np.mean(known_steps**2)) if len(known_steps) else 0.0
         return np.where(self.missing, mean, 0.0)
 
 
@@ -182,14 +184,14 @@ def known_drive(
     time = np.interp(np.arange(count), number, points.time_s)
     rate = _rates(time)
     side = np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
-    half = 0.5 * np.pi / rate
+    quarter_s = 0.5 * np.pi / rate
     terms = signals.value.shape[1]
     steps = np.zeros((2, count, terms))
     amplitude = np.interp(np.arange(count), number, points.amplitude)
     steps[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
     if averaged:
-        measured = _measurement_response(signals, time, side, rate, half, rest_weight)
-        # steps lead from measured turning point to measured one: the part of the last measurement goes off
+        measured = _measurement_response(signals, time, side, rate, quarter_s, rest_weight)
+        # a step ends at the measured turning point and begins at the measured one before it
         steps += measured
         steps[:, 1:] -= measured[:, :-1]
     missing = ~np.all(np.isfinite(steps), axis=(0, 2))
@@ -199,69 +201,69 @@ def known_drive(
 
 def _rates(time: Floats) -> Floats:
     """Angular frequency at each turning point, rad/s."""
-    after = np.minimum(np.arange(len(time)) + _FREQUENCY_NEIGHBOURS, len(time) - 1)
-    before = np.maximum(np.arange(len(time)) - _FREQUENCY_NEIGHBOURS, 0)
-    return np.asarray(np.pi * (after - before) / (time[after] - time[before]))
+    last = np.minimum(np.arange(len(time)) + _FREQUENCY_NEIGHBOURS, len(time) - 1)
+    first = np.maximum(np.arange(len(time)) - _FREQUENCY_NEIGHBOURS, 0)
+    return np.asarray(np.pi * (last - first) / (time[last] - time[first]))
 
 
 def _losses(amplitude: Floats) -> Floats:
     """Relative loss of amplitude in each half-swing, averaged over neighbours."""
-    places = np.arange(len(amplitude))
-    after = np.minimum(places + _LOSS_NEIGHBOURS, len(places) - 1)
-    before = np.maximum(places - _LOSS_NEIGHBOURS, 0)
-    lost = (amplitude[before] - amplitude[after]) / ((after - before) * amplitude)
-    return np.asarray(0.5 * (lost[1:] + lost[:-1]))
+    index = np.arange(len(amplitude))
+    last = np.minimum(index + _LOSS_NEIGHBOURS, len(index) - 1)
+    first = np.maximum(index - _LOSS_NEIGHBOURS, 0)
+    loss = (amplitude[first] - amplitude[last]) / ((last - first) * amplitude)
+    return np.asarray(0.5 * (loss[1:] + loss[:-1]))
 
 
 def _half_cycle_response(signals: Signals, time: Floats, side: Floats, rate: Floats, loss: Floats) -> Floats:
     w, s = 0.5 * (rate[1:] + rate[:-1]), side[1:, None]
-    before, after = w * (1 - 0.5 * loss), w * (1 + 0.5 * loss)
+    first_quarter, second_quarter = w * (1 - 0.5 * loss), w * (1 + 0.5 * loss)
     # counted from the middle: from either end the phase would hold half of the effect that is sought
     crossing = 0.5 * (time[1:] + time[:-1]) + 0.25 * np.pi * loss / w
-    out = np.zeros((2, len(w), signals.value.shape[1]))
-    for one, low, high in ((before, time[:-1], crossing), (after, crossing, time[1:])):
-        found = _moments(signals, crossing + 0.5 * np.pi / one, one, low, high)
-        out[0] -= s / after[:, None] * found[:, :, 1]
-        out[1] += s / (one * after)[:, None] * found[:, :, 0]
-    return out
+    response = np.zeros((2, len(w), signals.value.shape[1]))
+    for frequency, low, high in ((first_quarter, time[:-1], crossing), (second_quarter, crossing, time[1:])):
+        moments = _moments(signals, crossing + 0.5 * np.pi / frequency, frequency, low, high)
+        response[0] -= s / second_quarter[:, None] * moments[:, :, 1]
+        response[1] += s / (frequency * second_quarter)[:, None] * moments[:, :, 0]
+    return response
 
 
 def _measurement_response(
-    signals: Signals, time: Floats, side: Floats, rate: Floats, half: Floats, weight: float
+    signals: Signals, time: Floats, side: Floats, rate: Floats, quarter_s: Floats, weight: float
 ) -> Floats:
     w, s = rate[:, None], side[:, None]
-    out = np.zeros((2, len(time), signals.value.shape[1]))
-    rest = np.zeros(out.shape[1:])
-    for sign, low, high in ((-1.0, time - half, time), (1.0, time, time + half)):
-        cosine, sine, x_cosine, x_sine, alone = np.moveaxis(_moments(signals, time, rate, low, high), 2, 0)
-        # u = pi/2 - sign theta, sin|theta| = sign sin(theta)
+    response = np.zeros((2, len(time), signals.value.shape[1]))
+    rest = np.zeros(response.shape[1:])
+    for sign, low, high in ((-1.0, time - quarter_s, time), (1.0, time, time + quarter_s)):
+        cosine, sine, x_cosine, x_sine, plain = np.moveaxis(_moments(signals, time, rate, low, high), 2, 0)
+        # pi/2 - |theta| = pi/2 - sign theta, sin|theta| = sign sin(theta)
         p = cosine - 0.5 * np.pi * sign * sine + x_sine
-        r = alone - sign * sine
+        r = plain - sign * sine
         free = (0.5 * np.pi * p - 2 * r) / _REST_DENOMINATOR
-        out[0] += s / w * ((1 - weight) * p / np.pi + weight * free)
+        response[0] += s / w * ((1 - weight) * p / np.pi + weight * free)
         rest += (0.5 * np.pi * r - p) / (w * _REST_DENOMINATOR)
-        out[1] += s / w**2 * sign * (0.5 * np.pi * cosine - sign * x_cosine) / np.pi
-    out[0, 1:] -= s[1:] * 4 / np.pi * (1 - weight) * _detector_rest(rest, weight)[:-1]
-    return out
+        response[1] += s / w**2 * sign * (0.5 * np.pi * cosine - sign * x_cosine) / np.pi
+    response[0, 1:] -= s[1:] * 4 / np.pi * (1 - weight) * _detector_rest(rest, weight)[:-1]
+    return response
 
 
 def _detector_rest(rest: Floats, weight: float) -> Floats:
     """The equilibrium position (half-swings, terms) that the detector has after each half-cycle."""
     # its change in a gap is not known, and taken as zero
-    kept = np.nan_to_num(rest) * weight
-    for k in range(1, len(kept)):
-        kept[k] += (1 - weight) * kept[k - 1]
-    return kept
+    position = np.nan_to_num(rest) * weight
+    for k in range(1, len(position)):
+        position[k] += (1 - weight) * position[k - 1]
+    return position
 
 
 def _moments(signals: Signals, origin: Floats, rate: Floats, low: Floats, high: Floats) -> Floats:
-    found = moments_of(signals.time_s, signals.value, origin, rate, low, high, signals.longest_step_s)
-    return np.asarray(found)
+    values = signals.time_s, signals.value
+    return np.asarray(moments_of(*values, origin, rate, low, high, signals.longest_step_s))
 
 
 LEAST_UNEXPLAINED = 0.022
-"""Share of a drive that a seismometer at best leaves unexplained: that between two of different make at one
-place, at 0.2 to 0.28 Hz. The measurement of the turning points hides so weak a drive, and yet it adds up."""
+"""Share of a drive that a seismometer at best leaves unexplained: two of different make at one place differ
+by it, at 0.2 to 0.28 Hz. In one half-swing it is below the noise of a turning point, and yet it adds up."""
 
 
 class DrivenCoordinates:
@@ -296,16 +298,16 @@ class DrivenCoordinates:
         """The known part of the drive for the filter, with derivatives for a Jacobian of `width` columns."""
         steps = self._drive.steps * (self.unit / self.reference)
         gains = columns[: self.terms]
-        by = np.zeros((*steps.shape[:2], width))
-        by[:, :, : self.terms] = steps
+        derivative = np.zeros((*steps.shape[:2], width))
+        derivative[:, :, : self.terms] = steps
         unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
-        return KnownSteps(np.ascontiguousarray(steps @ gains), by, unknown, np.zeros(len(unknown), np.bool_))
+        known, knocked = np.ascontiguousarray(steps @ gains), np.zeros(len(unknown), np.bool_)
+        return KnownSteps(known, derivative, unknown, knocked)
 
     def least_unexplained(self, columns: Floats) -> float:
         """The least step of the drive that remains unexplained, in units of the reference."""
-        known = self.known(columns, self.terms).steps[0]
-        seen = known[~self._drive.missing]
-        return LEAST_UNEXPLAINED * float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
+        steps = self.known(columns, self.terms).steps[0][~self._drive.missing]
+        return LEAST_UNEXPLAINED * float(np.sqrt(np.mean(steps**2))) if len(steps) else 0.0
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         values, matrix = self._law.map_parameters(columns[self.terms :])

@@ -104,13 +104,13 @@ def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
     kinds = np.stack([spectrum, turned, slope * spectrum, slope * turned], axis=2)
     found = np.fft.irfft(kinds.reshape(len(nu), -1), len(padded), axis=0)
     found = found[padding : padding + len(time)]
-    usable = ~_dilated(~good, ceil(_GUARD_PERIODS * period_s / step_s))
+    usable = ~_dilate(~good, ceil(_GUARD_PERIODS * period_s / step_s))
     return Signals(time[usable], np.ascontiguousarray(found[usable]), _MIN_GAP_STEPS * step_s)
 
 
 def plain_signals(seismometer: Seismogram, period_s: float) -> Signals:
     """Every component unchanged but for its drift, which is removed."""
-    return signals_of(seismometer, period_s).only([one * SIGNALS for one in range(len(seismometer.names))])
+    return signals_of(seismometer, period_s).select([one * SIGNALS for one in range(len(seismometer.names))])
 
 
 def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
@@ -139,7 +139,7 @@ def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, flo
     return even, found[:kept].reshape(len(even), together, -1).mean(axis=1), step_s * together
 
 
-def _dilated(lost: Flags, guard: int) -> Flags:
+def _dilate(lost: Flags, guard: int) -> Flags:
     """Whether each sample is at most `guard` samples from a lost one."""
     count = np.concatenate([[0], np.cumsum(lost)])
     places = np.arange(len(lost))
@@ -190,7 +190,7 @@ def with_start_gains(drives: SignalDrives, near: FitResult, chosen: Sequence[int
     """The drive by some signals, the first with the gains of an earlier fit and the others at 0."""
     known = np.zeros(0) if near.evidence.drive is None else near.evidence.drive.gains
     gains = np.concatenate([known, np.zeros(len(chosen) - len(known))])
-    return drives.every.only(list(chosen)).with_gains(gains)
+    return drives.every.select(list(chosen)).with_gains(gains)
 
 
 def model_of(
@@ -329,7 +329,7 @@ def best_offset(
             f"the seismometer lasts {last_s - first_s:.4g} s, too long to search for its offset: state it to "
             f"{0.5 * _MAX_OFFSETS_TRIED * step_s:.3g} s, or shorten its record"
         )
-    signals = signals.only([k for one in range(len(seismometer.names)) for k in columns_of(one, PAIR)])
+    signals = signals.select([k for one in range(len(seismometer.names)) for k in columns_of(one, PAIR)])
     drive = known_drive(points, signals, averaged=averaged)
     model = model_of(points, pendulum, alone, drive)
 

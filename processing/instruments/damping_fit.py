@@ -159,7 +159,7 @@ def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) 
     simulated = []
     for _ in range(_SIMULATED_DECAYS):
         try:
-            simulated.append(reduce(_simulated(points, step, rng)))
+            simulated.append(reduce(_simulate(points, step, rng)))
         except DataError:
             continue
     if len(simulated) < 0.5 * _SIMULATED_DECAYS:
@@ -199,7 +199,7 @@ def _excess(points: TurningPoints, run: Ints) -> Floats:
     return np.asarray(((third * inner) ** 2 - reading) / 6)
 
 
-def _simulated(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
+def _simulate(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
     """The same decay with another random drive and other measurement errors.
 
     A kick keeps its ratio to the amplitude, which is exact for linear damping, and shifts all later times.

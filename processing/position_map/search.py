@@ -29,42 +29,42 @@ class NormalEquations(NamedTuple):
     score: Floats
 
     @property
-    def splines(self) -> int:
-        """Number of splines."""
+    def spline_count(self) -> int:
         return len(self.score) - SHARED_COLUMNS
 
     def spline_equations(self, scale: float = 1.0) -> "NormalEquations":
         """Equations of the splines with the common columns free; `scale` is the variance of the residuals."""
-        count = self.splines
-        gain = self.by_common()
+        count = self.spline_count
+        gain = self.common_gain()
         return NormalEquations(
             (self.information[:count, :count] - gain @ self.information[count:, :count]) / scale,
             (self.score[:count] - gain @ self.score[count:]) / scale,
         )
 
-    def by_common(self) -> Floats:
-        """Gain (splines, SHARED_COLUMNS) of the splines' score by that of the free common columns."""
+    def common_gain(self) -> Floats:
+        """Gain (splines, SHARED_COLUMNS) of the splines' score by the score of the free common columns."""
         return np.asarray(
-            self.information[: self.splines, self.splines :] @ self._inverse(), dtype=np.float64
+            self.information[: self.spline_count, self.spline_count :] @ self._inverse(), dtype=np.float64
         )
 
-    def with_common(self, coefficients: Floats) -> Floats:
+    def complete(self, coefficients: Floats) -> Floats:
         """Coefficients of the splines, followed by the likeliest ones of the common columns given these."""
-        left = self.score[self.splines :] - self.information[self.splines :, : self.splines] @ coefficients
-        return np.concatenate([coefficients, self._inverse() @ left])
+        n = self.spline_count
+        score = self.score[n:] - self.information[n:, :n] @ coefficients
+        return np.concatenate([coefficients, self._inverse() @ score])
 
-    def explained(self, everything: Floats) -> float:
+    def explained(self, coefficients: Floats) -> float:
         """Reduction of chi-square by the coefficients of all columns."""
-        return float(2.0 * everything @ self.score - everything @ self.information @ everything)
+        return float(2.0 * coefficients @ self.score - coefficients @ self.information @ coefficients)
 
     def _inverse(self) -> Floats:
-        common = self.information[self.splines :, self.splines :]
+        common = self.information[self.spline_count :, self.spline_count :]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(common), 1e-300))
         inverse = np.linalg.pinv(common * np.outer(scale, scale), rcond=1e-10, hermitian=True)
         return np.asarray(inverse * np.outer(scale, scale), dtype=np.float64)
 
 
-def summed(parts: Sequence[NormalEquations]) -> NormalEquations:
+def sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
     """Sum of one or more normal equations."""
     return NormalEquations(
         np.asarray(sum(part.information for part in parts)), np.asarray(sum(part.score for part in parts))
@@ -72,7 +72,7 @@ def summed(parts: Sequence[NormalEquations]) -> NormalEquations:
 
 
 class Accumulator:
-    """Normal equations summed over cycles, with the parameters of each cycle free.
+    """Normal equations sum_equations over cycles, with the parameters of each cycle free.
 
     The products of the splines are a band matrix, from which each cycle's free parameters take a few columns:
     the large matrix is not computed for every cycle.
@@ -87,7 +87,7 @@ class Accumulator:
         self.cycles = 0
         self._splines = splines
         self._band = np.zeros((4, splines.count))
-        self._crossed = np.zeros((splines.count, SHARED_COLUMNS))
+        self._mixed_products = np.zeros((splines.count, SHARED_COLUMNS))
         self._common = np.zeros((SHARED_COLUMNS, SHARED_COLUMNS))
         self._own_columns: list[Floats] = []
         self._own_products: Floats | None = None
@@ -108,20 +108,20 @@ class Accumulator:
         first, values = self._splines.at(cycle.place)
         values *= root[:, None]
         count, splines = len(root), self._splines.count
-        of_place = csr_array(
+        basis = csr_array(
             (values.ravel(), (first[:, None] + np.arange(4)).ravel(), np.arange(0, 4 * count + 1, 4)),
             shape=(count, splines),
         )
-        crossed = of_place.T @ np.column_stack([directions, columns])
-        for apart in range(4):
-            for j in range(4 - apart):
-                products = values[:, j] * values[:, j + apart]
-                self._band[apart] += np.bincount(first + j, products, minlength=splines)
+        products = basis.T @ np.column_stack([directions, columns])
+        for distance in range(4):
+            for j in range(4 - distance):
+                band = values[:, j] * values[:, j + distance]
+                self._band[distance] += np.bincount(first + j, band, minlength=splines)
         own_count = directions.shape[1]
-        self._own_columns.append(crossed[:, :own_count])
-        self._crossed += crossed[:, own_count:-1]
+        self._own_columns.append(products[:, :own_count])
+        self._mixed_products += products[:, own_count:-1]
         self._common += columns[:, :-1].T @ columns[:, :-1]
-        score = np.concatenate([crossed[:, -1], columns[:, :-1].T @ columns[:, -1]])
+        score = np.concatenate([products[:, -1], columns[:, :-1].T @ columns[:, -1]])
         self._score += score
         if len(self._own_columns) == _BATCH_CYCLES:
             self._add_own_products()
@@ -131,24 +131,24 @@ class Accumulator:
         """Normal equations of all cycles so far."""
         splines = self._splines.count
         information = np.zeros((splines + SHARED_COLUMNS, splines + SHARED_COLUMNS))
-        for apart in range(4):
-            rows = np.arange(splines - apart)
-            information[rows, rows + apart] = information[rows + apart, rows] = self._band[
-                apart, : splines - apart
+        for distance in range(4):
+            rows = np.arange(splines - distance)
+            information[rows, rows + distance] = information[rows + distance, rows] = self._band[
+                distance, : splines - distance
             ]
         self._add_own_products()
         if self._own_products is not None:
             information[:splines, :splines] -= self._own_products
-        information[:splines, splines:] = self._crossed
-        information[splines:, :splines] = self._crossed.T
+        information[:splines, splines:] = self._mixed_products
+        information[splines:, :splines] = self._mixed_products.T
         information[splines:, splines:] = self._common
         return NormalEquations(information, self._score)
 
     def _add_own_products(self) -> None:
         if self._own_columns:
-            taken = np.column_stack(self._own_columns)
+            columns = np.column_stack(self._own_columns)
             self._own_columns.clear()
-            products = taken @ taken.T
+            products = columns @ columns.T
             self._own_products = products if self._own_products is None else self._own_products + products
 
 
@@ -160,7 +160,7 @@ _FEWEST_CYCLES = 8
 _SAMPLED_CYCLES = 24
 """Number of cycles whose residuals are stored, to measure their scatter about a common error."""
 _MAX_SUMS = 64
-"""About the largest number of groups of neighbouring cycles whose scores are summed."""
+"""About the largest number of groups of neighbouring cycles whose scores are sum_equations."""
 _CROSS_VALIDATION_PARTS = 10
 """Number of parts of the run, each of which is predicted by the others."""
 _SMALLEST_CONFIRMATION = 0.8
@@ -197,24 +197,24 @@ class PositionMapSearch:
     def __init__(self, low: float, high: float, cycles: int) -> None:
         self._splines = Splines.over(low, high, _SPLINES)
         self._parts = [Accumulator(self._splines) for _ in range(_CROSS_VALIDATION_PARTS)]
-        self._expected = max(cycles, 1)
-        self._group = max(1, math.ceil(cycles / _MAX_SUMS))
-        self._every = max(1, math.ceil(cycles / _SAMPLED_CYCLES))
+        self._expected_cycles = max(cycles, 1)
+        self._group_size = max(1, math.ceil(cycles / _MAX_SUMS))
+        self._sample_interval = max(1, math.ceil(cycles / _SAMPLED_CYCLES))
         self._scores: list[Floats] = []
-        self._sampled: list[CycleResiduals] = []
+        self._sampled_cycles: list[CycleResiduals] = []
         self._cycles = 0
 
     def add(self, cycle: CycleResiduals) -> None:
         """Add the residuals of one cycle."""
         score = self._parts[
-            min(_CROSS_VALIDATION_PARTS * self._cycles // self._expected, _CROSS_VALIDATION_PARTS - 1)
+            min(_CROSS_VALIDATION_PARTS * self._cycles // self._expected_cycles, _CROSS_VALIDATION_PARTS - 1)
         ].add(cycle)
-        if self._cycles % self._group == 0:
+        if self._cycles % self._group_size == 0:
             self._scores.append(score)
         else:
             self._scores[-1] = self._scores[-1] + score
-        if self._cycles % self._every == 0:
-            self._sampled.append(cycle)
+        if self._cycles % self._sample_interval == 0:
+            self._sampled_cycles.append(cycle)
         self._cycles += 1
 
     def position_map(self) -> PositionMap | None:
@@ -222,21 +222,21 @@ class PositionMapSearch:
         if len(self._scores) < _FEWEST_CYCLES:
             return None
         parts = [part.sums() for part in self._parts if part.cycles]
-        whole = summed(parts)
+        total = sum_equations(parts)
         scores = np.array(self._scores)
-        scores = scores[:, :_SPLINES] - scores[:, _SPLINES:] @ whole.by_common().T
+        scores = scores[:, :_SPLINES] - scores[:, _SPLINES:] @ total.common_gain().T
         significance = max(_significance(self._prior(length), scores) for length in _LENGTHS)
         if not significance > SIGNIFICANT:
             return None
         scale, lengths = 1.0, _LENGTHS
         for _ in range(2):
-            tried = (
-                _likeliest(length, self._prior(length), whole.spline_equations(scale)) for length in lengths
+            peaks = (
+                _likeliest(length, self._prior(length), total.spline_equations(scale)) for length in lengths
             )
-            best = max(tried, key=lambda one: one.gain)
-            scale = self._scatter(best, whole)
-        best = _likeliest(best.length, self._prior(best.length), whole.spline_equations(scale))
-        if not self._confirmed(parts, best.length, scale):
+            best = max(peaks, key=lambda peak: peak.gain)
+            scale = self._scatter(best, total)
+        best = _likeliest(best.length, self._prior(best.length), total.spline_equations(scale))
+        if not self._is_confirmed(parts, best.length, scale):
             return None
         return PositionMap(
             splines=self._splines,
@@ -259,21 +259,21 @@ class PositionMapSearch:
         u_scale = float(np.std(error) / np.std(place[1:-1]))
         return np.asarray(u_scale**2 * np.outer(place, place), dtype=np.float64)
 
-    def _confirmed(self, parts: Sequence[NormalEquations], length: float, scale: float) -> bool:
+    def _is_confirmed(self, parts: Sequence[NormalEquations], length: float, scale: float) -> bool:
         """Whether the parts of the run are described better with the map of the others than without one.
 
         Residuals from another motion are alike in neighbouring cycles, but not over the whole run.
         """
         gains = []
         for part in parts:
-            others = summed([other for other in parts if other is not part])
-            theirs = _likeliest(length, self._prior(length), others.spline_equations(scale)).coefficients
+            others = sum_equations([other for other in parts if other is not part])
+            predicted = _likeliest(length, self._prior(length), others.spline_equations(scale)).coefficients
             gains.append(
-                part.explained(others.with_common(theirs))
-                - part.explained(others.with_common(np.zeros(_SPLINES)))
+                part.explained(others.complete(predicted))
+                - part.explained(others.complete(np.zeros(_SPLINES)))
             )
-        found = np.array(gains)
-        return bool(found.sum() > 0.0 and np.mean(found > 0.0) >= _SMALLEST_CONFIRMATION)
+        gain = np.array(gains)
+        return bool(gain.sum() > 0.0 and np.mean(gain > 0.0) >= _SMALLEST_CONFIRMATION)
 
     def _prior(self, length: float) -> Floats:
         """Correlation matrix of the coefficients for a correlation length, a fraction of the range."""
@@ -282,19 +282,19 @@ class PositionMapSearch:
         step = np.arange(_SPLINES) / ((_SPLINES - 3) * length)
         return np.asarray(toeplitz(np.exp(-0.5 * step**2)), dtype=np.float64)
 
-    def _scatter(self, found: _LikelihoodPeak, whole: NormalEquations) -> float:
+    def _scatter(self, peak: _LikelihoodPeak, total: NormalEquations) -> float:
         """Variance of the cycles' scores about the common error, relative to the samples' uncertainties.
 
         It is taken in the directions of the prior, in which disturbances of neighbouring samples count fully.
         """
-        everything = whole.with_common(found.coefficients)
-        prior, power, expected = self._prior(found.length), 0.0, 0.0
-        for cycle in self._sampled:
-            alone = Accumulator(self._splines)
-            alone.add(cycle)
-            sums = alone.sums()
-            off = (sums.score - sums.information @ everything)[:_SPLINES]
-            power += float(off @ prior @ off)
+        coefficients = total.complete(peak.coefficients)
+        prior, power, expected = self._prior(peak.length), 0.0, 0.0
+        for cycle in self._sampled_cycles:
+            single = Accumulator(self._splines)
+            single.add(cycle)
+            sums = single.sums()
+            residual = (sums.score - sums.information @ coefficients)[:_SPLINES]
+            power += float(residual @ prior @ residual)
             expected += float(np.sum(prior * sums.information[:_SPLINES, :_SPLINES]))
         return power / expected
 
@@ -322,23 +322,24 @@ def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _Likeliho
     """
     information, score = sums
     variance, directions = np.linalg.eigh(prior)
-    kept = variance > 1e-9 * variance[-1]
-    root = directions[:, kept] * np.sqrt(variance[kept])
-    size, turned = np.linalg.eigh(root.T @ information @ root)
-    basis = root @ turned
+    significant = variance > 1e-9 * variance[-1]
+    root = directions[:, significant] * np.sqrt(variance[significant])
+    size, rotation = np.linalg.eigh(root.T @ information @ root)
+    basis = root @ rotation
     # components below this have no information except by rounding errors
     visible = size > _SMALLEST_INFORMATION * size[-1]
     size = np.where(visible, size, 0.0)
-    seen = np.where(visible, basis.T @ score, 0.0)
+    projected = np.where(visible, basis.T @ score, 0.0)
 
     def gain(log_v: float) -> float:
         v = math.exp(log_v)
-        return float(np.sum(seen**2 * v / (1.0 + v * size) - np.log1p(v * size)))
+        return float(np.sum(projected**2 * v / (1.0 + v * size) - np.log1p(v * size)))
 
     # variances from far below what all cycles could show to far above any real one
     middle = -math.log(float(size.max()))
     tried = middle + np.arange(-5.0, 30.0, 0.25)
     log_v = float(tried[np.argmax([gain(one) for one in tried.tolist()])])
     v = math.exp(log_v)
-    shrunk = v / (1.0 + v * size)
-    return _LikelihoodPeak(0.5 * gain(log_v), length, basis @ (shrunk * seen), (basis * shrunk) @ basis.T)
+    weight = v / (1.0 + v * size)
+    coefficients = basis @ (weight * projected)
+    return _LikelihoodPeak(0.5 * gain(log_v), length, coefficients, (basis * weight) @ basis.T)

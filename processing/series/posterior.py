@@ -40,7 +40,7 @@ from processing.series.runs import (
 DRAWS = 1000
 _ENOUGH_SHARE = 0.2
 """Effective share of the draws above which no further round is made."""
-_MAX_ROUNDS = 4
+_MAX_ITERATIONS = 4
 _SCATTER_TAILS, _LEVEL_TAILS = 6.0, 30.0
 """Degrees of freedom of Student's t from which scatters and latent numbers are drawn."""
 _MAX_R_HAT = 1.05
@@ -218,7 +218,7 @@ def fit_series(
     rng = np.random.default_rng(seed)
     centre, covariance = found.h, found.covariance
     best: SeriesPosterior | None = None
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         z, log_z = _students(rng, (draws, len(centre)), _SCATTER_TAILS)
         h = centre + z @ np.linalg.cholesky(covariance).T
         log_h = log_z - 0.5 * log_determinant(covariance)

@@ -199,7 +199,7 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     shape = pairs[0][0].shape
     total, count = np.zeros(shape), np.zeros(shape)
     for image, spot in pairs:
-        box, by_spot = _around(shape, spot, _AWAY_SIGMAS * sigma)
+        box, by_spot = _box_around(shape, spot, _AWAY_SIGMAS * sigma)
         total += image
         total[box] -= np.where(by_spot, image[box], 0.0)
         count += 1.0
@@ -224,13 +224,13 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     smooth = 2.0 * gaussian_filter(light, sigma)
     near = np.zeros(shape, dtype=np.bool_)
     for spot in found:
-        box, by_spot = _around(shape, spot, 4.0 * sigma)
+        box, by_spot = _box_around(shape, spot, 4.0 * sigma)
         near[box] |= by_spot
     y, x = np.unravel_index(int(np.argmax(np.where(near, smooth, -np.inf))), shape)
     return FixedLight(light, sigma, int(x), int(y), float(smooth[y, x]) / height, shift_px, shift_px / u_px)
 
 
-def _around(shape: tuple[int, ...], spot: Spot, reach_px: float) -> tuple[tuple[slice, slice], Flags]:
+def _box_around(shape: tuple[int, ...], spot: Spot, reach_px: float) -> tuple[tuple[slice, slice], Flags]:
     """Box of a picture around all pixels within a distance of a spot, and which of its pixels these are."""
     rows, columns = (
         slice(max(math.floor(at - reach_px), 0), max(math.ceil(at + reach_px) + 1, 0))
@@ -321,7 +321,7 @@ def beam_shape(images: Sequence[Image], spots: Sequence[Spot], full_scale_dn: fl
         away_px=away_px,
         extra_light=bool(left_over[row, column] > 0),
         middle=_middle(_blurred(light, smooth)),
-        lopsided=_lopsided(light, smooth),
+        lopsided=_slope_asymmetry(light, smooth),
     )
 
 
@@ -378,7 +378,7 @@ def _middle(light: Picture) -> float:
     return float(rings[0] / max(rings[: half + 1].max(), 1e-9))
 
 
-def _lopsided(light: Picture, smooth: float) -> float:
+def _slope_asymmetry(light: Picture, smooth: float) -> float:
     """Largest ratio of rising to falling slope (or the inverse) of the light summed across a direction."""
     half = len(light) // 2
     v, u = np.indices(light.shape) - half

@@ -70,17 +70,17 @@ def inverse_covariance(p: Floats) -> tuple[float, float, float]:
 
 @kernel
 def _add_pixel(
-    size: int, weight: float, wr: float, derivative: Floats, gradient: Floats, matrix: Floats
+    size: int, weight: float, weighted_residual: float, derivative: Floats, gradient: Floats, matrix: Floats
 ) -> None:
-    """Add a pixel of weighted residual `wr` to the sums of the first `size` parameters.
+    """Add a pixel to the sums of the first `size` parameters.
 
     The sums take most of the time of a fit: the trailing parameters that are not fitted are left out.
     """
     for k in range(size):
-        gradient[k] += wr * derivative[k]
-        wk = weight * derivative[k]
+        gradient[k] += weighted_residual * derivative[k]
+        weighted = weight * derivative[k]
         for m in range(k + 1):
-            matrix[k, m] += wk * derivative[m]
+            matrix[k, m] += weighted * derivative[m]
 
 
 @kernel
@@ -101,7 +101,7 @@ def score_general(
     window: Window,
     p: Floats,
     tilted: bool,
-    two: bool,
+    has_second: bool,
     noise: PixelNoise,
     gate: float,
     hidden: HalfPlane,
@@ -123,7 +123,7 @@ def score_general(
     window
         Pixels to sum over.
     p : (PARAMETERS,)
-    tilted, two
+    tilted, has_second
         Whether the covariance and the second spot are fitted.
     noise
         Noise model of a pixel.
@@ -157,9 +157,9 @@ def score_general(
     for j in range(window.y0 + step_y // 2, window.y1, step_y):
         v = j - p[Y]
         v2 = j - p[SECOND_Y]
-        seen = hidden.distance - hidden.along_y * j
+        limit = hidden.distance - hidden.along_y * j
         for i in range(window.x0 + step_x // 2, window.x1, step_x):
-            if hidden.along_x * i > seen:
+            if hidden.along_x * i > limit:
                 continue
             f, qx, qy = _light_at(i - p[X], v, pxx, pyy, pxy)
             light = p[AMPLITUDE] * f
@@ -171,7 +171,7 @@ def score_general(
             derivative[SIGMA_X] = light * qx * qx * p[SIGMA_X]
             derivative[SIGMA_Y] = light * qy * qy * p[SIGMA_Y]
             derivative[COVARIANCE] = light * qx * qy
-            if two:
+            if has_second:
                 f2, qx2, qy2 = _light_at(i - p[SECOND_X], v2, pxx, pyy, pxy)
                 light2 = p[SECOND_AMPLITUDE] * f2
                 light += light2
@@ -197,17 +197,17 @@ def score_general(
             weight = 1.0 / variance
             chi2 += z
             pixels += 1
-            wr = weight * r
+            weighted_residual = weight * r
             # a constant number of parameters each, for which the compiler unrolls the sums
-            if two:
-                _add_pixel(PARAMETERS, weight, wr, derivative, gradient, matrix)
+            if has_second:
+                _add_pixel(PARAMETERS, weight, weighted_residual, derivative, gradient, matrix)
             elif tilted:
-                _add_pixel(TILTED, weight, wr, derivative, gradient, matrix)
+                _add_pixel(TILTED, weight, weighted_residual, derivative, gradient, matrix)
             else:
-                _add_pixel(UPRIGHT, weight, wr, derivative, gradient, matrix)
+                _add_pixel(UPRIGHT, weight, weighted_residual, derivative, gradient, matrix)
     # a row and column of the unit matrix give a parameter that is not fitted the step zero
     for k in range(PARAMETERS):
-        if (k == COVARIANCE and not tilted) or (k >= SECOND_AMPLITUDE and not two):
+        if (k == COVARIANCE and not tilted) or (k >= SECOND_AMPLITUDE and not has_second):
             for m in range(PARAMETERS):
                 matrix[max(k, m), min(k, m)] = 0.0
             matrix[k, k] = 1.0
@@ -233,7 +233,7 @@ def fit_general(
     image: Image,
     work: Workspace,
     tilted: bool,
-    two: bool,
+    has_second: bool,
     noise: PixelNoise,
     reach: float,
     hidden: HalfPlane,
@@ -242,7 +242,7 @@ def fit_general(
 
     The limit for outliers follows the scatter of the pixels used. It is infinite at first, so that large
     residuals of poor start values are not taken for outliers, and it stays wide where the beam is not
-    Gaussian, in proportion to the misfit.
+    Gaussian, in proportion to chi-square.
 
     `reach` is the half-width of the window in standard deviations of the spot; `hidden` pixels are ignored.
     The result has ``done = False`` if there is no convergence, too few pixels are left, or the parameters
@@ -261,7 +261,7 @@ def fit_general(
         if window.x1 - window.x0 < 3 or window.y1 - window.y0 < 3:
             break
         chi2, pixels, saturated, outliers = score_general(
-            image, window, p, tilted, two, noise, gate, hidden, gradient, work.information
+            image, window, p, tilted, has_second, noise, gate, hidden, gradient, work.information
         )
         if pixels < 12 or not cholesky(work.information, size, work.factor):
             break
@@ -276,7 +276,7 @@ def fit_general(
             abs(step[SIGMA_Y]) / (0.3 * p[SIGMA_Y]),
             abs(step[AMPLITUDE]) / (0.7 * p[AMPLITUDE]),
         )
-        if two:
+        if has_second:
             worst = max(worst, max(abs(step[SECOND_X]), abs(step[SECOND_Y])) / limit)
         shrink = 1.0 if worst <= 1.0 else 1.0 / worst
         # pixels that are left out in one pass and used in the next can make the fit oscillate
@@ -304,13 +304,13 @@ def fit_general(
             window = window_of(p, nx, ny, reach)
         scatter = max(1.0, chi2 / max(pixels - UPRIGHT, 1))
         new_gate = GATE * scatter
-        settled = gate < math.inf and abs(new_gate - gate) <= 0.02 * gate
+        gate_is_stable = gate < math.inf and abs(new_gate - gate) <= 0.02 * gate
         if worst <= 0.5:
             gate = new_gate
         tolerance = (1e-3 if count < _PASSES_BEFORE_HALVING else 0.2) * math.sqrt(scatter)
         u_x = math.sqrt(max(inverse_diagonal(work.factor, size, X), 1e-30))
         u_y = math.sqrt(max(inverse_diagonal(work.factor, size, Y), 1e-30))
         small = abs(step[X]) < tolerance * u_x and abs(step[Y]) < tolerance * u_y
-        if small and worst <= 1.0 and (settled or count > 2 * _PASSES_BEFORE_HALVING):
-            return Fitted(True, chi2, pixels, saturated, outliers, size, tilted, two)
-    return Fitted(False, chi2, pixels, saturated, outliers, size, tilted, two)
+        if small and worst <= 1.0 and (gate_is_stable or count > 2 * _PASSES_BEFORE_HALVING):
+            return Fitted(True, chi2, pixels, saturated, outliers, size, tilted, has_second)
+    return Fitted(False, chi2, pixels, saturated, outliers, size, tilted, has_second)

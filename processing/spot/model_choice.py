@@ -14,7 +14,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.spot.fit_values import Image, Spot, SpotFlag, chi2_limit
-from processing.spot.profile import ROUNDS, BeamProfile, Sample, Shape, learn
+from processing.spot.profile import LEARNING_ITERATIONS, BeamProfile, Sample, Shape, learn
 from processing.spot.sensor_model import PixelNoise
 
 _SAMPLE_INTERVAL = 4
@@ -24,7 +24,7 @@ _SAMPLED_PX = 1_000_000
 """Pixels of all samples: a large spot needs fewer samples, as its profile is smoothed over more pixels."""
 _PIECE_PX = 50_000
 """Pixels of samples that are processed in the time of one frame."""
-LONGEST_CHOICE_FRAMES = (_SAMPLE_INTERVAL + ROUNDS + 2) * _MOST_SAMPLES + 2
+LONGEST_CHOICE_FRAMES = (_SAMPLE_INTERVAL + LEARNING_ITERATIONS + 2) * _MOST_SAMPLES + 2
 """Most frames that a choice takes, from the first sample through the Gaussian fits to the learned profile."""
 _CHANGED_FRAMES = 256
 _CHANGED_RATIO = 2.0

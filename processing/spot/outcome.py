@@ -146,7 +146,7 @@ def _information(image: Image, work: Workspace, noise: PixelNoise, fitted: Fitte
 
 
 @kernel
-def _clipped(image: Image, p: Floats, noise: PixelNoise) -> bool:
+def _is_saturated(image: Image, p: Floats, noise: PixelNoise) -> bool:
     """Whether a pixel of the spot's window is at full scale in the image itself."""
     ny, nx = image.shape
     window = window_of(p, nx, ny, REACH)
@@ -176,7 +176,7 @@ def _report(
     u_x = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, X))
     u_y = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, Y))
     # the model of a beam that is not Gaussian may reach full scale where no pixel does
-    if fitted.saturated > 0 and _clipped(image, p, noise):
+    if fitted.saturated > 0 and _is_saturated(image, p, noise):
         flags |= _SATURATED
     if (
         x - 3.0 * p[SIGMA_X] < -0.5

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats, Singles
-from processing.spot.fit_values import GATE, Image, chi2_limit, poor_fit_limit
+from processing.spot.fit_values import GATE, REACH, Image, chi2_limit, poor_fit_limit
 from processing.spot.hot_pixels import HotPixels
 from processing.spot.outcome import principal_axes
 from processing.spot.profile_fit import (
@@ -26,14 +26,12 @@ from processing.spot.profile_fit import (
 )
 from processing.spot.sensor_model import LEAST_VARIANCE_DN2, PixelNoise
 
-REACH = 4.5
-"""Half-width of the fitted window in standard deviations of the Gaussian that fits the beam best."""
 _SMALLEST_SINGULAR_VALUE = 1e-10
 """Smallest singular value, relative to the largest, of a combination of knots that the grid determines."""
 _KNOTS_PER_SIGMA = 8.0
 """Knots of the learned profile per standard deviation: finer structure is noise, unless the spot is small."""
-ROUNDS = 3
-_LEFT_OUT_DN = 1e18
+LEARNING_ITERATIONS = 3
+_EXCLUDED_DN = 1e18
 """Value of an excluded pixel, beyond the gate of any model; its square is finite in single precision."""
 LARGEST_OFFSET_PX = 2.0
 """Largest distance of the profile's centre from the Gaussian's, if both were fitted to the same spot."""
@@ -118,25 +116,25 @@ def fit_at(
             return None
         window = np.ascontiguousarray(pixels[y0:y1, x0:x1], dtype=np.float32)
         left, top = x0 + origin_px[0], y0 + origin_px[1]
-        left_out = hot.in_window(left, top, x1 + origin_px[0], y1 + origin_px[1]) if hot is not None else None
-        if left_out is not None:
-            window[left_out] = _LEFT_OUT_DN
+        excluded = hot.in_window(left, top, x1 + origin_px[0], y1 + origin_px[1]) if hot is not None else None
+        if excluded is not None:
+            window[excluded] = _EXCLUDED_DN
         p[CENTRE_X] -= left
         p[CENTRE_Y] -= top
-        done, chi2, kept, saturated, outliers, u_x, u_y = fit_profile(
+        converged, chi2, kept, saturated, outliers, u_x, u_y = fit_profile(
             window, profile.spline, profile.centre, p, noise_values
         )
         p[CENTRE_X] += left
         p[CENTRE_Y] += top
-        away = max(abs(p[CENTRE_X] - column - origin_px[0]), abs(p[CENTRE_Y] - row - origin_px[1]))
-        if done and away <= 1.0:
-            outliers = max(outliers - (0 if left_out is None else len(left_out[0])), 0.0)
+        shift_px = max(abs(p[CENTRE_X] - column - origin_px[0]), abs(p[CENTRE_Y] - row - origin_px[1]))
+        if converged and shift_px <= 1.0:
+            outliers = max(outliers - (0 if excluded is None else len(excluded[0])), 0.0)
             if saturated > 0:
-                if left_out is not None:
-                    window[left_out] = 0.0
+                if excluded is not None:
+                    window[excluded] = 0.0
                 saturated = float(np.count_nonzero(window >= PixelNoise(*noise_values).full_scale_dn))
             return ProfileFit(p, chi2 / max(kept - FITTED, 1.0), kept, saturated, outliers, u_x, u_y)
-        if not away > 1.0:
+        if not shift_px > 1.0:
             return None
     return None
 
@@ -144,12 +142,12 @@ def fit_at(
 def learn(
     samples: Sequence[Sample], shape: Shape, noise: PixelNoise
 ) -> Generator[None, None, BeamProfile | None]:
-    """Profile of the beam in some samples; None if it cannot be fitted to them.
+    """Learn the profile of the beam from some samples; None if it cannot be fitted to them.
 
-    The first profile is the Gaussian that fits best. In each of ROUNDS rounds the profile is fitted to all
+    The first profile is the Gaussian that fits best. In each iteration the profile is fitted to all
     samples, and the residuals, averaged over their sub-pixel shifts, are added to it. Where the model reaches
-    full scale there are no residuals, and the Gaussian remains. The work is divided into about equal pieces,
-    one for each `yield`, so that frames can be tracked meanwhile.
+    full scale there are no residuals, and the Gaussian remains. It is a generator, which yields after each
+    of about equal pieces of work, so that frames can be tracked meanwhile.
     """
     noise_values = np.array(noise)
     half_px = math.ceil(REACH * math.sqrt(shape.xx)), math.ceil(REACH * math.sqrt(shape.yy))
@@ -160,10 +158,9 @@ def learn(
     spline = to_spline_y @ _gaussian(size_x, size_y, centre, shape) @ to_spline_x.T
     yield
     starts = [np.array([s.amplitude_dn, s.x_px, s.y_px, s.background_dn, 0.0, 0.0]) for s in samples]
-    chi2_per_dof = offset_x = offset_y = 0.0
-    for count in range(ROUNDS + 1):
+    for count in range(LEARNING_ITERATIONS + 1):
         profile = BeamProfile(spline.astype(np.float32), centre, half_px, shape, math.nan)
-        left = _MeanResidual(profile, noise)
+        residuals = _MeanResidual(profile, noise)
         chi2_per_dof = offset_x = offset_y = 0.0
         for k, sample in enumerate(samples):
             fit = fit_at(profile, sample.pixels, sample.origin_px, starts[k], noise_values)
@@ -173,11 +170,11 @@ def learn(
             chi2_per_dof += fit.chi2_per_dof / len(samples)
             offset_x += (fit.p[CENTRE_X] - sample.x_px) / len(samples)
             offset_y += (fit.p[CENTRE_Y] - sample.y_px) / len(samples)
-            if count < ROUNDS:
-                left.add(sample, fit)
+            if count < LEARNING_ITERATIONS:
+                residuals.add(sample, fit)
             yield
-        if count < ROUNDS:
-            spline = spline + to_spline_y @ left.mean @ to_spline_x.T
+        if count < LEARNING_ITERATIONS:
+            spline = spline + to_spline_y @ residuals.mean @ to_spline_x.T
     if max(abs(offset_x), abs(offset_y)) > LARGEST_OFFSET_PX:
         return None
     # the centre is where the Gaussian has it, so that the position does not jump at the change
@@ -243,7 +240,7 @@ def _residual(
     ny, nx = sample.pixels.shape
     light = np.full((ny, nx), np.nan)
     values = _spline_between(profile.spline, start_x % 1.0, start_y % 1.0)
-    # element k of `values` is at the grid place k + 1 + phase, pixel i at start + i
+    # element k of `values` belongs to the grid coordinate k + 1 + phase, pixel i to start + i
     shift_x, shift_y = math.floor(start_x) - 1, math.floor(start_y) - 1
     x0, x1 = max(0, -shift_x), min(nx, values.shape[1] - shift_x)
     y0, y1 = max(0, -shift_y), min(ny, values.shape[0] - shift_y)
@@ -319,13 +316,13 @@ def _to_spline(size: int, sigma_px: float) -> Floats:
     With knots further apart than a pixel it is the spline of least squares, expressed on the grid.
     """
     grid = np.arange(size, dtype=np.float64)
-    unit = np.zeros((size, size))
-    np.fill_diagonal(unit, 4.0 / 6.0)
-    np.fill_diagonal(unit[1:], 1.0 / 6.0)
-    np.fill_diagonal(unit[:, 1:], 1.0 / 6.0)
+    values_of_spline = np.zeros((size, size))
+    np.fill_diagonal(values_of_spline, 4.0 / 6.0)
+    np.fill_diagonal(values_of_spline[1:], 1.0 / 6.0)
+    np.fill_diagonal(values_of_spline[:, 1:], 1.0 / 6.0)
     spacing = sigma_px / _KNOTS_PER_SIGMA
     if spacing <= 1.0:
-        return np.asarray(np.linalg.inv(unit))
+        return np.asarray(np.linalg.inv(values_of_spline))
     knots = np.arange(math.ceil((size - 1) / spacing) + 3) - 1.0
     distance = np.abs(grid[:, None] / spacing - knots)
     near = (4.0 + distance**2 * (3.0 * distance - 6.0)) / 6.0
@@ -333,4 +330,4 @@ def _to_spline(size: int, sigma_px: float) -> Floats:
     coarse = np.where(distance < 1.0, near, far)
     # two knots between the same two grid points are not determined one by one: the pseudo-inverse omits that
     smooth = coarse @ np.linalg.pinv(coarse, rcond=_SMALLEST_SINGULAR_VALUE)
-    return np.asarray(np.linalg.solve(unit, smooth))
+    return np.asarray(np.linalg.solve(values_of_spline, smooth))

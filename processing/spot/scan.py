@@ -11,8 +11,9 @@ from processing.arrays import Ints
 from processing.kernel import intrinsic, kernel
 from processing.spot.fit_values import Image
 
-LINE_BYTES = 64
+_CACHE_LINE_BYTES = 64
 _READ, _KEEP, _DATA = 0, 3, 1
+"""Arguments of LLVM's prefetch: the access, the longest stay in the cache, and the cache of data."""
 
 
 @intrinsic
@@ -48,10 +49,10 @@ def prefetch_window(image: Image, x0: int, y0: int, nx: int, ny: int) -> None:
     The processor's own prefetching does not recognise the rows of a window, which are far apart in memory.
     """
     width = image.shape[1]
-    in_a_line = LINE_BYTES // image.itemsize
+    line_pixels = _CACHE_LINE_BYTES // image.itemsize
     for y in range(y0, y0 + ny):
         first = y * width + x0
-        for place in range(first, first + nx, in_a_line):
+        for place in range(first, first + nx, line_pixels):
             prefetch(image, place)
         prefetch(image, first + nx - 1)
 
@@ -63,13 +64,13 @@ _SAMPLES_Y = 16
 _SAMPLES_X = 32
 SAMPLES = _SAMPLES_Y * _SAMPLES_X
 
-_ALTERNATING_PLACES = 4
-"""Number of places of the frame that are read alternately, so that more loads are under way at once."""
-_BLOCK = 64
-_LARGEST_BLOCK_BYTES = 256
-"""Largest number of bytes of a row between two prefetches; the number of pixels is a multiple of _BLOCK, so
-that vector loops have no remainder; it is small enough that loads do not queue in bursts, and large enough
-that the overhead of a loop is negligible."""
+_PARALLEL_BANDS = 4
+"""Number of bands that are read in turn, so that more loads are under way at once."""
+_VECTOR_PIXELS = 64
+"""Pixels of which the length of a block is a multiple, so that vector loops have no remainder."""
+_MAX_BLOCK_BYTES = 256
+"""Largest number of bytes of a row between two prefetches: small enough that loads do not queue in bursts,
+large enough that the overhead of a loop is negligible."""
 _ROWS_AHEAD = 4
 
 # The loops over a row use conditional expressions on values of the pixels' own type: min(), max() or a sum
@@ -85,17 +86,18 @@ def scan_every_row(image: Image, bands: Image) -> None:
     """
     ny, nx = image.shape
     pixels = image.reshape(ny * nx)
-    in_a_line = LINE_BYTES // image.itemsize
-    block = nx if nx < _BLOCK else min(nx, _LARGEST_BLOCK_BYTES // image.itemsize) // _BLOCK * _BLOCK
-    number = (ny + BAND_ROWS - 1) // BAND_ROWS
-    apart = (number + _ALTERNATING_PLACES - 1) // _ALTERNATING_PLACES
+    line_pixels = _CACHE_LINE_BYTES // image.itemsize
+    vectors = min(nx, _MAX_BLOCK_BYTES // image.itemsize) // _VECTOR_PIXELS
+    block = vectors * _VECTOR_PIXELS if vectors > 0 else nx
+    n_bands = (ny + BAND_ROWS - 1) // BAND_ROWS
+    interval = (n_bands + _PARALLEL_BANDS - 1) // _PARALLEL_BANDS
     bands[:, :nx] = 0
-    for start in range(apart):
+    for start in range(interval):
         for y in range(0, BAND_ROWS, 4):
             for x in range(0, nx, block):
                 # the last block overlaps the one before, which does not change the maxima
                 column = min(x, nx - block)
-                for band in range(start, number, apart):
+                for band in range(start, n_bands, interval):
                     row = band * BAND_ROWS + y
                     if row >= ny:
                         continue
@@ -103,7 +105,7 @@ def scan_every_row(image: Image, bands: Image) -> None:
                     top = max(0, min(row, ny - 4))
                     # the processor itself does not recognise four rows read in parallel as a stream
                     ahead = (top + 4) * nx + 4 * x
-                    for place in range(ahead, ahead + 4 * block, in_a_line):
+                    for place in range(ahead, ahead + 4 * block, line_pixels):
                         prefetch(image, place)
                     first = top * nx + column
                     row0 = pixels[first : first + block]
@@ -122,14 +124,14 @@ def scan_every_row(image: Image, bands: Image) -> None:
 def scan_some_rows(image: Image, row_step: int, bands: Image) -> None:
     """For each band and column, write the highest pixel among every `row_step`-th row into `bands`."""
     ny, nx = image.shape
-    in_a_line = LINE_BYTES // image.itemsize
+    line_pixels = _CACHE_LINE_BYTES // image.itemsize
     for band in range((ny + BAND_ROWS - 1) // BAND_ROWS):
         line = bands[band]
         line[:nx] = 0
         first = band * BAND_ROWS
         for y in range(first + (row_step // 2 - first) % row_step, min(ny, first + BAND_ROWS), row_step):
             ahead = (y + _ROWS_AHEAD * row_step) * nx
-            for place in range(ahead, ahead + nx, in_a_line):
+            for place in range(ahead, ahead + nx, line_pixels):
                 prefetch(image, place)
             row = image[y]
             for i in range(nx):
@@ -205,7 +207,7 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
 
 
 @kernel
-def _ranked(sample: Ints, rank: int, bits: int) -> int:
+def _order_statistic(sample: Ints, rank: int, bits: int) -> int:
     """Order statistic: the highest value of `bits` bits such that at most `rank` of the sample are lower.
 
     It is built up from the highest bit down, which needs no sorting.
@@ -233,10 +235,10 @@ def background_of(image: Image, row_step: int, sample: Ints) -> tuple[float, flo
             sample[count] = image[y, (2 * i + 1) * nx // (2 * _SAMPLES_X)]
             count += 1
     bits = 8 * image.itemsize
-    middle = _ranked(sample, count // 2, bits)
+    middle = _order_statistic(sample, count // 2, bits)
     # The 20 % quantile of a normal distribution lies 0.8416 standard deviations below its mean. The lower
     # half is used because light, from the spot or a reflection, only raises pixels.
-    low = _ranked(sample, count // 5, bits)
+    low = _order_statistic(sample, count // 5, bits)
     return float(middle), max((middle - low) / 0.8416, 0.3)
 
 

@@ -161,7 +161,7 @@ _Samples = tuple[Vector, Vector, Ints, Vector, Vector, Vector]
 """Samples of consecutive half-cycles, concatenated: the last six parameters of `_walk_kernel`."""
 
 
-def _joined(halves: Sequence[HalfCycleSamples]) -> _Samples:
+def _join(halves: Sequence[HalfCycleSamples]) -> _Samples:
     references = np.array([h.reference_ns for h in halves])
     return (
         np.array([h.side for h in halves], dtype=np.float64),
@@ -213,7 +213,7 @@ def fit_arc(
     prior = np.diag(1.0 / expected[1][active] ** 2)
     x = start.copy()
     covariance = np.empty_like(prior)
-    samples = _joined(halves)
+    samples = _join(halves)
     best_cost, best_x, best = math.inf, x, None
     step, part = np.zeros(len(active)), 1.0
     for _ in range(_STEPS):
@@ -260,7 +260,7 @@ def gain_of_more(
     """
     active = np.array(sorted(terms), dtype=np.int64)
     prior = np.diag(1.0 / expected[1][active] ** 2)
-    walk = _walk(start, _joined(halves), arc.reference, active, prior)
+    walk = _walk(start, _join(halves), arc.reference, active, prior)
     score = walk.score.sum(axis=0) + prior @ (expected[0] - start)[active]
     covariance = np.empty_like(prior)
     if not math.isfinite(walk.chi2) or not invert(prior + walk.information.sum(axis=0), covariance):

@@ -28,7 +28,7 @@ from processing.swing.sample_buffer import (
     search,
 )
 from processing.swing.swing import HalfCycleFlag
-from processing.swing.term_selection import choose, first_guess
+from processing.swing.term_selection import rough_state, select
 from processing.units import nanoseconds, seconds
 
 _START_PIVOTS = 4
@@ -182,10 +182,10 @@ class OnsetSearch:
         self._forget()
         pivots = self._pivots
         halves = _cut(self._samples, pivots)
-        arc = choose(first_guess(pivots), halves, self._known)
+        arc = select(rough_state(pivots), halves, self._known)
         if len(pivots) > 2 and (arc is None or arc.chi2 > _LARGEST_CHI2 * arc.samples):
             # the first half-cycle may contain the release or a kick
-            later = choose(first_guess(pivots[1:]), halves[1:], self._known)
+            later = select(rough_state(pivots[1:]), halves[1:], self._known)
             if later is not None and (arc is None or later.reduced_chi2 < 0.5 * arc.reduced_chi2):
                 arc, halves = later, halves[1:]
         if arc is None or not _is_plausible(arc, halves):

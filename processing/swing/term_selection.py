@@ -36,36 +36,31 @@ ANHARMONIC_LINEAR: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, 
 FAST_MODE: tuple[int, ...] = (FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING)
 
 _GAIN_PER_TERM = 3.5
-"""Reduction of chi-square that each additional term must achieve to be accepted ..."""
-
-_FAST_MODE_TOLL = 20.0
-"""... and a further reduction required of a fast mode, because many frequencies are tried."""
-
+"""Reduction of chi-square that each additional term must achieve to be accepted."""
+_FAST_MODE_GAIN = 20.0
+"""Further reduction of chi-square required of a fast mode, because many frequencies are tried."""
 _MIN_LINE_PROMINENCE = 15.0
-"""Smallest power of a fast mode's line, relative to the median power of the rates around it ..."""
-
+"""Smallest power of a fast mode's line, relative to the median power of its neighbourhood."""
 _NEIGHBOURHOOD_FACTOR = 1.6
-"""... within this factor above and below."""
-
-_LARGEST_VARIANCE_LEFT = 0.25
+"""Largest ratio of the frequencies of a line and of its neighbourhood, above and below."""
+_MAX_RESIDUAL_FRACTION = 0.25
 """Fraction of the variance that a damped sinusoid leaves, above which no further term is tried."""
-
 _FAST_MODE_CHI2 = 1.2
 """Reduced chi-square above which a fast mode is searched for."""
 
 
-def first_guess(pivots: Sequence[Pivot]) -> Vector:
+def rough_state(pivots: Sequence[Pivot]) -> Vector:
     """State at the first of the rough turning points: amplitude, frequency, damping and centre."""
     times = seconds(np.array([p.time_ns - pivots[0].time_ns for p in pivots]))
     values = np.array([p.deflection for p in pivots])
-    span = np.abs(np.diff(values))
-    loss = max(0.0, 1.0 - float(span[-1] / span[0]) ** (1.0 / max(len(span) - 1, 1)))
-    x = np.zeros(STATES)
-    x[AMPLITUDE] = 0.5 * span[0] * (1.0 + 0.5 * loss)
-    x[RATE] = math.pi * (len(pivots) - 1) / times[-1]
-    x[SHAPE + DAMPING] = loss / math.pi
-    x[CENTRE] = float(np.mean(0.5 * (values[1:] + values[:-1])))
-    return x
+    height = np.abs(np.diff(values))
+    loss = max(0.0, 1.0 - float(height[-1] / height[0]) ** (1.0 / max(len(height) - 1, 1)))
+    state = np.zeros(STATES)
+    state[AMPLITUDE] = 0.5 * height[0] * (1.0 + 0.5 * loss)
+    state[RATE] = math.pi * (len(pivots) - 1) / times[-1]
+    state[SHAPE + DAMPING] = loss / math.pi
+    state[CENTRE] = float(np.mean(0.5 * (values[1:] + values[:-1])))
+    return state
 
 
 def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:
@@ -107,16 +102,16 @@ def friction_start(linear: Vector) -> Vector:
 
 def relative_loss(x: Vector) -> float:
     """Relative loss of amplitude in one half-cycle at the amplitude of `x`."""
-    _, turn = tabulated(x, x, float(x[AMPLITUDE]), np.empty(0, dtype=np.int64))
-    return abs(1.0 - float(turn[1, 0]))
+    _, transition = tabulated(x, x, float(x[AMPLITUDE]), np.empty(0, dtype=np.int64))
+    return abs(1.0 - float(transition[1, 0]))
 
 
-def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None) -> Arc | None:
+def select(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None) -> Arc | None:
     """Fit the four models (anharmonic or not, with a fast mode or not) and choose one by its chi-square.
 
     Each additional term must reduce chi-square enough; fast modes are tried only where the fit without them
-    is poor. If the motion is `known`, only amplitude, time,
-    centre, drift and fast mode are free. None if no fit succeeds.
+    is poor. If the motion is `known`, only amplitude, time, centre, drift and fast mode are free. None if no
+    fit succeeds.
     """
     if known is not None:
         return _fit_known_motion(known, start, halves)
@@ -125,8 +120,8 @@ def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
     if linear is None:
         return None
     base = linear.states[0]
-    spread = np.std(np.concatenate([h.deflection[np.isfinite(h.deflection)] for h in halves]))
-    if linear.reduced_chi2 * _typical_variance(halves) > _LARGEST_VARIANCE_LEFT * spread**2:
+    scatter = np.std(np.concatenate([h.deflection[np.isfinite(h.deflection)] for h in halves]))
+    if linear.reduced_chi2 * _typical_variance(halves) > _MAX_RESIDUAL_FRACTION * scatter**2:
         return linear
     candidates = [linear]
     expected = prior(base, anharmonic=True)
@@ -135,9 +130,9 @@ def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
         candidates.append(anharmonic)
     for arc in tuple(candidates):
         if arc.chi2 > _FAST_MODE_CHI2 * arc.samples:
-            found = _with_fast_mode(arc, halves)
-            if found is not None:
-                candidates.append(found)
+            extended = _with_fast_mode(arc, halves)
+            if extended is not None:
+                candidates.append(extended)
     return best_arc(candidates)
 
 
@@ -146,8 +141,8 @@ def _fit_known_motion(known: KnownMotion, start: Vector, halves: Sequence[HalfCy
     arc = fit_arc(known.put_into(start), expected, halves, known.reference, KNOWN_MOTION_TERMS)
     if arc is None or not arc.chi2 > _FAST_MODE_CHI2 * arc.samples:
         return arc
-    found = _with_fast_mode(arc, halves)
-    return arc if found is None else best_arc((arc, found))
+    extended = _with_fast_mode(arc, halves)
+    return arc if extended is None else best_arc((arc, extended))
 
 
 def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Ints) -> Arc | None:
@@ -157,19 +152,19 @@ def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, 
     """
     terms = tuple(active.tolist())
     anharmonic = SHAPE + RISE in terms
-    same = fit_arc(first, prior(first, anharmonic), halves, reference, terms)
-    if anharmonic or same is None:
-        return same
-    base = same.states[0].copy()
+    plain = fit_arc(first, prior(first, anharmonic), halves, reference, terms)
+    if anharmonic or plain is None:
+        return plain
+    base = plain.states[0].copy()
     mean, sigma = prior(base, anharmonic=True)
     sigma[SHAPE + DAMPING] = math.inf
     mean[[SHAPE + DRY, SHAPE + RISE]] = 0.0
     base[[SHAPE + P, SHAPE + N]] = mean[[SHAPE + P, SHAPE + N]]
-    gain = gain_of_more(same, base, (mean, sigma), halves, terms + ANHARMONIC_LINEAR)
+    gain = gain_of_more(plain, base, (mean, sigma), halves, terms + ANHARMONIC_LINEAR)
     if gain < _GAIN_PER_TERM * len(ANHARMONIC):
-        return same
-    more = fit_arc(friction_start(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
-    return same if more is None else best_arc((same, more))
+        return plain
+    full = fit_arc(friction_start(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
+    return plain if full is None else best_arc((plain, full))
 
 
 def _typical_variance(halves: Sequence[HalfCycleSamples]) -> float:
@@ -178,11 +173,10 @@ def _typical_variance(halves: Sequence[HalfCycleSamples]) -> float:
 
 def best_arc(arcs: Sequence[Arc]) -> Arc:
     """The arc with the lowest chi-square after a penalty for each term (like an information criterion)."""
-    # if the samples' uncertainties are too small, chi-square is too large and would favour every term: scale
-    # it
-    floor = max(1.0, min(a.chi2 / max(a.samples - len(a.active), 1) for a in arcs))
-    toll = [_GAIN_PER_TERM * len(a.active) + _FAST_MODE_TOLL * (FAST_COSINE in a.active) for a in arcs]
-    cost = [a.chi2 / floor + t for a, t in zip(arcs, toll, strict=True)]
+    # chi-square is scaled: if the samples' uncertainties are too small, it would favour every term
+    scale = max(1.0, min(a.chi2 / max(a.samples - len(a.active), 1) for a in arcs))
+    penalty = [_GAIN_PER_TERM * len(a.active) + _FAST_MODE_GAIN * (FAST_COSINE in a.active) for a in arcs]
+    cost = [a.chi2 / scale + t for a, t in zip(arcs, penalty, strict=True)]
     return arcs[int(np.argmin(cost))]
 
 
@@ -199,26 +193,26 @@ def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
 @kernel
 def _lines(time_s: Vector, residual: Vector, weight: Vector, rates: Vector) -> Matrix:
     """Power, cosine and sine amplitude at each of the rates, (n, 3)."""
-    out = np.empty((len(rates), 3))
+    lines = np.empty((len(rates), 3))
     for k in range(len(rates)):
         # one by one: the assignment of a row would compile a text about its shape, which takes 4 s
-        out[k, 0], out[k, 1], out[k, 2] = line(rates[k], time_s, residual, weight)
-    return out
+        lines[k, 0], lines[k, 1], lines[k, 2] = line(rates[k], time_s, residual, weight)
+    return lines
 
 
 def _prominent_line(rates: Vector, power: Vector) -> int | None:
     """Index of the strongest line if it is prominent, else of the most prominent one; None if none is."""
 
     def prominence(k: int) -> float:
-        near = (rates > rates[k] / _NEIGHBOURHOOD_FACTOR) & (rates < rates[k] * _NEIGHBOURHOOD_FACTOR)
-        return float(power[k] / np.median(power[near]))
+        neighbours = (rates > rates[k] / _NEIGHBOURHOOD_FACTOR) & (rates < rates[k] * _NEIGHBOURHOOD_FACTOR)
+        return float(power[k] / np.median(power[neighbours]))
 
     strongest = int(np.argmax(power))
     if prominence(strongest) > _MIN_LINE_PROMINENCE:
         return strongest
     prominences = [prominence(k) for k in range(len(rates))]
-    most = int(np.argmax(prominences))
-    return most if prominences[most] > _MIN_LINE_PROMINENCE else None
+    best = int(np.argmax(prominences))
+    return best if prominences[best] > _MIN_LINE_PROMINENCE else None
 
 
 def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float, float, float] | None:
@@ -241,10 +235,10 @@ def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float
     span = float(time_s[-1] - time_s[0])
     rate = float(arc.states[0][RATE])
     nyquist = math.pi * len(time_s) / span
-    top = min(25.0 * rate, 0.9 * nyquist)
-    rates = np.arange(2.2 * rate, top, 0.5 * math.pi / span)
+    highest = min(25.0 * rate, 0.9 * nyquist)
+    rates = np.arange(2.2 * rate, highest, 0.5 * math.pi / span)
     if len(rates) == 0:
         return None
-    found = _lines(time_s, np.nan_to_num(residual), weight, rates)
-    place = _prominent_line(rates, found[:, 0])
-    return None if place is None else (float(rates[place]), float(found[place, 1]), float(found[place, 2]))
+    lines = _lines(time_s, np.nan_to_num(residual), weight, rates)
+    index = _prominent_line(rates, lines[:, 0])
+    return None if index is None else (float(rates[index]), float(lines[index, 1]), float(lines[index, 2]))

@@ -45,12 +45,12 @@ from rig.analysis.run_remarks import (
 from rig.analysis.run_values import PositionErrors, StoredTurningPoints, TableDecay
 
 if TYPE_CHECKING:
-    from rig.analysis.air import (
+    from rig.analysis.ambient import (
         HISTORY_KEYS,
         drag_at_pressure,
+        drag_of_fit,
         evidence_of,
         expected_drag,
-        known_drag,
         recorded_ambient,
         stated_ambient,
     )
@@ -85,7 +85,7 @@ else:
     _LAZY = {
         name: module
         for module, names in {
-            "air": "HISTORY_KEYS drag_at_pressure evidence_of expected_drag known_drag recorded_ambient "
+            "ambient": "HISTORY_KEYS drag_at_pressure evidence_of expected_drag drag_of_fit recorded_ambient "
             "stated_ambient",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
             "contact_fits": "loss_of refined_half_cycles",

@@ -54,7 +54,7 @@ from processing.swing import (
     TurningPoints,
     with_learned_weights,
 )
-from rig.analysis.air import OPEN_DRAG, FittedDrag, evidence_of
+from rig.analysis.ambient import FREE_DRAG, FittedDrag, evidence_of
 from rig.settings import FitSettings
 
 
@@ -65,13 +65,13 @@ def refined_half_cycles(
     pendulum: PendulumOnBall | None,
     settings: FitSettings,
     clock_rate: float = 1.0,
-    drag: FittedDrag = OPEN_DRAG,
+    drag: FittedDrag = FREE_DRAG,
 ) -> Refinement:
     """Half-cycles measured a second time with the motion that was fitted to all of them.
 
-    `blocks` are consecutive deflections, in `unit`, in which the half-cycles were detected; they pass once
-    for the harmonics of the swing, once for the motion, and again where the run shows position errors: the
-    harmonics are then those of the corrected deflections.
+    `blocks` are consecutive deflections, in `unit`, in which the half-cycles were detected. They are read
+    once for the harmonics of the motion, once for the measurement, and again where the run shows position
+    errors: the harmonics are then those of the corrected deflections.
 
     Half-cycles stay as detected where the laws cannot be fitted, which need deflections in rad, and where the
     laws describe the second measurement worse than the first; their uncertainties then contain the difference
@@ -82,38 +82,38 @@ def refined_half_cycles(
     swings = with_learned_weights(swings)
     harmonics = _harmonics_of(blocks, swings)
     fit = DecayFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
-    moved = ""
+    remark = ""
     try:
         first = fit.of(swings)
-        swings, moved = up_to_rest_step(swings, first.evidence.knocks)
-        if moved:
+        swings, remark = up_to_rest_step(swings, first.evidence.knocks)
+        if remark:
             harmonics = _harmonics_of(blocks, swings)
             fit = fit._replace(evidence=evidence_of(drag, harmonics))
             first = fit.of(swings)
         motion = fit.motion(first, swings)
     except DataError:
-        return Refinement(swings, None, doubt=moved, harmonics=harmonics)
+        return Refinement(swings, None, doubt=remark, harmonics=harmonics)
     watch = CycleWatch(swings, motion)
-    turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
-    search = PositionMapSearch(min(turned), max(turned), watch.cycles)
-    again = second_measurement(swings, _watched(blocks, watch, search), motion)
-    refined = judge_refinement(swings, again, motion, first, fit)
-    doubt = "; ".join(filter(None, [moved, refined.doubt]))
+    turns = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
+    search = PositionMapSearch(min(turns), max(turns), watch.cycles)
+    remeasured = second_measurement(swings, _search_errors(blocks, watch, search), motion)
+    refined = judge_refinement(swings, remeasured, motion, first, fit)
+    doubt = "; ".join(filter(None, [remark, refined.doubt]))
     refined = refined._replace(doubt=doubt, harmonics=harmonics)
-    found = search.position_map()
-    if found is None:
+    errors = search.position_map()
+    if errors is None:
         return refined
-    corrected = _without_position_errors(swings, blocks, motion, refined.exact or first, found, fit, drag)
+    corrected = _without_position_errors(swings, blocks, motion, refined.exact or first, errors, fit, drag)
     if corrected is None:
         doubt = (
             "the residuals show errors of position that are fixed on the sensor, but correcting them does "
             "not improve the fit of the laws: they are left uncorrected"
         )
         return refined._replace(doubt="; ".join(filter(None, [refined.doubt, doubt])))
-    return corrected._replace(doubt=moved)
+    return corrected._replace(doubt=remark)
 
 
-def _watched(
+def _search_errors(
     blocks: Iterable[Deflections], watch: CycleWatch, search: PositionMapSearch
 ) -> Iterator[Deflections]:
     for block in blocks:
@@ -126,8 +126,8 @@ def _without_position_errors(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     motion: KnownMotion,
-    before: FitResult,
-    found: PositionMap,
+    first_fit: FitResult,
+    position_map: PositionMap,
     fit: DecayFit,
     drag: FittedDrag,
 ) -> Refinement | None:
@@ -136,60 +136,61 @@ def _without_position_errors(
     The motion was fitted to deflections with the errors, so that motion and search for errors are repeated
     without them. The part of the map that the residuals leave open is then adjusted by the fitted law.
     """
-    exact, final, again = before, found, swings
+    exact, final_map, remeasured = first_fit, position_map, swings
     harmonics: SwingHarmonics | None = None
     try:
         for step in range(3):
             if step == 1:
-                found = final = _with_remaining_errors(found, blocks, again, motion)
-                harmonics = _harmonics_of(map(found.corrected, blocks), again)
+                position_map = final_map = _with_remaining_errors(position_map, blocks, remeasured, motion)
+                harmonics = _harmonics_of(map(position_map.corrected, blocks), remeasured)
                 fit = fit._replace(evidence=evidence_of(drag, harmonics))
             if step == 2:
-                errors = _position_errors(found, again, exact, fit)
-                final = found.adjusted(errors.values, errors.covariance)
-            again = second_measurement(swings, map(final.corrected, blocks), motion)
-            if not measurement_shift(swings, again).complete:
+                errors = _position_errors(position_map, remeasured, exact, fit)
+                final_map = position_map.adjusted(errors.values, errors.covariance)
+            remeasured = second_measurement(swings, map(final_map.corrected, blocks), motion)
+            if not measurement_shift(swings, remeasured).complete:
                 return None
-            exact = fit.of(again, exact)
+            exact = fit.of(remeasured, exact)
             if step < 2:
                 motion = known_motion(exact.parameters, fit.pendulum, motion.reference, fit.clock_rate)
-        if not describes_as_well(exact, before):
+        if not describes_as_well(exact, first_fit):
             return None
-        left = _position_errors(found, again, exact, fit).of_parameters
+        remainder = _position_errors(position_map, remeasured, exact, fit).of_parameters
     except DataError:
         return None
-    return Refinement(again, motion, exact.with_term(FIXED_PATTERN, left), "", final, harmonics)
+    return Refinement(remeasured, motion, exact.with_term(FIXED_PATTERN, remainder), "", final_map, harmonics)
 
 
 def _with_remaining_errors(
-    found: PositionMap, blocks: Iterable[Deflections], swings: Sequence[HalfCycle], motion: KnownMotion
+    position_map: PositionMap, blocks: Iterable[Deflections], swings: Sequence[HalfCycle], motion: KnownMotion
 ) -> PositionMap:
     """The map with the errors that the corrected deflections still show.
 
-    It was found at places that the errors themselves had moved, far where the scale is not linear.
+    The first map is one of measured deflections, which the errors have shifted, by much where the scale is
+    not linear.
     """
     watch = CycleWatch(swings, motion)
-    search = PositionMapSearch(*found.limits, watch.cycles)
-    for _ in _watched(map(found.corrected, blocks), watch, search):
+    search = PositionMapSearch(*position_map.limits, watch.cycles)
+    for _ in _search_errors(map(position_map.corrected, blocks), watch, search):
         pass
-    more = search.position_map()
-    return found if more is None else found.plus(more)
+    remaining = search.position_map()
+    return position_map if remaining is None else position_map.plus(remaining)
 
 
 def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> SwingHarmonics:
-    watch = HarmonicsMeasurement(swings)
+    measurement = HarmonicsMeasurement(swings)
     for block in blocks:
-        watch.update(block)
-    return watch.harmonics()
+        measurement.update(block)
+    return measurement.harmonics()
 
 
 def _position_errors(
-    found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: DecayFit
+    position_map: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: DecayFit
 ) -> PositionErrorFit:
     """The position errors that the residuals leave open, by the fit."""
-    good = [swing for swing in swings if not swing.flags]
-    amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T
-    errors = found.amplitude_errors(amplitude, centre, side)
+    unflagged = [swing for swing in swings if not swing.flags]
+    amplitude, centre, side = np.array([(h.amplitude, h.centre, h.side) for h in unflagged]).T
+    errors = position_map.amplitude_errors(amplitude, centre, side)
     return fit_position_errors(LinearisedFit.of(fit.points(swings), fit.pendulum, exact), errors)
 
 
@@ -238,27 +239,27 @@ def fit_decay(
 
     def with_findings(fit: FitResult) -> FitResult:
         # each is estimated about the fit as it ended, so that their order does not matter
-        at = LinearisedFit.of(points, pendulum, fit)
-        terms = [] if drifts is None else [drift_term(at, drifts)]
-        fit = with_rest_position(at, alternation, at.with_terms(*terms))
-        fit = with_discrepancy(at, fit)
+        linearised = LinearisedFit.of(points, pendulum, fit)
+        terms = [] if drifts is None else [drift_term(linearised, drifts)]
+        fit = with_rest_position(linearised, alternation, linearised.with_terms(*terms))
+        fit = with_discrepancy(linearised, fit)
         # a deviation that smooth errors of the law explain is no change
         explained = 0.0 if fit.discrepancy is None else fit.discrepancy.against_law
-        fit = with_changes(at, settings.u_ageing, explained, fit)
+        fit = with_changes(linearised, settings.u_ageing, explained, fit)
         fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
         return fit if boundary_layer is None else with_boundary_layer_drag(fit, boundary_layer)
 
-    use, alone = None, exact
+    use, without_seismometer = None, exact
     if seismometer is not None:
-        seen, clock_known = seismometer
-        found = fit_with_seismometer(points, pendulum, seen, alone, offset_known=clock_known)
-        use = found.use
-        exact = replace(found.fit, changes=alone.changes)
-        exact = exact.with_terms_of(alone, FIXED_PATTERN) if use.used else exact
+        record, clock_known = seismometer
+        fitted = fit_with_seismometer(points, pendulum, record, without_seismometer, offset_known=clock_known)
+        use = fitted.use
+        exact = replace(fitted.fit, changes=without_seismometer.changes)
+        exact = exact.with_terms_of(without_seismometer, FIXED_PATTERN) if use.used else exact
     exact = with_findings(exact)
     if use is not None and use.used:
         # the factor is that of the reported uncertainties, with all findings
-        use = use.with_saved(with_findings(alone), exact)
+        use = use.with_saved(with_findings(without_seismometer), exact)
     asymptotic = asymptotic.with_terms_of(exact, FIXED_PATTERN, DISCREPANCY, REST_POSITION)
     return {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}, points, use
 
@@ -267,12 +268,12 @@ def _without_alternation(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
 ) -> tuple[FitResult, TurningPoints, TimeAlternation]:
     """The fit and its points without alternating turning times, if they show any, and what makes them so."""
-    found = time_alternation(LinearisedFit.of(points, pendulum, exact))
-    if not found.taken_off_texts:
-        return exact, points, found
-    evened = without_alternation(points, found)
+    alternation = time_alternation(LinearisedFit.of(points, pendulum, exact))
+    if not alternation.taken_off_texts:
+        return exact, points, alternation
+    corrected = without_alternation(points, alternation)
     fit = fit_with_knocks(
-        evened, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
+        corrected, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
     )
     fit = fit.with_terms_of(exact, FIXED_PATTERN)
-    return replace(fit, warnings=(*fit.warnings, *found.taken_off_texts)), evened, found
+    return replace(fit, warnings=(*fit.warnings, *alternation.taken_off_texts)), corrected, alternation

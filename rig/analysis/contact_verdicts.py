@@ -44,7 +44,7 @@ from processing.fit import (
 from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
-from rig.analysis.air import drift_note
+from rig.analysis.ambient import drift_note
 from rig.analysis.result_rows import (
     SURFACE_ENERGY,
     ResultRow,

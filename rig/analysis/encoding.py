@@ -74,11 +74,11 @@ class _Array:
         return core_schema.no_info_after_validator_function(
             lambda found: np.array(found, dtype=dtype),
             items,
-            serialization=core_schema.plain_serializer_function_ser_schema(_listed),
+            serialization=core_schema.plain_serializer_function_ser_schema(_as_list),
         )
 
 
-def _listed(values: NDArray[Any]) -> list[Any]:
+def _as_list(values: NDArray[Any]) -> list[Any]:
     listed: list[Any] = values.tolist()
     for undetermined in np.flatnonzero(~(np.abs(values) <= LARGEST_NUMBER)).tolist():
         listed[undetermined] = None

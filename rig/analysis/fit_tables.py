@@ -113,7 +113,7 @@ def quality_table(run: RunResults) -> Table:
         lines.append(TableRow([key, *values], [form.name, *numbers, form.unit]))
     outliers = [fits[method].outliers for method in methods]
     cells = ["outlying_half_cycles", *(" ".join(map(str, found)) for found in outliers)]
-    lines.append(TableRow(cells, ["outlying half-cycles", *map(_listed, outliers), ""]))
+    lines.append(TableRow(cells, ["outlying half-cycles", *map(_list_text, outliers), ""]))
     head = ("", *map(_heading, methods), "unit")
     note = "" if period is None else _PERIOD_NOTE
     return Table("quality", "Quality of the fits", ("quantity", *methods), head, lines, note)
@@ -129,7 +129,7 @@ def _heading(method: str) -> str:
     return {known.value: known.heading for known in FitMethod}.get(method, method)
 
 
-def _listed(items: Sequence[int]) -> str:
+def _list_text(items: Sequence[int]) -> str:
     text = ", ".join(str(item) for item in items[:8])
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
 

@@ -18,7 +18,7 @@ from processing.errors import DataError, RecordError
 from processing.fit import FitResult, InputQuantity, points_in_true_time, row_delay
 from processing.instruments import SharedError
 from processing.swing import TurningPoints
-from rig.analysis.air import OPEN_DRAG, assumed_drifts, evidence_of, known_drag
+from rig.analysis.ambient import FREE_DRAG, assumed_drifts, drag_of_fit, evidence_of
 from rig.analysis.contact_fits import fit_decay, refined_half_cycles
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
 from rig.analysis.other_instruments import reduce_run
@@ -55,12 +55,12 @@ def analyse_swings(
     """
     deflections, unit = followed.deflections, followed.deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
-        return _reduced(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
+        return _reduce_run(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
-    drag, of_air = OPEN_DRAG, None
+    drag, of_air = FREE_DRAG, None
     detected = points_in_true_time(followed.swings, clock_rate)
     if pendulum is not None and len(detected) > 1:
-        drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
+        drag, of_air = drag_of_fit(config, air, pendulum, mean_period(detected))
     believed = assumed_drifts(config, air)
     refined = refined_half_cycles(followed.swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(refined.swings, clock_rate)
@@ -120,7 +120,7 @@ def analyse_swings(
     return with_contact(run, pendulum, followed.amplitude_errors(points), of_air, stated=config.pendulum)
 
 
-def _reduced(
+def _reduce_run(
     path: Path,
     followed: FollowedPlane,
     config: Configuration,

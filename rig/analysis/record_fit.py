@@ -21,7 +21,7 @@ from processing.fit import FitMethod, Ground
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from processing.units import seconds
-from rig.analysis.air import ambient_warnings, recorded_ambient, recorded_seismometer
+from rig.analysis.ambient import ambient_warnings, recorded_ambient, recorded_seismometer
 from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings, u_second
 from rig.analysis.passing_deflections import (
@@ -65,21 +65,21 @@ def analyse_record(
         config = recorded_configuration(reader, overrides)
         if not air_known:
             config = config.model_copy(update={"fit": config.fit.with_free_drag})
-        watched = KeyUseMonitor(config, overrides, "rig replay takes the recorded motion again")
+        key_monitor = KeyUseMonitor(config, overrides, "rig replay takes the recorded motion again")
         # keys that this reads cannot be changed: the recorded deflections were made with them
-        optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
-        watched.refuse_read()
+        optics_of(key_monitor.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
+        key_monitor.refuse_read()
         blocks = _RecordedDeflections(reader)
         return analyse_run(
             reader,
-            watched.config,
+            key_monitor.config,
             reader.swings(),
             blocks,
             reader.deflection_unit,
             blocks.beam,
             lambda frames: blocks.following - frames,
             seismometer=seismometer,
-            watched=watched,
+            key_monitor=key_monitor,
         )
 
 
@@ -113,7 +113,7 @@ def analyse_run(
     dropped: Callable[[int], int],
     *,
     seismometer: SeismometerRecord | None = None,
-    watched: KeyUseMonitor | None = None,
+    key_monitor: KeyUseMonitor | None = None,
 ) -> AnalysedRun:
     """Results of half-cycles and deflections of a record, as recorded or by a replay.
 
@@ -169,7 +169,7 @@ def analyse_run(
         inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
         ambient=ambient,
         clock=clock,
-        watched=watched,
+        key_monitor=key_monitor,
     )
     conditions = run_conditions(reader, run, deflections.lost_spots, config.preflight, verdicts)
     return replace(run, conditions=conditions)

@@ -1,4 +1,4 @@
-"""Parts of a run's results that are no rows: turning points, position errors, beam and clock.
+"""Arrays and states among a run's results: turning points, position errors, beam and clock.
 
 Field names are keys of results.json; see `rig.analysis.results`.
 """
@@ -30,7 +30,7 @@ class TableUnit(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredTurningPoints:
-    """The turning points that were fitted, and the half-cycles that were left out.
+    """Turning points of the fit, and half-cycles that were left out of it.
 
     Times are in true seconds from `first_ns`, the record's time of the first turning point. Amplitudes are
     in `unit`; for a table without an angle, in its `amplitude_unit`. `left_out_flags` are those of
@@ -58,23 +58,21 @@ class StoredTurningPoints:
     def of(
         cls,
         points: TurningPoints,
-        swings: Sequence[HalfCycle],
+        half_cycles: Sequence[HalfCycle],
         unit: DeflectionUnit | TableUnit,
         clock_rate: float,
     ) -> "StoredTurningPoints":
-        """The `points` of `swings`, and the half-cycles left out; `clock_rate` is true seconds a second."""
-        fallback_ns = swings[0].turn_time_ns if swings else 0
-        first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), fallback_ns)
-        left_out = [swing for swing in swings if swing.flags]
+        """The `points` of the half-cycles, and those left out; `clock_rate` is true seconds a second."""
+        fallback_ns = half_cycles[0].turn_time_ns if half_cycles else 0
+        first_ns = next((h.turn_time_ns for h in half_cycles if h.flags == 0), fallback_ns)
+        left_out = [h for h in half_cycles if h.flags]
         return cls(
             first_ns=first_ns,
             unit=unit,
             **{column.name: getattr(points, column.name) for column in fields(points)},
-            left_out_time_s=np.array(
-                [seconds(swing.turn_time_ns - first_ns) * clock_rate for swing in left_out]
-            ),
-            left_out_amplitude=np.array([swing.amplitude for swing in left_out]),
-            left_out_flags=np.array([swing.flags for swing in left_out], dtype=np.int64),
+            left_out_time_s=np.array([seconds(h.turn_time_ns - first_ns) * clock_rate for h in left_out]),
+            left_out_amplitude=np.array([h.amplitude for h in left_out]),
+            left_out_flags=np.array([h.flags for h in left_out], dtype=np.int64),
         )
 
 
@@ -103,18 +101,18 @@ class PositionErrors:
             raise ValueError("columns of equal length")
 
     @classmethod
-    def of(cls, found: PositionMap, unit: DeflectionUnit) -> "PositionErrors":
+    def of(cls, position_map: PositionMap, unit: DeflectionUnit) -> "PositionErrors":
         """The errors at the knots of the map."""
-        place = found.splines.centres[1:-1]
+        place = position_map.splines.centres[1:-1]
         return cls(
             unit=unit,
             place=place,
-            error=found.error(place),
-            u_error=found.u_error(place),
-            correlation_length=found.correlation_length,
-            significance=found.significance,
-            cycles=found.cycles,
-            noise_scale=found.noise_scale,
+            error=position_map.error(place),
+            u_error=position_map.u_error(place),
+            correlation_length=position_map.correlation_length,
+            significance=position_map.significance,
+            cycles=position_map.cycles,
+            noise_scale=position_map.noise_scale,
         )
 
     @property
@@ -144,12 +142,12 @@ class TableDecay:
 
     def overlaps(self, other: "TableDecay") -> bool:
         """Whether both decays of one file have a stretch of one run and a column in common."""
-        together = self.began_s < other.ended_s and other.began_s < self.ended_s
-        are_other_columns = self.columns and other.columns and set(self.columns).isdisjoint(other.columns)
-        return together and self.run == other.run and not are_other_columns
+        overlap = self.began_s < other.ended_s and other.began_s < self.ended_s
+        disjoint = self.columns and other.columns and set(self.columns).isdisjoint(other.columns)
+        return overlap and self.run == other.run and not disjoint
 
 
-_EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
+_MODEL_FLAGS = SpotFlag.MULTIPLE | SpotFlag.LEARNED
 """Flags that name the model of a spot and no fault of it."""
 
 
@@ -200,7 +198,7 @@ class Beam:
         flagged = [
             f"{name} {count}" + (" (while it was learned)" if name == "POOR_FIT" and only_at_first else "")
             for name, count in self.flags.items()
-            if not SpotFlag[name] & _EASED
+            if not SpotFlag[name] & _MODEL_FLAGS
         ]
         changed = f", after {self.changes} changes" if self.changes else ""
         flags = f"spots with {', '.join(flagged)}" if flagged else "no spot is flagged as faulty"
@@ -209,12 +207,12 @@ class Beam:
 
 def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
     """The most likely reason of POOR_FIT, and its remedy."""
-    half = 0.5 * use.poor_frames
-    if use.poor_with[SpotFlag.EDGE] > half:
+    majority = 0.5 * use.poor_frames
+    if use.poor_with[SpotFlag.EDGE] > majority:
         return "the edge of the sensor cuts the spot", "move the spot to the middle: rig camera align"
-    if use.poor_with[SpotFlag.CUT] > half:
+    if use.poor_with[SpotFlag.CUT] > majority:
         return "something cuts the spot", "centre the beam in lens, mirrors and window; free its path"
-    if use.poor_with[SpotFlag.SATURATED] > half:
+    if use.poor_with[SpotFlag.SATURATED] > majority:
         return (
             "it is saturated, and only its flanks are fitted",
             "lower the exposure (exposure_us) or the laser's power",
@@ -241,9 +239,9 @@ class RunClock:
     """The clock of a run.
 
     `drift_ppm` is the camera's rate against the computer's, less 1; NaN if unknown. `u_rate` is the relative
-    uncertainty of the run's second, as in the budget: that of the calibration or, without one, of the assumed
-    ideal rate; it includes `u_steps_s`, that of all steps together. `steps` were subtracted from the times,
-    the largest is `largest_step_s`.
+    uncertainty of the run's second, as in the budget: of the calibrated rate or, without a calibration, of
+    the assumed ideal one. It includes `u_steps_s`, the uncertainty of all steps together. `steps` were
+    subtracted from the times, the largest is `largest_step_s`.
     """
 
     drift_ppm: Annotated[float, Quantity("clock drift", "rate of the camera's clock against the computer's")]

@@ -55,7 +55,7 @@ class AnalysedRun(RunResults):
 
     `path` is the file that was analysed, `swings` are the half-cycles that were detected in a table, `fitted`
     the fits whose numbers are in the results. `reduction` is None unless another pendulum than that of the
-    contact's laws, `rig` is None without [pendulum]. `watched` is the configuration with its overrides.
+    contact's laws, `rig` is None without [pendulum]. `key_monitor` is the configuration with its overrides.
     """
 
     path: Path
@@ -64,7 +64,7 @@ class AnalysedRun(RunResults):
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
     harmonics: SwingHarmonics | None = None
-    watched: KeyUseMonitor | None = None
+    key_monitor: KeyUseMonitor | None = None
 
 
 def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
@@ -314,7 +314,7 @@ def _compared_places(settings: InstrumentSettings, numbered: _NumberedReadings) 
 
 def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
     """Raise ConfigurationError for a changed key that the fits of none of the runs have used."""
-    changed = [run.watched for run in runs if run.watched is not None]
+    changed = [run.key_monitor for run in runs if run.key_monitor is not None]
     # a run that could not be fitted has a problem of its own, which matters more
     if changed and not any(run.problem for run in runs):
         changed[0].refuse_unread(changed)

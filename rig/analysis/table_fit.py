@@ -28,7 +28,7 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis.air import ambient_warnings, stated_ambient, table_ambient
+from rig.analysis.ambient import ambient_warnings, stated_ambient, table_ambient
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import amplitude_damping, decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings
@@ -365,7 +365,7 @@ def separate_decays(swings: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
     before: HalfCycle | None = None
     for swing in swings:
         released = bool(swing.flags & HalfCycleFlag.START) and before is not None
-        if not decays or released or (before is not None and _pushed(before, swing)):
+        if not decays or released or (before is not None and _is_pushed(before, swing)):
             decays.append([])
             before = None
         decays[-1].append(swing)
@@ -374,7 +374,7 @@ def separate_decays(swings: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
     return decays
 
 
-def _pushed(before: HalfCycle, swing: HalfCycle) -> bool:
+def _is_pushed(before: HalfCycle, swing: HalfCycle) -> bool:
     """Whether an unflagged half-cycle is clearly larger than the unflagged one before it."""
     grown = swing.amplitude - before.amplitude
     return (

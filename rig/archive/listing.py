@@ -70,7 +70,7 @@ def reading(archive: Path) -> Iterator[Any]:
     rows are fetched; RecordError for a file that cannot be read.
     """
     check_is_there(archive)
-    with _connected(archive, read_only=True) as connection:
+    with _connection(archive, read_only=True) as connection:
         if _is_of_another_version(connection):
             raise RecordError(f"{archive}: another version made it; rig archive update makes it again")
         yield connection
@@ -92,10 +92,10 @@ def writing(archive: Path) -> Iterator[Any]:
         with (
             contextlib.suppress(FileExistsError),
             atomic_write.being_written(archive) as temporary,
-            _connected(temporary) as connection,
+            _connection(temporary) as connection,
         ):
             connection.execute(_TABLES_SQL)
-    with _connected(archive) as connection:
+    with _connection(archive) as connection:
         connection.execute(f"begin transaction; {_TABLES_SQL}")
         if _is_of_another_version(connection):
             # the list of folders stays, and all of them are read again
@@ -133,7 +133,7 @@ def _is_of_another_version(connection: Any) -> bool:
 
 
 @contextlib.contextmanager
-def _connected(archive: Path, *, read_only: bool = False) -> Iterator[Any]:
+def _connection(archive: Path, *, read_only: bool = False) -> Iterator[Any]:
     """A connection; waits for another process that writes, and converts DuckDB's errors."""
     duckdb = optional_module(*_DUCKDB)
     given_up_s, connection = time.monotonic() + _MAX_WAIT_S, None
@@ -225,7 +225,7 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
 
 def named_runs(archive: Path, names: Sequence[str]) -> str:
     """SQL condition for runs named by the first characters of their SHA-256; all runs without a name."""
-    runs = (f"'{run}'" for name in names for run in _named(archive, name))
+    runs = (f"'{run}'" for name in names for run in _hashes_of(archive, name))
     return f"sha256 in ({', '.join(runs)})" if names else "true"
 
 
@@ -292,7 +292,7 @@ def selected(
         return list(found.columns), found.fetchall()
 
 
-def _named(archive: Path, name: str) -> list[str]:
+def _hashes_of(archive: Path, name: str) -> list[str]:
     """The SHA-256 of the run, or of the runs of the session, whose hash begins with a name.
 
     Raises ConfigurationError if it fits none or several.

@@ -39,12 +39,12 @@ INSTRUMENT_QUANTITIES: Final = (
 """Quantities of other kinds of pendulum."""
 
 
-def _typed(text: str) -> dict[str, str]:
+def _text_columns(text: str) -> dict[str, str]:
     words = text.replace(",", " ").split()
     return dict(zip(words[::2], words[1::2], strict=True))
 
 
-def _estimated(names: Iterable[str]) -> dict[str, str]:
+def _estimate_columns(names: Iterable[str]) -> dict[str, str]:
     return {column: "double" for name in names for column in (name, f"u_{name}")}
 
 
@@ -54,7 +54,7 @@ def row_columns(name: str) -> tuple[str, ...]:
 
 
 COLUMNS: Final[Mapping[str, str]] = {
-    **_typed("""
+    **_text_columns("""
         sha256 varchar, session varchar, run varchar, folder varchar, record varchar, record_bytes bigint,
         state varchar, flaw varchar, windows varchar, results varchar, results_sha256 varchar,
         added_utc timestamp, began_utc timestamp, duration_s double,
@@ -67,14 +67,14 @@ COLUMNS: Final[Mapping[str, str]] = {
     """),
     **{column: "double" for name in PARAMETERS for column in row_columns(name)},
     **{f"verdict_{name}": "varchar" for name in PARAMETERS},
-    **_typed(
+    **_text_columns(
         "seismometer varchar, seismometer_explained double, chi2_per_dof double, degrees_of_freedom bigint"
     ),
-    **_estimated(("mean_period_s",)),
+    **_estimate_columns(("mean_period_s",)),
     **{column: "double" for name in DERIVED for column in row_columns(name)},
     **{f"verdict_{name}": "varchar" for name in DERIVED},
-    **_typed("mass_kg double, ball_radius_m double, instrument varchar"),
-    **_estimated(INSTRUMENT_QUANTITIES),
+    **_text_columns("mass_kg double, ball_radius_m double, instrument varchar"),
+    **_estimate_columns(INSTRUMENT_QUANTITIES),
 }
 SHORT_NAMES: Final[Mapping[str, str]] = {"temperature": "temperature_c", "humidity": "humidity_percent"}
 """Short names of columns, for conditions."""

@@ -222,10 +222,10 @@ def _command(made: Made) -> Callable[..., None]:
 
 def _say(path: Path) -> None:
     """Print the content of the new file."""
-    from rig.prepare import filed, numbers_of
+    from rig.prepare import numbers_of, read_calibration_report
     from rig.terminal import answer, print_line, print_tables
 
-    made = filed(path)
+    made = read_calibration_report(path)
     found = made.calibration
     answer(calibration=found.model_dump(mode="json"), written=[path])
     print_line(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")

@@ -33,18 +33,18 @@ if TYPE_CHECKING:
 
 @contextmanager
 def _opened_camera(
-    stated: "Configuration",
+    config: "Configuration",
 ) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
     """The configured camera, its identity and its settings; settings that differ are printed on stderr."""
     from rig.instrument import camera_settings, check_full_scale, make_camera, setting_differences
 
-    camera = make_camera(stated)
+    camera = make_camera(config)
     try:
         info = camera.open()
-        asked = camera_settings(stated)
-        applied = camera.configure(asked)
-        check_full_scale(stated, info, applied)
-        for line in setting_differences(asked, applied):
+        requested = camera_settings(config)
+        applied = camera.configure(requested)
+        check_full_scale(config, info, applied)
+        for line in setting_differences(requested, applied):
             typer.echo(line, err=True)
         yield camera, info, applied
     finally:
@@ -105,14 +105,14 @@ def set_(
             if name in CameraSettings.model_fields and name != "features":
                 tree: dict[str, Any] = {"camera": {"driver": stated.camera.driver}}
                 apply_overrides(tree, [f"camera.{assignment}"])
-                asked = validate_configuration(tree, str(config)).camera
-                applied = camera.configure(CameraSettings(**{name: getattr(asked, name)}))
+                requested = validate_configuration(tree, str(config)).camera
+                applied = camera.configure(CameraSettings(**{name: getattr(requested, name)}))
                 answer(**{f"camera.{name}": getattr(applied, name)})
                 print_line(f"camera.{name} = {getattr(applied, name)}")
             elif hasattr(camera, "features"):
-                now = camera.features.set_feature(name, value)
-                answer(**{name: now})
-                print_line(f"{name} = {now}")
+                reported = camera.features.set_feature(name, value)
+                answer(**{name: reported})
+                print_line(f"{name} = {reported}")
             else:
                 known = ", ".join(CameraSettings.model_fields)
                 raise ConfigurationError(f"{name}: this camera has no such setting; there are {known}")
@@ -162,15 +162,15 @@ def snap(
         optics = optics_of(stated, info.full_scale_dn)
         tracker, reference = optics.tracker(), optics.reference()
         # each spot is judged in its own part of the frame
-        row = len(image) if reference is None else min(len(image), reference[1])
-        spot = tracker.track(image[:row])
+        split_row = len(image) if reference is None else min(len(image), reference[1])
+        spot = tracker.track(image[:split_row])
         limits = stated.preflight
-        beam = beam_quality([image[:row]], [spot], tracker.model, info.full_scale_dn, limits)
+        beam = beam_quality([image[:split_row]], [spot], tracker.model, info.full_scale_dn, limits)
         print_line(beam.line)
-        if reference is not None and row < len(image):
-            other = reference[0].track(image[row:])
-            other = other._replace(y_px=other.y_px + row)
-            print_line(ReferencePart.in_image(other, row, image, info.full_scale_dn).lamp.line)
+        if reference is not None and split_row < len(image):
+            reference_spot = reference[0].track(image[split_row:])
+            reference_spot = reference_spot._replace(y_px=reference_spot.y_px + split_row)
+            print_line(ReferencePart.in_image(reference_spot, split_row, image, info.full_scale_dn).lamp.line)
         answer(picture=figures, beam=beam)
         print_written(output)
 
@@ -236,11 +236,11 @@ def focus(
         best = 0.0
         end_s = time.monotonic() + seconds if seconds else float("inf")
         for frames in watch_latest(camera, average, end_s):
-            seen = camera_picture.figures(camera_picture.average(frames), info.full_scale_dn)
-            best = max(best, seen.sharpness_per_px)
+            figures = camera_picture.figures(camera_picture.average(frames), info.full_scale_dn)
+            best = max(best, figures.sharpness_per_px)
             age_ms = (time.monotonic_ns() - frames[-1].host_time_ns) * 1e-6
-            answer(seen=[seen], best_per_px=best)
-            line = f"{_figures_line(seen)}  best {best:.4f}  age {age_ms:.0f} ms"
+            answer(seen=[figures], best_per_px=best)
+            line = f"{_figures_line(figures)}  best {best:.4f}  age {age_ms:.0f} ms"
             typer.echo(f"\r{line:<100}" if sys.stdout.isatty() else line, nl=not sys.stdout.isatty())
 
 
@@ -278,18 +278,18 @@ def align(
         ScratchView("aligning", MODES[view], rrd, "balancing", stated.deflection_unit)
         if is_viewed
         else nullcontext()
-    ) as shown:
+    ) as scratch_view:
 
         def show_frame(frame: "Frame", spot: "Spot", info: "CameraInfo") -> None:
-            assert shown is not None
-            if not shown.begun:
-                shown.begin(
+            assert scratch_view is not None
+            if not scratch_view.begun:
+                scratch_view.begin(
                     frame.time_ns,
                     epoch_offset_ns=time.time_ns() - frame.time_ns,
                     metadata=session_metadata(stated, info, frame),
                     attachments=configuration_attachments(stated, config),
                 )
-            shown.look(frame, spot)
+            scratch_view.look(frame, spot)
 
         print_written(
             *align_camera(stated, folder=output, seconds=seconds, view=show_frame if is_viewed else None)
@@ -320,9 +320,9 @@ def expose(
         print_line(f"exposure_us = {found.exposure_us:.6g}")
 
 
-def _figures_line(seen: "PictureFigures") -> str:
-    saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
-    return f"peak {100 * seen.peak:6.1f} %  {saturated}  sharpness {seen.sharpness_per_px:.4f} /px"
+def _figures_line(figures: "PictureFigures") -> str:
+    saturated = f"{figures.saturated_px} px SATURATED" if figures.saturated_px else "none saturated"
+    return f"peak {100 * figures.peak:6.1f} %  {saturated}  sharpness {figures.sharpness_per_px:.4f} /px"
 
 
 commands = group(

@@ -140,14 +140,14 @@ def ask(cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]]) ->
     if stated["camera.driver"] != "simulated":
         stated |= _devices(ports)
         stated |= _lever()
-    stated |= _answered(
+    stated |= _ask_keys(
         "Ball and flat (steel ball on K8 glass, cleaned with ethanol):", _text("session.sample"), ""
     )
-    stated |= _answered("Folder to record in:", _text("session.output"), "runs")
+    stated |= _ask_keys("Folder to record in:", _text("session.output"), "runs")
     return stated
 
 
-def _answered(
+def _ask_keys(
     question: str,
     read: Callable[[str], Keys],
     suggested: str | None = None,
@@ -211,7 +211,7 @@ def _camera(cameras: Sequence["PluggedCamera"]) -> Keys:
         if found["camera.driver"] != "v4l2":
             keys[answer] = found | _FRAMES
     suggested = choices[0][0] if cameras else "simulated"
-    return _answered("Which camera:", lambda answer: _checked(keys[answer]), suggested, choices)
+    return _ask_keys("Which camera:", lambda answer: _check_keys(keys[answer]), suggested, choices)
 
 
 def _identity(camera: "PluggedCamera", *, several: bool) -> dict[str, Any]:
@@ -228,12 +228,12 @@ def _devices(ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
     from rig.control import LASERS
 
     stated = dict(
-        _answered(
+        _ask_keys(
             "Serial port of the controller, a Pico with this program's firmware (another board: none):",
             lambda text: (
                 {}
                 if text == "none"
-                else _checked({"controller.kind": "serial", "controller.port": text}, whole="controller")
+                else _check_keys({"controller.kind": "serial", "controller.port": text}, whole="controller")
             ),
             "none",
             (("none", "everything is switched by hand"), *ports),
@@ -244,27 +244,27 @@ def _devices(ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
     if stated:
         kinds["controller"] = "a diode that the controller feeds"
     kinds |= dict.fromkeys(LASERS, "has a serial port of its own")
-    stated |= _answered(
+    stated |= _ask_keys(
         "The laser:",
-        lambda text: {} if text == "none" else _checked({"laser.kind": text}),
+        lambda text: {} if text == "none" else _check_keys({"laser.kind": text}),
         "none",
         tuple(kinds.items()),
     )
     if stated.get("laser.kind") in LASERS:
-        stated |= _answered("Serial port of the laser:", _text("laser.port"), choices=ports, is_open=True)
+        stated |= _ask_keys("Serial port of the laser:", _text("laser.port"), choices=ports, is_open=True)
     return stated
 
 
 def _lever() -> dict[str, Any]:
     """Both lengths of the light lever; without them amplitudes are in px."""
-    arm = _answered(
+    arm = _ask_keys(
         "Distance from mirror to sensor along the beam, in m (1 m ± 1 mm; Enter: not measured yet):",
         _length("lever.arm_m"),
         "",
     )
     if not arm:
         return {}
-    pitch = _answered(
+    pitch = _ask_keys(
         "Distance of neighbouring pixels, in m (from the sensor's data sheet: 4.8 um):",
         _length("lever.pixel_pitch_m"),
     )
@@ -281,16 +281,16 @@ def _length(key: str) -> Callable[[str], Keys]:
             return {}
         section, _, name = key.rpartition(".")
         value, u = quantity(text, unit_of_name(name))
-        return _checked({key: value} | ({} if u is None else {f"{section}.u_{name}": u}))
+        return _check_keys({key: value} | ({} if u is None else {f"{section}.u_{name}": u}))
 
     return read
 
 
 def _text(key: str) -> Callable[[str], Keys]:
-    return lambda text: _checked({key: text}) if text else {}
+    return lambda text: _check_keys({key: text}) if text else {}
 
 
-def _checked(keys: Keys, *, whole: str = "") -> Keys:
+def _check_keys(keys: Keys, *, whole: str = "") -> Keys:
     """The keys, if the models accept them; raises ConfigurationError with the models' message if not.
 
     `whole` names a section of which all is stated, so that what holds between its keys is checked, too.

@@ -210,11 +210,11 @@ def off(config: Config, set_: Set = None) -> None:
     Example:
       rig light off mine.toml
     """
-    from rig.control import darken_beside
+    from rig.control import darken_directly
 
     stated = loaded(config, set_)
     # before the imports that follow, which take longer than all that was done so far
-    darken_beside(stated.laser, stated.controller)
+    darken_directly(stated.laser, stated.controller)
     from rig.measure import light_off
 
     raise typer.Exit(light_off(stated))

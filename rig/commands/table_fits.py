@@ -94,12 +94,12 @@ def _fit(
     compared = chosen_laws(laws) if laws else ()
     if wanted.config_path:
         stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
-        watched = KeyUseMonitor(stated, wanted.overrides, "a table holds neither frames nor spots")
+        key_monitor = KeyUseMonitor(stated, wanted.overrides, "a table holds neither frames nor spots")
         table = analyse_trajectory(
-            path, trajectory, fill_from_files(watched.config), compared, wanted.seismometer
+            path, trajectory, fill_from_files(key_monitor.config), compared, wanted.seismometer
         )
         if not table.longest.problem:
-            watched.refuse_unread()
+            key_monitor.refuse_unread()
     else:
         table = analyse_trajectory(path, trajectory, None)
     if laws and table.longest.problem:

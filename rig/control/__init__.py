@@ -3,7 +3,7 @@
 from rig.control.controller import Controller
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, make_laser
-from rig.control.light_permit import TO_BE_ASKED, Interlock, LightPermit, LightRefused, Stage
+from rig.control.light_permit import NEEDS_REQUEST, Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import (
     check_controller,
     check_environment,
@@ -12,7 +12,7 @@ from rig.control.ports import (
     udev_board,
     udev_matches,
 )
-from rig.control.presses import darken_beside
+from rig.control.presses import darken_directly
 from rig.control.protocol import ControllerReset, ControllerStatus, Trip
 from rig.control.safety_state import (
     LatchedTrip,

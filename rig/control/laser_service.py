@@ -159,7 +159,7 @@ class LaserService(DeviceThread):
             if before is not None:
                 self._say("interlock opened")
             if self._own_interlock:
-                latch = self._permit.found if before is None else self._permit.trip
+                latch = self._permit.latch_found if before is None else self._permit.trip
                 latch(TripCause.INTERLOCK, Interlock.LASER.opened_text)
         if state.fault and (before is None or before.fault != state.fault):
             self._say(state.fault)

@@ -12,9 +12,9 @@ from acquisition.camera import Image
 from processing.errors import DeviceError
 from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
 
-_EXAMINED_EVERY_S = 0.4
+_EXAMINE_INTERVAL_S = 0.4
 _MIN_CONTRAST = 0.25
-"""Smallest contrast of a spot, over that of the lit one; a stuck output shows all of it."""
+"""Smallest contrast of a spot, relative to that of the lit one; an output that is stuck on gives 1."""
 _MIN_OVER_NOISE = 8.0
 """Smallest contrast of a spot, in units of the frame's noise."""
 _MAX_PIXELS = 500_000
@@ -22,7 +22,7 @@ _NOISE_STEP = 8
 """Every so many pixels, one is used for background and noise."""
 _HOT_PIXELS = 3
 _MAX_FRAME_DELAY_S: Final = 1.0
-"""Time for which frames under way still show the earlier state of the laser."""
+"""Longest time for which frames that were exposed earlier still arrive after the laser was switched."""
 _MAX_SEEN_BEFORE_S: Final = 1.5
 """Longest time before the laser was switched off at which the spot must have been seen; a spot that was last
 seen earlier may have left the sensor instead."""
@@ -31,7 +31,7 @@ seen earlier may have left the sensor instead."""
 class SpotWatch:
     """Detects the laser's spot in frames, by comparison with frames that were taken while the laser was lit.
 
-    The code that reads the camera calls `frame`, the code that knows the laser's state calls the other
+    The code that reads the camera calls `examine`, the code that knows the laser's state calls the other
     methods; each from any thread.
     """
 
@@ -40,16 +40,17 @@ class SpotWatch:
         self._sampled_s = -np.inf
         self._contrast_dn = 0.0
         self._noise_dn = 0.0
+        # the contrast of the spot while the laser is lit
         self._lit_dn = 0.0
-        self._examined_s = self._seen_lit_s = -np.inf
+        self._examined_lit_s = self._seen_lit_s = -np.inf
         self._lit: bool | None = None
         self._since_s = 0.0
         self.exposure_s = 0.0
 
-    def frame(self, image: Image) -> None:
+    def examine(self, image: Image) -> None:
         """Take account of a frame; it is examined if none was in the last 0.4 s."""
         now_s = self._clock_s()
-        if now_s - self._sampled_s < _EXAMINED_EVERY_S:
+        if now_s - self._sampled_s < _EXAMINE_INTERVAL_S:
             return
         step = max(int(np.ceil(np.sqrt(image.size / _MAX_PIXELS))), 1)
         pixels = image[::step, ::step].ravel()
@@ -71,8 +72,8 @@ class SpotWatch:
         if lit and self._is_settled and self._contrast_dn > _MIN_OVER_NOISE * self._noise_dn:
             self._lit_dn = max(self._lit_dn, self._contrast_dn)
         if lit:
-            self._examined_s = self._sampled_s
-            if self.seen:
+            self._examined_lit_s = self._sampled_s
+            if self.visible:
                 self._seen_lit_s = self._sampled_s
 
     @property
@@ -81,22 +82,22 @@ class SpotWatch:
         return self._clock_s() - self._sampled_s
 
     @property
-    def seen(self) -> bool | None:
+    def visible(self) -> bool | None:
         """Whether the spot is in the newest frame; None if no frame showed it while the laser was lit."""
         if not self._lit_dn:
             return None
         return self._contrast_dn >= max(_MIN_CONTRAST * self._lit_dn, _MIN_OVER_NOISE * self._noise_dn)
 
     @property
-    def disagrees(self) -> bool:
-        """Whether the laser reports that it is off, and later frames show it lit."""
-        return self._lit is False and self._is_settled and self.seen is True
+    def contradicts(self) -> bool:
+        """Whether the laser reports that it is off, and frames contradict it: they still show the spot."""
+        return self._lit is False and self._is_settled and self.visible is True
 
     @property
-    def agrees(self) -> bool:
-        """Whether the laser reports that it is off, and the spot that frames had shown until then is gone."""
-        was_seen = self._examined_s - self._seen_lit_s <= _MAX_SEEN_BEFORE_S
-        return self._lit is False and self._is_settled and was_seen and self.seen is False
+    def confirms(self) -> bool:
+        """Whether the laser reports that it is off, and frames confirm it: the spot is gone."""
+        was_seen = self._examined_lit_s - self._seen_lit_s <= _MAX_SEEN_BEFORE_S
+        return self._lit is False and self._is_settled and was_seen and self.visible is False
 
     @property
     def _is_settled(self) -> bool:
@@ -140,18 +141,18 @@ class LightRefused(DeviceError):
     """The laser stays dark: a trip is latched, or something else refuses the light."""
 
 
-_MAX_UNHEARD_S: Final = 5.0
-"""Longest time without a look for presses of LIGHT OFF; after it light is refused, as for a stalled stage."""
-OVER: Final = "no frames are processed any more"
-TO_BE_ASKED: Final = "the trip is acknowledged; the laser stays off until a person asks for light"
+_MAX_LOOK_INTERVAL_S: Final = 5.0
+"""Longest time between two looks for presses of LIGHT OFF; after a longer one light is refused."""
+ENDED: Final = "no frames are processed any more"
+NEEDS_REQUEST: Final = "the trip is acknowledged; the laser stays off until a person asks for light"
 
 
 class LightPermit:
-    """Permission to light lasers: the rig's latch, and a dead man's switch that a stalled stage opens.
+    """Permission to light lasers: refused while a trip is latched, and once a stage of the program stalls.
 
     The devices' threads read `refusal` before each heartbeat, and `refusal_to_light` immediately before they
     light a laser. The stages report their progress; camera and processing are watched from `begin` on, the
-    recorder from its first report until `ended`.
+    recorder from its first report until `note_end`.
     All methods may be called from any thread; all but `trip` and `look_for_presses`, which write the rig's
     file, only set plain values. `tripped` is called with each trip, and whether it happened now, in the
     thread that detected it.
@@ -170,7 +171,7 @@ class LightPermit:
         self._begun = self._ended = False
         self._refused_for_good = ""
         self._needs_request = False
-        self._examined_s: float | None = None
+        self._looked_s: float | None = None
         self.spot = SpotWatch(clock_s)
 
     def begin(self) -> None:
@@ -190,9 +191,9 @@ class LightPermit:
     def frame_read(self, image: Image) -> None:
         """Note that the camera has delivered a frame, and examine it for the laser's spot."""
         self.note_progress(Stage.CAMERA)
-        self.spot.frame(image)
+        self.spot.examine(image)
 
-    def ended(self, stage: Stage) -> None:
+    def note_end(self, stage: Stage) -> None:
         """Note that a stage has ended regularly."""
         self._progress_s.pop(stage, None)
 
@@ -203,12 +204,12 @@ class LightPermit:
     def trip(self, cause: TripCause, why: str) -> None:
         """Latch a cause, lit or dark: the light is refused until a person has acknowledged it.
 
-        Raises nothing, so that the caller goes on to switch off the light. A state that cannot be written is
-        logged, and holds for this program.
+        Raises nothing, so that the caller goes on to switch off the light. If the state cannot be written,
+        that is logged, and the trip is latched for this program alone.
         """
         self._latch(cause, why, now=True)
 
-    def found(self, cause: TripCause, why: str) -> None:
+    def latch_found(self, cause: TripCause, why: str) -> None:
         """Latch a trip reported on opening, unless its cause is latched already: it may be the same trip."""
         if (trip := self.latched) is None or trip.cause is not cause:
             self._latch(cause, why, now=False)
@@ -237,7 +238,7 @@ class LightPermit:
         except DeviceError as error:
             _log.error("%s", error)
             trip = self.latched
-        self._examined_s = self._clock_s()
+        self._looked_s = self._clock_s()
         if trip is None:
             return False
         self._needs_request = True
@@ -247,7 +248,7 @@ class LightPermit:
 
     def stop_looking(self) -> None:
         """Note that nothing looks for presses any more, because the devices are being closed."""
-        self._examined_s = None
+        self._looked_s = None
 
     @property
     def latched(self) -> LatchedTrip | None:
@@ -277,9 +278,9 @@ class LightPermit:
 
     @property
     def _unheard(self) -> str:
-        looked_s = self._examined_s
-        unheard = looked_s is not None and self._clock_s() - looked_s > _MAX_UNHEARD_S
-        return "nobody hears of LIGHT OFF: the disk of the rig's state hangs" if unheard else ""
+        looked_s = self._looked_s
+        unheard = looked_s is not None and self._clock_s() - looked_s > _MAX_LOOK_INTERVAL_S
+        return "LIGHT OFF would not be heard: the disk of the rig's state hangs" if unheard else ""
 
     @property
     def refusal_to_light(self) -> str:
@@ -288,8 +289,8 @@ class LightPermit:
         After a trip, a person must not only acknowledge it but also ask for light again.
         """
         self.look_for_presses()
-        to_be_asked = TO_BE_ASKED if self._needs_request else ""
-        return self.refusal or self._state.problem or to_be_asked or (OVER if self._ended else "")
+        request = NEEDS_REQUEST if self._needs_request else ""
+        return self.refusal or self._state.problem or request or (ENDED if self._ended else "")
 
     @property
     def paused_s(self) -> float:

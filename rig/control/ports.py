@@ -36,6 +36,7 @@ def udev_board() -> str:
     return f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{PICO:04x}"'
 
 
+_SENSOR_PATIENCE_S = 5.0
 _TRIP_ERRORS = range(101, 105)
 """Error codes of the board that report trips; its latch reports them in more detail."""
 
@@ -189,19 +190,19 @@ def _interlock(settings: LaserSettings, closed: bool) -> Iterator[Verdict]:
         )
 
 
-def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) -> tuple[Verdict, ...]:
-    """Read the lines of a sensor with its own port until one matches the pattern, for at most patience_s."""
+def check_environment(settings: EnvironmentSettings) -> tuple[Verdict, ...]:
+    """Read the lines of a sensor with its own port until one matches the pattern, for at most 5 s."""
     if settings.kind != "serial":
         return ()
     sensor = EnvironmentService(settings)
-    if sensor.look(patience_s):
+    if sensor.look(_SENSOR_PATIENCE_S):
         return (Verdict("environment sensor", True, sensor.last_line),)
     if sensor.last_error:
         found = Verdict.failed("environment sensor", DeviceError(sensor.last_error), ports_here())
         without = "; or measure without it: --set environment_sensor.kind=none"
         return (replace(found, remedy=found.remedy + without),)
     last = sensor.last_line
-    reason = f"{last!r} does not match the pattern" if last else f"no line within {patience_s:g} s"
+    reason = f"{last!r} does not match the pattern" if last else f"no line within {_SENSOR_PATIENCE_S:g} s"
     return (
         Verdict(
             "environment sensor",

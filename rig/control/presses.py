@@ -98,7 +98,7 @@ class Presses:
         )
 
 
-def darken_beside(laser: LaserSettings, controller: ControllerSettings) -> list[str]:
+def darken_directly(laser: LaserSettings, controller: ControllerSettings) -> list[str]:
     """Write "off" to the ports of controller and laser, in whichever program; returns failures.
 
     It waits neither for a lock nor for a reply, which goes to the program that has the port, and is skipped

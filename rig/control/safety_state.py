@@ -112,7 +112,7 @@ def state_folder() -> Path:
 _UNKNOWN = "so the latched trip is unknown"
 
 
-def _unknown(why: str) -> _SafetyFile:
+def _unknown_state(why: str) -> _SafetyFile:
     return _SafetyFile(number=1, latched=_LatchEntry(cause=TripCause.POWER, why=why, lit=True))
 
 
@@ -184,12 +184,12 @@ class SafetyState:
         except FileNotFoundError:
             was_there = self._is_noted(self.path.with_suffix(".lock"))
             new = f"nothing is known of its light: it is new here, or its state was deleted ({self.path})"
-            self._stored = _unknown(f"{self.path} is gone, {_UNKNOWN}" if was_there else new)
+            self._stored = _unknown_state(f"{self.path} is gone, {_UNKNOWN}" if was_there else new)
         except (OSError, ValidationError):
-            self._stored = _unknown(f"{self.path} cannot be read, {_UNKNOWN}")
+            self._stored = _unknown_state(f"{self.path} cannot be read, {_UNKNOWN}")
         else:
             text = f"{self.path} is of schema {stored.schema_number}, and schema {_SCHEMA} is read"
-            self._stored = stored if stored.schema_number == _SCHEMA else _unknown(text)
+            self._stored = stored if stored.schema_number == _SCHEMA else _unknown_state(text)
         self._look_for_press()
 
     def _look_for_press(self) -> None:

@@ -79,7 +79,7 @@ class SerialPort:
         try:
             self._serial.write(data)
         except Exception as error:
-            raise self._lost("write", error) from error
+            raise self._loss_error("write", error) from error
 
     def read(self, timeout_s: float) -> bytes:
         """All received bytes, at least one; b"" after timeout_s."""
@@ -93,23 +93,23 @@ class SerialPort:
                 first += bytes(self._serial.read(waiting))
             return first
         except Exception as error:
-            raise self._lost("read", error) from error
+            raise self._loss_error("read", error) from error
 
     def discard_input(self) -> None:
         """Discard bytes that were received but not read."""
         try:
             self._serial.reset_input_buffer()
         except Exception as error:
-            raise self._lost("read", error) from error
+            raise self._loss_error("read", error) from error
 
     def close(self) -> None:
         """Close the port."""
         try:
             self._serial.close()
         except Exception as error:
-            raise self._lost("close", error) from error
+            raise self._loss_error("close", error) from error
 
-    def _lost(self, doing: str, error: Exception) -> PortLost:
+    def _loss_error(self, doing: str, error: Exception) -> PortLost:
         return PortLost(
             f"{self._url}: the serial port is no longer available ({doing}): {_reason(error)};"
             " check the cable"

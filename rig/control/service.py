@@ -200,7 +200,7 @@ class ControlService(DeviceThread):
         )
         self._say(f"{identity.serial} is connected, firmware {identity.firmware}")
         if (found := self._controller.found) is not None:
-            self._permit.found(TripCause(found.cause), _WHY[found.cause])
+            self._permit.latch_found(TripCause(found.cause), _WHY[found.cause])
         elif self._was_reset:
             self._permit.trip(TripCause.POWER, _WHY[Trip.POWER])
         self._latch, self._was_reset = self._controller.found, False
@@ -295,7 +295,7 @@ class ControlService(DeviceThread):
             causes.add(Trip.INTERLOCK)
         self._latch, self._interlock_closed = latch, status.interlock_closed
         for cause in sorted(causes & _WHY.keys()):
-            (self._permit.found if first else self._permit.trip)(TripCause(cause), _WHY[cause])
+            (self._permit.latch_found if first else self._permit.trip)(TripCause(cause), _WHY[cause])
 
     def _guarded(self, call: Callable[[Controller], T]) -> T:
         if not self._is_open:

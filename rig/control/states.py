@@ -114,13 +114,13 @@ class SafetyNow:
     @classmethod
     def from_news(cls, values: Mapping[str, Any]) -> "SafetyNow":
         """The state from the plain values of a session's answer, in which infinite ages are null."""
-        return _adapter().validate_python(_known(values))
+        return _adapter().validate_python(_without_nulls(values))
 
 
-def _known(values: Mapping[str, Any]) -> dict[str, Any]:
+def _without_nulls(values: Mapping[str, Any]) -> dict[str, Any]:
     """The values, also of parts, that are not null."""
     return {
-        key: _known(value) if isinstance(value, Mapping) else value
+        key: _without_nulls(value) if isinstance(value, Mapping) else value
         for key, value in values.items()
         if value is not None
     }

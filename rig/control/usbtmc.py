@@ -97,7 +97,7 @@ class UsbTmcLine:
             # the caller gets no answer, and repeats the query
             self._clear()
         except OSError as error:
-            raise self._lost("write", error) from error
+            raise self._loss_error("write", error) from error
         self._answer_due = b"?" in data
 
     def read(self, timeout_s: float) -> bytes:
@@ -111,7 +111,7 @@ class UsbTmcLine:
             self._clear()
             return b""
         except OSError as error:
-            raise self._lost("read", error) from error
+            raise self._loss_error("read", error) from error
         self._answer_due = False
         return answer
 
@@ -134,7 +134,7 @@ class UsbTmcLine:
         except TimeoutError:
             pass
         except OSError as error:
-            raise self._lost("clear", error) from error
+            raise self._loss_error("clear", error) from error
 
     def _set_timeout(self, timeout_s: float) -> None:
         timeout_ms = max(round(1000 * timeout_s), _MIN_TIMEOUT_MS)
@@ -142,7 +142,7 @@ class UsbTmcLine:
             fcntl.ioctl(self._fd, _SET_TIMEOUT, struct.pack("@I", timeout_ms))
             self._timeout_ms = timeout_ms
 
-    def _lost(self, doing: str, error: OSError) -> PortLost:
+    def _loss_error(self, doing: str, error: OSError) -> PortLost:
         return PortLost(
             f"{self._path}: the instrument is no longer available ({doing}): {error.strerror or error};"
             " check the cable"

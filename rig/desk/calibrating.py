@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError, RigError
 from rig.desk.jobs import Job
-from rig.prepare import CalibrationReport, filed, next_free
+from rig.prepare import CalibrationReport, next_free, read_calibration_report
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
@@ -170,7 +170,7 @@ class Calibration:
             job.wait()
             if job.status:
                 raise RigError(job.problem)
-            self.made = filed(Path(job.lines[-1]["written"][0]))
+            self.made = read_calibration_report(Path(job.lines[-1]["written"][0]))
         except RigError as error:
             self.problem = str(error)
             raise

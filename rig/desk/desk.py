@@ -11,7 +11,7 @@ from pathlib import Path
 
 from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
-from rig.control import SafetyState, darken_beside, rig_state_path
+from rig.control import SafetyState, darken_directly, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.calibrating import KINDS, Calibration
 from rig.desk.following import CommandWatch, Following, Watched
@@ -140,7 +140,7 @@ class Desk:
         process = following.process
         if process is None:
             raise NoSession("the session does not answer, and its process is not known; end it by hand")
-        problems = darken_beside(self.config.laser, self.config.controller)
+        problems = darken_directly(self.config.laser, self.config.controller)
         lit = f"; the laser may be lit: {'; '.join(problems)}" if problems else ""
         with suppress(ProcessLookupError):
             os.kill(process, signal.SIGTERM)
@@ -243,7 +243,7 @@ class Desk:
             except RigError:
                 job.end()
             if not job.wait(_CLOSES_WITHIN_S):
-                darken_beside(self.config.laser, self.config.controller)
+                darken_directly(self.config.laser, self.config.controller)
                 job.kill()
         self.jobs.pop(_ALIGN, None)
 

@@ -21,7 +21,7 @@ from acquisition.camera import CameraInfo, CameraSettings, Frame
 from processing.errors import DeviceError, RigError
 from processing.spot import Spot
 from processing.units import nanoseconds
-from rig.control import TO_BE_ASKED, LightRefused, Stage
+from rig.control import NEEDS_REQUEST, LightRefused, Stage
 from rig.devices.acknowledgement import LightWatch, ask_leave, at_terminal
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.order_socket import Orders, SessionNews, light_shown_to_desk
@@ -227,7 +227,7 @@ class LivePicture:
                 devices.darken(_LEFT)
         self.dark = _LEFT if self._left else devices.darkness()
         if self.dark and devices.permit.needs_request and devices.permit.latched is None:
-            self.dark = TO_BE_ASKED
+            self.dark = NEEDS_REQUEST
         self._tell()
 
     def _tell(self) -> None:

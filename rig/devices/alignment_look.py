@@ -279,7 +279,7 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     size = max(1, round(part_width * scale)), max(1, round(part_height * scale))
     # the root is taken of each possible value, not of each pixel, which is faster
     roots = np.sqrt(np.arange(np.iinfo(part.dtype).max + 1) / look.full_scale_dn)
-    drawn = _resized(roots[part], size, scale)
+    drawn = _resize(roots[part], size, scale)
     picture = np.repeat((255.0 * np.clip(drawn, 0.0, 1.0)).astype(np.uint8)[..., np.newaxis], 3, axis=2)
     thin = max(1, round(min(size) / 300))
 
@@ -306,7 +306,7 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     full = part >= look.full_scale_dn
     if full.any():
         # a pixel of the picture is marked if any part of it is saturated
-        saturated = _resized(full.astype(np.float64), size, scale) > 0.0
+        saturated = _resize(full.astype(np.float64), size, scale) > 0.0
         picture[saturated] = palette.rgba(palette.VERMILLION)[:3]
     return picture
 
@@ -321,7 +321,7 @@ def _part(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
     return left, top, min(width, columns), min(height, rows)
 
 
-def _resized(values: NDArray[np.float64], size: tuple[int, int], scale: float) -> NDArray[np.float64]:
+def _resize(values: NDArray[np.float64], size: tuple[int, int], scale: float) -> NDArray[np.float64]:
     """Resized values: means over areas if reduced, repeated pixels if enlarged."""
     way = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
     return np.asarray(cv2.resize(values, size, interpolation=way), dtype=np.float64)

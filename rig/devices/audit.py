@@ -52,59 +52,57 @@ class AuditEntry(StrEnum):
 
 
 class AuditLog:
-    """Adds lines to the log of a folder (None: no log) in a thread of its own, in their order.
+    """Adds lines to the log of a folder (None: no log), in their order, for a program with this task.
 
-    A log that cannot be written is reported, and stops nothing.
+    A thread of its own writes them. A log that cannot be written is reported, and stops nothing.
     """
 
     def __init__(self, folder: Path | None, operator: str, task: str, state: SafetyState) -> None:
         self._path = None if folder is None else folder.absolute() / AUDIT_NAME
-        self._about = {"operator": operator, "task": task}
+        self._session = {"operator": operator, "task": task}
         self._state = state
-        self._waiting: queue.Queue[dict[str, object]] = queue.Queue()
+        self._queue: queue.Queue[dict[str, object]] = queue.Queue()
         self._starting = threading.Lock()
         self._thread: threading.Thread | None = None
 
-    def append(self, what: AuditEntry, why: str, **details: object) -> None:
+    def append(self, kind: AuditEntry, reason: str, **details: object) -> None:
         """Queue a line for writing; returns at once, in any thread."""
         if self._path is None:
             return
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
-        who = {"user": _user(), "host": socket.gethostname(), **self._about}
+        author = {"user": _user(), "host": socket.gethostname(), **self._session}
         with self._starting:
-            self._waiting.put({"utc": now, **who, "what": what, "why": why, **details})
+            self._queue.put({"utc": now, **author, "what": kind, "why": reason, **details})
             if self._thread is None:
                 self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
                 self._thread.start()
 
     def wait(self) -> None:
         """Wait until everything is written, for at most 5 s."""
-        with self._waiting.all_tasks_done:
-            done = self._waiting.all_tasks_done.wait_for(
-                lambda: not self._waiting.unfinished_tasks, _PATIENCE_S
-            )
+        with self._queue.all_tasks_done:
+            done = self._queue.all_tasks_done.wait_for(lambda: not self._queue.unfinished_tasks, _PATIENCE_S)
         if not done:
             say(f"{self._path}: the audit log is not written: its disk does not answer", error=True)
 
     def _write(self) -> None:
         while True:
             try:
-                line = self._waiting.get(timeout=_IDLE_S)
+                line = self._queue.get(timeout=_IDLE_S)
             except queue.Empty:
                 with self._starting:
-                    if self._waiting.empty():
+                    if self._queue.empty():
                         self._thread = None
                         return
                 continue
             try:
                 self._add(line)
             except (OSError, DeviceError) as error:
-                why = error.strerror if isinstance(error, OSError) else error
+                reason = error.strerror if isinstance(error, OSError) else error
                 # the terminal may have been closed
                 with suppress(OSError):
-                    say(f"{self._path}: the audit log cannot be written: {why or error}", error=True)
+                    say(f"{self._path}: the audit log cannot be written: {reason or error}", error=True)
             finally:
-                self._waiting.task_done()
+                self._queue.task_done()
 
     def _add(self, line: dict[str, object]) -> None:
         path = self._path
@@ -117,8 +115,8 @@ class AuditLog:
                 # where the disk supports no locks, a line that may break the chain is better than no line
                 with suppress(OSError):
                     fcntl.flock(file, fcntl.LOCK_EX)
-            before, number = _last(file)
-            text = json.dumps({**line, "before": before}).encode()
+            previous, number = _last_digest_and_count(file)
+            text = json.dumps({**line, "before": previous}).encode()
             file.write(text + b"\n")
             file.flush()
             os.fsync(file.fileno())
@@ -134,34 +132,33 @@ def check_log(folder: Path, state: SafetyState) -> list[str]:
     try:
         lines = path.read_bytes().splitlines()
     except FileNotFoundError:
-        there = ", ".join(
-            sorted(str(one.parent) for one in path.parent.glob(f"*/{AUDIT_NAME}"))[:_MAX_NAMED_FOLDERS]
+        folders = ", ".join(
+            sorted(str(log.parent) for log in path.parent.glob(f"*/{AUDIT_NAME}"))[:_MAX_NAMED_FOLDERS]
         )
         raise RecordError(
             f"{path}: there is no log: no program that controls a laser wrote into this folder; "
-            + (f"there is one in {there}" if there else "name the folder of a session")
+            + (f"there is one in {folders}" if folders else "name the folder of a session")
         ) from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
-    faults, chained, before = [], False, ""
+    faults, chained, digest = [], False, ""
     for number, line in enumerate(lines, start=1):
         try:
-            stated = json.loads(line).get("before")
+            previous = json.loads(line).get("before")
         except (ValueError, AttributeError):
             faults.append(f"line {number} is incomplete")
         else:
-            # lines without a chain, of earlier versions, can only be at the beginning
-            chained = chained or stated is not None
-            if chained and stated != before:
+            chained = chained or previous is not None
+            if chained and previous != digest:
                 faults.append(f"before line {number} something is missing, or line {number - 1} was altered")
-        before = _digest(line)
-    end = state.end_of_log(path)
-    if end is not None and end != (len(lines), before):
-        faults.append(f"it had {end[0]} lines, and its last line was another one")
+        digest = _digest(line)
+    noted = state.end_of_log(path)
+    if noted is not None and noted != (len(lines), digest):
+        faults.append(f"it had {noted[0]} lines, and its last line was another one")
     return faults
 
 
-def _last(file: BinaryIO) -> tuple[str, int]:
+def _last_digest_and_count(file: BinaryIO) -> tuple[str, int]:
     """Digest of the last line, and the number of lines; an incomplete line is ended."""
     file.seek(0)
     data = file.read()

@@ -362,12 +362,12 @@ def install_rules(folder: Path = RULES_FOLDER) -> tuple[Path, str]:
     except OSError as error:
         raise DeviceError(f"{path}: cannot be written: {error.strerror or error}") from None
     again = "plug the devices in again"
-    if folder == RULES_FOLDER and not _reloaded():
+    if folder == RULES_FOLDER and not _reload_rules():
         again = f"sudo udevadm control --reload, then {again}"
     return path, again
 
 
-def _reloaded() -> bool:
+def _reload_rules() -> bool:
     """Make udev's daemon read the rules again; False if that fails, as in a container without one."""
     udevadm = shutil.which("udevadm")
     if udevadm is None or os.geteuid() != 0:

@@ -233,13 +233,13 @@ class FrameStream:
     @property
     def losses(self) -> FrameLosses:
         """Frames lost since the start, or since `count_losses_anew`, by cause."""
-        return self._lost().since(self._lost_before)
+        return self._all_losses().since(self._lost_before)
 
     def count_losses_anew(self) -> None:
         """Make `losses` count only frames that are lost from now on."""
-        self._lost_before = self._lost()
+        self._lost_before = self._all_losses()
 
-    def _lost(self) -> FrameLosses:
+    def _all_losses(self) -> FrameLosses:
         return FrameLosses.from_status(
             self._counts.latest,
             unqueued=self._queue.dropped,
@@ -271,7 +271,7 @@ class FrameStream:
                 read = self._camera.read(patience_s)
             except (FrameTimeout, CameraLost) as lost:
                 if isinstance(lost, FrameTimeout):
-                    lost = self._said_with_reasons(lost)
+                    lost = self._with_reasons(lost)
                     if begun and silent_s == 0.0 and patience_s < self._timeout_s:
                         self._events.append((EventKind.CAMERA_SILENT, str(lost)))
                     silent_s += patience_s
@@ -306,7 +306,7 @@ class FrameStream:
                 self.permit.frame_read(read.image)
                 if read.host_time_ns >= self._look_ns:
                     self._look_ns = int(read.host_time_ns) + _LOOK_NS
-                    self._at_last_look = self._lost()
+                    self._at_last_look = self._all_losses()
                 self._events.extend(passed.notes)
                 self._steps.extend(passed.steps)
                 for joined in passed.frames:
@@ -314,19 +314,19 @@ class FrameStream:
                     self._queue.put(joined)
                     self._begun.set()
         except FrameTimeout as error:
-            unused = self._lost().since(self._at_last_look)
+            unused = self._all_losses().since(self._at_last_look)
             came = f"of those that came {unused.discarded_text}"
             why = came if unused.discarded else "the camera has stalled"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
-            self._fail(error, self._named(error))
+            self._fail(error, self._error_text(error))
         finally:
             self._queue.close()
             self._begun.set()
 
-    def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
+    def _with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The error, with the number of frames that came and could not be used, not a trigger's fault."""
-        unused = self._lost().since(self._at_last_look)
+        unused = self._all_losses().since(self._at_last_look)
         if not unused.discarded:
             return lost
         name = str(lost).partition(": ")[0]
@@ -365,7 +365,7 @@ class FrameStream:
         return "; ".join(setting_differences(self._kept, now))
 
     @staticmethod
-    def _named(error: Exception) -> str:
+    def _error_text(error: Exception) -> str:
         text = in_one_line(error)
         return text if text.startswith("camera: ") else f"camera: {text}"
 

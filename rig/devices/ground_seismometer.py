@@ -60,7 +60,7 @@ class GroundSeismometer(ABC):
         return ""
 
 
-def opened_seismometer(config: Configuration) -> GroundSeismometer | None:
+def make_seismometer(config: Configuration) -> GroundSeismometer | None:
     """The configured auxiliary seismometer; None if none is configured.
 
     Raises ConfigurationError for one that does not fit the camera.
@@ -89,7 +89,7 @@ def check_seismometer(config: Configuration) -> Verdict:
     if kind == "none":
         return Verdict("seismometer", True, "none is configured", made=False)
     try:
-        seismometer = opened_seismometer(config)
+        seismometer = make_seismometer(config)
         assert seismometer is not None
         with seismometer:
             until_s = time.monotonic() + config.seismometer.stale_after_s

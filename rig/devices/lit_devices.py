@@ -11,8 +11,8 @@ from pathlib import Path
 from acquisition.camera import Camera
 from processing.errors import DeviceError, RigError
 from rig.control import (
+    NEEDS_REQUEST,
     STALE_S,
-    TO_BE_ASKED,
     ControlService,
     ControlState,
     Interlock,
@@ -74,7 +74,7 @@ class LitDevices:
         self._lighting = threading.Lock()
         self._was_lit = self._is_lit = self._disagreed = False
         self.lights_again = True
-        self.permit = LightPermit(state=self.state, tripped=self._tripped)
+        self.permit = LightPermit(state=self.state, tripped=self._note_trip)
 
     def light(self, *, asked: bool = False, in_run: bool = False) -> str:
         """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
@@ -115,8 +115,8 @@ class LitDevices:
     def _light_once(self, in_run: bool) -> str:
         kind = self._config.laser.kind
         if self.permit.needs_request:
-            self.audit(AuditEntry.REFUSED, TO_BE_ASKED)
-            raise LightRefused(TO_BE_ASKED)
+            self.audit(AuditEntry.REFUSED, NEEDS_REQUEST)
+            raise LightRefused(NEEDS_REQUEST)
         if why := self.darkness():
             self.went_dark(why)
             if self.state.path is not None or not through_controller(self._config.laser):
@@ -163,7 +163,7 @@ class LitDevices:
             self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
         return "the laser is commanded off" if self._config.laser.kind != "none" else NOT_OURS
 
-    def _look_at_what_was_left(self) -> None:
+    def _find_earlier_trips(self) -> None:
         """Latch, before devices are opened, an earlier press and a light that was not confirmed off."""
         self.permit.look_for_presses()
         if not self.state.left_lit:
@@ -212,7 +212,7 @@ class LitDevices:
         state = None if self.laser is None else self.laser.snapshot.state
         if state is not None and state.excess:
             raise DeviceError(f"trip {number} cannot be acknowledged: {state.excess}")
-        if self.permit.spot.disagrees and self.permit.spot.age_s <= STALE_S:
+        if self.permit.spot.contradicts and self.permit.spot.age_s <= STALE_S:
             raise DeviceError(f"trip {number} cannot be acknowledged: {_STILL_SEEN}")
         if self.control is not None:
             # the board has its own numbers, and refuses to clear a trip that it has not yet reported
@@ -228,7 +228,7 @@ class LitDevices:
         if laser is None or laser.light not in (Light.ON, Light.OFF, Light.INTERLOCK_OPEN):
             return
         spot.note_laser(laser.on)
-        if not spot.disagrees:
+        if not spot.contradicts:
             self._disagreed = False
         elif not self._disagreed:
             self._disagreed = True
@@ -244,15 +244,15 @@ class LitDevices:
         with suppress(RigError, OSError):
             camera.start()
             try:
-                while time.monotonic() < end_s and not (spot.agrees or spot.disagrees):
+                while time.monotonic() < end_s and not (spot.confirms or spot.contradicts):
                     if (frame := camera.read(_LOOKS_FOR_S)) is None:
                         return
-                    spot.frame(frame.image)
+                    spot.examine(frame.image)
                     self.compare()
             finally:
                 camera.stop()
 
-    def _tripped(self, trip: LatchedTrip, now: bool) -> None:
+    def _note_trip(self, trip: LatchedTrip, now: bool) -> None:
         if now:
             self.audit(AuditEntry.TRIP, trip.why, cause=trip.cause, lit=trip.lit)
         self.audit(AuditEntry.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
@@ -317,7 +317,7 @@ class LitDevices:
         """Add a change of the light, or an action of a person, to the audit log; never blocks."""
         self._log.append(what, why, **details)
 
-    def _darkened(self) -> tuple[str, KeyboardInterrupt | None]:
+    def _darken_at_end(self) -> tuple[str, KeyboardInterrupt | None]:
         """Switch the laser off; returns a text on what confirms it, or that nothing does, and a Ctrl-C."""
         asked: list[tuple[str, Callable[[], Future[None]], float]] = []
         if self.control is not None and through_controller(self._config.laser):
@@ -341,7 +341,7 @@ class LitDevices:
             self.state.lit(False)
         if not asked:
             return NOT_OURS, interrupt
-        confirming = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.agrees
+        confirming = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.confirms
         return f"laser off, confirmed by the {' and the '.join(confirming)}", interrupt
 
     def darkness(self) -> str:
@@ -409,12 +409,12 @@ class LitDevices:
         return SafetyNow(
             trip=self.permit.latched,
             refusal=self.permit.refusal or self.state.problem,
-            light=Light.DISAGREES if spot.disagrees else laser.light,
+            light=Light.DISAGREES if spot.contradicts else laser.light,
             # the age of a device's state is infinite while the device is silent
             light_age_s=math.inf if laser.light in _SILENT else laser.age_s,
             interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
             interlock_age_s=oldest_s,
-            seen=spot.seen if spot.age_s <= STALE_S else None,
+            seen=spot.visible if spot.age_s <= STALE_S else None,
             seen_age_s=spot.age_s,
             to_be_asked=self.permit.needs_request,
             laser=report,

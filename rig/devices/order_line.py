@@ -100,7 +100,7 @@ class OrderConnection:
     def _answer(self, name: str, value: object, within_s: float) -> tuple[bool, Any]:
         with self._one_at_a_time:
             try:
-                connection = self._connection = self._connection or self._connected()
+                connection = self._connection = self._connection or self._connect()
                 connection.send((name, value))
                 if not connection.poll(within_s):
                     raise TimeoutError(f"nothing within {within_s:g} s")
@@ -112,11 +112,11 @@ class OrderConnection:
                 ) from None
             except (OSError, EOFError, ValueError) as error:
                 self.close()
-                raise self._unanswered(error) from None
+                raise self._no_answer(error) from None
         self._was_seen = self._was_seen or lives(self.pid)
         return done, answer
 
-    def _connected(self) -> Connection:
+    def _connect(self) -> Connection:
         """A connection both of whose ends have proved that they know the key; raises OSError and the like."""
         made = socket.create_connection((LOOPBACK, self._port), timeout=_ANSWER_S)
         made.settimeout(None)
@@ -142,7 +142,7 @@ class OrderConnection:
             raise AuthenticationError from None
         return connection
 
-    def _unanswered(self, error: Exception) -> NoSession:
+    def _no_answer(self, error: Exception) -> NoSession:
         why = f"{self.folder}: its session does not answer: {error or 'it has hung up'}"
         return SessionBusy(why) if isinstance(error, (TimeoutError, BlockingIOError)) else NoSession(why)
 

@@ -17,6 +17,7 @@ from acquisition.frames.guard import FrameChecks
 from acquisition.frames.queue import BoundedQueue
 from processing.errors import DataError, DeviceError
 
+_BARS, _BAR_WIDTH = 16, 50
 _FLOOR = 0.1
 # sqrt(A / B) for exp(-u) - 0.1 where it is positive, u = r^2 / (2 s^2), u0 = ln 10:
 # A = (1 - exp(-2 u0) (1 + 2 u0)) / 2, B = 0.99 / 2 - 0.2 * 0.9 + 0.01 u0
@@ -84,15 +85,15 @@ def average(frames: Sequence[Frame]) -> Image:
     return mean.astype(np.uint8) if first.dtype == np.uint8 else mean.astype(np.uint16)
 
 
-def histogram_bars(image: Image, full_scale_dn: int, bars: int = 16, width: int = 50) -> list[str]:
+def histogram_bars(image: Image, full_scale_dn: int) -> list[str]:
     """Lines of a histogram for a terminal; the length of a bar is logarithmic in the count."""
-    counts: NDArray[np.int64] = np.histogram(image, bars, (0, full_scale_dn + 1))[0]
+    counts: NDArray[np.int64] = np.histogram(image, _BARS, (0, full_scale_dn + 1))[0]
     longest = np.log1p(counts.max())
     lines = []
     for index, count in enumerate(counts):
-        low = index * (full_scale_dn + 1) // bars
-        bar = "#" * round(float(np.log1p(count) / longest) * width)
-        lines.append(f"{low:>6} DN {bar:<{width}} {count}")
+        low = index * (full_scale_dn + 1) // _BARS
+        bar = "#" * round(float(np.log1p(count) / longest) * _BAR_WIDTH)
+        lines.append(f"{low:>6} DN {bar:<{_BAR_WIDTH}} {count}")
     return lines
 
 

@@ -25,7 +25,7 @@ from rig.control import (
 )
 from rig.devices.clocks import wait_for_network_clock
 from rig.devices.frame_stream import FrameStream
-from rig.devices.ground_seismometer import GroundSeismometer, opened_seismometer
+from rig.devices.ground_seismometer import GroundSeismometer, make_seismometer
 from rig.devices.lit_devices import LitDevices
 from rig.instrument import (
     camera_settings,
@@ -38,7 +38,8 @@ from rig.instrument import (
 from rig.settings import Configuration
 from rig.terminal import say
 
-_PRESSES_EACH_S, _WATCH_ENDS_S = 0.1, 1.0
+_LOOK_INTERVAL_S, _MAX_JOIN_S = 0.1, 1.0
+"""Interval of looks for presses of LIGHT OFF, and longest wait for the end of the last look."""
 
 
 class OpenCamera(NamedTuple):
@@ -56,15 +57,15 @@ class OpenCamera(NamedTuple):
 
 
 @contextmanager
-def _presses_heard(devices: LitDevices) -> Iterator[None]:
-    """Hears presses of LIGHT OFF by programs whose orders do not reach the one that has the rig.
+def _press_watch(devices: LitDevices) -> Iterator[None]:
+    """Context in which presses of LIGHT OFF by programs that cannot send an order here are looked for.
 
     In a thread of its own, so that a hanging disk delays no command to a device.
     """
-    over = threading.Event()
+    stop = threading.Event()
 
     def look() -> None:
-        while not over.wait(_PRESSES_EACH_S):
+        while not stop.wait(_LOOK_INTERVAL_S):
             devices.hear_presses()
 
     thread = threading.Thread(target=look, name="presses", daemon=True)
@@ -72,9 +73,9 @@ def _presses_heard(devices: LitDevices) -> Iterator[None]:
     try:
         yield
     finally:
-        over.set()
+        stop.set()
         # it must not write after the next program has the state, but a hanging disk must not block the end
-        thread.join(_WATCH_ENDS_S)
+        thread.join(_MAX_JOIN_S)
         devices.permit.stop_looking()
 
 
@@ -121,7 +122,7 @@ class Devices(LitDevices):
         interrupt: KeyboardInterrupt | None = None
         try:
             if self._was_lit:
-                confirmation, interrupt = self._darkened()
+                confirmation, interrupt = self._darken_at_end()
                 # the terminal may have been closed, which must not block the end
                 with suppress(OSError):
                     say(confirmation)
@@ -138,9 +139,9 @@ class Devices(LitDevices):
         self._closing.enter_context(self.state)
         if self._folder is not None:
             self.state.held_for(self._folder)
-        self._look_at_what_was_left()
+        self._find_earlier_trips()
         if self.state.path is not None:
-            self._closing.enter_context(_presses_heard(self))
+            self._closing.enter_context(_press_watch(self))
         if config.controller.kind != "none":
             self.control = self._closing.enter_context(
                 ControlService(
@@ -152,11 +153,11 @@ class Devices(LitDevices):
                     self.permit,
                 )
             )
-            with self._rehearsed():
+            with self._rehearsal_hint():
                 self.control.wait_open()
         if config.environment_sensor.kind == "serial":
             self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
-        if (seismometer := opened_seismometer(config)) is not None:
+        if (seismometer := make_seismometer(config)) is not None:
             self.seismometer = self._closing.enter_context(seismometer)
         laser = make_laser(config.laser)
         if laser is not None:
@@ -166,8 +167,8 @@ class Devices(LitDevices):
             )
 
     @contextmanager
-    def _rehearsed(self) -> Iterator[None]:
-        """Adds to the error of a real device, beside a simulated camera, how to do without it."""
+    def _rehearsal_hint(self) -> Iterator[None]:
+        """Context that adds to the error of a device how a simulated camera runs without it."""
         try:
             yield
         except DeviceError as error:
@@ -189,14 +190,14 @@ class Devices(LitDevices):
                 info = check_info(camera.open(), config.camera.driver)
             if self.seismometer is not None:
                 self.seismometer.relate_to(camera)
-            asked = camera_settings(config)
+            requested = camera_settings(config)
             with driver_errors(name, "configure()"):
-                applied = check_applied_settings(camera.configure(asked), config.camera.driver)
+                applied = check_applied_settings(camera.configure(requested), config.camera.driver)
             check_full_scale(config, info, applied)
-            if asked.ptp:
+            if requested.ptp:
                 wait_for_network_clock(camera)
             self.permit.spot.exposure_s = 1e-6 * (applied.exposure_us or 0.0)
-            notes = (*setting_differences(asked, applied), *pulse_faults(config, info, applied))
+            notes = (*setting_differences(requested, applied), *pulse_faults(config, info, applied))
             yield OpenCamera(camera, info, notes, applied, shift_to_light_ns(config, info, applied))
         finally:
             if self._was_lit and not self.permit.begun and not config.on_demand:
@@ -229,28 +230,24 @@ class Devices(LitDevices):
         if config.laser.kind != "controller":
             # a laser that this program does not control is always on
             inputs.laser(config.simulation.optics.laser_w)
-        wired = inputs.laser if config.laser.kind == "controller" else lambda _: None
+        set_power = inputs.laser if config.laser.kind == "controller" else lambda _: None
         interlock = SimulatedInterlock(
-            config.faults.interlock_opens_at_s, config.faults.interlock_open_for_s, wired
+            config.faults.interlock_opens_at_s, config.faults.interlock_open_for_s, set_power
         )
         return simulated_controller(config.controller, limit_w, inputs, interlock.laser, interlock.closed)
 
-    def required_control(self, who: str) -> ControlService:
-        """The controller; raises ConfigurationError, with `who` needs it, if there is none."""
+    def required_control(self, task: str) -> ControlService:
+        """The controller; raises ConfigurationError, which names the task, if there is none."""
         if self.control is None:
-            raise ConfigurationError(f"{who} needs a controller: set controller.kind to serial or simulated")
+            raise ConfigurationError(f"{task} needs a controller: set controller.kind to serial or simulated")
         return self.control
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the devices since the last call, as (kind, text); never blocks."""
-        found = [(EventKind.CONTROLLER, text) for text in self.control.take_events()] if self.control else []
-        if self.laser is not None:
-            found += [(EventKind.LASER, text) for text in self.laser.take_events()]
-        if self.sensor is not None:
-            found += [(EventKind.SENSOR, text) for text in self.sensor.take_events()]
-        if self.seismometer is not None:
-            found += [(EventKind.SENSOR, text) for text in self.seismometer.take_events()]
-        return found
+        kinds = EventKind.CONTROLLER, EventKind.LASER, EventKind.SENSOR, EventKind.SENSOR
+        devices = self.control, self.laser, self.sensor, self.seismometer
+        pairs = [(kind, device) for kind, device in zip(kinds, devices, strict=True) if device is not None]
+        return [(kind, text) for kind, device in pairs for text in device.take_events()]
 
     def environment(self) -> tuple[float, float, float]:
         """Temperature in °C, humidity in % and pressure in Pa, as last measured by sensor or controller.

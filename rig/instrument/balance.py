@@ -26,7 +26,7 @@ from processing.contact import pendulum_on_ball as pendulum_after_hertz
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.units import ARCSEC_RAD
-from rig.instrument.pipeline import Deflector
+from rig.instrument.pipeline import DeflectionConverter
 from rig.settings import Configuration
 from rig.terminal import Verdict, judged_number, percent
 
@@ -221,7 +221,7 @@ def sensor_room(config: Configuration, sensor_shape: tuple[int, int]) -> Room | 
     if config.lever is None:
         return None
     ny, nx = sensor_shape
-    reference_px = Deflector(config.lever, config.axes or Axes(), sensor_shape).reference_px
+    reference_px = DeflectionConverter(config.lever, config.axes or Axes(), sensor_shape).reference_px
     middle_px = np.array([0.5 * (nx - 1), 0.5 * (ny - 1)])
     points_px = middle_px + np.array([[0, 0], [1, 0], [0, 1]])
     zero = np.zeros(3)

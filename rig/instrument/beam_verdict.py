@@ -13,7 +13,7 @@ from processing.reference_spot import CausalReference
 from processing.spot import BeamShape, FixedLight, Spot, SpotFlag, SpotModel, beam_shape
 from processing.swing import HalfCycle, TurningPointDetector
 from processing.units import seconds
-from rig.instrument.pipeline import Block, Deflector, EstimateThread
+from rig.instrument.pipeline import Block, DeflectionConverter, EstimateThread
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict, percent
 
@@ -162,7 +162,7 @@ class BeamCorrection:
     `threaded`: half-cycles are found in a thread of their own and come with a later block, as the pipeline's.
     """
 
-    def __init__(self, deflector: Deflector, gain: Estimate, *, threaded: bool) -> None:
+    def __init__(self, deflector: DeflectionConverter, gain: Estimate, *, threaded: bool) -> None:
         self._deflector = deflector
         self._reference = CausalReference(gain)
         self._detector = TurningPointDetector()

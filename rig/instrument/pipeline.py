@@ -22,13 +22,13 @@ from rig.settings import Configuration
 Result = TypeVar("Result")
 
 _MAX_WAITING_CALLS = 4096
-_GATHERED_NS = 50_000_000
+_BATCH_NS = 50_000_000
 """Time span of samples that are handed to a thread together: at 1000 frames/s each frame would wake two."""
 _BALANCE = "the estimate of the balance"
 
 
 class EstimateThread(Generic[Result]):
-    """A thread that calls `estimate` on samples in order, while frames go on; estimates come when ready.
+    """A thread that calls `estimate` on batches of samples in order, so that frames do not wait for it.
 
     One estimate takes as long as many frames. The estimates are the same as without the thread: `estimate` is
     the `update` of a detector or estimator, which does not depend on how samples are divided. An error in it
@@ -38,30 +38,30 @@ class EstimateThread(Generic[Result]):
     def __init__(self, estimate: Callable[[Deflections], list[Result]], name: str) -> None:
         self._estimate = estimate
         self._executor = ThreadPoolExecutor(1, thread_name_prefix=name)
-        self._gathered: list[Deflections] = []
+        self._batch: list[Deflections] = []
         self._pending: deque[Future[list[Result]]] = deque()
 
     def update(self, samples: Deflections) -> list[Result]:
         """Add samples; returns the estimates that have become ready since the last call."""
         if len(samples):
-            self._gathered.append(samples)
-            if samples.times_ns[-1] - self._gathered[0].times_ns[0] >= _GATHERED_NS:
+            self._batch.append(samples)
+            if samples.times_ns[-1] - self._batch[0].times_ns[0] >= _BATCH_NS:
                 self._hand_over()
-        found: list[Result] = []
+        estimates: list[Result] = []
         while self._pending and (self._pending[0].done() or len(self._pending) > _MAX_WAITING_CALLS):
-            found += self._pending.popleft().result()
-        return found
+            estimates += self._pending.popleft().result()
+        return estimates
 
     def finish(self) -> list[Result]:
         """Wait for the estimates that are still being made, and return them."""
         self._hand_over()
-        found = [one for pending in self._pending for one in pending.result()]
+        estimates = [estimate for pending in self._pending for estimate in pending.result()]
         self._pending.clear()
-        return found
+        return estimates
 
     def _hand_over(self) -> None:
-        if self._gathered:
-            samples, self._gathered = joined(self._gathered, self._gathered[0].unit), []
+        if self._batch:
+            samples, self._batch = joined(self._batch, self._batch[0].unit), []
             self._pending.append(self._executor.submit(self._estimate, samples))
 
 
@@ -79,7 +79,7 @@ class Block(NamedTuple):
     references: Sequence[Spot] = ()
 
 
-class BothSpots:
+class DualSpotTracker:
     """Trackers of the pendulum's spot and of the reference spot, each in its own part of the frames.
 
     Parameters
@@ -94,16 +94,16 @@ class BothSpots:
         self.tracker = tracker
         self._reference = reference
 
-    def in_frames(self, frames: Sequence[Frame]) -> tuple[list[Spot], list[Spot]]:
+    def track(self, frames: Sequence[Frame]) -> tuple[list[Spot], list[Spot]]:
         """The pendulum's spots in consecutive frames, and the reference spots, empty without a reference."""
         if self._reference is None:
             return [self.tracker.track(frame.image) for frame in frames], []
-        tracker, row = self._reference
-        spots = [self.tracker.track(frame.image[:row]) for frame in frames]
-        seen = [tracker.track(frame.image[row:]) for frame in frames]
-        return spots, [spot._replace(y_px=spot.y_px + row) for spot in seen]
+        tracker, first_row = self._reference
+        spots = [self.tracker.track(frame.image[:first_row]) for frame in frames]
+        references = [tracker.track(frame.image[first_row:]) for frame in frames]
+        return spots, [spot._replace(y_px=spot.y_px + first_row) for spot in references]
 
-    def tracked(self, shape: tuple[int, int]) -> tuple[int, int]:
+    def pendulum_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
         """Shape (ny, nx) of the part of a frame of this shape that contains the pendulum's spot."""
         return shape if self._reference is None else (min(shape[0], self._reference[1]), shape[1])
 
@@ -119,9 +119,9 @@ class Pipeline:
         Calibration; each deflection gets the time of exposure of the rows that its spot lies on.
     sensor_shape
         (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
-    beside
-        Fit half-cycles, and estimate the balance, in threads of their own. The results are the same, but come
-        with a later block than the one that completes them, the last ones with `finish` and `finish_balance`.
+    threaded
+        Whether half-cycles are fitted, and the balance is estimated, in threads of their own. The results are
+        the same, but come with a later block, the last ones with `finish` and `finish_balance`.
     guard
         Catches errors of the estimate of the balance.
     """
@@ -134,26 +134,22 @@ class Pipeline:
         threaded: bool = False,
         guard: ObserverGuard | None = None,
     ) -> None:
-        self._spots = optics.both_spots()
-        self.tracker = self._spots.tracker
+        self.spots = optics.dual_tracker()
+        self.tracker = self.spots.tracker
         self._deflector = optics.deflector(sensor_shape)
         self._detector = TurningPointDetector()
         estimator = BalanceEstimator()
-        self._swings = EstimateThread(self._swings_in, "swings") if threaded else None
+        self._half_cycles = EstimateThread(self._half_cycles_in, "swings") if threaded else None
         self._balances = EstimateThread(estimator.update, "balance") if threaded else None
-        self._detect = self._swings_in if self._swings is None else self._swings.update
+        self._detect = self._half_cycles_in if self._half_cycles is None else self._half_cycles.update
         self._balance = (self._balances or estimator).update
         self._guard = guard or ObserverGuard()
 
     def process(self, frames: Sequence[Frame]) -> Block:
         """Track the spot in some consecutive frames, and continue with `measure`."""
         times_ns = np.array([frame.time_ns for frame in frames], dtype=np.int64)
-        spots, references = self._spots.in_frames(frames)
+        spots, references = self.spots.track(frames)
         return self.measure(times_ns, spots)._replace(references=references)
-
-    def tracked(self, shape: tuple[int, int]) -> tuple[int, int]:
-        """Shape (ny, nx) of the part of a frame of this shape that contains the pendulum's spot."""
-        return self._spots.tracked(shape)
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
         """Deflections, half-cycles and balances from spots of frames at these times."""
@@ -161,24 +157,24 @@ class Pipeline:
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
         """Half-cycles and balances from known deflections (replay without tracking)."""
-        swings = self._detect(deflections)
+        half_cycles = self._detect(deflections)
         balances: list[Balance] = self._guard.call(_BALANCE, [], self._balance, deflections)
-        return Block(spots, deflections, swings, balances)
+        return Block(spots, deflections, half_cycles, balances)
 
-    def _swings_in(self, samples: Deflections) -> list[HalfCycle]:
+    def _half_cycles_in(self, samples: Deflections) -> list[HalfCycle]:
         return self._detector.update(samples.times_ns, samples.y, samples.u_y)
 
     def finish(self) -> list[HalfCycle]:
         """Half-cycles that are completed by the end of the samples."""
-        waiting = [] if self._swings is None else self._swings.finish()
-        return waiting + self._detector.finish()
+        pending = [] if self._half_cycles is None else self._half_cycles.finish()
+        return pending + self._detector.finish()
 
     def finish_balance(self) -> list[Balance]:
         """Wait for the balances that are still being estimated, and return them."""
         return [] if self._balances is None else self._guard.call(_BALANCE, [], self._balances.finish)
 
 
-class Deflector:
+class DeflectionConverter:
     """Converts spots to deflections: tilts along the pendulum's axes, in rad.
 
     Without a lever they are displacements along the same axes in px; without stated axes along those of the
@@ -208,8 +204,8 @@ class Deflector:
         x_px, y_px, u_x_px, u_y_px = table.T
         times_ns = self._shutter.times_ns(times_ns, y_px, self._rows)
         if self._lever is None:
-            moved = displacements(self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
-            return Deflections(times_ns, *moved, self.unit)
+            shifts = displacements(self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
+            return Deflections(times_ns, *shifts, self.unit)
         tilts = deflections(self._lever, self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
         return Deflections(times_ns, *tilts, self.unit)
 
@@ -237,19 +233,13 @@ class Optics:
         """A new tracker of the reference spot, and the first row of its part of the frames."""
         return None if self.reference_row is None else (self.tracker(), self.reference_row)
 
-    def both_spots(self) -> BothSpots:
+    def dual_tracker(self) -> DualSpotTracker:
         """New trackers of the pendulum's spot and the reference spot."""
-        return BothSpots(self.tracker(), self.reference())
+        return DualSpotTracker(self.tracker(), self.reference())
 
-    def deflector(self, sensor_shape: tuple[int, int]) -> Deflector:
+    def deflector(self, sensor_shape: tuple[int, int]) -> DeflectionConverter:
         """The conversion of spots to deflections on a sensor of (ny, nx) pixels."""
-        return Deflector(self.lever, self.axes, sensor_shape, self.shutter)
-
-    def pipeline(
-        self, sensor_shape: tuple[int, int], *, threaded: bool = False, guard: ObserverGuard | None = None
-    ) -> Pipeline:
-        """A new pipeline from frames to deflections and half-cycles."""
-        return Pipeline(self, sensor_shape, threaded=threaded, guard=guard)
+        return DeflectionConverter(self.lever, self.axes, sensor_shape, self.shutter)
 
     @property
     def unit(self) -> DeflectionUnit:

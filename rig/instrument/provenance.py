@@ -30,7 +30,7 @@ from rig.instrument.calibration import calibration_attachments
 from rig.settings import (
     Configuration,
     apply_overrides,
-    in_words,
+    fault_line,
     stored_configuration,
     unnumbered,
     validate_configuration,
@@ -192,7 +192,7 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
     except ConfigurationError as error:
         raise RecordError(str(error)) from None
     except ValidationError as error:
-        reason = in_words(Configuration, error.errors()[0])
+        reason = fault_line(Configuration, error.errors()[0])
         raise RecordError(f"{reader.path}: its configuration is of another version ({reason})") from None
     if not overrides:
         return config

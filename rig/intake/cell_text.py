@@ -17,7 +17,7 @@ _SPACES: Final = "  ’'"
 _POINT: Final = re.compile(rf"[+-]?(?:\d+\.\d*|\.\d+){_EXPONENT}")
 _COMMA: Final = re.compile(rf"[+-]?(?:\d+,\d*|,\d+){_EXPONENT}")
 _WHOLE: Final = re.compile(rf"[+-]?\d+{_EXPONENT}")
-# digits in groups of three, between points, commas or spaces
+# numbers whose digits stand in groups of three, between points, commas or spaces
 _BY_POINTS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
 _BY_COMMAS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
 _BY_SPACES: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
@@ -27,7 +27,7 @@ _PLAIN_NUMBER: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
 _WITH_UNIT: Final = re.compile(r"(?P<number>[+\u2212\u2013-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
 _ROW_NUMBER: Final = re.compile(r'"?\d{1,15}"?')
 _MIN_COUNTED_ROWS: Final = 8
-MOMENT: Final = re.compile(
+TIMESTAMP: Final = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d|\d{4}/\d\d/\d\d|\d\d\.\d\d\.\d{4})?(?:(?<=\d)[T ])?"
     r"(?P<clock>(?(date)\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?"
     r"|(?:\d{1,2}:\d\d:\d\d(?:[.,]\d+)?|\d{1,3}:\d\d(?:[.,]\d+)?)))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
@@ -78,18 +78,18 @@ def is_number(cell: str) -> bool:
     )
 
 
-def is_moment(cell: str) -> bool:
+def is_timestamp(cell: str) -> bool:
     """Whether a cell is a date, a time of day, or both."""
-    found = None if _PLAIN_NUMBER.fullmatch(cell) else MOMENT.fullmatch(cell)
-    return found is not None and bool(found["date"] or found["clock"])
+    match = None if _PLAIN_NUMBER.fullmatch(cell) else TIMESTAMP.fullmatch(cell)
+    return match is not None and bool(match["date"] or match["clock"])
 
 
 def is_value(cell: str) -> bool:
-    """Whether a cell is a number, a moment, or a number followed by a unit."""
-    if is_number(cell) or is_moment(cell):
+    """Whether a cell is a number, a date or time, or a number followed by a unit."""
+    if is_number(cell) or is_timestamp(cell):
         return True
-    found = _WITH_UNIT.fullmatch(cell)
-    return found is not None and len(found["unit"]) < 8 and is_number(found["number"])
+    match = _WITH_UNIT.fullmatch(cell)
+    return match is not None and len(match["unit"]) < 8 and is_number(match["number"])
 
 
 def counts_rows(column: Sequence[str]) -> bool:
@@ -107,7 +107,7 @@ def number_format(cells: Iterable[str], stated: str, where: str) -> NumberFormat
     ConfigurationError
         Points and commas are both decimal marks, or commas may be decimal or thousands marks.
     """
-    point, comma, ambiguous, pointed = "", "", "", False
+    with_point, with_comma, ambiguous, has_point_groups = "", "", "", False
     mixed = {".": "", ",": ""}
     for cell in map(_with_ascii_minus, cells):
         if "." in cell and "," in cell:
@@ -118,35 +118,34 @@ def number_format(cells: Iterable[str], stated: str, where: str) -> NumberFormat
             if _BY_COMMAS.fullmatch(cell):
                 ambiguous = ambiguous or cell
             else:
-                comma = comma or cell
+                with_comma = with_comma or cell
         elif "." in cell and _POINT.fullmatch(cell):
-            pointed |= bool(_BY_POINTS.fullmatch(cell))
+            has_point_groups |= bool(_BY_POINTS.fullmatch(cell))
             if not _BY_POINTS.fullmatch(cell):
-                point = point or cell
-    comma, point = comma or mixed[","], point or mixed["."]
+                with_point = with_point or cell
+    with_comma, with_point = with_comma or mixed[","], with_point or mixed["."]
     if stated:
         return NumberFormat(stated, {".": ",", ",": "."}[stated])
-    if comma and point:
+    if with_comma and with_point:
         raise ConfigurationError(
-            f"{where}: {comma!r} has a decimal comma and {point!r} a decimal point; write one of them "
-            "everywhere, or state --decimal"
+            f"{where}: {with_comma!r} has a decimal comma and {with_point!r} a decimal point; write one of "
+            "them everywhere, or state --decimal"
         )
-    if comma:
+    if with_comma:
         return NumberFormat(",", ".")
-    if point:
+    if with_point:
         return NumberFormat(".", ",")
-    if ambiguous and not pointed:
+    if ambiguous and not has_point_groups:
         raise ConfigurationError(
-            f"{where}: {ambiguous!r} may be a number with a decimal comma or one with a mark for thousands; "
-            "state "
-            "--decimal , or --decimal ."
+            f"{where}: {ambiguous!r} may be a number with a decimal comma or one with a mark for "
+            "thousands; state --decimal , or --decimal ."
         )
     return NumberFormat(",", ".") if ambiguous else NumberFormat()
 
 
 def split_unit(column: Sequence[str]) -> tuple[str, list[str]]:
     """The unit that follows the numbers of a column (``12.5°``), and the numbers without it."""
-    found = [None if is_number(cell) or is_moment(cell) else _WITH_UNIT.fullmatch(cell) for cell in column]
+    found = [None if is_number(cell) or is_timestamp(cell) else _WITH_UNIT.fullmatch(cell) for cell in column]
     found = [match if match is not None and is_number(match["number"]) else None for match in found]
     units = Counter(match["unit"].strip() for match in found if match is not None)
     if not units or 2 * units.total() < len(column):
@@ -160,42 +159,41 @@ def split_unit(column: Sequence[str]) -> tuple[str, list[str]]:
 
 _SECOND_NS: Final = 1_000_000_000
 _DAY_NS: Final = 86_400 * _SECOND_NS
-_SIXTY: Final = 60
 _DAY_1970: Final = date(1970, 1, 1).toordinal()
 
 
-def moments_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int | None]:
-    """Times in ns since 1970, or since midnight without a date; None for a cell that is no moment.
+def timestamps_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int | None]:
+    """Times in ns since 1970, or since midnight without a date; None for a cell that is neither.
 
     In a time of two fields, ``12:30``, the first is the hour, or the minute with `minutes_first`. Times of
     day without a date continue over midnight: a decrease by more than half a day means that a day has passed.
     """
-    found: list[int | None] = []
-    days, before = 0, None
+    times: list[int | None] = []
+    days, previous = 0, None
     for cell in cells:
-        match = MOMENT.fullmatch(cell.strip())
+        match = TIMESTAMP.fullmatch(cell.strip())
         if match is None or not (match["date"] or match["clock"]):
-            found.append(None)
+            times.append(None)
             continue
         first_of_two = minutes_first and not match["date"]
         clock, day = _clock_ns(match["clock"] or "0:00", first_of_two), _day(match["date"])
         if clock is None or (match["date"] and day is None):
-            found.append(None)
+            times.append(None)
             continue
         value = clock
         if day is not None:
             zone_ns = _zone_ns(match["zone"])
             if clock > _DAY_NS or abs(zone_ns) > _DAY_NS:
-                found.append(None)
+                times.append(None)
                 continue
             value += day * _DAY_NS - zone_ns
         else:
-            if before is not None and value < before - _DAY_NS // 2:
+            if previous is not None and value < previous - _DAY_NS // 2:
                 days += 1
-            before = value
+            previous = value
             value += days * _DAY_NS
-        found.append(value)
-    return found
+        times.append(value)
+    return times
 
 
 def _clock_ns(text: str, minutes_first: bool) -> int | None:
@@ -205,13 +203,13 @@ def _clock_ns(text: str, minutes_first: bool) -> int | None:
     if len(fields) == 2:
         # only seconds have a fraction
         fields = ["0", *fields] if minutes_first or "." in text or "," in text else [*fields, "0"]
-    hours, minutes, in_s = fields
-    whole, _, part = in_s.partition(".")
+    hours, minutes, seconds = fields
+    whole_s, _, fraction = seconds.partition(".")
     # a second 60 is a leap second
-    if int(whole) > _SIXTY or (int(minutes) >= _SIXTY and not counted_in_minutes):
+    if int(whole_s) > 60 or (int(minutes) >= 60 and not counted_in_minutes):
         return None
-    whole_s = (int(hours) * 60 + int(minutes)) * 60 + int(whole)
-    return whole_s * _SECOND_NS + int(f"{part:0<9}"[:9])
+    total_s = (int(hours) * 60 + int(minutes)) * 60 + int(whole_s)
+    return total_s * _SECOND_NS + int(f"{fraction:0<9}"[:9])
 
 
 def _day(text: str | None) -> int | None:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Final
 
 from processing.errors import DataError
-from rig.intake.cell_text import NumberFormat, counts_rows, is_moment, is_value, number_format, split_unit
+from rig.intake.cell_text import NumberFormat, counts_rows, is_timestamp, is_value, number_format, split_unit
 from rig.intake.files import binary_rows, decode, read_bytes_of
-from rig.intake.units import TIME_NAME, is_time, known_unit, named_unit
+from rig.intake.units import TIME_NAME, is_time, known_unit, split_name
 
 _COMMENTS: Final = ("#", "%", "//", "!")
 _SEPARATORS: Final = {"tabs": "\t", "semicolons": ";", "bars": "|", "commas": ","}
@@ -159,9 +159,11 @@ def _cells(
     for k, column in enumerate(columns):
         unit_in_cells, columns[k] = split_unit(column)
         units[k] = units[k] or unit_in_cells
-    numbers = (cell for column in columns for cell in column if not is_moment(cell))
+    numbers = (cell for column in columns for cell in column if not is_timestamp(cell))
     form = number_format(numbers, decimal, str(path))
-    columns = [[cell if is_moment(cell) else form.python_text(cell) for cell in column] for column in columns]
+    columns = [
+        [cell if is_timestamp(cell) else form.python_text(cell) for cell in column] for column in columns
+    ]
     rows = list(zip(*columns, strict=True))
     lines = [number for number, _ in body]
     return Cells(names, units, rows, lines, left_out, _blocks(lines, left_out), separator, form)
@@ -216,7 +218,7 @@ def _fitted_to_columns(cells: list[str], columns: list[list[str]], separator: st
 
 def _is_name(name: str) -> bool:
     """Whether a cell is clearly a column's name: it contains a time or a unit."""
-    return bool(TIME_NAME.fullmatch(name) or named_unit(name).unit)
+    return bool(TIME_NAME.fullmatch(name) or split_name(name).unit)
 
 
 def _names(lines: list[list[str]]) -> list[str]:
@@ -247,8 +249,8 @@ def _joined_moments(
     """Columns, names and units with a column of dates and a column of times of day joined into moments."""
     for k in range(len(columns) - 1):
         date, clock = columns[k], columns[k + 1]
-        if all(is_moment(cell) and ":" not in cell for cell in date) and all(
-            is_moment(cell) and ":" in cell for cell in clock
+        if all(is_timestamp(cell) and ":" not in cell for cell in date) and all(
+            is_timestamp(cell) and ":" in cell for cell in clock
         ):
             moments = [f"{day} {time}" for day, time in zip(date, clock, strict=True)]
             title = [f"{names[k]} {names[k + 1]}"] if names else []

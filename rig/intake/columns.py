@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from processing.errors import ConfigurationError, DataError
-from rig.intake.cell_text import counts_rows, is_moment, moments_ns
+from rig.intake.cell_text import counts_rows, is_timestamp, timestamps_ns
 from rig.intake.cells import Cells
 from rig.intake.times import number
-from rig.intake.units import TIME_NAME, ColumnName, is_time, known_unit, named_unit
+from rig.intake.units import TIME_NAME, ColumnName, is_time, known_unit, split_name
 
 _RUN_NAME: Final = re.compile(
     r"(?:run|trial|lauf|versuch|messung|messreihe|serie|series|experiment|essai|repeat|repetition|"
@@ -56,7 +56,7 @@ class HeaderColumns:
             k
             for k, named in enumerate(self.named)
             if (self._cells.names and (TIME_NAME.fullmatch(named.name) or is_time(named.unit)))
-            or all(is_moment(row[k]) for row in self._cells.rows[:_MAX_SAMPLED_ROWS])
+            or all(is_timestamp(row[k]) for row in self._cells.rows[:_MAX_SAMPLED_ROWS])
         ]
         # leave out a date, which is the same in all rows
         first = self._cells.rows[:_MAX_SAMPLED_ROWS]
@@ -117,7 +117,7 @@ class HeaderColumns:
         raise ConfigurationError(f"{self._path}: has no column {name!r}; columns: {known}")
 
     def _unit_of(self, column: int) -> ColumnName:
-        named = named_unit(self.names[column]) if self._cells.names else ColumnName(self.names[column], "")
+        named = split_name(self.names[column]) if self._cells.names else ColumnName(self.names[column], "")
         beside = self._cells.units[column]
         if not beside:
             return named
@@ -186,7 +186,7 @@ def _blocks(cells: Cells, t_column: int | None) -> list[str]:
 
 def _first_time(cells: Iterable[str]) -> float | None:
     """The first time in some cells; None without any."""
-    times = (moments_ns([cell])[0] if is_moment(cell) else number(cell) for cell in cells)
+    times = (timestamps_ns([cell])[0] if is_timestamp(cell) else number(cell) for cell in cells)
     return next((time for time in times if time is not None and not math.isnan(time)), None)
 
 

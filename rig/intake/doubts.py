@@ -14,7 +14,7 @@ from processing.envelope import unsigned_period_s
 from processing.errors import ConfigurationError, DataError
 from processing.swing import HalfCycle, turning_points
 from processing.units import conversion, seconds
-from rig.intake.cell_text import MOMENT, is_missing
+from rig.intake.cell_text import TIMESTAMP, is_missing
 from rig.intake.times import likely_units, number
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.intake.units import NOT_STATED_TIME, TIME_UNITS
@@ -154,7 +154,7 @@ def judge_clock_digits(path: Path, title: str, times: NDArray[np.float64]) -> No
 
 def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -> None:
     """Refuse moments of which only some have a time zone, and a local clock that is set to summer time."""
-    found = [match for cell in cells if (match := MOMENT.fullmatch(cell.strip())) and match["date"]]
+    found = [match for cell in cells if (match := TIMESTAMP.fullmatch(cell.strip())) and match["date"]]
     with_zone = [match[0] for match in found if match["zone"]]
     without = [match[0] for match in found if not match["zone"]]
     if with_zone and without:

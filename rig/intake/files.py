@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from processing.errors import DataError, optional_module
-from rig.intake.cell_text import is_missing, is_moment, is_number
+from rig.intake.cell_text import is_missing, is_number, is_timestamp
 
 _MAX_BYTES: Final = 1024 * 1024 * 1024
 _BINARY_BEGINNINGS: Final = (
@@ -295,7 +295,7 @@ def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
 def _numeric_rows(rows: list[list[str]]) -> int:
     """Number of rows that may belong to a table: they hold two numbers, or one and nothing else."""
     values = [
-        [(is_number(cell) and not is_missing(cell)) or is_moment(cell) for cell in row if cell]
+        [(is_number(cell) and not is_missing(cell)) or is_timestamp(cell) for cell in row if cell]
         for row in rows
     ]
     return sum(sum(row) > 1 or (len(row) == 1 and all(row)) for row in values)

@@ -124,7 +124,7 @@ def film_trajectory(
     since_ns = np.array(seen.times_ns, dtype=np.int64) - seen.times_ns[0]
     lost = f"{status.dropped_by_camera} missing, {status.incomplete} damaged or of another size"
     followed = "a dark object (the picture is inverted)" if seen.dark else "a bright spot"
-    what = f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered)
+    what = f"followed: {followed}; {flags['LOST']} frames without one" + _flag_text(flags, status.delivered)
     lines = [
         *camera.remarks,
         *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
@@ -297,7 +297,7 @@ def _break_remarks(since_s: NDArray[np.float64], places: NDArray[np.float64]) ->
     return [f"positions break away at {at}{more}: {what}; --from and --to leave it out"]
 
 
-def _flagged(flags: Counter[str], count: int) -> str:
+def _flag_text(flags: Counter[str], count: int) -> str:
     """Flags that more than 5 % of the frames have, in words."""
     doubts = [
         f"{name.lower().replace('_', ' ')} in {100 * flags[name] / count:.0f} %"

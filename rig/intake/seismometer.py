@@ -281,9 +281,9 @@ def _run_of(group: Sequence[_Piece], left_out: Counter[str]) -> _GaplessSamples:
         starts_ns - starts_ns[0], starts_ns[-1] - starts_ns[0] + group[-1].count * group[-1].step_ns
     )
     times_ns = starts_ns[0] + np.rint(np.interp(np.arange(counts[-1]), counts, since_ns)).astype(np.int64)
-    value = _decoded(group)
+    value = _decode(group)
     if value is None:
-        parts = [_decoded([one]) for one in group]
+        parts = [_decode([one]) for one in group]
         left_out[_DAMAGED] += sum(part is None for part in parts)
         value = np.concatenate(
             [
@@ -294,7 +294,7 @@ def _run_of(group: Sequence[_Piece], left_out: Counter[str]) -> _GaplessSamples:
     return _GaplessSamples(times_ns[group[0].skipped :], value[group[0].skipped :], group[0].step_ns)
 
 
-def _decoded(group: Sequence[_Piece]) -> Floats | None:
+def _decode(group: Sequence[_Piece]) -> Floats | None:
     """The samples of records that follow each other; None where not all of them can be read."""
     if isinstance(group[0].data, np.ndarray):
         return np.concatenate([one.data for one in group if isinstance(one.data, np.ndarray)])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
-from rig.intake.cell_text import is_moment, moments_ns
+from rig.intake.cell_text import is_timestamp, timestamps_ns
 from rig.intake.cells import Cells, read_cells
 from rig.intake.columns import HeaderColumns, RowsOfRun, separate_runs
 from rig.intake.doubts import (
@@ -67,7 +67,7 @@ class TableColumns:
         """
         cells, chosen, all_runs = self._runs(path)
         if len(chosen) > 1:
-            raise ConfigurationError(f"{path}: {_listed(all_runs)}; choose one with --run")
+            raise ConfigurationError(f"{path}: {_list_text(all_runs)}; choose one with --run")
         return self._trajectory(path, cells, chosen[0], all_runs)
 
     def read_runs(self, path: Path) -> list[Trajectory]:
@@ -82,18 +82,18 @@ class TableColumns:
         all_runs = separate_runs(cells, columns, columns.time(self.time, self.rate_hz, self.time_unit))
         chosen = [run for run in all_runs if self.run in ("", run.name)]
         if not chosen:
-            known = _listed(all_runs) if len(all_runs) > 1 else "holds one run; leave the option out"
+            known = _list_text(all_runs) if len(all_runs) > 1 else "holds one run; leave the option out"
             raise ConfigurationError(f"{path}: --run {self.run}: is not there; {known}")
         return cells, chosen, all_runs
 
     def _trajectory(self, path: Path, whole: Cells, run: RowsOfRun, all_runs: list[RowsOfRun]) -> Trajectory:
-        remarks = [f"{_listed(all_runs)}; this is {run.name}"] if len(all_runs) > 1 else []
+        remarks = [f"{_list_text(all_runs)}; this is {run.name}"] if len(all_runs) > 1 else []
         without = len(whole.rows) - sum(len(one.cells.rows) for one in all_runs)
         remarks += [f"left out: {without} rows that are of no run"] if without else []
         return _TableReader(path, self, run, remarks).trajectory()
 
 
-def _listed(runs: Sequence[RowsOfRun]) -> str:
+def _list_text(runs: Sequence[RowsOfRun]) -> str:
     named = ", ".join(f"{run.name} ({len(run.cells.rows)} rows)" for run in runs)
     return f"{len(runs)} runs, told apart by {runs[0].separator}: {named}"
 
@@ -193,11 +193,11 @@ class _TableReader:
 
     def _times(self, column: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], str, int]:
         cells = [row[column] for row in self._cells.rows]
-        if sum(map(is_moment, cells[:50])) > 0.5 * len(cells[:50]):
+        if sum(map(is_timestamp, cells[:50])) > 0.5 * len(cells[:50]):
             form, source = clock_form(
                 self._path, self._names[column], self._columns.named[column], self._options.time_unit, cells
             )
-            found = moments_ns(cells, minutes_first=form == M_SS)
+            found = timestamps_ns(cells, minutes_first=form == M_SS)
             good = np.array([one is not None for one in found])
             kept = [one for one in found if one is not None]
             times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)

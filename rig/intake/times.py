@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
-from rig.intake.cell_text import MOMENT, moments_ns
+from rig.intake.cell_text import TIMESTAMP, timestamps_ns
 from rig.intake.units import ColumnName, known_unit, refuse_contradiction
 
 SORT: Final = (
@@ -157,7 +157,7 @@ def clock_form(
         None of them decides, or two disagree.
     """
     two = [cell.strip() for cell in cells if _has_two_fields(cell)]
-    by_option, by_header = (_form(asked), _form(title) or _form(named.strange) or _form(named.unit))
+    by_option, by_header = (_form(asked), _form(title) or _form(named.unknown) or _form(named.unit))
     if not two:
         if _FORM.search(asked) and cells:
             raise ConfigurationError(
@@ -190,7 +190,7 @@ def clock_form(
 
 
 def _has_two_fields(cell: str) -> bool:
-    found = MOMENT.fullmatch(cell.strip())
+    found = TIMESTAMP.fullmatch(cell.strip())
     return found is not None and not found["date"] and (found["clock"] or "").count(":") == 1
 
 
@@ -203,7 +203,7 @@ def _form(text: str) -> str:
 
 
 def _is_increasing(cells: Sequence[str], form: str) -> bool:
-    times = [time for time in moments_ns(cells, minutes_first=form == M_SS) if time is not None]
+    times = [time for time in timestamps_ns(cells, minutes_first=form == M_SS) if time is not None]
     return all(a < b for a, b in pairwise(times))
 
 

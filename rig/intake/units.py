@@ -14,14 +14,14 @@ TIME_NAME: Final = re.compile(
     r"(?:(?:[\W_]|(?-i:[A-Z])).*)?",
     re.IGNORECASE,
 )
-_MULTIPLES: Final = {"": "", "milli": "m", "mili": "m", "micro": "u", "mikro": "u", "nano": "n", "centi": "c"}
-_NAMES: Final = {
+_PREFIXES: Final = {"": "", "milli": "m", "mili": "m", "micro": "u", "mikro": "u", "nano": "n", "centi": "c"}
+_LONG_SPELLINGS: Final = {
     "s": "sec secs second seconds sek sekunde sekunden seconde secondes segundo segundos secondi seconden",
     "m": "meter metre meters metres",
     "rad": "radian radians radiant",
     "V": "volt volts",
 }
-_SHORT: Final = {
+_SPELLINGS: Final = {
     "s": "s", "ms": "msec msecs msek millis millis()", "us": "usec usecs µsec μsec micros micros()",
     "ns": "nsec nsecs nanos", "min": "mins minute minutes minuten minutos minuti",
     "h": "hr hrs hour hours stunde stunden heures horas", "d": "day days tag tage",
@@ -31,12 +31,13 @@ _SHORT: Final = {
     "arcmin": "′ ' arcmins arcminute arcminutes bogenminute bogenminuten",
 }  # fmt: skip
 _WORDS: Final = {
-    part + word: prefix + unit
-    for unit, words in _NAMES.items()
+    prefix + word: symbol + unit
+    for unit, words in _LONG_SPELLINGS.items()
     for word in words.split()
-    for part, prefix in _MULTIPLES.items()
-} | {word: unit for unit, words in _SHORT.items() for word in words.split()}
+    for prefix, symbol in _PREFIXES.items()
+} | {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
 _CAPITALS: Final = ("s", "ms", "us", "ns", "min", "deg", "rad", "mrad", "px", "mm", "arcsec")
+"""Units that are recognised in capitals, too."""
 _NOT_ALONE: Final = ("m", "s", "g", "a", "v", "n", "j", "w", "d", "h", "e", "1", "min", "t")
 """Short words that are names of columns as well as units."""
 _CLEAR_UNITS: Final = {
@@ -52,8 +53,8 @@ _COUNTS: Final = re.compile(
     re.IGNORECASE,
 )
 _BRACKETS: Final = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)|\{([^{}]*)\}|<([^<>]*)>")
-_SURE_MARKS: Final = re.compile(r"\s*[/,:;]\s*|\s+in\s+|_", re.IGNORECASE)
-_MARKS: Final = re.compile(rf"{_SURE_MARKS.pattern}|[\s.#*–-]+|(?-i:(?<=[a-zß-ÿ])(?=[A-Z]))", re.IGNORECASE)
+_UNIT_MARKS: Final = re.compile(r"\s*[/,:;]\s*|\s+in\s+|_", re.IGNORECASE)
+_MARKS: Final = re.compile(rf"{_UNIT_MARKS.pattern}|[\s.#*–-]+|(?-i:(?<=[a-zß-ÿ])(?=[A-Z]))", re.IGNORECASE)
 
 
 _SEPARATE_PREFIX: Final = re.compile(
@@ -72,16 +73,16 @@ _FACTOR: Final = re.compile(
 class ColumnName(NamedTuple):
     """A column's name without the unit, and the unit in this program's spelling (``us``); empty without one.
 
-    `strange` is text in the unit's place that is no known unit.
+    `unknown` is text in the unit's place that is no known unit.
     """
 
     name: str
     unit: str
-    strange: str = ""
+    unknown: str = ""
 
 
 def known_unit(text: str) -> str:
-    """The unit in this program's spelling (``µsec``: us, ``Grad``: deg); empty for other text."""
+    """The unit in this program's spelling, as us for ``µsec`` and deg for ``Grad``; empty for other text."""
     text = text.strip().strip(".")
     unit = _WORDS.get(text.lower(), text).replace("µ", "u").replace("μ", "u")
     if unit in ("Ms", "Gs", "Mrad", "Mm"):
@@ -91,7 +92,6 @@ def known_unit(text: str) -> str:
         size(unit)
     except ConfigurationError:
         lower = unit.lower()
-        # some instruments write all in capitals; these units are not ambiguous then
         return known_unit(lower) if lower != unit and lower in _CAPITALS else ""
     return unit
 
@@ -101,15 +101,15 @@ def is_time(unit: str) -> bool:
     return bool(unit) and dict(size(unit).powers) == dict(size("s").powers)
 
 
-def named_unit(name: str) -> ColumnName:
+def split_name(name: str) -> ColumnName:
     """Split a column's name into name and unit."""
     text = _SEPARATE_PREFIX.sub(r"\1", name.strip())
     if factor := _FACTOR.search(text):
         return ColumnName(text, "", factor[0].strip())
     bracketed = [
-        (each.span(), next(filter(None, each.groups()), "").strip()) for each in _BRACKETS.finditer(text)
+        (match.span(), next(filter(None, match.groups()), "").strip()) for match in _BRACKETS.finditer(text)
     ]
-    units = [(span, unit) for span, inside in bracketed if (unit := _bracketed_unit(inside))]
+    units = [(span, unit) for span, content in bracketed if (unit := _bracketed_unit(content))]
     # a single letter after the unit is the channel or the run
     units = [item for k, item in enumerate(units) if not k or len(item[1]) > 1]
     if len({unit for _, unit in units}) > 1:
@@ -118,21 +118,21 @@ def named_unit(name: str) -> ColumnName:
         ((begin, end), unit), *_ = units
         return ColumnName(" ".join(f"{text[:begin].rstrip()} {text[end:].lstrip()}".split()), unit)
     plain = _BRACKETS.sub(" ", text).strip()
-    if found := _without_brackets(plain):
-        return ColumnName(found[0] if plain == text else text, found[1])
+    if split := _split_plain_name(plain):
+        return ColumnName(split[0] if plain == text else text, split[1])
     of_time = TIME_NAME.fullmatch(plain)
-    strange = [
-        inside
-        for (_, end), inside in bracketed
+    unknown = [
+        content
+        for (_, end), content in bracketed
         # text in the unit's place must be a known unit: at the end of a name, and anywhere in that of a time
-        if inside and not inside.isdecimal() and (of_time or end == len(text))
+        if content and not content.isdecimal() and (of_time or end == len(text))
     ]
-    before, slash, behind = (part.strip() for part in plain.rpartition("/"))
-    if slash and before and (of_time or " " not in behind):
-        strange.append(behind)
+    quantity, slash, denominator = (part.strip() for part in plain.rpartition("/"))
+    if slash and quantity and (of_time or " " not in denominator):
+        unknown.append(denominator)
     elif of_time and _COUNTS.fullmatch(plain):
-        strange.append(plain.split()[-1])
-    return ColumnName(plain, "", strange[-1] if strange else "")
+        unknown.append(plain.split()[-1])
+    return ColumnName(plain, "", unknown[-1] if unknown else "")
 
 
 def _unit(text: str) -> str:
@@ -146,7 +146,7 @@ def _bracketed_unit(text: str) -> str:
     return _unit(text) or next((unit for word in words if (unit := known_unit(word))), "")
 
 
-def _without_brackets(text: str) -> tuple[str, str] | None:
+def _split_plain_name(text: str) -> tuple[str, str] | None:
     """Name and unit, if a unit follows a mark, or stands anywhere if it is clearly one; else None."""
     if text.lower() not in _NOT_ALONE and (unit := _unit(text)):
         return text, unit
@@ -155,7 +155,7 @@ def _without_brackets(text: str) -> tuple[str, str] | None:
     for mark in () if " per " in text else (None, *_MARKS.finditer(text)):
         begin, end = (0, 0) if mark is None else mark.span()
         rest = text[end:]
-        sure = mark is not None and _SURE_MARKS.fullmatch(mark[0])
+        sure = mark is not None and _UNIT_MARKS.fullmatch(mark[0])
         if not sure and text[:begin].endswith(tuple("0123456789")):
             # a number before the unit, as in "every 50 ms"
             continue
@@ -185,42 +185,42 @@ NOT_STATED_TIME: Final = "nothing states another"
 TIME_UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
 
 
-def unit_of_time(path: Path, title: str, named: ColumnName, asked: str) -> tuple[str, str]:
+def unit_of_time(path: Path, title: str, column: ColumnName, option: str) -> tuple[str, str]:
     """The unit of a column of times, and its source; raises ConfigurationError if it is invalid."""
-    if asked and not is_time(known_unit(asked)):
+    if option and not is_time(known_unit(option)):
         raise ConfigurationError(
-            f"--time-unit {asked!r} is not a unit of time; use one of {', '.join(TIME_UNITS)}"
+            f"--time-unit {option!r} is not a unit of time; use one of {', '.join(TIME_UNITS)}"
         )
-    if named.unit and not is_time(named.unit):
+    if column.unit and not is_time(column.unit):
         raise ConfigurationError(
-            f"{path}: {title!r} is in {named.unit}, which is not a unit of time; name the time column with "
+            f"{path}: {title!r} is in {column.unit}, which is not a unit of time; name the time column with "
             "--time, or state --rate"
         )
-    stated = known_unit(asked)
-    refuse_contradiction(path, title, named.unit, "--time-unit", stated)
+    stated = known_unit(option)
+    refuse_contradiction(path, title, column.unit, "--time-unit", stated)
     if stated:
         return stated, "--time-unit"
-    if named.strange:
+    if column.unknown:
         raise ConfigurationError(
-            f"{path}: {named.strange!r} in {title!r} is not a known unit of time; state "
+            f"{path}: {column.unknown!r} in {title!r} is not a known unit of time; state "
             f"--time-unit, one of {', '.join(TIME_UNITS)}"
         )
-    return (named.unit, "its header") if named.unit else ("s", NOT_STATED_TIME)
+    return (column.unit, "its header") if column.unit else ("s", NOT_STATED_TIME)
 
 
 def unit_of_positions(
-    path: Path, titles: Sequence[str], named: Sequence[ColumnName], asked: str
+    path: Path, titles: Sequence[str], columns: Sequence[ColumnName], option: str
 ) -> tuple[str, str]:
     """The common unit of one or two columns of positions, and its source; raises ConfigurationError."""
-    stated = known_unit(asked) or asked
-    for title, each in zip(titles, named, strict=True):
-        if each.strange and not stated:
+    stated = known_unit(option) or option
+    for title, column in zip(titles, columns, strict=True):
+        if column.unknown and not stated:
             raise ConfigurationError(
-                f"{path}: {each.strange!r} in {title!r} is not a known unit; state --unit, one of "
+                f"{path}: {column.unknown!r} in {title!r} is not a known unit; state --unit, one of "
                 f"{', '.join(ANGLES)} or any word"
             )
-        refuse_contradiction(path, title, each.unit, "--unit", stated)
-    units = [each.unit for each in named]
+        refuse_contradiction(path, title, column.unit, "--unit", stated)
+    units = [column.unit for column in columns]
     if len(set(units)) > 1:
         raise ConfigurationError(
             f"{path}: the positions are in {' and '.join(map(repr, units))}; both need the same unit"

@@ -16,7 +16,7 @@ from rig.measure.posterior_worker import FIRST_HALF_CYCLES, Posterior, next_fit_
 from rig.settings import Configuration
 
 _PROGRAM = "from rig.measure.posterior_worker import main; main()"
-# one thread: on few columns the threads of linear algebra would mostly wait for one another, busily
+# one thread: with few columns several would spend a core on waiting for one another
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 _CALL_INTERVAL_S = 1.0
 
@@ -24,21 +24,20 @@ _CALL_INTERVAL_S = 1.0
 class LivePosterior:
     """Fits of a run while it is measured, by a process that reads its record.
 
-    It is a process, because a fit in a thread would hold the interpreter's lock, for which the frames would
-    wait. It starts once there are enough half-cycles for a fit. A thread reads its answers from a pipe, so
-    that a process that is stopped in the middle of an answer delays nothing else. All methods are called by
-    the thread that processes the frames, `close` by any thread. If the process dies, fits end and
-    `take_remark` says so.
+    The process starts once there are enough half-cycles for a fit. A fit in a thread of this process would
+    hold the interpreter's lock and delay frames. A thread reads the answers from a pipe, so that a process
+    that is stopped in the middle of an answer delays nothing else. All methods are called by the thread that
+    processes the frames, `close` by any thread. If the process dies, fits end and `take_remark` says so.
 
     Parameters
     ----------
-    in_step
-        Frames are made on demand: `take` waits for every fit that is due, whatever its share of a core, so
-        that a run which ends by `session.stop_when` repeats exactly.
+    synchronous
+        Whether `take` waits for every fit that is due, whatever its share of a core. Frames made on demand
+        need that, so that a run which ends by `session.stop_when` repeats exactly.
     """
 
-    def __init__(self, *, in_step: bool = False) -> None:
-        self._in_step = in_step
+    def __init__(self, *, synchronous: bool = False) -> None:
+        self._is_synchronous = synchronous
         self._ended = False
         self._remark = ""
         self._process: subprocess.Popen[bytes] | None = None
@@ -49,7 +48,7 @@ class LivePosterior:
     def latest(self) -> Posterior:
         """The newest fit."""
         while not self._answers.empty():
-            self._note(self._answers.get())
+            self._take_answer(self._answers.get())
         return self._latest
 
     @property
@@ -68,26 +67,26 @@ class LivePosterior:
 
     def take(
         self,
-        swings: Sequence[HalfCycle],
+        half_cycles: Sequence[HalfCycle],
         flush: Callable[[], None] = lambda: None,
-        waiting: Callable[[], None] = lambda: None,
+        keep_alive: Callable[[], None] = lambda: None,
     ) -> None:
-        """Count half-cycles that are in the record, at the latest once `flush` is called, and fit when due.
+        """Count half-cycles, which `flush` brings into the record, and start or await the fit that is due.
 
-        `waiting` is called every second while frames on demand wait for a fit, so that the wait is no stall.
+        `keep_alive` is called every second while frames wait for a fit, so that the wait is no stall.
         """
-        self._half_cycles += sum(not swing.flags for swing in swings)
+        self._half_cycles += sum(not swing.flags for swing in half_cycles)
         if self._ended or self._half_cycles < self._due_half_cycles:
             return
         if self._process is None:
-            self._process = self._started()
-        if self._in_step and self._process is not None:
-            self._wait(self._process, flush, waiting)
+            self._process = self._start_process()
+        if self._is_synchronous and self._process is not None:
+            self._wait(self._process, flush, keep_alive)
 
     def _wait(
-        self, process: subprocess.Popen[bytes], flush: Callable[[], None], waiting: Callable[[], None]
+        self, process: subprocess.Popen[bytes], flush: Callable[[], None], keep_alive: Callable[[], None]
     ) -> None:
-        waiting()
+        keep_alive()
         flush()
         # an error here is a broken pipe: the process has died, which the end of its answers shows
         with suppress(OSError):
@@ -97,12 +96,12 @@ class LivePosterior:
         self._due_half_cycles = next_fit_half_cycles(self._half_cycles)
         while True:
             with suppress(Empty):
-                self._note(self._answers.get(timeout=_CALL_INTERVAL_S))
+                self._take_answer(self._answers.get(timeout=_CALL_INTERVAL_S))
                 return
-            waiting()
+            keep_alive()
 
     def take_remark(self) -> str:
-        """Why fits have ended, at the first call after that; else an empty text."""
+        """The reason for which fits have ended, told once; else an empty text."""
         remark, self._remark = self._remark, ""
         return remark
 
@@ -118,11 +117,12 @@ class LivePosterior:
             # no longer: a thread that waits for a disk that hangs ends only with that disk
             self._reader.join(_CALL_INTERVAL_S)
 
-    def _started(self) -> "subprocess.Popen[bytes] | None":
-        words, pipe = [str(self._record), *(["in step"] if self._in_step else [])], subprocess.PIPE
+    def _start_process(self) -> "subprocess.Popen[bytes] | None":
+        pipe, synchronous = subprocess.PIPE, ["synchronous"] if self._is_synchronous else []
+        arguments = "-c", _PROGRAM, str(self._record), *synchronous
         try:
             process: subprocess.Popen[bytes] = start_python(
-                "-c", _PROGRAM, *words, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=_ONE_THREAD
+                *arguments, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, env=_ONE_THREAD
             )
         except OSError as error:
             self._end(f"the process that fits cannot be started ({error})")
@@ -133,7 +133,7 @@ class LivePosterior:
         self._reader.start()
         return process
 
-    def _note(self, answer: Posterior | None) -> None:
+    def _take_answer(self, answer: Posterior | None) -> None:
         if answer is None:
             self._end("the process that fits while the run is measured has died")
         elif answer.estimates:
@@ -159,7 +159,7 @@ def live_posterior(config: Configuration) -> LivePosterior | None:
     if _no_fit_reason(config):
         return None
     # frames on demand wait for the fits that decide when the run ends, so that such a run repeats exactly
-    return LivePosterior(in_step=config.on_demand and bool(config.session.stop_when))
+    return LivePosterior(synchronous=config.on_demand and bool(config.session.stop_when))
 
 
 def check_stop_when(config: Configuration) -> None:

@@ -40,9 +40,9 @@ from rig.analysis import (
     PassingDeflections,
     PlaneBalances,
     clock_rate_of,
+    drag_of_fit,
     evidence_of,
     follow_plane,
-    known_drag,
     loss_of,
     stated_ambient,
 )
@@ -218,9 +218,9 @@ class FollowedMotion:
                 swings = self._reader.swings(piece)
                 yield swings, self._reader.deflections(spots)
             else:
-                yield self._corrected(self._beam_correction, spots, piece)
+                yield self._correct(self._beam_correction, spots, piece)
 
-    def _corrected(
+    def _correct(
         self, correction: BeamCorrection, spots: NDArray[Any], piece: Piece
     ) -> tuple[Sequence[HalfCycle], Deflections]:
         new = self._reader.table(REFERENCE.topic, piece)
@@ -285,7 +285,7 @@ class FollowedRun:
         self._taken, self._new_deflections = len(self._swings), []
         with suppress(DataError):
             period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
-            drag, _ = known_drag(config, stated_ambient(config), pendulum, period_s)
+            drag, _ = drag_of_fit(config, stated_ambient(config), pendulum, period_s)
             evidence = evidence_of(drag, self._waveform.harmonics())
             decay_fit = DecayFit(
                 pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit)
@@ -296,16 +296,16 @@ class FollowedRun:
         return Posterior(self._taken)
 
 
-def fits(reader: RecordReader, *, in_step: bool) -> Iterator[Posterior]:
+def fits(reader: RecordReader, *, synchronous: bool) -> Iterator[Posterior]:
     """Yields the fits of a run while its record grows, whenever `next_fit_half_cycles` is reached.
 
-    Fits take at most `_MAX_CORE_FRACTION` of the time. With `in_step` there is one fit for each line on the
-    standard input, which says that the record was flushed.
+    Fits take at most `_MAX_CORE_FRACTION` of the time. If `synchronous`, there is one fit for each line on
+    the standard input, which says that the record was flushed.
     """
     run, is_warm, due_half_cycles, due_s = FollowedRun(reader), False, FIRST_HALF_CYCLES, 0.0
-    for _ in _flushed(reader) if in_step else reader.follow(_LOOK_INTERVAL_S):
+    for _ in _flushes(reader) if synchronous else reader.follow(_LOOK_INTERVAL_S):
         run.read()
-        if not in_step and (run.half_cycles < due_half_cycles or time.monotonic() < due_s):
+        if not synchronous and (run.half_cycles < due_half_cycles or time.monotonic() < due_s):
             continue
         if not is_warm:
             # the first fit of a process loads its kernels, so its time does not show what a fit costs
@@ -317,14 +317,14 @@ def fits(reader: RecordReader, *, in_step: bool) -> Iterator[Posterior]:
         due_s = time.monotonic() + (time.process_time() - began_s) / _MAX_CORE_FRACTION
 
 
-def _flushed(reader: RecordReader) -> Iterator[None]:
+def _flushes(reader: RecordReader) -> Iterator[None]:
     for _ in sys.stdin.buffer:
         reader.update()
         yield None
 
 
 def main() -> None:
-    """Fit the run whose record is the first argument; a second argument means `in_step`."""
+    """Fit the run whose record is the first argument; a second argument means `synchronous`."""
     outgoing = os.fdopen(os.dup(1), "wb")
     # text that a library prints must not get between the answers
     os.dup2(2, 1)
@@ -332,6 +332,6 @@ def main() -> None:
         os.nice(10)
     # an OSError is the end of the process that reads the answers
     with suppress(OSError), RecordReader(Path(sys.argv[1])) as reader:
-        for posterior in fits(reader, in_step=len(sys.argv) > 2):
+        for posterior in fits(reader, synchronous=len(sys.argv) > 2):
             pickle.dump(posterior, outgoing)
             outgoing.flush()

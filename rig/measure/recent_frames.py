@@ -12,7 +12,7 @@ from processing.deflections import Deflections, joined
 from processing.errors import DataError
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.devices import FrameStream
-from rig.instrument import Block, Deflector, Optics, Phase
+from rig.instrument import Block, DeflectionConverter, Optics, Phase
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames
 
@@ -41,8 +41,8 @@ class RecentFrames:
         self._stream = stream
         self._watch = watch
         self._optics = optics
-        self._both = optics.both_spots()
-        self._deflector: Deflector | None = None
+        self._dual_tracker = optics.dual_tracker()
+        self._deflector: DeflectionConverter | None = None
         self._frames: deque[Frame] = deque()
         self._blocks: deque[Block] = deque()
         self._frames_ns = nanoseconds(frames_s)
@@ -57,7 +57,7 @@ class RecentFrames:
             return not self._stream.drained
         if self._deflector is None:
             self._deflector = self._optics.deflector((frames[0].image.shape[0], frames[0].image.shape[1]))
-        spots, references = self._both.in_frames(frames)
+        spots, references = self._dual_tracker.track(frames)
         times_ns = np.array([frame.time_ns for frame in frames], dtype=np.int64)
         deflections = self._deflector(times_ns, spots)
         block = Block(spots, deflections, [], [], references)
@@ -115,7 +115,7 @@ class RecentFrames:
             spots[len(spots) - len(deflections) :],
             deflections,
             resting,
-            self._both.tracker.model,
+            self._dual_tracker.tracker.model,
             references[len(spots) - len(deflections) :],
         )
 
@@ -124,7 +124,7 @@ class RecentFrames:
         if not self._frames:
             return 0.0
         image = self._frames[-1].image
-        x0, y0, x1, y1 = self._both.tracker.record_window(self._blocks[-1].spots[-1], image.shape)
+        x0, y0, x1, y1 = self._dual_tracker.tracker.record_window(self._blocks[-1].spots[-1], image.shape)
         return float((x1 - x0) * (y1 - y0) * image.itemsize)
 
 

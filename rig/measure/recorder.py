@@ -137,7 +137,7 @@ class Recorder:
             with self._keeping_error():
                 self._writer.close()
         finally:
-            self._permit.ended(Stage.RECORDER)
+            self._permit.note_end(Stage.RECORDER)
 
     @contextlib.contextmanager
     def _keeping_error(self) -> Iterator[None]:

@@ -34,7 +34,7 @@ _BLOCK_FRAMES = 64
 _MAX_BLOCK_NS = 2_000_000_000
 """Longest time span of a block, so that a run with a slow camera ends when it should."""
 _PUBLISH_INTERVAL_NS = 10_000_000
-"""Shortest time between two published states of the run, shorter than a screen can show."""
+"""Shortest time between two published states of the run; a screen cannot show more of them."""
 
 _LOST_IMAGE_INTERVAL_NS, _PREVIEW_INTERVAL_NS = 1_000_000_000, 300_000_000
 _MIN_LOST_S = 5.0
@@ -53,7 +53,7 @@ class FrameCounts:
         self._interval_ns = full_frame_interval_ns
         self._keep_windows = keep_windows
         self._next_image_ns = self._next_lost_image_ns = self._next_preview_ns = first.time_ns
-        self._next = self._first_number
+        self._next_number = self._first_number
         self._lost = False
 
     @property
@@ -74,7 +74,7 @@ class FrameCounts:
         """The model of the beam, and whether the choice of it is still open, in words."""
         return self.beam.text if self._model is not None else f"{self.beam.text}, being judged"
 
-    def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> RecordEntry:
+    def record_entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> RecordEntry:
         """The record's entry for these frames."""
         numbers = [frame.sequence - self._first_number for frame in frames]
         events: list[Event] = []
@@ -82,11 +82,12 @@ class FrameCounts:
         windows: list[tuple[Image, int, int] | None] = []
         for number, frame, spot in zip(numbers, frames, block.spots, strict=True):
             time_ns = frame.time_ns
-            gap = frame.sequence - self._next
-            if gap > 0:
-                self.missing += gap
-                events.append(Event(time_ns, EventKind.GAP, f"frames missing before frame {number}: {gap}"))
-            self._next = frame.sequence + 1
+            missing = frame.sequence - self._next_number
+            if missing > 0:
+                self.missing += missing
+                text = f"frames missing before frame {number}: {missing}"
+                events.append(Event(time_ns, EventKind.GAP, text))
+            self._next_number = frame.sequence + 1
             lost = bool(spot.flags & SpotFlag.LOST)
             if lost != self._lost:
                 kind = EventKind.SPOT_LOST if lost else EventKind.SPOT_FOUND
@@ -113,10 +114,9 @@ class FrameCounts:
             self._next_preview_ns = preview.time_ns + _PREVIEW_INTERVAL_NS
         # an event when the tracker has chosen its model of the beam, or has begun to choose again
         self.beam.take(numbers, [spot.flags for spot in block.spots])
-        before, self._model = self._model, pipeline.tracker.model
-        if self._model is not before:
-            changed = "it has changed; its model is chosen again"
-            text = changed if self._model is None else self.beam.text
+        old_model, self._model = self._model, pipeline.tracker.model
+        if self._model is not old_model:
+            text = "it has changed; its model is chosen again" if self._model is None else self.beam.text
             events.append(Event(frames[-1].time_ns, EventKind.BEAM, text))
         self.frames += len(frames)
         self.last_ns = frames[-1].time_ns
@@ -151,11 +151,11 @@ class Recording:
         self._first = self._last = first
         # frames made on demand wait for all other threads, so that a run of the simulated rig repeats exactly
         self._on_demand = parts.stream.policy == "wait"
-        kept = parts.plan.config.record
-        self._counts = FrameCounts(first, nanoseconds(kept.full_frame_interval_s), keep_windows=kept.windows)
+        keep = parts.plan.config.record
+        self._counts = FrameCounts(first, nanoseconds(keep.full_frame_interval_s), keep_windows=keep.windows)
         shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
         threaded = not self._on_demand
-        self._pipeline = parts.optics.pipeline(shape, threaded=threaded, guard=parts.guard)
+        self._pipeline = Pipeline(parts.optics, shape, threaded=threaded, guard=parts.guard)
         self._beam_correction: BeamCorrection | None = None
         if gain is not None:
             self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain, threaded=threaded)
@@ -164,16 +164,16 @@ class Recording:
         self._readings = SideReadings(parts, first.time_ns)
         self._published_ns = self._half_cycles = 0
 
-    def make(self, begun: list[Frame], events: list[Event]) -> str:
+    def record(self, frames: list[Frame], events: list[Event]) -> str:
         """Record until the run ends; returns why the start was rejected, else an empty text.
 
-        `begun` are the frames with which the record begins, `events` the events before them. An error raised
-        here ends the run and is recorded as an event.
+        The record begins with `frames`, and with `events` before them. An error raised here ends the run and
+        is recorded as an event.
         """
         try:
             self._begin(events)
-            rejected = self._take_all(begun)
-            self._close(rejected)
+            rejection = self._take_all(frames)
+            self._close(rejection)
         except Exception as error:
             last_ns = self._counts.last_ns
             text = f"{type(error).__name__}: {error}"
@@ -182,49 +182,50 @@ class Recording:
             # watchers are informed now, because closing the devices may take seconds
             self._inform_watchers([Event(last_ns, EventKind.FAILED, in_one_line(error))])
             raise
-        return rejected
+        return rejection
 
-    def _begin(self, before: list[Event]) -> None:
+    def _begin(self, earlier: list[Event]) -> None:
         parts, first_ns = self._parts, self._first.time_ns
         self._status.begin_record()
         if parts.posterior is not None:
             self._guard.call(_LIVE_FIT, None, parts.posterior.begin, parts.plan.record)
         events = [
-            *before,
+            *earlier,
             *(Event(first_ns, EventKind.WAITED, text) for text in parts.plan.waited),
             Event(first_ns, EventKind.START, "first frame"),
         ]
-        self._tell(RecordEntry(events=events))
+        self._record(RecordEntry(events=events))
 
-    def _take_all(self, begun: list[Frame]) -> str:
+    def _take_all(self, early: list[Frame]) -> str:
         """Take frames until the run ends; returns why the start was rejected, else an empty text."""
         stream = self._stream
         # all frames from a source on demand are processed, frames of a live camera only until the stop
-        while begun or not (stream.drained or (self._stop and not self._on_demand)):
-            waiting = begun or stream.take(_BLOCK_FRAMES, 0.1)
-            # blocks of frames made on demand are whole: where a run ends is not a matter of how they arrive
-            while self._on_demand and len(waiting) < _BLOCK_FRAMES and not stream.drained:
-                waiting += stream.take(_BLOCK_FRAMES - len(waiting), 0.1)
+        while early or not (stream.drained or (self._stop and not self._on_demand)):
+            frames = early or stream.take(_BLOCK_FRAMES, 0.1)
+            # blocks on demand are full, so that a run ends at the same frame however frames arrive
+            while self._on_demand and len(frames) < _BLOCK_FRAMES and not stream.drained:
+                frames += stream.take(_BLOCK_FRAMES - len(frames), 0.1)
             taken_ns = time.monotonic_ns()
-            late = (n for n, one in enumerate(waiting) if one.time_ns - waiting[0].time_ns > _MAX_BLOCK_NS)
-            count = min(_BLOCK_FRAMES, next(late, len(waiting)))
-            taken, begun = waiting[:count], waiting[count:]
-            shown = None
-            if taken:
-                shown = self._take(taken, taken_ns)
+            end_ns = frames[0].time_ns + _MAX_BLOCK_NS if frames else 0
+            late = (n for n, frame in enumerate(frames) if frame.time_ns > end_ns)
+            count = min(_BLOCK_FRAMES, next(late, len(frames)))
+            block_frames, early = frames[:count], frames[count:]
+            corrected = None
+            if block_frames:
+                corrected = self._take(block_frames, taken_ns)
             else:
                 self._take_nothing()
             if self._recorder.error is not None:
                 raise self._recorder.error
             self._end_in_darkness()
-            if shown is None:
+            if corrected is None:
                 continue
             elapsed_s = self._counts.elapsed_s
             if self._judge is not None:
-                rejected = self._judge.rejection(shown.swings, shown.balances, elapsed_s)
-                if rejected:
-                    return rejected
-            reason = self._end.reason(shown.swings, elapsed_s, self._posterior.estimates)
+                rejection = self._judge.rejection(corrected.swings, corrected.balances, elapsed_s)
+                if rejection:
+                    return rejection
+            reason = self._end.reason(corrected.swings, elapsed_s, self._posterior.estimates)
             if reason is not None:
                 self._stop.request(reason)
             if reason is not None or (self._stop and self._stop.skip_waiting):
@@ -235,29 +236,30 @@ class Recording:
 
     def _take_nothing(self) -> None:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
-        new, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
-        if new or messages:
-            self._tell(RecordEntry(events=new, messages=messages))
+        events, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
+        if events or messages:
+            self._record(RecordEntry(events=events, messages=messages))
 
-    def _take(self, taken: list[Frame], taken_ns: int) -> Block:
+    def _take(self, frames: list[Frame], taken_ns: int) -> Block:
         """Process frames that were taken at `taken_ns` and record them.
 
         Returns the block as watchers see it: minus the beam's motion if there is a reference spot.
         """
         counts, parts = self._counts, self._parts
-        block = self._pipeline.process(taken)
+        block = self._pipeline.process(frames)
         # corrected numbers are displayed and decide on start and end; the record gets the uncorrected ones
-        shown, beam_events = block, []
+        corrected, beam_events = block, []
         if self._beam_correction is not None:
-            times_ns = [frame.time_ns for frame in taken]
-            shown = self._guard.call(_BEAM_CORRECTION, block, self._beam_correction.shown, times_ns, block)
+            times_ns = [frame.time_ns for frame in frames]
+            correct = self._beam_correction.shown
+            corrected = self._guard.call(_BEAM_CORRECTION, block, correct, times_ns, block)
             beam_events = [
                 Event(times_ns[-1], EventKind.BEAM, text) for text in self._beam_correction.take_news()
             ]
-        self._half_cycles += len(shown.swings)
-        entry = counts.entry(taken, block, self._pipeline)
-        self._last = taken[-1]
-        messages, clock_events = self._readings.take(taken)
+        self._half_cycles += len(corrected.swings)
+        entry = counts.record_entry(frames, block, self._pipeline)
+        self._last = frames[-1]
+        messages, clock_events = self._readings.take(frames)
         messages += self._notes()
         step_events: list[Event] = self._guard.call("the watch for steps", [], self._steps.take, block)
         entry.events = [*entry.events, *beam_events, *step_events, *clock_events, *self._device_events()]
@@ -265,51 +267,52 @@ class Recording:
         self._recorder.put(entry)
         if parts.posterior is not None:
             callbacks = self._recorder.flush, self._stream.waits_on_purpose
-            self._guard.call(_LIVE_FIT, None, parts.posterior.take, shown.swings, *callbacks)
-        due = bool(shown.swings) or self._on_demand or taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
+            self._guard.call(_LIVE_FIT, None, parts.posterior.take, corrected.swings, *callbacks)
+        overdue = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
+        due = bool(corrected.swings) or self._on_demand or overdue
         if due:
             self._published_ns = taken_ns
             # frames made on demand have no age
-            age_s = math.nan if self._on_demand else seconds(taken_ns - taken[0].host_time_ns)
+            age_s = math.nan if self._on_demand else seconds(taken_ns - frames[0].host_time_ns)
             state = self._state(Phase.MEASURING, age_s)
             self._recorder.put(RecordEntry(messages=state))
             messages = [*messages, *state]
         look = partial(parts.plan.session_news.look, recorded=True)
-        self._guard.call(_LIVE_PICTURE, None, look, taken, shown)
-        if due or entry.events or messages or shown.balances:
-            self._inform_watchers(entry.events, messages, shown)
-        return shown
+        self._guard.call(_LIVE_PICTURE, None, look, frames, corrected)
+        if due or entry.events or messages or corrected.balances:
+            self._inform_watchers(entry.events, messages, corrected)
+        return corrected
 
-    def _close(self, rejected: str) -> None:
+    def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
         counts, pipeline = self._counts, self._pipeline
         swings = pipeline.finish()
-        empty = pipeline.measure(np.empty(0, np.int64), [])
-        empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
+        rest = pipeline.measure(np.empty(0, np.int64), [])
+        rest = rest._replace(swings=swings, balances=[*rest.balances, *pipeline.finish_balance()])
         attachments = self._readings.close()
-        if not rejected:
+        if not rejection:
             # the stream is closed first, so that the record names a camera that cannot be stopped
             self._stop.close_stream()
         end = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
-        if rejected:
-            end = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
+        if rejection:
+            end = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejection}")
         if self._guard.text:
             text = f"in all: {self._guard.text}"
             self._recorder.put(RecordEntry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
-        early = [] if rejected or self._stop.early is None else [end._replace(kind=self._stop.early)]
+        early = [] if rejection or self._stop.early is None else [end._replace(kind=self._stop.early)]
         if self._beam_correction is not None:
             swings = self._guard.call(_BEAM_CORRECTION, swings, self._beam_correction.finish)
         self._half_cycles += len(swings)
         last = [*self._device_events(), *early, end]
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
-        entry = RecordEntry(block=empty, events=last, messages=messages, attachments=attachments)
-        self._tell(entry, empty._replace(swings=swings))
+        entry = RecordEntry(block=rest, events=last, messages=messages, attachments=attachments)
+        self._record(entry, rest._replace(swings=swings))
 
-    def _tell(self, entry: RecordEntry, shown: Block | None = None) -> None:
+    def _record(self, entry: RecordEntry, corrected: Block | None = None) -> None:
         """Record an entry, and pass it to the watchers with the block as they see it."""
         self._recorder.put(entry)
-        self._inform_watchers(entry.events, entry.messages, shown)
+        self._inform_watchers(entry.events, entry.messages, corrected)
 
     def _inform_watchers(
         self, events: Sequence[Event], messages: Sequence[TimedMessage] = (), block: Block | None = None
@@ -323,17 +326,17 @@ class Recording:
     def _notes(self) -> list[TimedMessage]:
         """Notes of the operators since the last call, timed by the frames' clock."""
         counts, last = self._counts, self._last
-        found = list[TimedMessage]()
+        notes = list[TimedMessage]()
         for host_time_ns, author, text in self._parts.plan.take_notes():
-            at_ns = last.time_ns + host_time_ns - last.host_time_ns
+            time_ns = last.time_ns + host_time_ns - last.host_time_ns
             # clipped: notes typed before the record begins belong to it, and frames on demand have another
             # clock
-            at_ns = min(max(at_ns, counts.start_ns), counts.last_ns)
-            found.append(RecordedNote(at_ns, host_time_ns, author, text))
-        return found
+            time_ns = min(max(time_ns, counts.start_ns), counts.last_ns)
+            notes.append(RecordedNote(time_ns, host_time_ns, author, text))
+        return notes
 
     def _end_in_darkness(self) -> None:
-        """End the run if the laser is dark, unless the run is to wait for its light."""
+        """End the run if the laser is dark, unless it may wait for light and an operator is present."""
         alarm = self._status.light.alarm
         if not alarm or self._stop:
             return
@@ -352,14 +355,14 @@ class Recording:
 
     def _device_events(self) -> list[Event]:
         """Events of camera, disk, controller, laser and sensors since the last call."""
-        happened = self._stream.take_events() + self._status.take_events()
+        events = self._stream.take_events() + self._status.take_events()
         for paused_s in self._recorder.take_pauses():
             text = f"did not answer for {paused_s:.1f} s; frames waited in memory meanwhile"
-            happened.append((EventKind.SLOW_DISK, text))
+            events.append((EventKind.SLOW_DISK, text))
         posterior = self._parts.posterior
         if posterior is not None and (remark := self._guard.call(_LIVE_FIT, "", posterior.take_remark)):
-            happened.append((EventKind.LIVE_FIT, remark))
-        return [Event(self._counts.last_ns, kind, text) for kind, text in happened]
+            events.append((EventKind.LIVE_FIT, remark))
+        return [Event(self._counts.last_ns, kind, text) for kind, text in events]
 
     def _state(self, phase: Phase, age_s: float) -> list[TimedMessage]:
         """Messages on the state of the session that have changed since the last call."""

@@ -42,28 +42,28 @@ def measure_sessions(
     configurations cannot be used.
     """
     names = [source.stem for source in sources]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise ConfigurationError(f"{twice}: named twice; each session needs a folder of its own name")
+    if repeated := next((name for name in names if names.count(name) > 1), None):
+        raise ConfigurationError(f"{repeated}: named twice; each session needs a folder of its own name")
     configs = [
-        with_other_seed(checked(load_configuration(source, overrides)), _SEED_STEP_OF_SESSIONS * place)
-        for place, source in enumerate(sources)
+        with_other_seed(checked(load_configuration(source, overrides)), _SEED_STEP_OF_SESSIONS * number)
+        for number, source in enumerate(sources)
     ]
     folder = output or configs[0].session.output
     worst = 0
     for source, config in zip(sources, configs, strict=True):
-        place = folder / source.stem
+        target = folder / source.stem
         waiting = PreflightWait(source.stem, config.preflight, now_s, sleep)
-        say(f"session {place}")
-        if (place / STATE_NAME).exists():
-            with closing(SessionFile.opened(place)) as file:
+        say(f"session {target}")
+        if (target / STATE_NAME).exists():
+            with closing(SessionFile.opened(target)) as file:
                 status = finish_session(file, config, _RESUME, waiting, force=force, json_lines=json_lines)
         else:
             status = measure_session(
-                config, source, place, force=force, json_lines=json_lines, waiting=waiting
+                config, source, target, force=force, json_lines=json_lines, waiting=waiting
             )
         worst = max(worst, status)
-        if (why := _why_ended(place)) and not waiting.over:
-            say(f"session {place}: {why}; the list ends here", error=True)
+        if (reason := _why_ended(target)) and not waiting.over:
+            say(f"session {target}: {reason}; the list ends here", error=True)
             return 1
     return worst
 
@@ -78,7 +78,7 @@ def _why_ended(folder: Path) -> str:
 
 def resume_session(
     folder: Path,
-    instead: Path | None = None,
+    replacement: Path | None = None,
     overrides: Sequence[str] = (),
     *,
     force: bool = False,
@@ -86,21 +86,21 @@ def resume_session(
 ) -> int:
     """Continue an interrupted session: complete runs stay, the missing runs are made.
 
-    The missing runs get the configuration with which the session was begun, or that of the file `instead`,
-    either with `overrides`; from then on it is the configuration of the session. A truncated record is left
-    unchanged and a recovered copy is made next to it. New runs get new numbers. Returns the exit status like
-    `measure_session`.
+    The missing runs get the configuration with which the session was begun, or that of the file
+    `replacement`, either with `overrides`; from then on it is the configuration of the session. A truncated
+    record is left unchanged and a recovered copy is made next to it. New runs get new numbers. Returns the
+    exit status like `measure_session`.
     """
     with closing(SessionFile.opened(folder)) as file:
-        source = instead or Path(file.state.source)
-        if instead is None:
+        source = replacement or Path(file.state.source)
+        if replacement is None:
             tree = unnumbered(deepcopy(file.state.configuration), f"{folder / STATE_NAME}: its configuration")
             apply_overrides(tree, overrides)
             config = validate_configuration(tree, str(folder / STATE_NAME), overrides)
             config = config.remember_file(source, overrides)
         else:
-            config = load_configuration(instead, overrides)
-        if instead is None and not overrides:
+            config = load_configuration(replacement, overrides)
+        if replacement is None and not overrides:
             say(f"{folder}: continues as begun, with {source} (--set changes it, --config takes another)")
         else:
             config = checked(config)

@@ -195,7 +195,7 @@ class MeasurementRun:
         judge = None if config.start.way == "at once" else StartJudge(config, parts.optics.unit)
         rejected = ""
         try:
-            rejected = Recording(parts, recorder, judge, frames[0]).make(frames, events)
+            rejected = Recording(parts, recorder, judge, frames[0]).record(frames, events)
         finally:
             recorder.close()
             if recorder.error is not None:

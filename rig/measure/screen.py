@@ -37,7 +37,7 @@ _NO_FORECAST = Forecast(math.nan, math.nan)
 
 @dataclass
 class RunDisplay:
-    """The display of one run: as a watcher it only collects values, the main thread draws the screen.
+    """The display of one run. The run's thread only hands it values; the main thread draws the screen.
 
     The progress bar is linear in the logarithm of the amplitude, which decreases roughly evenly with time, or
     in time if the time limit will end the run.
@@ -62,7 +62,7 @@ class RunDisplay:
         self._closed = False
         self._printed_s = 0.0
         self._phase: Phase | None = None
-        self._asked = ("", "")
+        self._demands = ("", "")
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SWINGS)
         self._notes: deque[str] = deque(maxlen=12)
         self._to_print: deque[Callable[[], None]] = deque()
@@ -83,27 +83,27 @@ class RunDisplay:
 
     # -- as a watcher, in the run's thread -----------------------------------
 
-    def take(self, new: RecordContents) -> None:
+    def take(self, contents: RecordContents) -> None:
         """Keep half-cycles for the forecast, and lines of the log."""
-        for swing in new.swings:
+        for swing in contents.swings:
             if not swing.flags:
                 self._swings.append((seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude))
-        for event in new.events:
-            elapsed_s = seconds(event.time_ns - new.start_ns)
+        for event in contents.events:
+            elapsed_s = seconds(event.time_ns - contents.start_ns)
             self._notes.append(f"{elapsed_s:8.1f} s  {event.line}")
             if self.json_lines:
-                said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
-                self._to_print.append(partial(self.line, "event", said))
+                line = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
+                self._to_print.append(partial(self.line, "event", line))
             if event.kind == EventKind.REJECTED:
                 self._to_print.append(partial(say, f"{self.title}: {event.text}"))
 
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Queue the preflight table for printing above the live screen."""
-        shown = list(verdicts)
+        rows = list(verdicts)
         if self.json_lines:
-            self._to_print.append(lambda: self.line("preflight", {"table": shown}))
+            self._to_print.append(lambda: self.line("preflight", {"table": rows}))
         else:
-            self._to_print.append(lambda: print_verdicts(self.console, shown))
+            self._to_print.append(lambda: print_verdicts(self.console, rows))
 
     # -- in the main thread --------------------------------------------------
 
@@ -112,9 +112,9 @@ class RunDisplay:
         try:
             print_json_line(kind, {"run": self.title, **values})
         except BrokenPipeError:
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, sys.stdout.fileno())
-            os.close(nowhere)
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, sys.stdout.fileno())
+            os.close(null)
 
     def show(self, now: RunNow) -> None:
         """Update the display; fast enough to be called ten times a second.
@@ -129,7 +129,7 @@ class RunDisplay:
         is_due = now_s - self._forecast_s >= _FORECAST_INTERVAL_S
         if is_due and len(self._swings) >= 8 and not math.isnan(self._final):
             self._forecast_s = now_s
-            self._forecast = self._predicted()
+            self._forecast = self._predict_end()
         if self._closed:
             return
         try:
@@ -141,8 +141,8 @@ class RunDisplay:
     def _print(self, now: RunNow, now_s: float) -> None:
         while self._to_print:
             self._to_print.popleft()()
-        asked = now.alarm, now.instruction
-        changed = now.phase is not self._phase or asked != self._asked
+        demands = now.alarm, now.instruction
+        changed = now.phase is not self._phase or demands != self._demands
         if self._live is not None:
             self._live.update(self.screen(now), refresh=True)
         elif changed or now_s - self._printed_s >= (
@@ -153,10 +153,10 @@ class RunDisplay:
                 self.line("state", self.values(now))
             else:
                 say(f"{self.title}: {100 * self._done_fraction(now):.0f} %  {self._plain_line(now)}")
-            for shout in (now.alarm.upper(), loud(now.instruction)):
-                if changed and shout and not self.json_lines:
-                    say(f"{self.title}: {shout}")
-        self._phase, self._asked = now.phase, asked
+            for demand in (now.alarm.upper(), loud(now.instruction)):
+                if changed and demand and not self.json_lines:
+                    say(f"{self.title}: {demand}")
+        self._phase, self._demands = now.phase, demands
 
     def screen(self, now: RunNow) -> RenderableType:
         """The whole screen, cut to the size of the terminal."""
@@ -173,7 +173,7 @@ class RunDisplay:
     def values(self, now: RunNow) -> dict[str, Any]:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
         left_s, u_s = self._forecast_of_end(now)
-        own = {
+        derived = {
             "done": self._done_fraction(now),
             "remaining_s": left_s,
             "u_remaining_s": u_s,
@@ -183,13 +183,13 @@ class RunDisplay:
         }
         fields = asdict(replace(now, balance=None))
         del fields["balance"]
-        return {**fields, **own}
+        return {**fields, **derived}
 
     def rows(self, now: RunNow) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""
         unit, balance = self.unit.shown, now.balance
-        who = f" ({now.losses})" if now.losses.total else ""
-        losses = f"{now.dropped_frames} frames dropped{who}, {now.lost_spots} spots lost"
+        reasons = f" ({now.losses})" if now.losses.total else ""
+        losses = f"{now.dropped_frames} frames dropped{reasons}, {now.lost_spots} spots lost"
         camera = f"{self._rates.frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"
         if now.before_record:
             losses = camera = "counted from the record on"
@@ -215,9 +215,9 @@ class RunDisplay:
 
     def facts(self, now: RunNow) -> list[tuple[str, str]]:
         """The rows without those that a page shows elsewhere: amplitude, end, parameters."""
-        elsewhere = {"amplitude", self._prediction(now)[0]}
-        elsewhere |= {name for name, _ in estimate_rows(now, ())}
-        return [row for row in self.rows(now) if row[0] not in elsewhere]
+        hidden = {"amplitude", self._prediction(now)[0]}
+        hidden |= {name for name, _ in estimate_rows(now, ())}
+        return [row for row in self.rows(now) if row[0] not in hidden]
 
     def _transverse(self, balance: Balance | None) -> str:
         if balance is None:
@@ -252,17 +252,17 @@ class RunDisplay:
         """The row on the end of the run: which limit will end it, and the time left."""
         left_s, u_s = self._forecast_of_end(now)
         unit = self.unit.shown
-        aim = "to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}"
+        goal = "to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}"
         if math.isnan(left_s):
             limit_s = self._time_to_limit_s(now)
-            most = f", at most {_clock(limit_s)}" if math.isfinite(limit_s) else ""
-            return aim, f"{'unknown: no lever' if math.isnan(self._final) else 'too early to say'}{most}"
+            limit = f", at most {_clock(limit_s)}" if math.isfinite(limit_s) else ""
+            return goal, f"{'unknown: no lever' if math.isnan(self._final) else 'too early to say'}{limit}"
         end = time.strftime("%H:%M", time.localtime(time.time() + left_s))
         if u_s == 0:
             return "to the time limit", f"{_clock(left_s)}, at {end}"
-        return aim, f"{_clock(left_s)} ± {_clock(u_s)}, at {end}"
+        return goal, f"{_clock(left_s)} ± {_clock(u_s)}, at {end}"
 
-    def _predicted(self) -> Forecast:
+    def _predict_end(self) -> Forecast:
         table = np.array(list(self._swings))
         final = self._final * self.unit.shown_size
         crossing = forecast(table[:, 0], table[:, 1], table[:, 2], final)
@@ -275,26 +275,26 @@ class RunDisplay:
         )
 
     def _numbers(self, balance: Balance | None) -> dict[str, Any]:
-        found: dict[str, Any] = {
+        numbers: dict[str, Any] = {
             "amplitude_unit": self.unit.shown,
             "frames_hz": self._rates.frames_hz,
             "record_bytes_per_s": self._rates.bytes_per_s,
         }
         if balance is not None:
-            found["transverse_ratio"] = balance.transverse_ratio
-            found["line_angle_rad"] = balance.line_angle_rad
-            found["rest_x"] = balance.rest_x / balance.unit.shown_size
-            found["rest_y"] = balance.rest_y / balance.unit.shown_size
-        return found
+            numbers["transverse_ratio"] = balance.transverse_ratio
+            numbers["line_angle_rad"] = balance.line_angle_rad
+            numbers["rest_x"] = balance.rest_x / balance.unit.shown_size
+            numbers["rest_y"] = balance.rest_y / balance.unit.shown_size
+        return numbers
 
     def _done_fraction(self, now: RunNow) -> float:
         if now.before_record:
             return 0.0
-        of_time = min(now.elapsed_s / self.longest_s, 1.0)
+        time_fraction = min(now.elapsed_s / self.longest_s, 1.0)
         if not self._initial > self._final or math.isnan(now.amplitude):
-            return of_time
-        done = math.log(self._initial / max(now.amplitude, self._final))
-        return max(of_time, min(1.0, done / math.log(self._initial / self._final)))
+            return time_fraction
+        fall = math.log(self._initial / max(now.amplitude, self._final))
+        return max(time_fraction, min(1.0, fall / math.log(self._initial / self._final)))
 
     def _plain_line(self, now: RunNow) -> str:
         amplitude = (

@@ -20,6 +20,7 @@ from rig.instrument import (
     DIRECTIONS,
     WEIGHTS,
     Block,
+    Pipeline,
     advice_for,
     complete,
     configuration_attachments,
@@ -126,7 +127,7 @@ def measure(
             if first is None:
                 raise DataError("the camera delivered no frame at all")
             shape = (first.image.shape[0], first.image.shape[1])
-            pipeline = optics.pipeline(shape)
+            pipeline = Pipeline(optics, shape)
             view.begin(first, camera.info)
             lost = taken = 0
             begin_ns = first.time_ns + nanoseconds(_start_swing(config, devices, swing_arcsec))
@@ -241,22 +242,20 @@ def balance_rig(
     follow: int,
     seed: int | None,
     rrd: Path | None = None,
-    operator: SimulatedOperator | None = None,
     reporter: Reporter | None = None,
 ) -> int:
     """Measure, advise and ask which weight was turned, until the operator ends it.
 
-    With the simulated rig, `operator` makes the stated turns, by default one whose weights are random by
-    `seed`; with `follow` > 0 it follows the advice, for at most that many turns. All measurements are drawn
-    into the configured live view and into `rrd`, and reported by `reporter`, by default on the terminal.
+    With the simulated rig, a simulated operator, whose weights are random by `seed`, makes the stated turns;
+    with `follow` > 0 it follows the advice, for at most that many turns. All measurements are drawn into the
+    configured live view and into `rrd`, and reported by `reporter`, by default on the terminal.
     """
     config = complete(config)
     if follow and not config.simulated:
         raise ConfigurationError("--follow works with the simulated rig only: leave it out")
     if seed is not None and not config.simulated:
         raise ConfigurationError(f"--seed {seed} works with the simulated rig only: leave it out")
-    if operator is None and config.simulated:
-        operator = SimulatedOperator(config, 1 if seed is None else seed)
+    operator = SimulatedOperator(config, 1 if seed is None else seed) if config.simulated else None
     reporter = reporter or Reporter()
     session = LearnedTurns(config, history_path(config, path))
     stated = config

@@ -20,7 +20,7 @@ from calibration import CalibrationFile, Kind, LadderSteps, LeverGeometry, Sourc
 from processing.errors import ConfigurationError, DataError
 from processing.units import conversion
 from rig.instrument import versions
-from rig.settings import read_toml, validated
+from rig.settings import read_toml, validate
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -194,7 +194,7 @@ def read_input(path: Path, model: type[_Model]) -> _Model:
             f"{path}: is a calibration that rig calibrate made; the list of values measured for it is "
             "needed here, docs/calibrate.md shows one"
         )
-    found, faults = validated(model, tree)
+    found, faults = validate(model, tree)
     if found is None:
         problem = "; ".join(fault.line for fault in faults)
         raise ConfigurationError(f"{path}: {problem}; docs/calibrate.md shows such a file")

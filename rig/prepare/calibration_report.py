@@ -33,44 +33,44 @@ class CalibrationReport:
     configuration: str
 
 
-def filed(path: Path) -> CalibrationReport:
+def read_calibration_report(path: Path) -> CalibrationReport:
     """The report of a calibration file; raises ConfigurationError if it cannot be read."""
-    found = read_calibration(path)
+    calibration = read_calibration(path)
     name = toml_value(path.as_posix())
-    stated = f"checks = [{name}]" if found.kind == "check" else f"{found.kind} = {name}"
-    tables = [table for table in (_values(found), *_kind_tables(found)) if table.shown]
-    return CalibrationReport(path, found, tables, f"[calibration]\n{stated}")
+    stated = f"checks = [{name}]" if calibration.kind == "check" else f"{calibration.kind} = {name}"
+    tables = [table for table in (_values(calibration), *_kind_tables(calibration)) if table.shown]
+    return CalibrationReport(path, calibration, tables, f"[calibration]\n{stated}")
 
 
-def numbers_of(found: CalibrationFile) -> dict[str, bool | str | int | float]:
+def numbers_of(calibration: CalibrationFile) -> dict[str, bool | str | int | float]:
     """Single values of a calibration by name: its values, then its details."""
     numbers: dict[str, bool | str | int | float] = {}
-    for name, value in (*found.values.items(), *found.details.items()):
+    for name, value in (*calibration.values.items(), *calibration.details.items()):
         # a pointing calibration has values for each axis
         for inner, part in value.items() if isinstance(value, Mapping) else (("", value),):
             if isinstance(part, bool | str | int | float):
                 numbers[f"{name}.{inner}" if inner else name] = part
-    if "hot_pixels_xy" in found.details:
-        numbers["hot_pixels"] = len(found.details["hot_pixels_xy"])
+    if "hot_pixels_xy" in calibration.details:
+        numbers["hot_pixels"] = len(calibration.details["hot_pixels_xy"])
     return numbers
 
 
-def _values(found: CalibrationFile) -> Table:
+def _values(file: CalibrationFile) -> Table:
     return _table(
-        "values", f"{found.kind}: {found.method}", ("quantity", "value"), list(numbers_of(found).items())
+        "values", f"{file.kind}: {file.method}", ("quantity", "value"), list(numbers_of(file).items())
     )
 
 
-def _kind_tables(found: CalibrationFile) -> Iterator[Table]:
-    details = found.details
+def _kind_tables(calibration: CalibrationFile) -> Iterator[Table]:
+    details = calibration.details
     if budget := details.get("budget"):
         yield _budget([line for line in budget if line["value"] or line["u"]])
     if "residual_px" in details:
         yield _steps(details)
     if "signal_dn" in details:
-        yield _transfer(found.values, details)
-    if found.kind in ("axes", "clock", "shutter", "air"):
-        yield from _residual_tables(found)
+        yield _transfer(calibration.values, details)
+    if calibration.kind in ("axes", "clock", "shutter", "air"):
+        yield from _residual_tables(calibration)
     if jumps := details.get("jumps"):
         rows = [(jump["frame"], 1e6 * jump["step_s"]) for jump in jumps]
         yield _table("jumps", "jumps of the clock", ("from frame", "step, µs"), rows)
@@ -81,10 +81,10 @@ def _kind_tables(found: CalibrationFile) -> Iterator[Table]:
 
 def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
     """Table of the contribution of each input to the uncertainty of the scale, and of its effect on it."""
-    moved = any(line["effect"] for line in lines)
-    head = ["input", "value", "u", *(["effect, %"] if moved else []), "contribution, %"]
+    has_effects = any(line["effect"] for line in lines)
+    head = ["input", "value", "u", *(["effect, %"] if has_effects else []), "contribution, %"]
     note = "Largest contribution first: standard uncertainty of the scale by that of the input."
-    if moved:
+    if has_effects:
         note += " Effect: change of the scale against the same lever with this input 0."
     return _table(
         "budget",
@@ -92,7 +92,7 @@ def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
         head,
         [
             [line["name"], line["value"], line["u"]]
-            + ([100.0 * line["effect"]] if moved else [])
+            + ([100.0 * line["effect"]] if has_effects else [])
             + [100.0 * line["contribution"]]
             for line in lines
         ],
@@ -121,9 +121,9 @@ Standard uncertainties are the detail with the name of the second column after `
 """
 
 
-def _residual_tables(found: CalibrationFile) -> Iterator[Table]:
+def _residual_tables(calibration: CalibrationFile) -> Iterator[Table]:
     """Tables of residuals of axes, clock, shutter and air."""
-    details = dict(found.details)
+    details = dict(calibration.details)
     for mode in ("slow", "fast"):
         parts = details.get(f"{mode}_parts") or {}
         details |= {f"{mode}_at_s": parts.get("at_s"), f"{mode}_off_rad": parts.get("off_rad")}
@@ -137,8 +137,8 @@ def _residual_tables(found: CalibrationFile) -> Iterator[Table]:
     for title, x, x_name, x_factor, y, y_name, y_factor in _RESIDUALS:
         if details.get(x) and details.get(y):
             rows = [
-                (x_factor * at, y_factor * off, y_factor * u)
-                for at, off, u in zip(details[x], details[y], details[f"u_{y}"], strict=True)
+                (x_factor * at, y_factor * deviation, y_factor * u)
+                for at, deviation, u in zip(details[x], details[y], details[f"u_{y}"], strict=True)
             ]
             yield _table("residuals", title, (x_name, y_name, "u"), rows)
 
@@ -160,7 +160,7 @@ def _steps(details: Mapping[str, Any]) -> Table:
 
 
 def _transfer(values: Mapping[str, Any], details: Mapping[str, Any]) -> Table:
-    """Table of the levels: variance, and its deviation from read noise and shot noise."""
+    """Table of the photon transfer: variance by signal, and its deviation from read noise and shot noise."""
     gain = values["gain_e_per_dn"]
     bend_per_dn = 3.0 * details.get("non_linearity", 0.0) / values["full_scale_dn"]
     dark_dn2 = (values["read_noise_e"] / gain) ** 2 + _ROUNDING_DN2
@@ -172,8 +172,8 @@ def _transfer(values: Mapping[str, Any], details: Mapping[str, Any]) -> Table:
             (
                 signal,
                 variance,
-                rest := variance - dark_dn2 - signal / gain * (1.0 - bend_per_dn * signal),
-                rest / u,
+                deviation := variance - dark_dn2 - signal / gain * (1.0 - bend_per_dn * signal),
+                deviation / u,
             )
             for signal, variance, u in zip(
                 details["signal_dn"], details["variance_dn2"], details["u_variance_dn2"], strict=True

@@ -331,7 +331,7 @@ def _runs(
     return tuple(out)
 
 
-def _listed(labels: Sequence[str]) -> str:
+def _names(labels: Sequence[str]) -> str:
     return f"{', '.join(labels[:3])}{' ...' if len(labels) > 3 else ''}"
 
 
@@ -344,7 +344,7 @@ def _covariate_warnings(stated: StatedCampaign, runs: Sequence[CompressedRun]) -
         without = [run.label for run in runs if covariate not in run.covariates]
         if without:
             texts.append(
-                f"{covariate} is not known of {len(without)} of {len(runs)} runs ({_listed(without)}): it is "
+                f"{covariate} is not known of {len(without)} of {len(runs)} runs ({_names(without)}): it is "
                 "taken to be as in the others, by their mean and scatter"
             )
     return texts
@@ -355,7 +355,7 @@ def _warnings(found: SeriesPosterior, without_priors: SeriesPosterior) -> list[s
     blind = [run.label for run in found.runs if run.by_growth is None]
     if blind and any(effect.bends_decays for effect in found.model.effects):
         texts.append(
-            f"{_listed(blind)}: their results do not say how growing friction changes the decay, so it is "
+            f"{_names(blind)}: their results do not say how growing friction changes the decay, so it is "
             "ignored; rig fit --set fit.u_ageing=0.01 adds it"
         )
     texts += [

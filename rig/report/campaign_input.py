@@ -17,7 +17,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.series import EXPONENT_OF, FRICTION, ORDER, POSITIVE, CompressedRun, Effect, Form, SeriesModel
 from rig.analysis import RunResults, read_results, results_path
-from rig.settings import read_toml, validated
+from rig.settings import read_toml, validate
 
 SURROUNDING_COVARIATES: Final = ("humidity_percent", "temperature_c", "pressure_pa", "dwell_s", "age_s")
 """Covariates that are ambient conditions."""
@@ -121,7 +121,7 @@ def _refuse_unknown(covariate: str) -> None:
 
 def read_campaign(path: Path) -> StatedCampaign:
     """Read campaign.toml; raises ConfigurationError with one line for all of its faults."""
-    found, faults = validated(StatedCampaign, read_toml(path, "campaign"))
+    found, faults = validate(StatedCampaign, read_toml(path, "campaign"))
     if found is None:
         raise ConfigurationError(f"{path}: {'; '.join(fault.line for fault in faults)}")
     return found

@@ -35,29 +35,29 @@ from rig.terminal import (
 _MAX_SHOWN_SOURCES = 4
 
 
-def _scaled(name: str) -> tuple[str, float]:
+def _change_label(name: str) -> tuple[str, float]:
     """Label and display factor of a coordinate's changes; those of b, c and gamma are relative."""
     form = quantity(name)
     return (f"ln {form.symbol}", 1.0) if name in POSITIVE else (form.label, form.factor)
 
 
-def _text(found: Estimate, factor: float = 1.0) -> str:
-    return with_uncertainty(found.value * factor, found.standard_uncertainty * factor)
+def _text(estimate: Estimate, factor: float = 1.0) -> str:
+    return with_uncertainty(estimate.value * factor, estimate.standard_uncertainty * factor)
 
 
 def _contacts_table(results: CampaignResults) -> Table:
     """Table with a row for each quantity of a contact, with and without priors."""
     rows = []
     for contact, values in results.contacts.items():
-        for place, (name, found) in enumerate(values.items()):
-            form, ends = quantity(name), (found.lower_95, found.upper_95)
+        for rank, (name, posterior) in enumerate(values.items()):
+            form, ends = quantity(name), (posterior.lower_95, posterior.upper_95)
             band = " … ".join(plain(end * form.factor, 4) for end in ends)
             rows.append(
                 TableRow(
-                    [contact, name, *found.estimate, *ends, *found.without_priors],
+                    [contact, name, *posterior.estimate, *ends, *posterior.without_priors],
                     [
-                        contact if not place else "", form.label, form.text(*found.estimate), band,
-                        form.text(*found.without_priors),
+                        contact if not rank else "", form.label, form.text(*posterior.estimate), band,
+                        form.text(*posterior.without_priors),
                     ],
                 )
             )  # fmt: skip
@@ -76,7 +76,7 @@ def _differences_table(results: CampaignResults) -> Table | None:
         return None
     rows = []
     for one in results.differences:
-        label, factor = _scaled(one.parameter)
+        label, factor = _change_label(one.parameter)
         rows.append(
             TableRow(
                 [
@@ -88,13 +88,13 @@ def _differences_table(results: CampaignResults) -> Table | None:
                 else (),
             )
         )  # fmt: skip
-    seen = sum(one.seen for one in results.differences)
+    count = sum(one.seen for one in results.differences)
     return Table(
         "differences", "Differences of contacts",
         ["first", "second", "quantity", "difference", "u", "lower_95", "upper_95", "chance", "verdict"],
         ("", "", "difference", "chance"), rows,
-        f"{seen} of {len(rows)} differ, the others are in the CSV; the 5 % level is shared by all. What runs "
-        f"share cancels. b and γ at {results.reference_arcsec:g} arcsec.",
+        f"{count} of {len(rows)} differ, the others are in the CSV; the 5 % level is shared by all. What "
+        f"runs share cancels. b and γ at {results.reference_arcsec:g} arcsec.",
     )  # fmt: skip
 
 
@@ -136,35 +136,35 @@ def effects_table(results: CampaignResults) -> Table | None:
     )  # fmt: skip
 
 
-def _verdict_text(one: CampaignEffect) -> str:
-    if one.seen:
+def _verdict_text(effect: CampaignEffect) -> str:
+    if effect.seen:
         return "seen"
-    if isfinite(one.equivalent) and one.equivalent >= ABSENT:
-        return f"none within ± {one.margin:g}"
+    if isfinite(effect.equivalent) and effect.equivalent >= ABSENT:
+        return f"none within ± {effect.margin:g}"
     return "not seen"
 
 
-def _effect_words(one: CampaignEffect) -> str:
+def _effect_words(effect: CampaignEffect) -> str:
     """The parameter, the covariate and the form of an effect, in words."""
-    symbol = "friction" if one.parameter == "friction" else quantity(one.parameter).symbol
-    if one.form == "during":
+    symbol = "friction" if effect.parameter == "friction" else quantity(effect.parameter).symbol
+    if effect.form == "during":
         return f"{symbol}, growing during every run"
-    return f"{symbol} over {quantity(one.covariate).name} ({one.form})"
+    return f"{symbol} over {quantity(effect.covariate).name} ({effect.form})"
 
 
 def _runs_table(results: CampaignResults) -> Table:
     """Table with a row for each run: residuals and probability of being bad; values in the CSV."""
-    names, none, rows = results.parameters, (nan, nan), []
+    names, unknown, rows = results.parameters, (nan, nan), []
     columns = ["run", "contact", "sha256", "results_sha256", "bad"]
     for name in names:
         columns += [name, f"u_{name}", f"together_{name}", f"u_together_{name}", f"residual_{name}"]
     for run in results.runs:
         cells: list[Cell] = [run.label, run.contact, run.sha256, run.results_sha256, run.bad]
         residuals = [run.residuals.get(name, nan) for name in names]
-        for name, one in zip(names, residuals, strict=True):
-            cells += [*run.alone.get(name, none), *run.together.get(name, none), one]
+        for name, z in zip(names, residuals, strict=True):
+            cells += [*run.alone.get(name, unknown), *run.together.get(name, unknown), z]
         bad = f"{100 * run.bad:.0f} %" if run.bad > 0.05 else ""
-        rows.append(TableRow(cells, [run.label, run.contact, *(plain(one, 2) for one in residuals), bad]))
+        rows.append(TableRow(cells, [run.label, run.contact, *(plain(z, 2) for z in residuals), bad]))
     return Table(
         "runs", "Residuals by run", columns,
         ("run", "contact", *(quantity(name).symbol for name in names), "bad"), rows,
@@ -176,16 +176,16 @@ def _budget_table(results: CampaignResults) -> Table:
     """Table of the largest parts of the variance of every level."""
     rows = []
     for contact, budgets in results.budgets.items():
-        for place, (name, parts) in enumerate(budgets.items()):
+        for rank, (name, parts) in enumerate(budgets.items()):
             words = "; ".join(
-                f"{_source_words(one.source)} {100 * one.share:.0f} %"
-                for one in parts[:_MAX_SHOWN_SOURCES]
-                if one.share > 0.005
+                f"{_source_words(part.source)} {100 * part.share:.0f} %"
+                for part in parts[:_MAX_SHOWN_SOURCES]
+                if part.share > 0.005
             )
-            shown = [contact if not place else "", quantity(name).symbol, words]
-            for rank, one in enumerate(parts):
-                cells: list[Cell] = [contact, name, one.source, one.contribution, one.share]
-                rows.append(TableRow(cells, () if rank else shown))
+            shown = [contact if not rank else "", quantity(name).symbol, words]
+            for order, part in enumerate(parts):
+                cells: list[Cell] = [contact, name, part.source, part.contribution, part.share]
+                rows.append(TableRow(cells, () if order else shown))
     return Table(
         "budget", "What limits the answer now", ["contact", "quantity", "source", "contribution", "share"],
         ("contact", "", "verdict"), rows,
@@ -206,13 +206,13 @@ def _changes_table(results: CampaignResults) -> Table | None:
     if not results.changes:
         return None
     rows, labels = [], [run.label for run in results.runs]
-    for one in results.changes:
-        place = f"from {labels[one.first_run]} on ({labels[one.at_least]} to {labels[one.at_most]})"
-        seen = place if one.probability > 0.5 else "none seen"
+    for change in results.changes:
+        place = f"from {labels[change.first_run]} on ({labels[change.at_least]} to {labels[change.at_most]})"
+        where = place if change.probability > 0.5 else "none seen"
         rows.append(
             TableRow(
-                [one.parameter, one.probability, one.first_run, one.at_least, one.at_most],
-                [quantity(one.parameter).symbol, plain(one.probability, 2), seen],
+                [change.parameter, change.probability, change.first_run, change.at_least, change.at_most],
+                [quantity(change.parameter).symbol, plain(change.probability, 2), where],
             )
         )
     return Table(
@@ -228,15 +228,16 @@ def _priors_table(campaign: Campaign) -> Table:
     results, model, rows = campaign.results, campaign.posterior.model, []
     for name in model.names:
         size, now = model.size(name), results.between_runs.get(name)
-        label, factor = _scaled(name)
+        label, factor = _change_label(name)
         after = "" if now is None else _text(now, factor)
         before = f"half-normal, {plain(size * factor, 2)}"
         rows.append(TableRow([name, size, *(now or (nan, nan))], [f"scatter of {label}", before, after]))
-    for source, found in results.shared.items():
-        rows.append(TableRow([source, 1.0, *found], [_source_words(source), "0 ± 1 of its u", _text(found)]))
-    for key, one in campaign.stated.prior.items():
-        shown = [quantity(key).label, quantity(key).text(one.value, one.u), "see Contacts"]
-        rows.append(TableRow([key, one.value, one.u, nan], shown))
+    for source, estimate in results.shared.items():
+        texts = [_source_words(source), "0 ± 1 of its u", _text(estimate)]
+        rows.append(TableRow([source, 1.0, *estimate], texts))
+    for key, prior in campaign.stated.prior.items():
+        shown = [quantity(key).label, quantity(key).text(prior.value, prior.u), "see Contacts"]
+        rows.append(TableRow([key, prior.value, prior.u, nan], shown))
     return Table(
         "priors", "Prior and posterior", ("what", "before", "now", "u_now"), ("", "prior", "posterior"), rows,
         "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",
@@ -248,27 +249,27 @@ def campaign_tables(campaign: Campaign) -> list[Table]:
     makers = (
         _contacts_table, _differences_table, effects_table, _changes_table, _budget_table, _runs_table,
     )  # fmt: skip
-    found = [*(make(campaign.results) for make in makers), _priors_table(campaign)]
-    return [one for one in found if one is not None]
+    tables = [*(make(campaign.results) for make in makers), _priors_table(campaign)]
+    return [table for table in tables if table is not None]
 
 
 _CURVE_POINTS = 60
 _BANDS = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 
-def _in_shown_unit(name: str, values: Floats, middle: float) -> Floats:
+def _shown_values(name: str, values: Floats, middle: float) -> Floats:
     return values - middle if name in POSITIVE else values * quantity(name).factor
 
 
 def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     """Figure of each coordinate with an effect against its covariate: runs, and 68 and 95 % bands."""
-    found, results = campaign.posterior, campaign.results
+    posterior, results = campaign.posterior, campaign.results
     shown_effects = [
         (effect, name)
-        for effect in found.model.effects
+        for effect in posterior.model.effects
         if effect.form is not Form.DURING
         for name in effect.moves()
-        if name in found.model.names
+        if name in posterior.model.names
     ]
     if not shown_effects:
         return []
@@ -277,38 +278,38 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     contacts = list(results.contacts)
     colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
     for axes, (effect, name) in zip(panels, shown_effects, strict=True):
-        place = found.model.names.index(name)
-        over = quantity(effect.covariate)
-        factor = over.factor
-        known = [run for run in found.runs if _covariate(run, effect) is not None and name in run.names]
-        at = np.array([_covariate(run, effect) for run in known])
+        column = posterior.model.names.index(name)
+        covariate = quantity(effect.covariate)
+        factor = covariate.factor
+        known = [run for run in posterior.runs if _covariate(run, effect) is not None and name in run.names]
+        x = np.array([_covariate(run, effect) for run in known])
         middle = float(np.median([run.values[run.names.index(name)] for run in known]))
-        grid = np.linspace(float(at.min()), float(at.max()), _CURVE_POINTS)
+        grid = np.linspace(float(x.min()), float(x.max()), _CURVE_POINTS)
         for contact in contacts:
             if effect.contact not in ("", contact):
                 continue
-            slope = found.draws(LatentNumber("effect", effect.label))
-            lines = found.level_draws(contact)[:, place, None] + slope[:, None] * effect.value(grid)
-            bands = np.array([found.quantiles(line, _BANDS) for line in lines.T])
-            shown = _in_shown_unit(name, bands, middle)
+            slope = posterior.draws(LatentNumber("effect", effect.label))
+            lines = posterior.level_draws(contact)[:, column, None] + slope[:, None] * effect.value(grid)
+            bands = np.array([posterior.quantiles(line, _BANDS) for line in lines.T])
+            shown = _shown_values(name, bands, middle)
             colour = colours[contact]
             axes.fill_between(grid * factor, shown[:, 0], shown[:, 4], color=colour, alpha=0.15, lw=0)
             axes.fill_between(grid * factor, shown[:, 1], shown[:, 3], color=colour, alpha=0.3, lw=0)
             axes.plot(grid * factor, shown[:, 2], color=colour, label=contact)
-            own = [i for i, run in enumerate(known) if run.contact == contact]
-            values = np.array([known[i].values[known[i].names.index(name)] for i in own])
-            u = _scaled(name)[1] * np.array([known[i].u(name) for i in own])
+            members = [i for i, run in enumerate(known) if run.contact == contact]
+            values = np.array([known[i].values[known[i].names.index(name)] for i in members])
+            u = _change_label(name)[1] * np.array([known[i].u(name) for i in members])
             axes.errorbar(
-                at[own] * factor, _in_shown_unit(name, values, middle), u, fmt="o", ms=3, color=colour,
+                x[members] * factor, _shown_values(name, values, middle), u, fmt="o", ms=3, color=colour,
                 elinewidth=0.7, mec=INK, mew=0.3,
             )  # fmt: skip
         if effect.form is Form.LOGARITHM:
             axes.set_xscale("log")
-        axes.set_xlabel(over.label)
+        axes.set_xlabel(covariate.label)
         # b, c and gamma are shown as relative changes
-        near = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
-        title = _scaled(name)[0]
-        axes.set_title(f"{title}{near}, from its middle" if name in POSITIVE else title, fontsize=7.5)
+        reference = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
+        title = _change_label(name)[0]
+        axes.set_title(f"{title}{reference}, from its middle" if name in POSITIVE else title, fontsize=7.5)
     whole_in = figure.get_figheight()
     figure.subplots_adjust(bottom=0.5 / whole_in, top=1 - 0.6 / whole_in)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
@@ -321,8 +322,8 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
 
 
 def _covariate(run: CompressedRun, effect: Effect) -> float | None:
-    found = run.covariates.get(effect.covariate)
-    return None if found is None else found.value
+    value = run.covariates.get(effect.covariate)
+    return None if value is None else value.value
 
 
 def _residual_figure(campaign: Campaign) -> ReportFigure:
@@ -335,15 +336,15 @@ def _residual_figure(campaign: Campaign) -> ReportFigure:
     x = np.arange(1, len(results.runs) + 1)
     for band, alpha in ((2, 0.1), (1, 0.15)):
         axes.axhspan(-band, band, color=palette.GREY, alpha=alpha, lw=0)
-    for place, name in enumerate(names):
+    for rank, name in enumerate(names):
         z = np.array([run.residuals.get(name, np.nan) for run in results.runs])
         axes.plot(
-            x + 0.08 * (place - 0.5 * len(names)), z, "o", ms=3.2, label=quantity(name).symbol,
-            color=palette.SEQUENCE[place % len(palette.SEQUENCE)],
+            x + 0.08 * (rank - 0.5 * len(names)), z, "o", ms=3.2, label=quantity(name).symbol,
+            color=palette.SEQUENCE[rank % len(palette.SEQUENCE)],
         )  # fmt: skip
-    for at, run in zip(x.tolist(), results.runs, strict=True):
+    for number, run in zip(x.tolist(), results.runs, strict=True):
         if run.bad > MIN_BAD_PROBABILITY:
-            axes.axvspan(at - 0.4, at + 0.4, color=palette.VERMILLION, alpha=0.25, lw=0)
+            axes.axvspan(number - 0.4, number + 0.4, color=palette.VERMILLION, alpha=0.25, lw=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="run", ylabel="deviation / u")
     axes.set_yscale("symlog", linthresh=4)

@@ -134,7 +134,7 @@ def svg(drawing: ReportFigure) -> bytes:
     with styled():
         about = {"Date": None, "Creator": None, "Format": None, "Type": None, "Title": drawing.title}
         drawing.figure.savefig(out, format="svg", metadata=about)
-    return _shortened(out.getvalue()).encode()
+    return _shorten(out.getvalue()).encode()
 
 
 def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
@@ -145,7 +145,7 @@ def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
     return out.getvalue()
 
 
-def _shortened(svg_text: str) -> str:
+def _shorten(svg_text: str) -> str:
     """An SVG of half the length: positions to 0.01 pt, one style for equal marks, no indents, short names."""
     svg_text = re.sub(r'(?<= )(?:d|x|y)="[^"]*"', lambda found: _DIGITS.sub(r"\1", found[0]), svg_text)
     svg_text = _EQUAL_MARKS.sub(_style_once, re.sub(r"\s*\n\s*", "\n", svg_text))

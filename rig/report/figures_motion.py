@@ -256,7 +256,7 @@ def spectrum_figure(
     base = None if ground is None else ground.base
     figure = canvas(2.7 if base is None else 2.9)
     left = figure.add_subplot(1, 1 if base is None else 2, 1)
-    frequency_hz, density = _binned(spectrum)
+    frequency_hz, density = _bin_spectrum(spectrum)
     left.loglog(frequency_hz, np.sqrt(density) / shown_size, color=DATA, lw=0.9)
     left.set_ylabel(f"deflection / {shown_unit}/√Hz")
     _frequency_axis(left, spectrum)
@@ -322,7 +322,7 @@ def _frequency_axis(axes: Axes, spectrum: ResidualSpectrum) -> None:
     axes.set(xlim=(0.5 * spectrum.pendulum_hz, float(spectrum.frequency_hz[-1])), xlabel="frequency / Hz")
 
 
-def _binned(
+def _bin_spectrum(
     spectrum: ResidualSpectrum,
 ) -> tuple[Floats, Floats]:
     """Frequency and density averaged over bins of equal width in log frequency."""

@@ -128,9 +128,9 @@ def table2(found: Sequence[PairSeries]) -> Table:
         row
         for series in found
         for row in (
-            _fitted(series, "b", unit, series.pair.b_printed, scale, note=left_out),
-            _fitted(series, "p", "1", series.pair.p, note="printed in the row labelled b"),
-            _fitted(series, "c", power(-9), series.pair.c * 1e9, 1e-9),
+            _fitted_row(series, "b", unit, series.pair.b_printed, scale, note=left_out),
+            _fitted_row(series, "p", "1", series.pair.p, note="printed in the row labelled b"),
+            _fitted_row(series, "c", power(-9), series.pair.c * 1e9, 1e-9),
             _energy(series, "table2"),
             _energy(series, "eq2"),
             _arae(series, "arae_decay", "ARAE, Eq. 8"),
@@ -145,9 +145,9 @@ def table3(found: Sequence[PairSeries]) -> Table:
         row
         for series in found
         for row in (
-            _fitted(series, "n", "1", series.pair.n),
-            _fitted(series, "period0_s", "s", series.pair.period0_s),
-            _fitted(series, "gamma_pa", "MPa", series.pair.gamma_pa * 1e-6, 1e6, last_digit=0.01),
+            _fitted_row(series, "n", "1", series.pair.n),
+            _fitted_row(series, "period0_s", "s", series.pair.period0_s),
+            _fitted_row(series, "gamma_pa", "MPa", series.pair.gamma_pa * 1e-6, 1e6, last_digit=0.01),
             _arae(series, "arae_period", "ARAE, Eq. 9"),
         )
     ]
@@ -201,7 +201,7 @@ class _PrintedRow(NamedTuple):
         return self.exact / self.printed - 1, self.other / self.printed - 1
 
 
-def _fitted(
+def _fitted_row(
     series: PairSeries, parameter: str, unit: str, printed: float, scale: float = 1.0,
     last_digit: float = 0.001, note: str = "",
 ) -> _PrintedRow:  # fmt: skip

@@ -27,7 +27,7 @@ _MAX_AGEING_FACTOR = 1.2
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Planned runs of what is `assumed`, and series of `counts` of each.
+    """Planned runs of an assumed contact, each made as often as each of `counts` says.
 
     Runs that last longer than the assumed limit are still planned to their last amplitude.
     """
@@ -91,7 +91,7 @@ def _share(u: float, value: float, unit: str) -> str:
 def plan_table(plan: Plan) -> Table:
     """Table with a row for each run or series: time of all runs, relative uncertainties of parameters."""
     names, scales, conditions = list(plan.runs[0].u), plan.scales, plan.assumed.conditions
-    lines = []
+    rows = []
     for run, count in product(plan.runs, plan.counts):
         first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
         all_s, u = count * run.duration_s, list(plan.u_after(run, count).values())
@@ -99,7 +99,7 @@ def plan_table(plan: Plan) -> Table:
         remark += "" if run.duration_s <= plan.assumed.longest_s else " *"
         shares = [_share(one, scales[name], quantity(name).unit) for name, one in zip(names, u, strict=True)]
         texts = [f"{first:g} to {last:g}{remark}", f"{count}", f"{all_s / 60:.1f}", *shares]
-        lines.append(TableRow([first, last, run.duration_s, run.half_cycles, count, all_s, *u], texts))
+        rows.append(TableRow([first, last, run.duration_s, run.half_cycles, count, all_s, *u], texts))
     note = ""
     if plan.assumed.unknown:
         unknown = ", ".join(quantity(name).symbol for name in plan.assumed.unknown)
@@ -124,7 +124,7 @@ def plan_table(plan: Plan) -> Table:
     symbols = [f"u({quantity(name).symbol})" for name in names]
     return Table(
         "plan", "Expected uncertainties", (*columns, *(f"u_{name}" for name in names)),
-        ("amplitudes, arcsec", "runs", "min", *symbols), lines, note,
+        ("amplitudes, arcsec", "runs", "min", *symbols), rows, note,
     )  # fmt: skip
 
 
@@ -152,7 +152,7 @@ def _percent_or_unknown(share: float) -> str:
 
 def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
     """Table with a row for the single run and each pair: time, and uncertainties of b and the ageing."""
-    lines = []
+    rows = []
     series, proposed = plan_ageing(plan, waits_s)
     for one in series:
         amplitudes = [(run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD) for run in one.runs]
@@ -161,11 +161,11 @@ def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
         )
         u_b, per_h = (one.u_steady["b"], one.u["b"]), 3600.0 * one.u_ageing_per_s
         cells = [*amplitudes[0], second, one.waiting_s, one.duration_s, *u_b, one.u_ageing_per_s]
-        words = ", then ".join(f"{first:g} to {last:g}" for first, last in amplitudes)
-        words += " <- proposed" if one is proposed else ""
+        text = ", then ".join(f"{first:g} to {last:g}" for first, last in amplitudes)
+        text += " <- proposed" if one is proposed else ""
         relative = [_percent_or_unknown(u / abs(plan.assumed.values["b"])) for u in u_b]
         rate = _percent_or_unknown(per_h) + (" per h" if per_h < 10 else "")
-        lines.append(TableRow(cells, [words, waiting, f"{one.duration_s / 60:.1f}", *relative, rate]))
+        rows.append(TableRow(cells, [text, waiting, f"{one.duration_s / 60:.1f}", *relative, rate]))
     symbol = quantity("b").symbol
     return Table(
         "plan_ageing", "Runs that reveal ageing of the contact",
@@ -173,7 +173,7 @@ def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
          "u_b", "u_ageing_per_s"),
         ("amplitudes, arcsec", "waiting, min", "elapsed, min", f"u({symbol}), no ageing",
          f"u({symbol}), unknown ageing", "u(ageing)"),
-        lines,
+        rows,
         "For friction that changes linearly with time at an unknown rate; the period of each run is free. "
         f"{symbol} refers to the middle of the elapsed time. A change of the air looks like ageing.",
     )  # fmt: skip
@@ -186,9 +186,9 @@ def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with styled():
         drawing = plan_figure(plan)
-        made = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}
-    made[".ageing.csv"] = ageing.csv().encode()
-    for suffix, content in made.items():
+        contents = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}
+    contents[".ageing.csv"] = ageing.csv().encode()
+    for suffix, content in contents.items():
         path = folder / f"plan{suffix}"
         atomic_write.write_new(path, content)
         answer(written=[path])
@@ -205,7 +205,7 @@ def plan_figure(plan: Plan) -> "ReportFigure":
     figure = canvas(3.4)
     by_amplitude, by_time = figure.subplots(1, 2, sharey=True)
     starts = sorted({run.first_rad for run in plan.runs}, reverse=True)
-    for line, first in zip(_LINE_STYLES, starts, strict=False):
+    for style, first in zip(_LINE_STYLES, starts, strict=False):
         runs = sorted((run for run in plan.runs if run.first_rad == first), key=lambda run: run.duration_s)
         last = [run.last_rad / ARCSEC_RAD for run in runs]
         for colour, name in zip(palette.SEQUENCE, plan.runs[0].u, strict=False):
@@ -215,10 +215,10 @@ def plan_figure(plan: Plan) -> "ReportFigure":
                 if not np.all(np.isfinite(u_percent)):
                     continue
                 if rank == 0:
-                    by_amplitude.plot(last, u_percent, line, color=colour, marker=".", label=label)
+                    by_amplitude.plot(last, u_percent, style, color=colour, marker=".", label=label)
                 minutes = [count * run.duration_s / 60 for run in runs]
-                faint = 1.0 if rank == 0 else 0.45
-                by_time.plot(minutes, u_percent, line, color=colour, marker=".", alpha=faint)
+                opacity = 1.0 if rank == 0 else 0.45
+                by_time.plot(minutes, u_percent, style, color=colour, marker=".", alpha=opacity)
     by_amplitude.set(xscale="log", yscale="log")
     by_amplitude.invert_xaxis()
     last_arcsec = sorted({run.last_rad / ARCSEC_RAD for run in plan.runs})
@@ -229,12 +229,12 @@ def plan_figure(plan: Plan) -> "ReportFigure":
     by_time.set_xlabel("time of all runs / min")
     by_amplitude.set_ylabel("u / value, %")
     by_amplitude.legend(ncols=2)
-    styles = [Line2D([], [], color=INK, ls=line) for line in _LINE_STYLES[: len(starts)]]
+    styles = [Line2D([], [], color=INK, ls=style) for style in _LINE_STYLES[: len(starts)]]
     by_time.legend(styles, [f"from {first / ARCSEC_RAD:g}″" for first in starts])
     figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
     plural = "s" if plan.counts[0] > 1 else ""
-    more = ", ".join(str(count) for count in plan.counts[1:])
-    words = f"Relative standard uncertainty of every parameter after {plan.counts[0]} run{plural}" + (
-        f"; on the right, faint: {more} runs." if more else "."
+    others = ", ".join(str(count) for count in plan.counts[1:])
+    caption = f"Relative standard uncertainty of every parameter after {plan.counts[0]} run{plural}" + (
+        f"; on the right, faint: {others} runs." if others else "."
     )
-    return ReportFigure("plan", "Expected uncertainties", words, figure)
+    return ReportFigure("plan", "Expected uncertainties", caption, figure)

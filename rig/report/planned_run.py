@@ -17,7 +17,7 @@ from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsMeasurement, TurningPoints, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, nanoseconds
-from rig.analysis import AnalysedRun, Fit, known_drag, read_results, stated_ambient
+from rig.analysis import AnalysedRun, Fit, drag_of_fit, read_results, stated_ambient
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
@@ -53,7 +53,7 @@ def planned_contact(config: Configuration, frame_noise_rad: float | None = None)
     if pendulum is None:
         raise ConfigurationError("rig plan needs [pendulum]: state mass_kg and ball_radius_m")
     contact = config.simulation.contact
-    drag, _ = known_drag(config, stated_ambient(config), pendulum, contact.period0_s)
+    drag, _ = drag_of_fit(config, stated_ambient(config), pendulum, contact.period0_s)
     truth = contact.model_dump() | {DRAG.key: contact.whole_drag_s}
     values = {name: float(truth[name]) for name in DEFAULT_LAW.names(drag=drag.fitted)}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
@@ -63,7 +63,7 @@ def planned_contact(config: Configuration, frame_noise_rad: float | None = None)
         u_time_s * _AMPLITUDE_RAD,
         _drive(config, pendulum),
         sine_covariance=harmonics_covariance,
-        known_drag_s=drag.known_s,
+        known_drag_s=drag.prior_s,
         seismometer_noise=_seismometer_noise(config),
     )
     return PlannedContact(values, pendulum, conditions, config.session.max_duration_s)
@@ -78,11 +78,11 @@ def planned_contact_of_file(
     """
     config = complete(load_configuration(source, overrides))
     # read first, so that an unusable file is refused before the work
-    fitted = [] if contact is None else _fitted(contact, "name another, or leave --contact out")
+    fitted = [] if contact is None else _fitted_runs(contact, "name another, or leave --contact out")
     planned = planned_contact(config, None if noise_arcsec is None else noise_arcsec * ARCSEC_RAD)
     if not fitted:
         return planned
-    known = _planned(fitted[0][0], planned.pendulum, planned.conditions)
+    known = _planned_contact(fitted[0][0], planned.pendulum, planned.conditions)
     # the drag is planned as it will be fitted, whether or not the earlier fit had one
     values = {name: known.values.get(name, own) for name, own in planned.values.items()}
     return planned._replace(values=values, unknown=known.unknown)
@@ -93,7 +93,7 @@ def planned_contact_of_run(run: AnalysedRun) -> PlannedContact:
     exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
         raise DataError(f"{run.path}: a plan needs a fitted run: {run.problem or 'it has no fit'}")
-    return _planned(run.fits[FitMethod.EXACT], pendulum, Conditions.of(exact, run.points))
+    return _planned_contact(run.fits[FitMethod.EXACT], pendulum, Conditions.of(exact, run.points))
 
 
 def planned_contact_of_table(results: Path) -> PlannedContact:
@@ -101,7 +101,7 @@ def planned_contact_of_table(results: Path) -> PlannedContact:
 
     Raises DataError if no decay has a fit of the contact.
     """
-    fitted = _fitted(results, "rig fit TABLE --unit arcsec --config CONFIG makes one")
+    fitted = _fitted_runs(results, "rig fit TABLE --unit arcsec --config CONFIG makes one")
     exact, pendulum, points = max(fitted, key=lambda found: len(found[2]))
     ground = exact.ground
     scale = 1.0 if ground is None else ground.measurement_scale
@@ -110,10 +110,10 @@ def planned_contact_of_table(results: Path) -> PlannedContact:
         scale * float(np.median(points.u_time_s * points.amplitude)),
         0.0 if ground is None else ground.density_rad_per_s2_rthz.value,
     )
-    return _planned(exact, pendulum, conditions)
+    return _planned_contact(exact, pendulum, conditions)
 
 
-def _fitted(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, TurningPoints]]:
+def _fitted_runs(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, TurningPoints]]:
     """Exact fit, pendulum and turning points of the fitted runs or decays of a results file.
 
     Raises DataError if there are none.
@@ -128,7 +128,7 @@ def _fitted(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, Turni
     return fitted
 
 
-def _planned(fit: Fit, pendulum: PendulumOnBall, conditions: Conditions) -> PlannedContact:
+def _planned_contact(fit: Fit, pendulum: PendulumOnBall, conditions: Conditions) -> PlannedContact:
     """The values of a fit, with the drag if it was fitted, and those that its half-cycles leave open.
 
     The drag is planned without its value.

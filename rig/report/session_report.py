@@ -251,7 +251,7 @@ def _title_of(source: ReportSource) -> tuple[str, str]:
 def _summary_of(source: ReportSource, decay: str) -> list[str]:
     """The verdict with the parameters beside the first decay; below it the circumstances."""
     run, series = source.runs[0].results, source.series
-    found, quoted = _quoted(source)
+    found, quoted = _quoted_results(source)
     body = []
     if any(data.results.simulated for data in source.runs):
         body.append(
@@ -286,7 +286,7 @@ def _summary_of(source: ReportSource, decay: str) -> list[str]:
     return body + (_text_to_copy(source, found, quoted) if found.contact else [])
 
 
-def _quoted(source: ReportSource) -> tuple[Series | RunResults, Sequence[RunData]]:
+def _quoted_results(source: ReportSource) -> tuple[Series | RunResults, Sequence[RunData]]:
     """The results that the page quotes, and their runs: the series, else the first run with a fit."""
     if source.series is not None and source.series.table:
         return source.series, source.series.combined(source.runs)
@@ -296,7 +296,7 @@ def _quoted(source: ReportSource) -> tuple[Series | RunResults, Sequence[RunData
 
 def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     """The result, its largest uncertainties, the next step, and whether conditions were met, as lines."""
-    found = whole_result(_quoted(source)[1][0].results, source.series)
+    found = whole_result(_quoted_results(source)[1][0].results, source.series)
     lines = [(found.text or "Nothing was fitted", "")]
     if found.limits:
         limited = ", ".join(map(str, found.limits[:2]))

@@ -22,7 +22,7 @@ from rig.settings.configuration_file import (
     unnumbered,
     validate_configuration,
 )
+from rig.settings.configuration_writer import copy_shipped, refuse_existing, write_configuration
 from rig.settings.number_input import StopCondition, quantity
 from rig.settings.sections import BalanceSettings, InstrumentSettings, PreflightSettings, TimebaseSettings
-from rig.settings.validation_messages import expected_text, in_words, validated
-from rig.settings.written_file import copy_shipped, refuse_existing, write_configuration
+from rig.settings.validation_messages import expected_text, fault_line, validate

@@ -29,7 +29,7 @@ from rig.settings.sections import (
 )
 
 _DEVICE_KEYS = ("controller.", "laser.", "session.output")
-"""Beginnings of the keys of devices and output folder, which `command_words` repeats."""
+"""Prefixes of the keys of devices and output folder: a command for this rig must state them again."""
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
@@ -132,7 +132,7 @@ class ReferenceSettings(Section, frozen=True):
     u_gain: float = Field(default=0.0, ge=0, lt=100)
 
     @model_validator(mode="after")
-    def _gain_is_known(self) -> Self:
+    def _check_gain(self) -> Self:
         if self.u_gain and self.gain is None:
             raise ValueError(f"u_gain = {self.u_gain:g}: has no effect without gain; state both, or neither")
         return self
@@ -207,7 +207,7 @@ class FitSettings(Section, frozen=True):
         return self.model_copy(update={"drag": "open", "drag_s": None, "u_drag_s": 0.0})
 
     @model_validator(mode="after")
-    def _drag_is_one(self) -> Self:
+    def _check_drag(self) -> Self:
         if self.drag_s is None:
             return self
         if self.drag != "air":
@@ -248,7 +248,7 @@ class Configuration(Section, frozen=True):
     balance: BalanceSettings = BalanceSettings()
     simulation: SimulationSettings = SimulationSettings()
     faults: FaultSettings = FaultSettings()
-    _words: str = PrivateAttr(default="CONFIG")
+    _command_words: str = PrivateAttr(default="CONFIG")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -278,13 +278,13 @@ class Configuration(Section, frozen=True):
     @property
     def command_words(self) -> str:
         """Words of the command line that select this rig: its file, and --set of its devices."""
-        return self._words
+        return self._command_words
 
     def remember_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
         """Store file and overrides for `command_words`."""
         devices = [text for text in overrides if text.strip().startswith(_DEVICE_KEYS)]
         # a private attribute, because it is the origin of the values and not one of them
-        self._words = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
+        self._command_words = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
         return self
 
     @property
@@ -307,8 +307,8 @@ class Configuration(Section, frozen=True):
     @property
     def on_demand(self) -> bool:
         """Whether frames are simulated or read from files on request, so that none can be lost."""
-        paced = self.simulated and self.simulation.real_time
-        return find_driver(self.camera.driver).on_demand and not paced
+        real_time = self.simulated and self.simulation.real_time
+        return find_driver(self.camera.driver).on_demand and not real_time
 
     @property
     def stop_conditions(self) -> tuple[StopCondition, ...]:

@@ -20,7 +20,7 @@ from processing.errors import ConfigurationError, dotted, require_schema
 from processing.units import unit_of_name
 from rig.settings.configuration import Configuration
 from rig.settings.number_input import quantity, states_unit
-from rig.settings.validation_messages import KeyFault, validated
+from rig.settings.validation_messages import KeyFault, validate
 
 _TWICE_MESSAGES = ("Cannot overwrite a value", "Cannot declare", "Duplicate")
 
@@ -102,7 +102,7 @@ def read_toml_tree(path: Path, visited: tuple[Path, ...] = ()) -> dict[str, Any]
         raise ConfigurationError(
             f"{path}: extends = {base!r}: no such file in {path.parent.resolve()}, the folder of this one"
         )
-    return _merged(read_toml_tree(path.parent / base, (*visited, path.resolve())), tree)
+    return _merge(read_toml_tree(path.parent / base, (*visited, path.resolve())), tree)
 
 
 def unnumbered(tree: Mapping[str, Any], what: str) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def validate_configuration(
     """
     # an empty section, so that the missing key in it is reported, not the section
     tree = {"camera": {}, **tree}
-    config, found_faults = validated(Configuration, tree)
+    config, found_faults = validate(Configuration, tree)
     if config is not None:
         return config
     overrides = {override.partition("=")[0].strip(): override for override in overrides}
@@ -168,7 +168,7 @@ def keys_with_faults(keys: Mapping[str, Any], whole: str = "") -> list[str]:
         for section in sections:
             place = place.setdefault(section, {})
         place[name] = value
-    _, found_faults = validated(Configuration, tree)
+    _, found_faults = validate(Configuration, tree)
     asked = {*keys, whole} - {""}
     return [fault.line for fault in found_faults if dotted(fault.place) in asked]
 
@@ -184,11 +184,11 @@ def _is_from_overrides(fault: KeyFault, stated: set[str]) -> bool:
     return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
 
 
-def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     result = dict(base)
     for key, value in changes.items():
         inner = result.get(key)
-        result[key] = _merged(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
+        result[key] = _merge(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
     return result
 
 

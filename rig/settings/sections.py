@@ -23,7 +23,7 @@ _Value = TypeVar("_Value", float, float | None)
 
 
 class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
-    """`kind` selects a description (see `rig init --instruments`); a key left out keeps its value."""
+    """The instrument. `kind` selects a description (see `rig init --instruments`); other keys change it."""
 
     kind: str = "single_ball"
     mass_kg: float | None = Field(
@@ -60,7 +60,7 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
 
     @field_validator("kind")
     @classmethod
-    def _described(cls, kind: str) -> str:
+    def _check_kind(cls, kind: str) -> str:
         if kind not in INSTRUMENTS:
             raise ValueError(f"unknown instrument; choose one of {', '.join(INSTRUMENTS)}")
         return kind
@@ -79,36 +79,36 @@ class InstrumentSettings(BaseModel, frozen=True, extra="forbid"):
 
     def description(self) -> Description:
         """The built-in description with the values overridden here."""
-        table = INSTRUMENTS[self.kind]
+        builtin = INSTRUMENTS[self.kind]
         tolerance = math.inf if self.glass_time_at_least else self.glass_tolerance_s
         return replace(
-            table,
-            support_radius_m=_stated(self.support_radius_m, table.support_radius_m),
-            lever_m=_stated(self.lever_m, table.lever_m),
-            start_amplitude_rad=_stated(self.start_amplitude_deg, table.start_amplitude_rad, DEGREE_RAD),
-            end_amplitude_rad=_stated(self.end_amplitude_deg, table.end_amplitude_rad, DEGREE_RAD),
-            period_s=_limits(table.period_s, self.period_s, self.period_tolerance_s),
-            glass_time_s=_limits(table.glass_time_s, self.glass_time_s, tolerance),
-            temperature_c=_limits(table.temperature_c, self.temperature_c, self.temperature_tolerance_c),
+            builtin,
+            support_radius_m=_value_or(self.support_radius_m, builtin.support_radius_m),
+            lever_m=_value_or(self.lever_m, builtin.lever_m),
+            start_amplitude_rad=_value_or(self.start_amplitude_deg, builtin.start_amplitude_rad, DEGREE_RAD),
+            end_amplitude_rad=_value_or(self.end_amplitude_deg, builtin.end_amplitude_rad, DEGREE_RAD),
+            period_s=_limits(builtin.period_s, self.period_s, self.period_tolerance_s),
+            glass_time_s=_limits(builtin.glass_time_s, self.glass_time_s, tolerance),
+            temperature_c=_limits(builtin.temperature_c, self.temperature_c, self.temperature_tolerance_c),
             humidity_percent=_limits(
-                table.humidity_percent, self.humidity_percent, self.humidity_tolerance_percent
+                builtin.humidity_percent, self.humidity_percent, self.humidity_tolerance_percent
             ),
         )
 
 
-def _stated(value: float | None, otherwise: _Value, unit: float = 1.0) -> float | _Value:
-    return otherwise if value is None else value * unit
+def _value_or(value: float | None, default: _Value, unit: float = 1.0) -> float | _Value:
+    return default if value is None else value * unit
 
 
-def _limits(table: Limits | None, value: float | None, tolerance: float | None) -> Limits | None:
+def _limits(builtin: Limits | None, value: float | None, tolerance: float | None) -> Limits | None:
     """The built-in limits with the given values; if there are none, a value needs a tolerance as well."""
-    if table is None:
+    if builtin is None:
         return None if value is None or tolerance is None else Limits(value, tolerance)
-    return Limits(_stated(value, table.value), _stated(tolerance, table.tolerance))
+    return Limits(_value_or(value, builtin.value), _value_or(tolerance, builtin.tolerance))
 
 
 class WeightSettings(BaseModel, frozen=True, extra="forbid"):
-    """A trimming weight on a screw. `sense` -1: a clockwise turn moves it in the negative direction.
+    """A trimming weight on a screw; at `sense` -1 a clockwise turn moves it in the negative direction.
 
     `mass_kg` 0 means that the mass is unknown.
     """
@@ -283,7 +283,7 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
 
     @field_validator("driver")
     @classmethod
-    def _registered(cls, driver: str) -> str:
+    def _check_driver(cls, driver: str) -> str:
         if driver not in DRIVERS:
             raise ValueError(unknown_driver())
         return driver
@@ -301,21 +301,21 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
         ConfigurationError
             The section is missing and has no defaults, or the driver has no serial numbers.
         """
-        stated: BaseModel | None = getattr(self, self.driver)
-        if stated is None:
+        section: BaseModel | None = getattr(self, self.driver)
+        if section is None:
             (model,) = settings_models(self.driver)
             key = next(name for name, field in model.model_fields.items() if field.is_required())
             raise ConfigurationError(
                 f"camera.driver = {self.driver!r} needs [camera.{self.driver}] with a {key}: "
                 f"--set camera.{self.driver}.{key}=VALUE"
             )
-        if self.serial is None or getattr(stated, "serial", None) is not None:
-            return stated
-        if "serial" not in type(stated).model_fields:
+        if self.serial is None or getattr(section, "serial", None) is not None:
+            return section
+        if "serial" not in type(section).model_fields:
             raise ConfigurationError(
                 f"camera.serial = {self.serial!r}: {self.driver!r} has no serial numbers; leave it out"
             )
-        return stated.model_copy(update={"serial": self.serial})
+        return section.model_copy(update={"serial": self.serial})
 
 
 # The sections are made from the registry, so a type checker cannot see them; code uses `driver_settings`.

@@ -19,11 +19,11 @@ from rig.settings.number_input import quantity, states_unit
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
-_FIELDS_WORDS = {"fps": "frame_rate_hz"}
-"""Common words for a key that is spelled quite differently."""
+_SYNONYMS = {"fps": "frame_rate_hz"}
+"""Keys by words that users write for them and that are spelled quite differently."""
 
 
-def in_words(root: type, fault: ErrorDetails) -> str:
+def fault_line(root: type, fault: ErrorDetails) -> str:
     """One line for a fault that pydantic found in the tables of `root`."""
     path = place_in_words(fault["loc"])
     if is_unknown_key(fault):
@@ -36,12 +36,12 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         if section in in_sections:
             return f"{path}: unknown key; did you mean {' or '.join(in_sections[section])}?"
         known = list(section_fields(_section_at(root, fault["loc"][:-1])))
-        meant = _FIELDS_WORDS.get(section)
-        near = [meant] if meant in known else difflib.get_close_matches(section, known, n=1, cutoff=0.51)
-        if not near:
-            nearest = difflib.get_close_matches(section, in_sections, n=1, cutoff=0.7)
-            near = [in_sections[name][-1] for name in nearest]
-        hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
+        synonym = _SYNONYMS.get(section)
+        close = [synonym] if synonym in known else difflib.get_close_matches(section, known, n=1, cutoff=0.51)
+        if not close:
+            similar = difflib.get_close_matches(section, in_sections, n=1, cutoff=0.7)
+            close = [in_sections[name][-1] for name in similar]
+        hint = f"did you mean {close[0]}?" if close else f"known here: {', '.join(sorted(known))}"
         return f"{path}: unknown key; {hint}"
     if fault["type"] == "missing":
         field = section_fields(_section_at(root, fault["loc"][:-1])).get(str(fault["loc"][-1]))
@@ -50,10 +50,10 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     if not path:
         return fault["msg"].removeprefix("Value error, ")
     if isinstance(fault["input"], str) and re.fullmatch(r"[+-]?\d+,\d+", fault["input"]):
-        pointed = fault["input"].replace(",", ".")
-        return f"{path} = {fault['input']!r}: should be a number, with a point: {pointed}"
+        corrected = fault["input"].replace(",", ".")
+        return f"{path} = {fault['input']!r}: should be a number, with a point: {corrected}"
     if fault["type"] == "float_parsing" and states_unit(fault["input"]):
-        return f"{path} = {fault['input']!r}: {_without_unit(fault['input'], str(fault['loc'][-1]))}"
+        return f"{path} = {fault['input']!r}: {_expected_number(fault['input'], str(fault['loc'][-1]))}"
     is_value = fault["type"].startswith("value_error")
     expected = fault["msg"].removeprefix("Value error, ") if is_value else f"should be {expected_text(fault)}"
     if is_value and isinstance(fault["input"], Mapping):
@@ -62,16 +62,16 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     return f"{path} = {_value_text(fault['input'])}: {expected}"
 
 
-def _without_unit(text: str, key: str) -> str:
-    """Words for a number without its unit, which is part of the key."""
+def _expected_number(text: str, key: str) -> str:
+    """Expected text of a number that was stated with its unit, which is part of the key."""
     unit = unit_of_name(key)
-    meant = f"should be a number alone, in {unit}" if unit else "should be a number alone"
+    expected = f"should be a number alone, in {unit}" if unit else "should be a number alone"
     try:
         value, _ = quantity(text, unit)
     except ConfigurationError:
         # the stated unit does not fit
-        return meant
-    return f"{meant}: {value:g}"
+        return expected
+    return f"{expected}: {value:g}"
 
 
 def expected_text(fault: ErrorDetails) -> str:
@@ -122,24 +122,24 @@ class KeyFault(NamedTuple):
     is_missing: bool = False
 
 
-def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None, list[KeyFault]]:
+def validate(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None, list[KeyFault]]:
     """The model of nested tables; or None and its faults, unknown keys first."""
-    wrong_kinds = list(number_faults(root, tree))
-    places = {fault.place for fault in wrong_kinds}
+    wrong_numbers = list(number_faults(root, tree))
+    places = {fault.place for fault in wrong_numbers}
     try:
-        found = root.model_validate(tree)
+        model = root.model_validate(tree)
     except ValidationError as error:
         faults = sorted(error.errors(), key=lambda fault: not is_unknown_key(fault))
         # leave out faults of a list that follow from a fault of an entry
-        around = {fault["loc"][:depth] for fault in faults for depth in range(len(fault["loc"]))} - {()}
-        left_out = places | around
-        others = [
-            KeyFault(fault["loc"], in_words(root, fault), fault["type"] == "missing")
+        containers = {fault["loc"][:depth] for fault in faults for depth in range(len(fault["loc"]))} - {()}
+        superseded = places | containers
+        key_faults = [
+            KeyFault(fault["loc"], fault_line(root, fault), fault["type"] == "missing")
             for fault in faults
-            if fault["loc"] not in left_out
+            if fault["loc"] not in superseded
         ]
-        return None, others + wrong_kinds
-    return (None, wrong_kinds) if wrong_kinds else (found, [])
+        return None, key_faults + wrong_numbers
+    return (None, wrong_numbers) if wrong_numbers else (model, [])
 
 
 def is_unknown_key(fault: ErrorDetails) -> bool:
@@ -156,18 +156,18 @@ def number_faults(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> 
         field = section_fields(root).get(key)
         if field is None:
             continue
-        inner, here = section_of(field), (*place, key)
-        if inner is not None and isinstance(value, dict):
+        section, at = section_of(field), (*place, key)
+        if section is not None and isinstance(value, dict):
             tables = value if get_origin(field.annotation) is dict else {None: value}
             for name, table in tables.items():
                 if isinstance(table, dict):
-                    yield from number_faults(inner, table, here if name is None else (*here, name))
+                    yield from number_faults(section, table, at if name is None else (*at, name))
         elif isinstance(value, bool | str) and _is_number(field, value):
             shown = str(value).lower() if isinstance(value, bool) else f'"{value}"'
             quoted = "" if isinstance(value, bool) else ", without quotes"
-            yield KeyFault(here, f"{place_in_words(here)} = {shown}: should be a number{quoted}")
+            yield KeyFault(at, f"{place_in_words(at)} = {shown}: should be a number{quoted}")
         elif isinstance(value, float) and not math.isfinite(value) and not key.endswith("_dof"):
-            yield KeyFault(here, f"{place_in_words(here)} = {value}: should be a finite number")
+            yield KeyFault(at, f"{place_in_words(at)} = {value}: should be a finite number")
 
 
 def _is_number(field: FieldInfo, stated: bool | str) -> bool:
@@ -195,8 +195,8 @@ def section_fields(section: type) -> dict[str, FieldInfo]:
 
 def section_of(field: FieldInfo) -> type | None:
     """The section class of a field that holds a section or a table of sections; None for a plain value."""
-    found = (c for c in _parts(field.annotation) if isinstance(c, type) and get_origin(c) is None)
-    return next((c for c in found if issubclass(c, BaseModel) or is_dataclass(c)), None)
+    classes = (c for c in _parts(field.annotation) if isinstance(c, type) and get_origin(c) is None)
+    return next((c for c in classes if issubclass(c, BaseModel) or is_dataclass(c)), None)
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
@@ -209,18 +209,18 @@ def _section_at(root: type, place: KeyPlace) -> type:
     """The section at a place; a name of the user's own stands for the section that it names."""
     for part in place:
         field = section_fields(root).get(str(part))
-        inner = None if field is None else section_of(field)
-        if inner is None:
+        section = None if field is None else section_of(field)
+        if section is None:
             break
-        root = inner
+        root = section
     return root
 
 
 def _keys_in_sections(root: type) -> dict[str, list[str]]:
     """The dotted keys of all sections by their last name."""
-    found: dict[str, list[str]] = {}
+    keys: dict[str, list[str]] = {}
     for name, field in section_fields(root).items():
         section = section_of(field)
         for key in () if section is None else section_fields(section):
-            found.setdefault(key, []).append(f"{name}.{key}")
-    return found
+            keys.setdefault(key, []).append(f"{name}.{key}")
+    return keys

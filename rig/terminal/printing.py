@@ -134,7 +134,7 @@ class ProgressLine:
 def _print(text: str, stream: IO[str]) -> None:
     columns = terminal_columns(stream)
     lines = text.split("\n") if columns else [text]
-    print("\n".join(_wrapped(line, columns) for line in lines), file=stream, flush=True)
+    print("\n".join(_wrap(line, columns) for line in lines), file=stream, flush=True)
 
 
 def terminal_columns(stream: IO[str]) -> int:
@@ -147,7 +147,7 @@ def terminal_columns(stream: IO[str]) -> int:
         return DEFAULT_COLUMNS
 
 
-def _wrapped(line: str, columns: int) -> str:
+def _wrap(line: str, columns: int) -> str:
     if not columns or len(line) <= columns:
         return line
     # text after a name and two spaces is continued below its beginning

@@ -55,7 +55,7 @@ class RecordDrawer:
         self._picture_interval_ns = nanoseconds(picture_interval_s)
         self._config = configuration_of(reader)
         self._shape = reader.picture_shape
-        self._held: list[Piece] = []
+        self._early_pieces: list[Piece] = []
         self._start_ns: int | None = None
         self._last_ns = 0
         self._next_sequence = 0
@@ -70,13 +70,13 @@ class RecordDrawer:
     def take(self) -> None:
         """Draw what was flushed since the last call."""
         for piece in self._reader.unread():
-            self._held.append(piece)
+            self._early_pieces.append(piece)
             if self._start_ns is None:
                 self._start_ns = self._first_ns(piece)
             if self._start_ns is not None:
-                for held in self._held:
-                    self._draw(held)
-                self._held.clear()
+                for early in self._early_pieces:
+                    self._draw(early)
+                self._early_pieces.clear()
                 self._draw_pictures()
             self._drawing.send()
 
@@ -154,15 +154,14 @@ class RecordDrawer:
         x_px, y_px = (np.where(lost, np.nan, rows[name]) for name in ("x_px", "y_px"))
         self._drawing.reference(self._run, self._times_s(rows["time_ns"]), x_px, y_px)
 
-    def _draw_half_cycles(self, swings: Sequence[HalfCycle]) -> None:
+    def _draw_half_cycles(self, half_cycles: Sequence[HalfCycle]) -> None:
         size = self._reader.deflection_unit.shown_size
-        rows = [
-            (one.amplitude / size, one.u_amplitude / size, 2.0 * one.half_period_s, 2.0 * one.u_half_period_s)
-            for one in swings
-        ]
-        columns = np.array(rows).reshape(-1, 4).T
-        time_s = self._times_s(np.array([swing.turn_time_ns for swing in swings], dtype=np.int64))
-        self._drawing.half_cycles(self._run, time_s, (columns[0], columns[1]), (columns[2], columns[3]))
+        rows = [(h.amplitude, h.u_amplitude, h.half_period_s, h.u_half_period_s) for h in half_cycles]
+        amplitude, u_amplitude, half_s, u_half_s = np.array(rows).reshape(-1, 4).T
+        time_s = self._times_s(np.array([h.turn_time_ns for h in half_cycles], dtype=np.int64))
+        self._drawing.half_cycles(
+            self._run, time_s, (amplitude / size, u_amplitude / size), (2.0 * half_s, 2.0 * u_half_s)
+        )
 
     def _draw_balances(self, balances: Sequence[Balance]) -> None:
         for balance in balances:
@@ -203,9 +202,9 @@ class RecordDrawer:
     def _spot_of(self, sequence: int) -> tuple[float, float]:
         for rows in reversed(self._spots):
             if rows["sequence"][0] <= sequence:
-                place = int(np.searchsorted(rows["sequence"], sequence))
-                if place < len(rows) and rows["sequence"][place] == sequence:
-                    return float(rows["x_px"][place]), float(rows["y_px"][place])
+                index = int(np.searchsorted(rows["sequence"], sequence))
+                if index < len(rows) and rows["sequence"][index] == sequence:
+                    return float(rows["x_px"][index]), float(rows["y_px"][index])
                 break
         return math.nan, math.nan
 
@@ -227,8 +226,8 @@ class RecordDrawer:
         It begins with the time of day, which shows how far a page lags behind.
         """
         state, unit = self._now, self._reader.deflection_unit
-        now = time.localtime(seconds(self._last_ns + self._reader.epoch_offset_ns))
-        lines = [f"state of {time.strftime('%H:%M:%S', now)}", f"time {self._run_s(self._last_ns):.1f} s"]
+        clock = time.localtime(seconds(self._last_ns + self._reader.epoch_offset_ns))
+        lines = [f"state of {time.strftime('%H:%M:%S', clock)}", f"time {self._run_s(self._last_ns):.1f} s"]
         if math.isfinite(state.amplitude):
             lines.append(f"amplitude {state.amplitude:.2f} {unit.shown}")
         if math.isfinite(state.period_s):
@@ -256,27 +255,27 @@ class RecordDrawer:
 
     def _empty_panels(self) -> list[str]:
         """Why panels of the measuring layout are empty, one line for each kind of panel."""
-        found = []
+        reasons = []
         parameters = self._drawing.setup.parameters
         if not self._now.half_cycles:
-            found.append("amplitude and period are empty until a half-cycle has been measured")
+            reasons.append("amplitude and period are empty until a half-cycle has been measured")
         if self._has_session_messages and not self._now.clock.known:
-            found.append(
+            reasons.append(
                 "the clock is empty until the rate of the camera's is known; frames on demand have none"
             )
         if self._now.balance is None:
-            found.append("the balance is empty until some periods of swing have been seen")
+            reasons.append("the balance is empty until some periods of swing have been seen")
         if parameters and not self._now.estimates:
-            found.append("the parameters are empty until there are enough half-cycles for a first fit")
+            reasons.append("the parameters are empty until there are enough half-cycles for a first fit")
         elif unknown := [
             label.split(" /")[0]
             for key, label in parameters.items()
             if not is_drawn(*self._now.estimates.get(key, Estimate(math.nan, math.nan)))
         ]:
-            found.append(f"not known to a half of their values yet, hence not drawn: {', '.join(unknown)}")
+            reasons.append(f"not known to a half of their values yet, hence not drawn: {', '.join(unknown)}")
         if self._reader.deflection_unit is DeflectionUnit.PX:
-            found.append("no parameters are fitted: without [lever] pixels are not angles")
-        return found
+            reasons.append("no parameters are fitted: without [lever] pixels are not angles")
+        return reasons
 
     def _times_s(self, times_ns: NDArray[np.int64]) -> Floats:
         return np.asarray(seconds(times_ns - (self._start_ns or 0)), dtype=np.float64)

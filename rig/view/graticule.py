@@ -75,8 +75,8 @@ class Graticule:
         If `trimmed`, the lowest and highest 2 % of y are ignored, because a few uncertain points would make
         the range so large that the others could not be distinguished.
         """
-        x_low, x_high = _padded(x, 0.0)
-        y_low, y_high = _padded(y, 0.02 if trimmed else 0.0)
+        x_low, x_high = _padded_range(x, 0.0)
+        y_low, y_high = _padded_range(y, 0.02 if trimmed else 0.0)
         width, height = BOX
         scales = width / (x_high - x_low), height / (y_high - y_low)
         return cls(x_low, x_high, y_low, y_high, x_title, y_title, x_low, y_low, *scales, titles_outside=True)
@@ -169,7 +169,7 @@ def trajectory_graticule(reach: float, unit: str, x_stretch: float = 1.0) -> Gra
     )
 
 
-def _padded(values: Floats, trim: float) -> tuple[float, float]:
+def _padded_range(values: Floats, trim: float) -> tuple[float, float]:
     """Range of the finite values with a margin; the fraction `trim` at either end is ignored."""
     finite = values[np.isfinite(values)]
     if not len(finite):

@@ -42,6 +42,7 @@ from rig.view.scratch import Mode, ScratchView
 
 _MAX_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is attributed to rounding."""
+_KEY_INTERVAL_S = 0.2
 _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 
@@ -50,15 +51,15 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
     spots, half_cycles = comparison.spots, comparison.half_cycles
     if comparison.identical:
         flagged = comparison.flagged
-        apart = f" ({flagged} flagged and not fitted)" if flagged else ""
+        flagged_text = f" ({flagged} flagged and not fitted)" if flagged else ""
         print_line(
-            f"{comparison.frames} spots and {half_cycles.replayed} half-cycles{apart}, "
+            f"{comparison.frames} spots and {half_cycles.replayed} half-cycles{flagged_text}, "
             "equal bit for bit to the recorded ones"
         )
         return
     rows = [
-        [name, *map(str, found[:3]), _largest(found, where)]
-        for name, found, where in (
+        [name, *map(str, differences[:3]), _largest(differences, place)]
+        for name, differences, place in (
             ("spots", spots, f"frame {spots.largest_at:.0f}"),
             ("half-cycles", half_cycles, f"{half_cycles.largest_at:.1f} s"),
         )
@@ -108,19 +109,17 @@ def _in_u(change: ParameterDifference) -> str:
     return "?" if math.isnan(change.change_u) else signed(change.change_u)
 
 
-def _largest(found: Differences, where: str) -> str:
+def _largest(differences: Differences, place: str) -> str:
     """The largest change of those present in both, and the number of those present in only one, in words."""
-    said = [f"{plain(found.largest_u, 2)} u, {where}"] if found.largest_u > 0 else []
-    said += [f"{found.once} in one of the two only"] if found.once else []
-    return "; ".join(said or ["only in uncertainties or flags"]) if found.changed else ""
-
-
-_KEY_INTERVAL_S = 0.2
+    texts = [f"{plain(differences.largest_u, 2)} u, {place}"] if differences.largest_u > 0 else []
+    texts += [f"{differences.once} in one of the two only"] if differences.once else []
+    return "; ".join(texts or ["only in uncertainties or flags"]) if differences.changed else ""
 
 
 def _events(reader: RecordReader) -> list[Event]:
     """Events and notes in order of time."""
-    return sorted([*reader.events(), *(note.event for note in reader.notes())], key=lambda one: one.time_ns)
+    notes = (note.event for note in reader.notes())
+    return sorted([*reader.events(), *notes], key=lambda event: event.time_ns)
 
 
 def speed_of(text: str) -> float:
@@ -195,9 +194,9 @@ def replay_record(
             result = player.finish()
             if mode == "web" and not player.ended_by_user:
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
-                _stay(keys)
+                _wait_for_quit(keys)
         partial = replay.partial or replay.was_restarted or player.ended_by_user
-        run = _analysed(reader, config, result, key_monitor)
+        run = _analyse(reader, config, result, key_monitor)
         if partial:
             part = f"replayed from {replay.pipeline_start_s:.2f} s to {replay.position_s:.2f} s of the record"
             # a part has another end than the record
@@ -216,7 +215,7 @@ def replay_record(
     return 1 if run.problem and config.lever is not None and not partial else 0
 
 
-def _stay(keys: Keys) -> None:
+def _wait_for_quit(keys: Keys) -> None:
     """Wait for the key q, or Ctrl-C, which then ends only the page."""
     try:
         while "q" not in keys.pressed(_KEY_INTERVAL_S):
@@ -237,11 +236,11 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
         replay = Replay(reader, config, retrack=retrack)
         while replay.advance(math.inf, MAX_FRAMES[retrack]) is not None:
             pass
-        return _analysed(reader, config, replay.finish())
+        return _analyse(reader, config, replay.finish())
 
 
-def _analysed(
-    reader: RecordReader, config: Configuration, result: ReplayResult, watched: KeyUseMonitor | None = None
+def _analyse(
+    reader: RecordReader, config: Configuration, result: ReplayResult, monitor: KeyUseMonitor | None = None
 ) -> AnalysedRun:
     return analyse_run(
         reader,
@@ -251,7 +250,7 @@ def _analysed(
         config.deflection_unit,
         result.beam,
         lambda _: result.dropped_frames,
-        watched=watched,
+        key_monitor=monitor,
     )
 
 
@@ -269,10 +268,10 @@ def _say_differences(
     print_comparison(result.comparison, partial=partial, retracked=retracked)
     if partial:
         return
-    source, known = recorded_results(record, run.sha256)
-    if known is None and not result.comparison.identical:
-        source, known = "fitted", analyse_record(record)
-    if known is not None:
-        changes = parameter_changes(known, run)
+    source, recorded = recorded_results(record, run.sha256)
+    if recorded is None and not result.comparison.identical:
+        source, recorded = "fitted", analyse_record(record)
+    if recorded is not None:
+        changes = parameter_changes(recorded, run)
         answer(changes=changes)
         print_changes(changes, source)

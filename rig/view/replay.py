@@ -16,7 +16,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
-from rig.instrument import Block, frame_shape, optics_of, recorded_configuration, shutter_of
+from rig.instrument import Block, Pipeline, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.settings import Configuration
 from rig.view.replay_comparison import ReplayComparison, ReplayDifferences
 
@@ -201,7 +201,7 @@ class Replay:
 
     def _begin(self, time_ns: int) -> None:
         shape = self._shape
-        self._pipeline = optics_of(self._config, self._reader.full_scale_dn).pipeline(shape)
+        self._pipeline = Pipeline(optics_of(self._config, self._reader.full_scale_dn), shape)
         from_ns = None if time_ns <= self.start_ns else time_ns
         self._tables = self._reader.spot_blocks(from_ns)
         self._table, self._row = self._table[:0], 0
@@ -246,7 +246,7 @@ class Replay:
             if window is not None and window.sequence == sequence:
                 spots.append(
                     self._pipeline.tracker.track(
-                        window.image, window.origin_px, self._pipeline.tracked(self._shape)
+                        window.image, window.origin_px, self._pipeline.spots.pendulum_shape(self._shape)
                     )
                 )
             else:

@@ -33,7 +33,7 @@ Mode = Literal["none", ShowMode]
 """How a view is shown, if at all."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
 _MAX_SHOW_END_S, _MAX_WRITE_END_S = 10.0, 30.0
-"""Time that a window or page, and a Rerun file, may take to draw the rest of a run's record."""
+"""Longest time in which a window or page, and a Rerun file, must draw the rest of a run's record."""
 _PORT, _WEB_PORT = 9876, 9090
 
 
@@ -58,8 +58,8 @@ class RunningView:
         self.record, self.rrd = record, rrd
         self._file_process = None if rrd is None else self._start("--rrd", str(rrd), "--layout", layout)
         self._viewer_process: subprocess.Popen[Any] | None = None
-        if mode == "spawn" and (missing := no_window()):
-            say(missing)
+        if mode == "spawn" and (reason := no_window()):
+            say(reason)
         elif mode != "none":
             port, web_port = ports_of_view()
             ports = ("--ports", str(port), str(web_port))
@@ -68,13 +68,13 @@ class RunningView:
             if mode == "web":
                 say(f"live view: {page_address(port, web_port)}")
 
-    def close(self, *, patient: bool = False) -> str:
+    def close(self, *, unlimited: bool = False) -> str:
         """Wait, after the record is closed, until the processes have drawn the rest of it.
 
-        Returns the problem of the Rerun file, empty without one. If `patient`, the file may take any time.
+        Returns the problem of the Rerun file, empty without one. If `unlimited`, the file may take any time.
         """
         self._wait_for_end(self._viewer_process, _MAX_SHOW_END_S)
-        last_line = self._wait_for_end(self._file_process, None if patient else _MAX_WRITE_END_S)
+        last_line = self._wait_for_end(self._file_process, None if unlimited else _MAX_WRITE_END_S)
         if last_line is None:
             return ""
         return last_line or f"the Rerun file {self.rrd} is not whole: its writer was ended"
@@ -136,7 +136,7 @@ _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 class ScratchView:
     """Shows values by a scratch record, which is removed at the end; a context manager with the title `name`.
 
-    At the end RecordError is raised if a Rerun file is not whole. Beyond `most_bytes` the record is replaced
+    At the end RecordError is raised if a Rerun file is not whole. Beyond `max_bytes` the record is replaced
     by a new one, with which the view continues. Deflections are in `unit`.
     """
 
@@ -147,12 +147,12 @@ class ScratchView:
         rrd: Path | None,
         layout: LayoutName,
         unit: DeflectionUnit,
-        most_bytes: float = 256 * 1024 * 1024,
+        max_bytes: float = 256 * 1024 * 1024,
     ) -> None:
-        self._unit, self._most_bytes = unit, most_bytes
+        self._unit, self._most_bytes = unit, max_bytes
         self._folder = tempfile.TemporaryDirectory(prefix="rig-view-")
         self._path = Path(self._folder.name) / f"{name}.mcap"
-        self._head: Mapping[str, Any] = {}
+        self._header: Mapping[str, Any] = {}
         self._writer: RecordWriter | None = None
         self._failed = False
         self._sequence = self._last_ns = self._picture_due_ns = 0
@@ -163,7 +163,7 @@ class ScratchView:
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         self._end()
-        problem = self._view.close(patient=True)
+        problem = self._view.close(unlimited=True)
         self._folder.cleanup()
         if problem and kind is None:
             raise RecordError(problem)
@@ -173,14 +173,14 @@ class ScratchView:
         """Whether the record has begun."""
         return self._writer is not None
 
-    def begin(self, time_ns: int, **head: Any) -> None:
-        """Begin the record; `head` holds `epoch_offset_ns`, `metadata` and `attachments` of `RecordWriter`.
+    def begin(self, time_ns: int, **header: Any) -> None:
+        """Begin the record; `header` holds `epoch_offset_ns`, `metadata` and `attachments` of `RecordWriter`.
 
         Times may be some seconds below 0: a turning point may lie before the first frame.
         """
-        self._head = head
+        self._header = header
         self._last_ns = self._picture_due_ns = time_ns
-        self._writer = RecordWriter(self._path, deflection_unit=self._unit, **head)
+        self._writer = RecordWriter(self._path, deflection_unit=self._unit, **header)
 
     def block(
         self,
@@ -194,15 +194,15 @@ class ScratchView:
 
         Frames are numbered in their order unless `sequences` are given.
         """
-        found = replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns)
-        times_ns = found.times_ns.tolist()
+        deflections = replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns)
+        times_ns = deflections.times_ns.tolist()
         numbers = sequences or range(self._sequence, self._sequence + len(times_ns))
         self._sequence = numbers[-1] + 1 if times_ns else self._sequence
         self._last_ns = times_ns[-1] if times_ns else self._last_ns
 
         def write(writer: RecordWriter) -> None:
             if times_ns:
-                writer.write_spots(numbers, times_ns, times_ns, block.spots, found, block.references)
+                writer.write_spots(numbers, times_ns, times_ns, block.spots, deflections, block.references)
             for swing in block.swings:
                 writer.write_swing(replace(swing, turn_time_ns=swing.turn_time_ns - shift_ns))
             for balance in block.balances:
@@ -270,13 +270,13 @@ class ScratchView:
         """Begin a new record, as after a rejected start."""
         full.write_event(self._last_ns, EventKind.REJECTED, "restarted")
         self._end()
-        aside = self._path.with_suffix(".old")
+        old_path = self._path.with_suffix(".old")
         # the old file is removed last: otherwise the new file could get its inode, by which the view tells
         # them apart
-        self._path.rename(aside)
+        self._path.rename(old_path)
         pixels_beside(self._path).unlink(missing_ok=True)
-        self.begin(self._last_ns, **self._head)
-        aside.unlink()
+        self.begin(self._last_ns, **self._header)
+        old_path.unlink()
 
     def _end(self) -> None:
         if self._writer is not None:

@@ -150,11 +150,11 @@ class SendBuffer:
         self._sent_at, self._rows = time.monotonic(), 0
         waiting, self._waiting = self._waiting, {}
         for path, (columns, blocks) in waiting.items():
-            times_s, *values = map(_joined, zip(*blocks, strict=True))
+            times_s, *values = map(_join, zip(*blocks, strict=True))
             self._stream.send_columns(path, [rr.TimeColumn(TIMELINE, duration=times_s)], columns(*values))
 
 
-def _joined(parts: Sequence[Any]) -> Any:
+def _join(parts: Sequence[Any]) -> Any:
     return list(chain(*parts)) if isinstance(parts[0], list) else np.concatenate(parts)
 
 

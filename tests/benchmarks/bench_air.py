@@ -15,7 +15,7 @@ from processing.contact.laws import PAPER
 from processing.fit import FitResult, fit_exact
 from processing.swing import turning_points
 from rig.analysis import evidence_of
-from rig.analysis.air import FittedDrag
+from rig.analysis.ambient import FittedDrag
 from tests.benchmarks.bench_ground import GROUND_FILE, recorded, simulated
 from tests.benchmarks.cases import SEEDS_APART, each_seed, run_cases
 from tests.benchmarks.coverage import FRAMES_PER_S, Floats, in_frames, of_fits

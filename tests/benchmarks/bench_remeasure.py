@@ -20,7 +20,7 @@ from processing.deflections import DeflectionUnit, slow_deflections
 from processing.fit import fit_exact
 from processing.swing import swings_of_blocks, turning_points
 from rig.analysis import refined_half_cycles
-from rig.analysis.air import FittedDrag
+from rig.analysis.ambient import FittedDrag
 from rig.settings import FitSettings
 from tests.benchmarks.cases import each_seed, run_cases
 from tests.benchmarks.coverage import Floats, rms

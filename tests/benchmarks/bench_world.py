@@ -16,7 +16,7 @@ import numpy as np
 from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import FitMethod, LinearisedFit, drift_effects
 from processing.swing import turning_points
-from rig.analysis.air import FittedDrag, evidence_of
+from rig.analysis.ambient import FittedDrag, evidence_of
 from rig.analysis.contact_fits import fit_decay
 from rig.settings import FitSettings
 from tests.benchmarks.cases import each_seed, run_cases
@@ -75,7 +75,7 @@ def outcome(case: Case, seed: int) -> Outcome:
     path = changing_path(
         PARAMETERS, PENDULUM, WORLDS[case.world], q=case.q, seed=seed, frames_per_s=FRAMES_PER_S
     )[2]
-    drag, settings = FittedDrag(known_s=KNOWN_S), FitSettings()
+    drag, settings = FittedDrag(prior_s=KNOWN_S), FitSettings()
     settled = in_frames(path, NOISE_ARCSEC, [seed, 78], PENDULUM, drag)
     points = turning_points(settled.swings)
     evidence = evidence_of(drag, settled.harmonics)

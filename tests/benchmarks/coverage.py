@@ -11,7 +11,7 @@ from processing.deflections import DeflectionUnit
 from processing.fit import FitResult, Refinement
 from processing.swing import swings_of_blocks
 from rig.analysis import refined_half_cycles
-from rig.analysis.air import FittedDrag
+from rig.analysis.ambient import FittedDrag
 from rig.settings import FitSettings
 from tests.processing.fit.decays import ARCSEC
 from tests.processing.fit.frames import seen_in_frames

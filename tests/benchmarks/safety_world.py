@@ -190,7 +190,7 @@ class Program(Devices):
     def __init__(self, world: World, path: str) -> None:
         super().__init__(world.config, None, path)
         self.world, self.path = world, path
-        self.permit = LightPermit(world.clock.monotonic, self.state, self._tripped)
+        self.permit = LightPermit(world.clock.monotonic, self.state, self._note_trip)
         self.frozen_to_s = 0.0
         self.stalled = False
         self.watch = LightWatch(self)
@@ -199,7 +199,7 @@ class Program(Devices):
     def _open(self) -> None:
         config, board = self._config, self.world.board
         self._closing.enter_context(self.state)
-        self._look_at_what_was_left()
+        self._find_earlier_trips()
         controller = Controller(config.controller, config.laser.max_power_w, board.open_line)
         self.control = ControlService(controller, config.controller, None, self.permit)
         if turn(self.control) and self.control.snapshot.status is None:

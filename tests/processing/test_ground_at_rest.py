@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from processing.errors import DataError
-from processing.pendulum_at_rest import ground_at_rest
+from processing.pendulum_at_rest import drive_at_rest
 from processing.units import ARCSEC_RAD
 
 PERIOD_S, FRAMES_PER_S, STEPS = 4.08, 25.0, 4
@@ -35,7 +35,7 @@ def at_rest(q: float, seconds: float, seeds: int, noise_rad: float) -> tuple[NDA
 
 def test_the_drive_comes_out_within_what_is_stated() -> None:
     times_s, seen = at_rest(Q, 60.0, 40, 0.005 * ARCSEC_RAD)
-    found = [ground_at_rest(times_s, one) for one in seen]
+    found = [drive_at_rest(times_s, one) for one in seen]
     value = np.array([one.density.value for one in found])
     u = np.array([one.density.standard_uncertainty for one in found])
     seen_to_move = value > 0
@@ -50,11 +50,11 @@ def test_the_drive_comes_out_within_what_is_stated() -> None:
 
 def test_a_drive_below_the_reading_is_a_bound() -> None:
     times_s, seen = at_rest(1e-11, 60.0, 10, 0.02 * ARCSEC_RAD)
-    found = [ground_at_rest(times_s, one) for one in seen]
+    found = [drive_at_rest(times_s, one) for one in seen]
     assert sum(one.density.value == 0 for one in found) >= 9
     assert all(1e-11 < one.upper_95 < 1e-7 for one in found)
 
 
 def test_too_short_a_look_says_so() -> None:
     with pytest.raises(DataError, match="s of the pendulum at rest are too short"):
-        ground_at_rest(np.linspace(0.0, 4.0, 100), np.zeros(100))
+        drive_at_rest(np.linspace(0.0, 4.0, 100), np.zeros(100))

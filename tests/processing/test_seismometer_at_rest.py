@@ -64,13 +64,13 @@ def test_the_factor_lies_within_its_bounds(
     assert np.mean([one.related for one in found]) > (0.99 if noise < 1 else 0.8)
     least, factor = (np.median([getattr(one, name) for one in found]) for name in ("least", "factor"))
     # never more is promised than there is
-    assert np.mean([one.least <= true for one in found]) >= 0.9
+    assert np.mean([one.lower_95 <= true for one in found]) >= 0.9
     assert least > 0.35 * true
     if noise < 0.3:
         # a tenth of the drive is less than what the reading leaves
         assert 0.5 * true < factor < true
     else:
-        assert np.mean([one.least <= true <= one.most for one in found]) >= 0.85
+        assert np.mean([one.lower_95 <= true <= one.upper_95 for one in found]) >= 0.85
         assert factor == pytest.approx(true, rel=0.15)
 
 
@@ -81,7 +81,7 @@ def test_unrelated_records_agree_by_chance_as_often_as_is_stated(
     time_s, seen, drive = minutes
     found = judged(time_s, seen, np.roll(drive, 1, axis=0), 0.0)
     assert np.mean([one.related for one in found]) <= 0.1
-    assert np.median([one.least for one in found]) == 1.0
+    assert np.median([one.lower_95 for one in found]) == 1.0
 
 
 def test_two_components_tell_together_what_neither_does(minutes: tuple[Floats, Floats, Floats]) -> None:

@@ -14,9 +14,10 @@ VERSION = "1.4"
 DEADLINE_MIN_MS = 100
 DEADLINE_MAX_MS = 5000
 PULSE_MAX_US = 1000000
-# a photodiode and a laser's electronics respond within some ms; a press lasts longer than a bouncing contact
-LIGHT_MS = 200
 CAUSES = ("NONE", "INTERLOCK", "OUTPUT", "WATCHDOG", "POWER")
+# a photodiode and a laser's electronics respond within some ms
+LIGHT_MS = 200
+# a press lasts longer than a contact bounces
 BUTTON_MS = 500
 
 
@@ -56,8 +57,8 @@ class Firmware(Lines):
         self._was_closed = True
         self._may_press = False
         self._pressed_ms = -1
-        self._at_odds_ms = -1
-        self._odds_told = False
+        self._contradicted_ms = -1
+        self._is_reported = False
         self.limit_w = board.laser_max_w
         self.power_w = 0.0
         self.laser = False
@@ -74,7 +75,7 @@ class Firmware(Lines):
             ("*IDN?", self._identify),
             ("SYSTem:ERRor?", self._next_error),
             ("SYSTem:STATus?", self._status),
-            ("SYSTem:TRIP?", self._tell_trip),
+            ("SYSTem:TRIP?", self._report_trip),
             ("SYSTem:SESSion", self._open_session),
             ("SYSTem:SAFE", self._safe_now),
             ("*RST", self._safe_now),
@@ -149,7 +150,7 @@ class Firmware(Lines):
         if disagrees and not self._disagrees:
             self._trip("OUTPUT", 103)
         self._disagrees = disagrees
-        if self._light_at_odds(now):
+        if self._light_contradicts(now):
             self._trip("OUTPUT", 103)
         self._watch_button(now)
         if self.starter and board.ticks_diff(now, self._starter_end_ms) >= 0:
@@ -159,17 +160,17 @@ class Firmware(Lines):
             self.brake = False
             board.set_brake(False)
 
-    def _light_at_odds(self, now: int) -> bool:
+    def _light_contradicts(self, now: int) -> bool:
         """Whether a photodiode has just contradicted the laser's state for long enough."""
-        sees = self.board.light_seen()
+        light = self.board.light_seen()
         # no light is due between pulses; a laser with its own power control may light at a set power of 0 W
-        due = self.laser and self.power_w > 0.0 and not self.pulse_us[1]
-        if sees is None or (self.laser if sees else not due):
-            self._at_odds_ms, self._odds_told = -1, False
-        elif self._at_odds_ms < 0:
-            self._at_odds_ms = now
-        elif not self._odds_told and self.board.ticks_diff(now, self._at_odds_ms) > LIGHT_MS:
-            self._odds_told = True
+        light_due = self.laser and self.power_w > 0.0 and not self.pulse_us[1]
+        if light is None or (self.laser if light else not light_due):
+            self._contradicted_ms, self._is_reported = -1, False
+        elif self._contradicted_ms < 0:
+            self._contradicted_ms = now
+        elif not self._is_reported and self.board.ticks_diff(now, self._contradicted_ms) > LIGHT_MS:
+            self._is_reported = True
             return True
         return False
 
@@ -220,19 +221,19 @@ class Firmware(Lines):
         return (
             f"{self.board.ticks_ms()},{int(self.board.interlock_closed())},{int(self.laser)},{self.power_w:.7g},"
             f"{int(self.magnet)},{int(self.starter)},{int(self.clamp)},{int(self.brake)},"
-            f"{self.trip},{len(self._errors)},{self._latched()},{int(self._trip_lit)},"
+            f"{self.trip},{len(self._errors)},{self._latched_number()},{int(self._trip_lit)},"
             f"{int(self.board.laser_enabled())},{'-' if sees is None else int(sees)}"
         )
 
-    def _latched(self) -> int:
+    def _latched_number(self) -> int:
         return 0 if self.trip == "NONE" else self.number
 
-    def _tell_trip(self, _: str) -> str:
-        return f"{self._latched()},{self.trip},{self._trip_ms},{'lit' if self._trip_lit else 'dark'}"
+    def _report_trip(self, _: str) -> str:
+        return f"{self._latched_number()},{self.trip},{self._trip_ms},{'lit' if self._trip_lit else 'dark'}"
 
     def _acknowledge(self, argument: str) -> str:
         if self.trip == "NONE" or argument != str(self.number):
-            raise Refused(-222, f"Data out of range; trip {self._latched()} is latched")
+            raise Refused(-222, f"Data out of range; trip {self._latched_number()} is latched")
         if persists := self._cause_persists():
             raise Refused(-221, "Settings conflict; " + persists)
         self._clear()

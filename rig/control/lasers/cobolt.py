@@ -50,7 +50,7 @@ class Cobolt(SerialLaser):
             self._command("@cobasdr 0")
         self._command("cp")
 
-    def _strayed(self) -> str:
+    def _changed_mode(self) -> str:
         if self.ask("gom?") in _MODULATION:
             return "its modulation input sets the light"
         if self._lights_directly():

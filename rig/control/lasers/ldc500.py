@@ -21,7 +21,7 @@ class Ldc500(DiodeDriver):
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""
-        return self._identified("STANFORD", ("LDC50",), "an SRS LDC500 series driver")
+        return self._identify("STANFORD", ("LDC50",), "an SRS LDC500 series driver")
 
     def _read(self) -> LaserState:
         """Output, interlock, measured current, monitor diode's power."""
@@ -37,7 +37,7 @@ class Ldc500(DiodeDriver):
         self._command("MODU OFF")
         self._write_limit()
 
-    def _strayed(self) -> str:
+    def _changed_mode(self) -> str:
         if self.ask("SMOD?").upper() not in ("CC", "0"):
             return "it is not in the mode of constant current"
         if self.ask_flag("MODU?"):

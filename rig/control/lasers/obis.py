@@ -61,7 +61,7 @@ class Obis(SerialLaser):
         self._command("SOURce:AM:INTernal CWP")
         self._command("SYSTem:AUTostart OFF")
 
-    def _strayed(self) -> str:
+    def _changed_mode(self) -> str:
         if (source := self.ask("SOURce:AM:SOURce?").upper()) != "CWP":
             return f"it does not run at constant power: {source} sets its light"
         return "" if self.ask("SYSTem:AUTostart?").upper() in ("OFF", "0") else "its autostart is on"

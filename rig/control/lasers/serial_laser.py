@@ -95,7 +95,7 @@ class SerialLaser(ABC):
         """Read the laser's state, without `excess`."""
 
     @abstractmethod
-    def _strayed(self) -> str:
+    def _changed_mode(self) -> str:
         """A mode of `_prepare` that has changed, so that something else sets the light; empty if none has."""
 
     @abstractmethod
@@ -118,7 +118,7 @@ class SerialLaser(ABC):
             identity = self.identify()
             self.off()
             self._prepare()
-            if strayed := self._strayed():
+            if strayed := self._changed_mode():
                 raise LaserRefused(f"{self.name}: {strayed}, and stays so; change it as its manual says")
         except BaseException:
             self._close_port()
@@ -129,7 +129,7 @@ class SerialLaser(ABC):
     def state(self) -> LaserState:
         """Read the laser's state."""
         state = self._read()
-        return replace(state, excess=self._excess_of(state) or self._strayed())
+        return replace(state, excess=self._excess_of(state) or self._changed_mode())
 
     def set_power_w(self, power_w: float) -> None:
         """Set the optical power; raises PowerLimit above max_power_w, LaserRefused for one set in amperes."""
@@ -303,7 +303,7 @@ class DiodeDriver(SerialLaser):
     unit = "a"
     limit_header: str
 
-    def _identified(self, maker: str, models: tuple[str, ...], what: str) -> LaserIdentity:
+    def _identify(self, maker: str, models: tuple[str, ...], what: str) -> LaserIdentity:
         """Vendor, model and serial number; raises LaserRefused for other models, with `what` is expected."""
         fields = [field.strip() for field in self.ask("*IDN?").split(",")]
         if len(fields) < 3 or maker not in fields[0].upper() or not fields[1].upper().startswith(models):

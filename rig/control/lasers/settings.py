@@ -56,7 +56,7 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
 
     @field_validator("kind")
     @classmethod
-    def _known(cls, kind: str) -> str:
+    def _check_kind(cls, kind: str) -> str:
         if kind not in (known := (*WITHOUT_DRIVER, *LASERS)):
             raise ValueError(f"unknown laser; choose one of {', '.join(known)}")
         return kind

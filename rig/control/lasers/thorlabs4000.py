@@ -44,7 +44,7 @@ class Thorlabs4000(DiodeDriver):
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""
-        return self._identified("THORLABS", ("LDC4", "ITC4"), "a Thorlabs 4000 series driver")
+        return self._identify("THORLABS", ("LDC4", "ITC4"), "a Thorlabs 4000 series driver")
 
     def _read(self) -> LaserState:
         """Output, protections and measured current."""
@@ -65,7 +65,7 @@ class Thorlabs4000(DiodeDriver):
             self._command("OUTPut:PROTection:EXTernal:MODE PROTection")
         self._write_limit()
 
-    def _strayed(self) -> str:
+    def _changed_mode(self) -> str:
         if not self.ask("SOURce:FUNCtion:MODE?").upper().startswith("CURR"):
             return "it is not in the mode of constant current"
         if not self.ask("SOURce:FUNCtion:SHAPe?").upper().startswith("DC"):

@@ -21,7 +21,12 @@ from processing.balance import BalanceEstimator, BalanceLimits
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import Seismogram
-from processing.pendulum_at_rest import SeismometerAtRest, ground_at_rest, seismometer_at_rest, swing_at_rest
+from processing.pendulum_at_rest import (
+    SeismometerAtRest,
+    drive_at_rest,
+    rest_oscillation,
+    seismometer_at_rest,
+)
 from processing.reference_gain import ReferenceAtRest, gain_while_swinging, reference_at_rest
 from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag, SpotModel
@@ -96,7 +101,7 @@ def ground(
     if not look.resting:
         return not_at_rest("ground", limit)
     try:
-        found = ground_at_rest(at.times_s, at.y)
+        found = drive_at_rest(at.times_s, at.y)
     except DataError as error:
         reason = f"{error}{longer_look(at)}"
         if most is None:
@@ -232,7 +237,7 @@ def seismometer(
     record = Seismogram(seconds(times_ns - at.times_ns[0]), value, tuple(names))
     try:
         found = seismometer_at_rest(at.times_s, _without_beam_motion(look, stated), record)
-        ground_seen = ground_at_rest(at.times_s, at.y).density.value > 0
+        ground_seen = drive_at_rest(at.times_s, at.y).density.value > 0
     except DataError as error:
         return _alive(f"{error}{longer_look(look.deflections)}", kind)
     return _benefit_verdict(found, ground_seen, kind)
@@ -276,9 +281,9 @@ def _benefit_verdict(found: SeismometerAtRest, ground_seen: bool, kind: str) -> 
         return Verdict(
             "seismometer", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_LIMIT
         )
-    falls = f"{plain(found.factor, 2)} ({plain(found.least, 2)} to {plain(found.most, 2)})"
+    falls = f"{plain(found.factor, 2)} ({plain(found.lower_95, 2)} to {plain(found.upper_95, 2)})"
     measured = f"{in_all}: the swing at rest would fall by {falls}, "
-    measured += f"the ground's part of it by {plain(found.least, 2)} at least"
+    measured += f"the ground's part of it by {plain(found.lower_95, 2)} at least"
     return Verdict("seismometer", True, measured=measured, limit=_LIMIT)
 
 
@@ -302,7 +307,7 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
         return not_at_rest("reference", limit)
     at = look.deflections
     try:
-        period_s = swing_at_rest(at.times_s, at.y).period_s
+        period_s = rest_oscillation(at.times_s, at.y).period_s
         spots, refs = _positions(look.spots), _positions(look.references)
         axes = []
         for axis, name in enumerate("xy"):

@@ -126,7 +126,7 @@ def test_dense_output_agrees_with_an_independent_integrator() -> None:
     mode = slow_mode(ContactTruth())
     start = 124.0 * ARCSEC_RAD
     times_s = np.linspace(0.0, 0.99, 400)
-    angles, rates = Motion(mode, start, 0.0, 0.0, start).tilt(times_s)
+    angles, rates = Motion(mode, start, 0.0, 0.0, start).sample(times_s)
 
     def derivative(_: float, state: NDArray[np.float64]) -> list[float]:
         phi, rate = state
@@ -143,7 +143,7 @@ def test_dense_output_agrees_with_an_independent_integrator() -> None:
 def test_without_losses_and_elasticity_it_is_a_cosine() -> None:
     mode = ModeConstants(1.5, 0.0, 1.0, 0.0, 0.0, 0.0, 91.0, 0.0)
     times_s = np.linspace(0, 1200, 20_001)
-    angles, rates = Motion(mode, 6e-4, 0.0, 0.0, 6e-4).tilt(times_s)
+    angles, rates = Motion(mode, 6e-4, 0.0, 0.0, 6e-4).sample(times_s)
     assert np.abs(angles - 6e-4 * np.cos(1.5 * times_s)).max() < 1e-9 * 6e-4
     assert np.abs(rates + 9e-4 * np.sin(1.5 * times_s)).max() < 1e-8 * 9e-4
 
@@ -151,18 +151,18 @@ def test_without_losses_and_elasticity_it_is_a_cosine() -> None:
 def test_constant_friction_takes_two_c_a_half_swing_and_then_holds() -> None:
     mode = ModeConstants(1.5, 0.0, 1.0, 1e-5, 0.0, 0.0, 91.0, 0.0)
     motion = Motion(mode, 1.05e-4, 0.0, 0.0, 0.0)
-    turns = motion.step(1e6)
+    turns = motion.advance(1e6)
     # Coulomb: every swing ends 2 c lower, until less than c is left
     assert np.abs(turns[:, 1]) == pytest.approx([0.85e-4, 0.65e-4, 0.45e-4, 0.25e-4, 0.05e-4], rel=1e-9)
     assert np.diff(turns[:, 0]) == pytest.approx(np.full(4, math.pi / 1.5), rel=1e-9)
     assert motion.at_rest
-    assert motion.tilt(np.array([1e3, 1e5]))[0] == pytest.approx([-0.05e-4] * 2, rel=1e-9)
+    assert motion.sample(np.array([1e3, 1e5]))[0] == pytest.approx([-0.05e-4] * 2, rel=1e-9)
 
 
 def test_friction_may_stop_it_before_zero() -> None:
     mode = ModeConstants(1.5, 0.0, 1.0, 1e-5, 0.0, 0.0, 91.0, 0.0)
     motion = Motion(mode, 1.5e-5, 0.0, 0.0, 0.0)
-    turns = motion.step(1e6)
+    turns = motion.advance(1e6)
     assert turns[:, 1] == pytest.approx([0.5e-5], rel=1e-9)
     assert motion.at_rest
 
@@ -187,12 +187,12 @@ def test_amplitude_never_grows_and_asking_in_pieces_changes_nothing(
         }
     )
     times_s = np.linspace(0, 60, 1000)
-    whole = motions(truth)[1].tilt(times_s)[0]
+    whole = motions(truth)[1].sample(times_s)[0]
     in_pieces = motions(truth)[1]
     assert np.array_equal(
-        np.concatenate([in_pieces.tilt(t)[0] for t in np.array_split(times_s, pieces)]), whole
+        np.concatenate([in_pieces.sample(t)[0] for t in np.array_split(times_s, pieces)]), whole
     )
-    turns = motions(truth)[1].step(60.0)[:, 1]
+    turns = motions(truth)[1].advance(60.0)[:, 1]
     assert np.all(np.diff(np.abs(turns)) <= 1e-12 * np.abs(turns[:-1]))
     # friction may stop the last swing before zero
     assert np.all(turns[:-2] * turns[1:-1] <= 0)
@@ -200,10 +200,10 @@ def test_amplitude_never_grows_and_asking_in_pieces_changes_nothing(
 
 def test_held_before_the_release_and_pushed_from_rest() -> None:
     held = motions(SimulationSettings.model_validate({"release": {"at_s": 5.0}}))[1]
-    assert held.tilt(np.array([0.0, 2.5, 5.0]))[0] == pytest.approx([124 * ARCSEC_RAD] * 3, rel=1e-15)
-    assert held.tilt(np.array([5.5]))[0][0] < 124 * ARCSEC_RAD
+    assert held.sample(np.array([0.0, 2.5, 5.0]))[0] == pytest.approx([124 * ARCSEC_RAD] * 3, rel=1e-15)
+    assert held.sample(np.array([5.5]))[0][0] < 124 * ARCSEC_RAD
     pushed = SimulationSettings.model_validate({"release": {"at_s": 5.0, "way": "push"}})
-    assert motions(pushed)[1].tilt(np.array([0.0, 5.0]))[0] == pytest.approx([0.0, 0.0], abs=1e-18)
+    assert motions(pushed)[1].sample(np.array([0.0, 5.0]))[0] == pytest.approx([0.0, 0.0], abs=1e-18)
     first_rad = true_turning_points(pushed).angle_rad[0]
     # elasticity softens by 2 %, friction takes 0.4 %: the amplitude is near the stated one, not equal
     assert first_rad == pytest.approx(124 * ARCSEC_RAD, rel=0.03)
@@ -215,10 +215,10 @@ def test_push_in_mid_swing_changes_the_rate_at_once_and_only_from_there() -> Non
     before = np.linspace(0, 3.0, 50)
     plain = Motion(mode, start, 0.0, 0.0, start)
     pushed = Motion(mode, start, 0.0, 0.0, start)
-    assert np.array_equal(plain.tilt(before)[0], pushed.tilt(before)[0])
+    assert np.array_equal(plain.sample(before)[0], pushed.sample(before)[0])
     pushed.kick(3.0, 1e-4)
-    angle, rate = pushed.tilt(np.array([3.0, 3.0 + 1e-6]))
-    wanted, slow_rate = plain.tilt(np.array([3.0, 3.0 + 1e-6]))
+    angle, rate = pushed.sample(np.array([3.0, 3.0 + 1e-6]))
+    wanted, slow_rate = plain.sample(np.array([3.0, 3.0 + 1e-6]))
     assert angle[0] == pytest.approx(wanted[0], abs=1e-12 * start)
     assert rate[1] - slow_rate[1] == pytest.approx(1e-4, rel=1e-4)
 
@@ -227,8 +227,8 @@ def test_fast_mode_obeys_the_same_laws_faster() -> None:
     contact = ContactTruth()
     mode = fast_mode(contact, SimulationSettings().fast)
     assert mode.w0_rad_per_s == pytest.approx(5 * slow_mode(contact).w0_rad_per_s)
-    turns = Motion(mode, 1e-4, 0.0, 0.0, 0.0).step(20.0)
-    slow_turns = Motion(slow_mode(contact), 1e-4, 0.0, 0.0, 0.0).step(100.0)
+    turns = Motion(mode, 1e-4, 0.0, 0.0, 0.0).advance(20.0)
+    slow_turns = Motion(slow_mode(contact), 1e-4, 0.0, 0.0, 0.0).advance(100.0)
     assert turns[:40, 1] == pytest.approx(slow_turns[:40, 1], rel=1e-9)
     assert turns[:40, 0] * 5 == pytest.approx(slow_turns[:40, 0], rel=1e-9)
 
@@ -247,9 +247,9 @@ def test_adhesion_stronger_than_gravity_is_refused() -> None:
 def test_memory_stays_flat_over_a_day() -> None:
     _, slow = motions(SimulationSettings())
     for hour in range(24):
-        angles, _ = slow.tilt(np.linspace(hour * 3600.0, hour * 3600.0 + 3599.0, 100))
+        angles, _ = slow.sample(np.linspace(hour * 3600.0, hour * 3600.0 + 3599.0, 100))
         assert np.all(np.isfinite(angles))
-    assert slow._rows.nbytes < 100_000
+    assert slow._steps.nbytes < 100_000
     assert slow.at_rest
 
 

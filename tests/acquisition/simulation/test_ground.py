@@ -154,13 +154,13 @@ def test_same_ground_whoever_asks_and_in_which_steps() -> None:
     assert BLOCK_KNOTS < 1700.0 * 20
     _, slow = motions(settings)
     times_s = np.arange(len(whole.y_rad)) / 16
-    parts = [slow.tilt(part)[0] for part in np.split(times_s, [1, 100, 101, 26000])]
+    parts = [slow.sample(part)[0] for part in np.split(times_s, [1, 100, 101, 26000])]
     assert np.array_equal(np.concatenate(parts), whole.y_rad)
     coarse = true_path(settings, 1700.0, 1.0)
     assert np.array_equal(coarse.y_rad, whole.y_rad[::16])
     assert np.array_equal(coarse.x_rad, whole.x_rad[::16])
     turns = true_turning_points(settings)
-    at_turns = motions(settings)[1].tilt(turns.time_s)[0]
+    at_turns = motions(settings)[1].sample(turns.time_s)[0]
     assert at_turns == pytest.approx(turns.angle_rad, rel=1e-12)
     late, early = (moving(settings).drive_rad[SLOW].at(np.array([at])) for at in (1650.0, 3.0))
     both = moving(settings).drive_rad[SLOW].at(np.array([3.0, 1650.0]))
@@ -192,7 +192,7 @@ def test_series_is_smooth_across_knots_and_blocks() -> None:
 def test_memory_stays_flat_over_hours() -> None:
     _, slow = motions(rig(ground={"model": "peterson"}))
     for hour in range(3):
-        angles, _ = slow.tilt(np.linspace(hour * 3600.0, hour * 3600.0 + 3599.0, 100))
+        angles, _ = slow.sample(np.linspace(hour * 3600.0, hour * 3600.0 + 3599.0, 100))
         assert np.all(np.isfinite(angles))
     assert slow._ground is not None
     assert len(slow._ground._blocks) == 2

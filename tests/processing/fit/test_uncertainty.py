@@ -223,7 +223,10 @@ def test_work_of_a_cycle_is_that_of_its_parameters(found: FittedContact, balls: 
     """With two balls its uncertainty was that of twice the weight on each."""
     names, drag_s = (*found.names, "drag_s"), 2e-3
     damped = replace(
-        found, names=names, values=np.append(found.values, drag_s), by_log_rho=np.append(found.by_log_rho, 0.0)
+        found,
+        names=names,
+        values=np.append(found.values, drag_s),
+        by_log_rho=np.append(found.by_log_rho, 0.0),
     )
     inputs, stated = at(damped), replace(rig(), balls=balls)
     reported = reported_quantities(damped, inputs, stated)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from processing.spot.profile import MARGIN_PX, REACH, _to_spline
+from processing.spot.fit_values import REACH
+from processing.spot.profile import MARGIN_PX, _to_spline
 
 
 @pytest.mark.parametrize("sigma_px", [2.0, 7.9, 8.1, *np.linspace(8.2, 9.6, 57), 8.47542047015753, 20.0])

@@ -19,7 +19,7 @@ from processing.errors import ConfigurationError
 from processing.fit import InputQuantity
 from processing.fit.reported import FittedContact
 from processing.fit.uncertainty import budgets
-from rig.analysis.air import ambient_warnings, recorded_ambient
+from rig.analysis.ambient import ambient_warnings, recorded_ambient
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.instrument import complete, recorded_configuration

@@ -20,7 +20,7 @@ from processing.spot import SPOT_DTYPE
 from processing.swing import HarmonicsMeasurement, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, passing_deflections, refined_half_cycles
-from rig.analysis.air import OPEN_DRAG, evidence_of
+from rig.analysis.ambient import FREE_DRAG, evidence_of
 from rig.analysis.passing_deflections import PassingDeflections, _spots, deflection_change
 from rig.analysis.results_file import read_results, write_results
 from rig.instrument import optics_of
@@ -85,7 +85,7 @@ def test_without_structure_nothing_changes_bit_for_bit() -> None:
     waveform = HarmonicsMeasurement(one.swings)
     for block in in_blocks(one):
         waveform.update(block)
-    evidence = evidence_of(OPEN_DRAG, waveform.harmonics())
+    evidence = evidence_of(FREE_DRAG, waveform.harmonics())
     first = fit_exact(turning_points(one.swings), one.pendulum, drag=True, evidence=evidence)
     motion = known_motion(first.parameters, one.pendulum, float(turning_points(one.swings).amplitude[0]))
     again = second_measurement(one.swings, [one.deflections], motion)

@@ -11,7 +11,7 @@ from threading import Event
 
 import pytest
 
-from rig.control import ControllerSettings, LaserSettings, darken_beside, presses
+from rig.control import ControllerSettings, LaserSettings, darken_directly, presses
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="a port is opened once there")
 PIECE = b"x" * 37
@@ -44,7 +44,7 @@ def test_an_order_of_which_only_a_part_was_taken_is_said(room: int) -> None:
     with port() as (name, master):
         filled(name, max(holds - room, 0))
         laser = LaserSettings(kind="controller", max_power_w=0.001, power_w=0.0005)
-        problems = darken_beside(laser, ControllerSettings(kind="serial", port=name))
+        problems = darken_directly(laser, ControllerSettings(kind="serial", port=name))
         taken = b""
         while select.select([master], [], [], 0.1)[0]:
             taken += os.read(master, 65536)
@@ -70,7 +70,7 @@ def test_a_port_that_hangs_keeps_no_other_from_its_command(monkeypatch: pytest.M
         laser = LaserSettings(kind="controller", max_power_w=0.001, power_w=0.0005).model_copy(
             update={"port": name}
         )
-        problems = darken_beside(laser, controller)
+        problems = darken_directly(laser, controller)
         assert select.select([master], [], [], 10.0)[0]
         assert os.read(master, 100) == b"OFF"
         goes_on.set()

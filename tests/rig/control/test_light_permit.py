@@ -55,7 +55,7 @@ def test_a_recorder_is_watched_only_while_there_is_one(permit: LightPermit, cloc
     assert permit.refusal == ""
     others_move_for(2.0)
     assert "the writing of the record" in permit.refusal
-    permit.ended(Stage.RECORDER)
+    permit.note_end(Stage.RECORDER)
     assert permit.refusal == ""
 
 
@@ -93,10 +93,10 @@ def test_what_is_found_on_opening_is_latched_once(clock: Clock) -> None:
     """Who acknowledges opens the devices: the trip must keep the number that was shown."""
     permit = LightPermit(clock.monotonic)
     for _ in range(2):
-        permit.found(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
+        permit.latch_found(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
     assert permit.latched is not None
     assert permit.latched.number == 1
-    permit.found(TripCause.OUTPUT, "it stays lit")
+    permit.latch_found(TripCause.OUTPUT, "it stays lit")
     assert permit.latched.number == 2
 
 
@@ -130,7 +130,7 @@ def watched(clock: Clock, spot: SpotWatch, told: bool, peak_dn: float, lamp_dn: 
     """Three seconds of frames while the laser says of itself that it is lit, or not."""
     for number in range(60):
         clock.sleep(0.05)
-        spot.frame(frame(peak_dn, lamp_dn, number % 7))
+        spot.examine(frame(peak_dn, lamp_dn, number % 7))
         spot.note_laser(told)
 
 
@@ -140,12 +140,12 @@ def watched(clock: Clock, spot: SpotWatch, told: bool, peak_dn: float, lamp_dn: 
 def test_a_spot_that_stays_disagrees_and_one_that_goes_agrees(
     clock: Clock, spot: SpotWatch, lit_dn: float, left: float
 ) -> None:
-    assert (spot.seen, spot.disagrees, spot.agrees) == (None, False, False)
+    assert (spot.visible, spot.contradicts, spot.confirms) == (None, False, False)
     watched(clock, spot, True, lit_dn, lamp_dn=4.0)
-    assert (spot.seen, spot.disagrees, spot.agrees) == (True, False, False)
+    assert (spot.visible, spot.contradicts, spot.confirms) == (True, False, False)
     watched(clock, spot, False, left * lit_dn, lamp_dn=4.0)
     stays = left > 0
-    assert (spot.seen, spot.disagrees, spot.agrees) == (stays, stays, not stays)
+    assert (spot.visible, spot.contradicts, spot.confirms) == (stays, stays, not stays)
 
 
 def test_a_spot_that_left_the_sensor_while_it_was_lit_confirms_no_darkness(
@@ -157,19 +157,19 @@ def test_a_spot_that_left_the_sensor_while_it_was_lit_confirms_no_darkness(
     # a record takes its time to be closed
     clock.sleep(20.0)
     watched(clock, spot, False, 0.0)
-    assert (spot.seen, spot.disagrees, spot.agrees) == (False, False, False)
+    assert (spot.visible, spot.contradicts, spot.confirms) == (False, False, False)
     # one that comes back is still light that should be off
     watched(clock, spot, False, 200.0)
-    assert spot.disagrees
+    assert spot.contradicts
     # and one that swings out of it and back again was seen
     for _ in range(3):
         watched(clock, spot, True, 200.0)
         clock.sleep(0.5)
-        spot.frame(frame(0.0))
+        spot.examine(frame(0.0))
         spot.note_laser(True)
     clock.sleep(20.0)
     watched(clock, spot, False, 0.0)
-    assert spot.agrees
+    assert spot.confirms
 
 
 def test_frames_on_their_way_do_not_disagree(clock: Clock, spot: SpotWatch) -> None:
@@ -177,22 +177,22 @@ def test_frames_on_their_way_do_not_disagree(clock: Clock, spot: SpotWatch) -> N
     watched(clock, spot, True, 200.0)
     watched(clock, spot, True, 200.0)
     watched(clock, spot, False, 200.0)
-    assert spot.seen
-    assert not spot.disagrees
+    assert spot.visible
+    assert not spot.contradicts
     watched(clock, spot, False, 200.0)
-    assert spot.disagrees
+    assert spot.contradicts
 
 
 def test_where_no_spot_was_ever_seen_nothing_is_judged(clock: Clock, spot: SpotWatch) -> None:
     watched(clock, spot, True, 0.0)
     watched(clock, spot, False, 0.0)
-    assert (spot.seen, spot.disagrees, spot.agrees) == (None, False, False)
+    assert (spot.visible, spot.contradicts, spot.confirms) == (None, False, False)
 
 
 def test_an_old_frame_has_its_age(clock: Clock, spot: SpotWatch) -> None:
     assert spot.age_s == np.inf
-    spot.frame(frame(0.0))
+    spot.examine(frame(0.0))
     clock.sleep(5.0)
     assert spot.age_s == 5.0
-    spot.frame(np.zeros((1, 2), np.uint8))
+    spot.examine(np.zeros((1, 2), np.uint8))
     assert spot.age_s == 5.0

@@ -200,7 +200,7 @@ def test_a_live_picture_that_hears_nothing_is_ended_with_its_laser_told_off(
 ) -> None:
     told: list[object] = []
     monkeypatch.setattr("rig.desk.desk._CLOSES_WITHIN_S", 0.5)
-    monkeypatch.setattr("rig.desk.desk.darken_beside", lambda *lamps: told.append(lamps))
+    monkeypatch.setattr("rig.desk.desk.darken_directly", lambda *lamps: told.append(lamps))
     monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", DEAF, **how))
     desk.begin_aligning()
     job = desk.live_picture

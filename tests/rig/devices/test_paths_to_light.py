@@ -19,8 +19,8 @@ import rig
 from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from processing.errors import DeviceError
-from rig.control import TO_BE_ASKED, ControlService, LightRefused, Stage, TripCause, in_thread
-from rig.control.light_permit import LONGEST_PAUSE_S, OVER
+from rig.control import NEEDS_REQUEST, ControlService, LightRefused, Stage, TripCause, in_thread
+from rig.control.light_permit import ENDED, LONGEST_PAUSE_S
 from rig.control.simulated import SimulatedBoard
 from rig.devices import Devices, LightWatch, SessionNews
 from rig.devices.acknowledgement import TypedAcknowledgement
@@ -271,7 +271,7 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
             picture.orders["light"]("")
         devices.acknowledge(trip.number, "the desk")
         runs.set()
-        assert TO_BE_ASKED in asked.result(20.0)
+        assert NEEDS_REQUEST in asked.result(20.0)
         seen = shown()
         until(lambda: shown() > seen + 3)
         assert len(lit.at) == 1
@@ -368,7 +368,7 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_the_end_of_the_ru
         answers.set()
         asking.join(20.0)
         assert lit.at == []
-        assert [OVER in text for text in said] == [True], said
+        assert [ENDED in text for text in said] == [True], said
         assert not devices.permit.begun
         # the next run lights by itself
         assert devices.light() == "laser on, 0.9 mW"
@@ -546,17 +546,17 @@ def test_a_spot_that_is_still_seen_cannot_be_acknowledged(config: Configuration)
         bright[20:40, 20:40] = 200
 
         def shown(image: NDArray[np.uint8]) -> None:
-            spot.frame(image)
+            spot.examine(image)
             devices.compare()
 
         devices.light()
-        until(lambda: shown(bright) is None and spot.seen is True)
+        until(lambda: shown(bright) is None and spot.visible is True)
         devices.darken()
         until(lambda: shown(bright) is None and devices.permit.latched is not None)
         assert devices.safety().light == "commanded off, but its output or its light is seen to be on"
         with pytest.raises(DeviceError, match="the camera still sees its spot"):
             devices.acknowledge(1, "test")
-        until(lambda: shown(dark) is None and spot.agrees)
+        until(lambda: shown(dark) is None and spot.confirms)
         devices.acknowledge(1, "test")
 
 

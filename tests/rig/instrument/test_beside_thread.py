@@ -11,7 +11,7 @@ from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError
 from processing.spot import SensorModel
 from processing.swing import TurningPointDetector
-from rig.instrument.pipeline import EstimateThread, Optics
+from rig.instrument.pipeline import EstimateThread, Optics, Pipeline
 
 ARCSEC_RAD = np.pi / 180 / 3600
 
@@ -40,7 +40,7 @@ def test_the_same_swings_and_balances_as_in_line() -> None:
     estimator = BalanceEstimator()
     in_line = [balance for block in blocks for balance in estimator.update(block)]
     assert len(in_line) > 4
-    pipeline = Optics(SensorModel(39.2, 7.0, 255), None, Axes()).pipeline((640, 320), threaded=True)
+    pipeline = Pipeline(Optics(SensorModel(39.2, 7.0, 255), None, Axes()), (640, 320), threaded=True)
     found = [pipeline.detect([], block) for block in blocks]
     threaded = [balance for block in found for balance in block.balances] + pipeline.finish_balance()
     assert [repr(balance) for balance in threaded] == [repr(balance) for balance in in_line]

@@ -22,7 +22,7 @@ from acquisition.record.codec import encode_window
 from calibration.axes_fit import Axes
 from processing.spot import SensorModel
 from rig.instrument.provenance import prepare_kernels
-from rig.instrument.pipeline import Optics
+from rig.instrument.pipeline import Optics, Pipeline
 
 def compiled():
     return sorted(
@@ -34,7 +34,7 @@ def followed(full_scale):
     sensor = SensorModel(gain_e_per_dn=10_000.0 / full_scale, read_noise_e=7.0, full_scale_dn=full_scale)
     prepare_kernels(sensor, lambda text: None)
     before = compiled()
-    pipeline = Optics(sensor, None, Axes()).pipeline((120, 160))
+    pipeline = Pipeline(Optics(sensor, None, Axes()), (120, 160))
     y, x = np.mgrid[0:120, 0:160]
     random = np.random.default_rng(1)
     swings = 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
-from rig.intake.cell_text import is_moment
+from rig.intake.cell_text import is_timestamp
 from rig.intake.table import TableColumns
 
 
@@ -87,4 +87,4 @@ def test_a_date_leaves_nothing_open(tmp_path: Path) -> None:
     times = [f"2024-05-01 12:{k:02d}" for k in range(60)]
     found = TableColumns().read(_table(tmp_path / "decay.csv", "t", times))
     assert set(np.diff(found.times_ns).tolist()) == {60_000_000_000}
-    assert not is_moment("2024-05-01 12:30.5")
+    assert not is_timestamp("2024-05-01 12:30.5")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
-from rig.intake.cell_text import moments_ns
+from rig.intake.cell_text import timestamps_ns
 from rig.intake.table import TableColumns
-from rig.intake.units import named_unit
+from rig.intake.units import split_name
 
 N = 400
 STEP = timedelta(seconds=0.05)
@@ -122,7 +122,7 @@ def test_zones_of_half_hours_west_and_east(tmp_path: Path) -> None:
 
 def test_minutes_that_come_first_have_no_limit_but_those_after_an_hour_have() -> None:
     minute_ns = 60 * 10**9
-    assert moments_ns(["75:00", "1:05:00", "1:75:00"], minutes_first=True) == [
+    assert timestamps_ns(["75:00", "1:05:00", "1:75:00"], minutes_first=True) == [
         75 * minute_ns,
         65 * minute_ns,
         None,
@@ -143,5 +143,5 @@ def test_twenty_four_o_clock_is_the_next_midnight(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["TIMESTAMP", "TEMPS", "TIMES", "ELAPSED", "UTCS", "DATETIMES"])
 def test_a_letter_of_a_name_in_capitals_is_no_unit(name: str) -> None:
     """Times in ms under TIMESTAMP were s by its header, a thousand times too long."""
-    assert named_unit(name).unit == ""
-    assert named_unit(f"{name}_MS")[:2] == (name, "ms")
+    assert split_name(name).unit == ""
+    assert split_name(f"{name}_MS")[:2] == (name, "ms")

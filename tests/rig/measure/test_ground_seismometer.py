@@ -16,7 +16,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SEISMOMETER
 from processing.errors import ConfigurationError
 from rig.analysis import analyse_record, read_results
-from rig.analysis.air import recorded_seismometer
+from rig.analysis.ambient import recorded_seismometer
 from rig.instrument import recorded_configuration
 from rig.intake import read_seismometer
 from rig.measure import measure_session

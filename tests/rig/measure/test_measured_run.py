@@ -15,7 +15,7 @@ from processing.fit import DecayFit, FitResult, LinearisedFit, with_discrepancy
 from processing.swing import HalfCycle, HarmonicsMeasurement, TurningPointDetector
 from processing.units import ARCSEC_RAD
 from rig.analysis import evidence_of, refined_half_cycles
-from rig.analysis.air import OPEN_DRAG
+from rig.analysis.ambient import FREE_DRAG
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.turning_plane import follow_plane
 from rig.measure.posterior_worker import MeasuredRun, fitted_points
@@ -63,7 +63,7 @@ def whole() -> tuple[int, FitResult]:
 def how(swings: list[HalfCycle], samples: Deflections) -> DecayFit:
     watch = HarmonicsMeasurement(swings)
     watch.update(samples)
-    return DecayFit(PENDULUM, evidence=evidence_of(OPEN_DRAG, watch.harmonics()))
+    return DecayFit(PENDULUM, evidence=evidence_of(FREE_DRAG, watch.harmonics()))
 
 
 def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> None:

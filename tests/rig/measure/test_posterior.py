@@ -90,7 +90,7 @@ class Growing:
 @pytest.fixture
 def growing(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Growing]:
     """With fits that the half-cycles wait for; with the parameter False, with fits beside them."""
-    found = Growing(LivePosterior(in_step=getattr(request, "param", True)), tmp_path)
+    found = Growing(LivePosterior(synchronous=getattr(request, "param", True)), tmp_path)
     found.begin()
     yield found
     found.close()
@@ -194,19 +194,19 @@ def test_beside_a_measurement_a_fit_waits_for_its_share_of_a_core_and_nothing_fo
     until(lambda: not alive(pid))
 
 
-@pytest.mark.parametrize("in_step", [False, True])
+@pytest.mark.parametrize("synchronous", [False, True])
 def test_the_process_ends_with_the_record_and_with_the_one_that_started_it(
-    in_step: bool, tmp_path: Path
+    synchronous: bool, tmp_path: Path
 ) -> None:
     record = opened(tmp_path / "run-1.mcap")
     program = "from rig.measure.posterior_worker import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-P", "-c", program, str(record.path), *(["in step"] if in_step else [])],
+        [sys.executable, "-P", "-c", program, str(record.path), *(["in step"] if synchronous else [])],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    if not in_step:
+    if not synchronous:
         record.close()
     assert process.communicate(timeout=50) == (b"", b"")
     assert process.returncode == 0

@@ -14,7 +14,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.fit import drag_verdict
 from processing.fit.vanes import VanedRun
 from rig.analysis import AnalysedRun, analyse_record, remarks
-from rig.analysis.air import drag_at_pressure, expected_drag
+from rig.analysis.ambient import drag_at_pressure, expected_drag
 from rig.instrument import complete, pendulum_on_ball
 from rig.measure.session import simulate_record
 from rig.prepare import Filing, calibrate_air, vanes_to_cut

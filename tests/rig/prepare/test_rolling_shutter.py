@@ -29,7 +29,7 @@ from processing.swing import swings_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis import refined_half_cycles
 from rig.instrument import (
-    Deflector,
+    DeflectionConverter,
     complete,
     configuration_attachments,
     pendulum_on_ball,
@@ -37,7 +37,7 @@ from rig.instrument import (
     session_metadata,
 )
 from rig.measure.session import simulate_record
-from rig.prepare import Filing, calibrate_shutter, filed
+from rig.prepare import Filing, calibrate_shutter, read_calibration_report
 from rig.settings import Configuration, FitSettings, load_configuration, validate_configuration
 from rig.view.replay import Replay
 from tests.rig.command_line import rig
@@ -81,7 +81,7 @@ def fitted(
     pendulum = pendulum_on_ball(complete(Configuration.model_validate(tree)))
     assert pendulum is not None
     lever = Lever(arm_m=settings.optics.arm_m, pixel_pitch_m=settings.sensor.pixel_pitch_m)
-    at = Deflector(lever, Axes(), (640, 320), shutter)(frame_ns, spots)
+    at = DeflectionConverter(lever, Axes(), (640, 320), shutter)(frame_ns, spots)
     swings = [one for one in swings_of_blocks([at]) if one.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     slow = slow_deflections(at.times_ns, at.y, at.u_y)
     refined = refined_half_cycles(swings, [slow], slow.unit, pendulum, FitSettings())
@@ -212,7 +212,7 @@ def pulsed_record(path: Path, exposure: dict[str, str]) -> Path:
 
 def test_the_brightness_along_the_rows_gives_the_row_time(tmp_path: Path) -> None:
     record = pulsed_record(tmp_path / "run.mcap", {"exposure_us": str(EXPOSURE_US)})
-    shown = filed(calibrate_shutter(record, Filing(tmp_path / "calibrations")))
+    shown = read_calibration_report(calibrate_shutter(record, Filing(tmp_path / "calibrations")))
     found = shown.calibration
     assert found.method == "brightness of a pulsed spot"
     assert found.values["row_time_s"] == pytest.approx(1e-6 * ROW_TIME_US, rel=0.01)

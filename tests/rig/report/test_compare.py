@@ -13,7 +13,7 @@ from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError, RecordError
 from processing.series import CombinedValue
 from rig.analysis import Series, encoded
-from rig.analysis.air import ambient_warnings
+from rig.analysis.ambient import ambient_warnings
 from rig.analysis.result_rows import series_rows
 from rig.report.comparison import compare
 from tests.processing.fit.decays import paper_pair

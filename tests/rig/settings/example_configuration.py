@@ -10,8 +10,8 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 from rig.settings import Configuration
+from rig.settings.configuration_writer import EXAMPLE_NAME, commented_file
 from rig.settings.validation_messages import section_fields, section_of
-from rig.settings.written_file import EXAMPLE_NAME, commented_file
 
 TARGET = Path(__file__).resolve().parents[3] / "configs" / "rig-example.toml"
 HEAD = """\

@@ -31,7 +31,7 @@ from rig.control import (
 )
 from rig.control.settings import SerialFaults
 from rig.devices import Devices, FrameStream, OpenCamera
-from rig.devices.ground_seismometer import opened_seismometer
+from rig.devices.ground_seismometer import make_seismometer
 from rig.instrument import camera_settings, complete, make_camera, optics_of
 from rig.instrument.configured_camera import shift_to_light_ns
 from rig.measure.phases import PhasesBeforeRecord
@@ -269,7 +269,7 @@ def listen_to_the_ground(folder: Path) -> None:
     assert len(SimulatedSeismometer(truth).until(1.0, 0).counts)
     port = f"'{NOWHERE}'"
     config = configuration(seismometer__kind="'serial'", seismometer__port=port, simulation__real_time="true")
-    seismometer = opened_seismometer(config)
+    seismometer = make_seismometer(config)
     assert seismometer is not None
     assert seismometer.problem
 

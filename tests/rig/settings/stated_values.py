@@ -14,8 +14,8 @@ from processing.estimate import Estimate
 from processing.instruments import DEGREE_RAD, SharedError
 from processing.spot import Spot
 from processing.swing import HalfCycle
-from rig.analysis import clock_rate_of, known_drag
-from rig.analysis.air import assumed_drifts
+from rig.analysis import clock_rate_of, drag_of_fit
+from rig.analysis.ambient import assumed_drifts
 from rig.analysis.contact_verdicts import base_motion, rig_quantities
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
@@ -61,7 +61,7 @@ def apparatus(config: Configuration) -> Any:
     moved = base_motion(Estimate(1e-8, 1e-9), 2e-8, 4.0, config.pendulum)
     pendulum = pendulum_on_ball(config)
     assert pendulum is not None
-    drag = known_drag(config, AmbientConditions(), pendulum, 4.0)
+    drag = drag_of_fit(config, AmbientConditions(), pendulum, 4.0)
     drifts = assumed_drifts(config, AmbientConditions())
     return repr((pendulum, rig_quantities(config), moved, drag, drifts))
 

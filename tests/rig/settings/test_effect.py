@@ -19,29 +19,29 @@ def stated() -> Configuration:
 @pytest.mark.parametrize("key", KEYS)
 def test_a_key_is_read_when_its_value_is_taken(key: str) -> None:
     config = stated()
-    watched = KeyUseMonitor(config, [f"{key}=1", "camera.driver=files"], "")
-    assert watched.config.model_copy().camera is watched.config.camera
-    assert watched.unread == [key, "camera.driver"]
-    assert value_of(watched.config, key) == value_of(config, key)
-    assert watched.unread == ["camera.driver"]
-    assert watched.config == config
+    key_monitor = KeyUseMonitor(config, [f"{key}=1", "camera.driver=files"], "")
+    assert key_monitor.config.model_copy().camera is key_monitor.config.camera
+    assert key_monitor.unread == [key, "camera.driver"]
+    assert value_of(key_monitor.config, key) == value_of(config, key)
+    assert key_monitor.unread == ["camera.driver"]
+    assert key_monitor.config == config
 
 
 def test_what_a_section_calculates_reads_its_keys() -> None:
-    watched = KeyUseMonitor(stated(), ["lever.arm_m=1", "lever.u_skew=0", "instrument.period_s=2"], "")
-    assert watched.config.lever is not None
-    assert watched.config.lever.without_skew().rad_per_px() > 0
-    assert watched.unread == ["lever.u_skew", "instrument.period_s"]
-    watched.config.instrument.description()
-    assert watched.unread == ["lever.u_skew"]
+    key_monitor = KeyUseMonitor(stated(), ["lever.arm_m=1", "lever.u_skew=0", "instrument.period_s=2"], "")
+    assert key_monitor.config.lever is not None
+    assert key_monitor.config.lever.without_skew().rad_per_px() > 0
+    assert key_monitor.unread == ["lever.u_skew", "instrument.period_s"]
+    key_monitor.config.instrument.description()
+    assert key_monitor.unread == ["lever.u_skew"]
 
 
 def test_a_whole_section_is_read_with_any_of_its_keys() -> None:
-    watched = KeyUseMonitor(stated(), ["materials={}", "timebase={}", "shutter={}"], "")
-    assert watched.config.timebase is not None
-    assert watched.config.materials["mine"].poisson_ratio == 0.3
-    assert watched.config.timebase.camera_rate == 1.0
-    assert watched.unread == ["shutter"]
+    key_monitor = KeyUseMonitor(stated(), ["materials={}", "timebase={}", "shutter={}"], "")
+    assert key_monitor.config.timebase is not None
+    assert key_monitor.config.materials["mine"].poisson_ratio == 0.3
+    assert key_monitor.config.timebase.camera_rate == 1.0
+    assert key_monitor.unread == ["shutter"]
 
 
 def test_every_key_without_effect_gets_a_line() -> None:

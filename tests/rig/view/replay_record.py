@@ -9,7 +9,7 @@ import numpy as np
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.true_path import true_path
 from processing.spot import Spot, SpotFlag
-from rig.instrument import complete, optics_of
+from rig.instrument import Pipeline, complete, optics_of
 from rig.instrument.provenance import configuration_attachments
 from rig.settings import load_configuration
 
@@ -59,7 +59,7 @@ def make_record(
     ]
     spots[LOST_FRAME] = Spot(*[math.nan] * 10, int(SpotFlag.LOST))
     times_ns = start_ns + np.round(times_s * 1e9).astype(np.int64)
-    pipeline = optics_of(config, 255).pipeline(SHAPE)
+    pipeline = Pipeline(optics_of(config, 255), SHAPE)
     metadata = {
         "frame": {"width_px": str(SHAPE[1]), "height_px": str(SHAPE[0])},
         "camera": {"full_scale_dn": "255"},

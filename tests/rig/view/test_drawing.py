@@ -155,7 +155,7 @@ TEXTS = [f"event {number} " + 50 * "x" for number in range(400)]
 
 def test_a_record_that_has_grown_too_large_is_replaced_and_the_view_goes_on(tmp_path: Path) -> None:
     unit = DeflectionUnit.PX
-    with ScratchView("looking", "none", None, "balancing", unit, most_bytes=MOST_BYTES) as view:
+    with ScratchView("looking", "none", None, "balancing", unit, max_bytes=MOST_BYTES) as view:
         view.begin(0, epoch_offset_ns=EPOCH_NS)
         folder, replaced = view._path.parent, 0
         for number, text in enumerate(TEXTS):

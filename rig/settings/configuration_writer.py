@@ -16,56 +16,58 @@ from rig.settings.configuration import Configuration
 from rig.settings.configuration_file import SCHEMA, SCHEMA_KEY, load_configuration, read_toml, shipped
 from rig.settings.validation_messages import section_fields, section_of
 
+ValuesByKey = Mapping[str, Any]
+"""Values by dotted key."""
 EXAMPLE_NAME = "my_steel"
 """Name in a table with names of the user's own, if none is stated."""
 
 
 def commented_file(
-    stated: Mapping[str, Any], *, without: Collection[str] = (), remarks: Mapping[str, str] | None = None
+    stated: ValuesByKey, *, omitted: Collection[str] = (), comments: Mapping[str, str] | None = None
 ) -> str:
     """Text of a file with all sections and keys, each with its description.
 
     Parameters
     ----------
     stated
-        Values by dotted key; every other key is commented out and shows its default.
-    without
+        Every other key is commented out and shows its default.
+    omitted
         Dotted names of sections that are left out, with their subsections.
-    remarks
+    comments
         Comments by dotted key, in place of the key's description.
     """
-    return "\n".join(_section("", Configuration, stated, without, remarks or {})) + "\n"
+    return "\n".join(_section("", Configuration, stated, omitted, comments or {})) + "\n"
 
 
 def _section(
     path: str,
     model: type,
-    stated: Mapping[str, Any],
-    without: Collection[str],
-    remarks: Mapping[str, str],
+    stated: ValuesByKey,
+    omitted: Collection[str],
+    comments: Mapping[str, str],
     *,
     listed: bool = False,
 ) -> Iterator[str]:
     if path:
         active = any(key.startswith(path) for key in stated)
         yield ""
-        document = (model.__doc__ or "").strip().split("\n\n")[0]
-        yield from (f"# {line}" for line in textwrap.wrap(" ".join(document.split()), 100))
+        description = (model.__doc__ or "").strip().split("\n\n")[0]
+        yield from (f"# {line}" for line in textwrap.wrap(" ".join(description.split()), 100))
         yield f"{'' if active else '# '}{f'[[{path[:-1]}]]' if listed else f'[{path[:-1]}]'}"
     fields = section_fields(model)
     for name, field in fields.items():
         if section_of(field) is None:
-            yield _line(f"{path}{name}", field, stated, remarks)
+            yield _line(f"{path}{name}", field, stated, comments)
     for name, field in fields.items():
-        below = section_of(field)
-        if below is None or f"{path}{name}" in without:
+        section = section_of(field)
+        if section is None or f"{path}{name}" in omitted:
             continue
-        for place in _places(f"{path}{name}.", field, stated):
+        for section_path in _section_paths(f"{path}{name}.", field, stated):
             listed = str(field.annotation).startswith("tuple")
-            yield from _section(place, below, stated, without, remarks, listed=listed)
+            yield from _section(section_path, section, stated, omitted, comments, listed=listed)
 
 
-def _places(path: str, field: FieldInfo, stated: Mapping[str, Any]) -> list[str]:
+def _section_paths(path: str, field: FieldInfo, stated: ValuesByKey) -> list[str]:
     """Paths of a section; one with names of the user's own has a path for each name."""
     if get_origin(field.annotation) is not dict:
         return [path]
@@ -73,15 +75,15 @@ def _places(path: str, field: FieldInfo, stated: Mapping[str, Any]) -> list[str]
     return [f"{path}{name}." for name in names or (EXAMPLE_NAME,)]
 
 
-def _line(key: str, field: FieldInfo, stated: Mapping[str, Any], remarks: Mapping[str, str]) -> str:
+def _line(key: str, field: FieldInfo, stated: ValuesByKey, comments: Mapping[str, str]) -> str:
     if key in stated:
-        value, lead = toml_value(stated[key]), ""
+        value, prefix = toml_value(stated[key]), ""
     else:
-        lead = "# "
+        prefix = "# "
         default = field.get_default(call_default_factory=True)
         value = f"<{_kind(field)}>" if field.is_required() or default is None else toml_value(default)
-    note = remarks.get(key, field.description)
-    return f"{lead}{key.rpartition('.')[2]} = {value}{f'  # {note}' if note else ''}"
+    comment = comments.get(key, field.description)
+    return f"{prefix}{key.rpartition('.')[2]} = {value}{f'  # {comment}' if comment else ''}"
 
 
 def _kind(field: FieldInfo) -> str:
@@ -92,36 +94,32 @@ def _kind(field: FieldInfo) -> str:
     return text.split(".")[-1].replace(" | None", "")
 
 
-Keys = Mapping[str, Any]
-"""Values by dotted key."""
-
-
-def _configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
+def _configuration_text(stated: ValuesByKey, now: datetime.datetime) -> str:
     """Text of the file: the stated values, and every other key of such a rig, commented out."""
     driver = stated["camera.driver"]
-    without = {f"camera.{name}" for name in DRIVERS if name != driver} | {"controller.faults"}
+    omitted = {f"camera.{name}" for name in DRIVERS if name != driver} | {"controller.faults"}
     if driver != "simulated":
-        without |= {"simulation", "faults"}
-    head = [
-        f"# By rig init, {made_at:%Y-%m-%d %H:%M}. Your answers are stated; every other key of such",
+        omitted |= {"simulation", "faults"}
+    header = [
+        f"# By rig init, {now:%Y-%m-%d %H:%M}. Your answers are stated; every other key of such",
         "# a rig is commented out with its value. Uncomment and change what you need.",
         "# A key that is misspelt, out of range or of the wrong type is an error, never ignored.",
         "# Values in angle brackets have no default. On the command line: --set session.runs=3",
     ]
-    remarks = {
+    comments = {
         "balance.inertia_kg_m2": "about the contact, from the drawing; with the mass centre on the contact "
         "m g R T0^2/4 pi^2; if left out, the height is not computed"
     }
     if "camera.exposure_us" in stated:
-        remarks["camera.exposure_us"] = "rig camera expose finds it"
+        comments["camera.exposure_us"] = "rig camera expose finds it"
     return (
-        "\n".join([*head, f"{SCHEMA_KEY} = {SCHEMA}"])
+        "\n".join([*header, f"{SCHEMA_KEY} = {SCHEMA}"])
         + "\n"
-        + commented_file(stated, without=without, remarks=remarks)
+        + commented_file(stated, omitted=omitted, comments=comments)
     )
 
 
-def write_configuration(path: Path, stated: Keys) -> Configuration:
+def write_configuration(path: Path, stated: ValuesByKey) -> Configuration:
     """Write the file and read it back; no file is left if that fails.
 
     Raises ConfigurationError for a file that exists already, or answers that contradict each other, and
@@ -130,12 +128,12 @@ def write_configuration(path: Path, stated: Keys) -> Configuration:
     refuse_existing(path)
     text = _configuration_text(stated, datetime.datetime.now().astimezone())
     try:
-        with atomic_write.being_written(path) as beside:
-            beside.write_text(text, encoding="utf-8")
+        with atomic_write.being_written(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
             try:
-                return load_configuration(beside)
+                return load_configuration(temporary)
             except ConfigurationError as error:
-                raise ConfigurationError(str(error).replace(str(beside), str(path))) from None
+                raise ConfigurationError(str(error).replace(str(temporary), str(path))) from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
 
@@ -170,16 +168,17 @@ def copy_shipped(name: str, path: Path) -> list[Path]:
         if base is None:
             break
         source, target = source.parent / base, path.parent / base
-    missing = {target: text for target, text in texts.items() if not _holds(target, text)}
-    for target, text in missing.items():
+    new_texts = {target: text for target, text in texts.items() if not _has_text(target, text)}
+    for target, text in new_texts.items():
         try:
             atomic_write.write_new(target, text)
         except OSError as error:
             raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
-    return list(missing)
+    return list(new_texts)
 
 
-def _holds(path: Path, text: bytes) -> bool:
+def _has_text(path: Path, text: bytes) -> bool:
+    """Whether a file has this text; raises ConfigurationError if it has another."""
     if not path.exists():
         return False
     if path.is_file() and path.read_bytes() == text:

@@ -1,4 +1,4 @@
-"""Surroundings of a run: air and history of its contact, drag and drifts by them, recorded seismometer."""
+"""Ambient conditions of a run, drag and drifts that follow from them, and its seismometer's record."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -33,8 +33,9 @@ from rig.terminal import percent, quantity
 if TYPE_CHECKING:
     from rig.intake import SeismometerRecord
 
-_AIR_KEYS = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL_AIR = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+"""Air of a laboratory, in place of what is not known."""
+_BAR_SIZES = ("length_m", "width_m")
 _MIN_READINGS = 4
 """Fewest readings that show a change."""
 _MIN_SPAN = 0.5
@@ -54,13 +55,15 @@ def table_ambient(config: Configuration, began_s: float | None) -> AmbientCondit
 
     `began_s` is that row's time in s since 1970, None where the table does not have it.
     """
-    since = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
-    known = {} if began_s is None else {name: began_s - at.timestamp() for name, at in since.items() if at}
-    return replace(stated_ambient(config), **known)
+    if began_s is None:
+        return stated_ambient(config)
+    started = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
+    history = {name: began_s - moment.timestamp() for name, moment in started.items() if moment}
+    return replace(stated_ambient(config), **history)
 
 
 def recorded_ambient(reader: RecordReader, config: Configuration | None = None) -> AmbientConditions:
-    """Ambient conditions of a record: its readings, else those stated in `config` or else in the record."""
+    """Ambient conditions of a record: its readings, then what `config` (None: the record) states."""
     if config is None:
         air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
         session = reader.metadata.get("session", {})
@@ -74,29 +77,27 @@ def recorded_ambient(reader: RecordReader, config: Configuration | None = None) 
 
 def _air_readings(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]:
     table = reader.table(ENVIRONMENT.topic)
-    found = {}
-    for name in _AIR_KEYS:
-        readings = table[name] if len(table) else np.empty(0)
-        read = readings[np.isfinite(readings)]
-        found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
-        if name == "temperature_c" and len(read) >= _MIN_READINGS:
-            at_ns = table["time_ns"][np.isfinite(readings)]
-            at = (at_ns - at_ns[0]) / (reader.numbers.end_ns - reader.numbers.start_ns)
-            if at[-1] >= _MIN_SPAN:
+    air = {}
+    for name in _USUAL_AIR:
+        column = table[name] if len(table) else np.empty(0)
+        readings = column[np.isfinite(column)]
+        air[name] = float(np.mean(readings)) if len(readings) else stated.get(name, nan)
+        if name == "temperature_c" and len(readings) >= _MIN_READINGS:
+            times_ns = table["time_ns"][np.isfinite(column)]
+            fractions = (times_ns - times_ns[0]) / (reader.numbers.end_ns - reader.numbers.start_ns)
+            if fractions[-1] >= _MIN_SPAN:
                 # less the first reading, so that equal readings give a change of exactly 0
-                found["temperature_change_k"] = float(np.polyfit(at, read - read[0], 1)[0])
-    return found
+                air["temperature_change_k"] = float(np.polyfit(fractions, readings - readings[0], 1)[0])
+    return air
 
 
 def _contact_history(reader: RecordReader, times: Mapping[str, str]) -> dict[str, float]:
     stated = {name: datetime.fromisoformat(text) for name, text in times.items() if text}
     first = next(iter(reader.messages(SPOT.topic)), None) if stated else None
+    if first is None:
+        return {}
     # the log time is UTC already
-    return (
-        {}
-        if first is None
-        else {name: (utc(first.log_time_ns) - since).total_seconds() for name, since in stated.items()}
-    )
+    return {name: (utc(first.log_time_ns) - moment).total_seconds() for name, moment in stated.items()}
 
 
 def _number(text: str) -> float:
@@ -109,13 +110,13 @@ def _number(text: str) -> float:
 def ambient_warnings(ambient: AmbientConditions) -> list[str]:
     """Warnings of stated times that are impossible, and of a humidity that was hardly meant."""
     humidity = doubtful_humidity(ambient.humidity_percent)
-    order, too_late_s = "", ambient.dwell_s - ambient.age_s
+    wrong_order, too_late_s = "", ambient.dwell_s - ambient.age_s
     if too_late_s > 0:
-        order = (
+        wrong_order = (
             f"session.surfaces_cleaned lies {too_late_s:.0f} s after session.contact_made, which covers the "
             "surfaces: correct one of them"
         )
-    return [*filter(None, [humidity, order])] + [
+    return [*filter(None, [humidity, wrong_order])] + [
         f"session.{key} lies {-getattr(ambient, name):.0f} s after the run began: correct its date or offset"
         for name, key in HISTORY_KEYS.items()
         if getattr(ambient, name) < 0
@@ -125,15 +126,10 @@ def ambient_warnings(ambient: AmbientConditions) -> list[str]:
 def expected_drag(
     ambient: AmbientConditions, pendulum: PendulumOnBall, period_s: float, config: Configuration
 ) -> ExpectedDrag:
-    """The drag of a bar of the pendulum's size in this air; values of `_USUAL_AIR` stand for unknown ones."""
-    air = humid_air(
-        **{
-            **_USUAL_AIR,
-            **{name: value for name, value in ambient.known().items() if name in _AIR_KEYS},
-        }
-    )
+    """The drag of a bar of the pendulum's size in this air; `_USUAL_AIR` stands for what is unknown."""
+    known = {name: value for name, value in ambient.known().items() if name in _USUAL_AIR}
+    air = humid_air(**{**_USUAL_AIR, **known})
     bar, stated = _bar_of(config, pendulum, period_s), config.pendulum
-    sizes = ("length_m", "width_m")
     return ExpectedDrag(
         # the air acts once on what all balls carry
         drag_s=expected_drag_s(air, bar, pendulum, period_s) / balls(config),
@@ -141,8 +137,8 @@ def expected_drag(
         air_viscosity_pa_s=air.viscosity_pa_s,
         length_m=bar.length_m,
         width_m=bar.width_m,
-        assumed=tuple(name for name in _AIR_KEYS if name not in ambient.known())
-        + tuple(name for name in sizes if getattr(stated, name, None) is None),
+        assumed=tuple(name for name in _USUAL_AIR if name not in known)
+        + tuple(name for name in _BAR_SIZES if getattr(stated, name, None) is None),
     )
 
 
@@ -183,20 +179,19 @@ _U_RELATIVE, _U_RELATIVE_STATED = 0.75, 0.3
 The first is a factor of two up or down. The second, where length and width are stated, is the effect of ends,
 mirror and weights.
 """
-_GEOMETRY = frozenset({"length_m", "width_m"})
 
 
 class FittedDrag(NamedTuple):
-    """Whether a drag is fitted, and the prior `known_s` of it, None without one."""
+    """Whether a drag is fitted, and its prior in s, None without one."""
 
     fitted: bool = True
-    known_s: Estimate | None = None
+    prior_s: Estimate | None = None
 
 
-OPEN_DRAG = FittedDrag()
+FREE_DRAG = FittedDrag()
 
 
-def known_drag(
+def drag_of_fit(
     config: Configuration, air: AmbientConditions, pendulum: PendulumOnBall, period_s: float
 ) -> tuple[FittedDrag, ExpectedDrag]:
     """The drag as the section [fit] states it, and the one expected of the air."""
@@ -206,24 +201,25 @@ def known_drag(
     if settings.drag == "open":
         return FittedDrag(), expected
     if settings.drag_s is not None:
-        return FittedDrag(known_s=Estimate(settings.drag_s, settings.u_drag_s)), expected
-    doubt = _U_RELATIVE if _GEOMETRY & set(expected.assumed) else _U_RELATIVE_STATED
-    return FittedDrag(known_s=Estimate(expected.drag_s, doubt * expected.drag_s)), expected
+        return FittedDrag(prior_s=Estimate(settings.drag_s, settings.u_drag_s)), expected
+    u_relative = _U_RELATIVE if set(_BAR_SIZES) & set(expected.assumed) else _U_RELATIVE_STATED
+    return FittedDrag(prior_s=Estimate(expected.drag_s, u_relative * expected.drag_s)), expected
 
 
 def evidence_of(drag: FittedDrag, harmonics: SwingHarmonics | None) -> Evidence:
     """Evidence of a run's fit: the prior of the drag, and the waveform by the harmonics if there are any."""
     waveform = None if harmonics is None else waveform_of(harmonics)
-    return Evidence(waveform, drag.known_s)
+    return Evidence(waveform, drag.prior_s)
 
 
 _DRAG_PER_K = 2.7e-3
 """Relative growth of the air's viscosity per kelvin."""
-_DRIFT_NAMES = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
+_DRIFTING = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
+"""What each assumed drift changes, as a note names it."""
 
 
 def assumed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, InputQuantity]:
-    """Relative changes over a run, by their names in `RigQuantities`: all are 0, with standard uncertainties.
+    """Priors of the relative changes over a run, by their names in `RigQuantities`; all have the mean 0.
 
     The section [fit] states the uncertainties of friction, adhesion and drag. Those of the period, and of the
     drag where none is stated, follow from the change of the temperature, measured or stated, through thermal
@@ -243,16 +239,19 @@ def assumed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, I
 
 
 def drift_note(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit: FitResult) -> str:
-    """Note on the effect of drifts that a decay alone does not reveal; empty where it is below 1 u."""
+    """Note on drifts that a decay alone does not reveal; empty where they move no parameter by 1 u.
+
+    `drifts` holds the change of each contact parameter by a drift of 1, `u_drifts` their uncertainties.
+    """
     notes = []
-    for source, what in _DRIFT_NAMES.items():
-        moved = []
-        for name, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
-            by = abs(slope) * u_drifts[source]
-            if by > (u := fit.estimate(name).standard_uncertainty):
-                moved.append(f"{quantity(name).symbol} by {by / u:.2g} u")
-        if moved:
-            notes.append(f"{percent(u_drifts[source])} of {what} over the run would move {', '.join(moved)}")
+    for source, name in _DRIFTING.items():
+        shifts = []
+        for parameter, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
+            shift = abs(slope) * u_drifts[source]
+            if shift > (u := fit.estimate(parameter).standard_uncertainty):
+                shifts.append(f"{quantity(parameter).symbol} by {shift / u:.2g} u")
+        if shifts:
+            notes.append(f"{percent(u_drifts[source])} of {name} over the run would move {', '.join(shifts)}")
     if not notes:
         return ""
     return (
@@ -268,7 +267,7 @@ _MIN_ARRIVALS = 3
 
 def recorded_seismometer(reader: RecordReader, config: Configuration) -> "SeismometerRecord | None":
     """A record's seismometer samples on the frames' clock; None without any, or where none is configured."""
-    # not at import: the archive reads ambient conditions alone
+    # imported here: the archive needs the ambient conditions alone, and the intake loads slowly
     from rig.intake import SeismometerRecord
 
     if config.seismometer.kind == "none":
@@ -278,13 +277,13 @@ def recorded_seismometer(reader: RecordReader, config: Configuration) -> "Seismo
         return None
     names = config.seismometer.components
     times_ns, steps_s = sample_times(table["time_ns"], table["own_time_s"])
-    order = np.concatenate([[True], np.diff(times_ns) > 0])
-    stray = int(np.count_nonzero(~order))
+    is_later = np.concatenate([[True], np.diff(times_ns) > 0])
+    late_samples = int(np.count_nonzero(~is_later))
     value = np.column_stack([table[name] for name in _COMPONENTS[: len(names)]])
     return SeismometerRecord(
         f"{reader.path.name}: {SEISMOMETER.topic}",
-        times_ns[order] - times_ns[0],
-        value[order],
+        times_ns[is_later] - times_ns[0],
+        value[is_later],
         names,
         int(times_ns[0]),
         absolute=False,
@@ -293,6 +292,6 @@ def recorded_seismometer(reader: RecordReader, config: Configuration) -> "Seismo
         understood=(
             f"columns: {', '.join(names)}",
             *(f"{CLOCK_SET} by {step:+.4g} s; times before it follow those after it" for step in steps_s),
-            *([f"left out: {stray} samples not later than the previous one"] if stray else []),
+            *([f"left out: {late_samples} samples not later than the previous one"] if late_samples else []),
         ),
     )
