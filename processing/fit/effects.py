@@ -183,6 +183,8 @@ _MAX_NEGLIGIBLE_ERROR_U = 1e-3
 """Largest error of an amplitude, in its uncertainties, below which a coordinate keeps its prior."""
 _MIN_FELT_U = 0.01
 """Change of a parameter, in its uncertainties, above which a place of rest is part of them."""
+_CHANCE_U = 2.0
+"""Distance of the rest position, in its uncertainties, up to which it is taken for chance."""
 _SECOND = ORDERS.index(2)
 _FEWEST = 8
 _LEAST_SHARE = 1e-9
@@ -390,11 +392,14 @@ def _slopes(amplitude: Floats, values: Floats) -> tuple[Floats, Floats]:
 def with_rest_position(at: LinearisedFit, found: TimeAlternation, fit: FitResult) -> FitResult:
     """The fit with uncertainties that contain what a rest position beside the contact's middle changes.
 
-    Over both directions a power p of the angle in the friction loses ``p (p + 1) / 2 (r / A)^2`` more, and
+    A distance that chance may make changes nothing. Over both directions a power p of the angle in the friction loses ``p (p + 1) / 2 (r / A)^2`` more, and
     one in the elastic moment, of which the period tells, is as much larger in the mean over the swing. The
     values stay: the series in r/A is right only to some tenths of itself.
     """
-    rest = found.rest_rad.value / at.model.reference
+    value, u = found.rest_rad
+    rest = sqrt(max(value**2 - (_CHANCE_U * u) ** 2, 0.0)) / at.model.reference
+    if rest == 0.0:
+        return fit
 
     def loss_errors(amplitude: Floats, _: Floats) -> Floats:
         power, of_contact = _contact_power(at, amplitude, np.interp(-amplitude, -nodes, loss))

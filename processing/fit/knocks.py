@@ -18,6 +18,7 @@ from processing.fit.drag import contradicted_drag
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_result import check_turning_points
 from processing.fit.ground import Noise
 from processing.fit.noise_estimate import NoiseSearch
 from processing.fit.result import Change, ChangeKind, FitResult
@@ -47,6 +48,7 @@ def fit_with_knocks(
     spot alone disturbs a first measurement more than the second. All stand in the result's `changes`. What is
     known of the drag is left out, with a warning, where the data contradict it (see `contradicted_drag`).
     """
+    check_turning_points(points)
     wrong = contradicted_drag(points, pendulum, evidence, loss=loss, averaged=averaged, near=near)
     if wrong is not None:
         evidence, near = replace(evidence, drag_s=None), wrong.fit

@@ -147,11 +147,11 @@ def validate_configuration(
         is_stated, place = _is_from_overrides(fault, with_u), fault.place
         siblings = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
         why = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
-        of_set = "--set "
-        if not place and not fault.line.startswith(tuple(overrides)):
-            # the line begins with another of the keys that contradict each other
-            of_set += "".join(f"{text}: " for key, text in overrides.items() if key in fault.line)
-        lines.append(f"{of_set if is_stated else f'{source}: '}{fault.line}{why}")
+        line = fault.line
+        at = {text: line.find(key) for key, text in overrides.items()}
+        # the line begins with another of the keys that contradict each other
+        of_set = "" if place or 0 in at.values() else "".join(f"{text}: " for text in at if at[text] > 0)
+        lines.append(f"{f'--set {of_set}' if is_stated else f'{source}: '}{fault.line}{why}")
         override_faults += [(dotted(place), f"{fault.line}{why}")] if is_stated else []
     raise FaultyConfiguration(lines, override_faults)
 

@@ -62,7 +62,7 @@ def test_the_factor_lies_within_its_bounds(
     found = judged(*minutes, noise, late_s=late_s)
     true = np.sqrt(1 + 1 / noise**2)
     assert np.mean([one.related for one in found]) > (0.99 if noise < 1 else 0.8)
-    least, factor = (np.median([getattr(one, name) for one in found]) for name in ("least", "factor"))
+    least, factor = (np.median([getattr(one, name) for one in found]) for name in ("lower_95", "factor"))
     # never more is promised than there is
     assert np.mean([one.lower_95 <= true for one in found]) >= 0.9
     assert least > 0.35 * true

@@ -122,7 +122,8 @@ def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder)]
     process = subprocess.Popen(
-        [*command, "--runs", "2", *set_words(QUICK)],
+        # long enough to be flushed before its end
+        [*command, "--runs", "2", *set_words({**QUICK, "session.max_duration_s": "120"})],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
