@@ -392,9 +392,10 @@ def _slopes(amplitude: Floats, values: Floats) -> tuple[Floats, Floats]:
 def with_rest_position(at: LinearisedFit, found: TimeAlternation, fit: FitResult) -> FitResult:
     """The fit with uncertainties that contain what a rest position beside the contact's middle changes.
 
-    A distance that chance may make changes nothing. Over both directions a power p of the angle in the friction loses ``p (p + 1) / 2 (r / A)^2`` more, and
-    one in the elastic moment, of which the period tells, is as much larger in the mean over the swing. The
-    values stay: the series in r/A is right only to some tenths of itself.
+    A distance that chance may make changes nothing. Over both directions a power p of the angle in the
+    friction loses ``p (p + 1) / 2 (r / A)^2`` more, and one in the elastic moment, of which the period tells,
+    is as much larger in the mean over the swing. The values stay: the series in r/A is right only to some
+    tenths of itself.
     """
     value, u = found.rest_rad
     rest = sqrt(max(value**2 - (_CHANCE_U * u) ** 2, 0.0)) / at.model.reference
