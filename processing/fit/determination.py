@@ -5,8 +5,8 @@ profile likelihood gives the interval: the parameter is held at a value, all oth
 interval ends where chi2 has risen by the amount that corresponds to the coverage.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import partial
 from math import nan
 from typing import NamedTuple
@@ -62,8 +62,8 @@ class _ConditionalModel:
 
     def __init__(self, model: ExactModel, name: str, best: Floats) -> None:
         self._model = model
-        self._row = model.names.index(name)
-        positive = bool(model.columns.physical(best)[0][self._row] > 0)
+        self.row = model.names.index(name)
+        positive = bool(model.columns.physical(best)[0][self.row] > 0)
         self._logarithmic = model.law.parameter(name).logarithmic and positive
         self.column, self._keeps_sign = model.columns.held(name)
         self.free = np.delete(np.arange(len(model.lower)), self.column)
@@ -76,15 +76,15 @@ class _ConditionalModel:
         values[self.column] = self.guess
         for _ in range(50 if np.all(np.isfinite(free)) else 0):
             known, slopes = self._model.columns.physical(values)
-            slope = slopes[self._row]
+            slope = slopes[self.row]
             if not np.all(np.isfinite(slope)):
                 break
-            if self._logarithmic and not known[self._row] / held > 0:
+            if self._logarithmic and not known[self.row] / held > 0:
                 break
             if self._logarithmic:
-                error, per_column = np.log(known[self._row] / held), slope[self.column] / known[self._row]
+                error, per_column = np.log(known[self.row] / held), slope[self.column] / known[self.row]
             else:
-                error, per_column = known[self._row] - held, slope[self.column]
+                error, per_column = known[self.row] - held, slope[self.column]
             with np.errstate(all="ignore"):
                 step = np.divide(error, per_column)
             if not np.isfinite(step):
@@ -124,11 +124,13 @@ class Profile:
     """Limits of one parameter by the profile likelihood; NaN if chi2 does not rise enough.
 
     `trace` holds the points computed, rows of (value, rise of chi2) in order of rising value, for a figure.
+    `allowed` (points, columns) are all columns of those within the limits.
     """
 
     lower: float
     upper: float
     trace: Floats
+    allowed: Floats
 
 
 def profile_likelihood(
@@ -138,6 +140,7 @@ def profile_likelihood(
     name: str,
     *,
     coverage: float = 0.95,
+    begin: Floats | None = None,
 ) -> Profile:
     """Profile likelihood of one parameter on both sides of its fitted value.
 
@@ -145,6 +148,8 @@ def profile_likelihood(
     ----------
     result
         The exact fit of the same points. `name` is one of its contact parameters or ``drag_s``.
+    begin
+        Columns at which the search on both sides begins, near another minimum; default: at the fit.
 
     Notes
     -----
@@ -178,8 +183,15 @@ def profile_likelihood(
         start = np.clip(held.follow(value, free_at_lowest, 0.0), low_end, high_end)
         at_zero = refitted(held.at(0.0), start)
         value, lowest_cost, free_at_lowest = 0.0, at_zero.cost, at_zero.values
+    root_at_begin = 0.0
+    if begin is not None:
+        value, free_at_lowest = float(model.columns.physical(begin)[0][held.row]), begin[held.free]
+        held.guess = float(begin[held.column])
+        residuals = model(begin)[0]
+        root_at_begin = float(np.sqrt(max(float(residuals @ residuals) - 2 * lowest_cost, 0.0) / scale))
     guess_at_lowest = held.guess
-    trace: list[tuple[float, float]] = [(value, 0.0)]
+    trace: list[tuple[float, float]] = [(value, root_at_begin**2)]
+    allowed: list[Floats] = []
 
     def at(z: float) -> float:
         return float(value * np.exp(z)) if logarithmic else value + z
@@ -200,7 +212,7 @@ def profile_likelihood(
             # 0 itself is included, but not the limit of a range of search
             farthest = min(farthest, room if parameter.lower == 0 else 0.999 * room)
         free, guess = free_at_lowest, guess_at_lowest
-        low, low_root = 0.0, 0.0
+        low, low_root = 0.0, root_at_begin
         high, high_root = np.inf, np.inf
         z = farthest_step = min(target * unit, farthest)
         was_below: bool | None = None
@@ -239,6 +251,7 @@ def profile_likelihood(
                 if was_below:
                     high_root = target + 0.5 * (high_root - target)
                 free, guess = solution.values, held.guess
+                allowed.append(held.full(at(sign * z), free)[0])
                 farthest_step = max(farthest_step, 2.5 * (z - low))
                 low, low_root = z, root
                 if z >= farthest:
@@ -266,7 +279,7 @@ def profile_likelihood(
         raise DataError(f"the fitted parameters do not reach the last half-cycle; no profile of {name}")
     lower, upper = side(-1.0), side(1.0)
     trace.sort()
-    return Profile(lower, upper, np.array(trace))
+    return Profile(lower, upper, np.array(trace), np.reshape(allowed, (-1, len(best))))
 
 
 def _refit(
@@ -298,39 +311,76 @@ def identifiability(
         }
     found = {
         name: Determination(name, Determinacy.UNDETERMINED, nan, nan)
-        if name in withheld
-        else _determination(points, pendulum, result, name)
         for name in result.contact_names
+        if name in withheld
     }
+    profiles: dict[str, Profile] = {}
+
+    def determine(name: str, max_parabolic_u: float = _MAX_PARABOLIC_U) -> None:
+        value, u = result.estimate(name)
+        if not u <= max_parabolic_u * abs(value):
+            profiles[name] = profile_likelihood(points, pendulum, result, name)
+        found[name] = _determination(result, name, profiles.get(name))
+
+    for name in result.contact_names:
+        if name not in withheld:
+            determine(name)
     # T0 is known to per mille however wrong it is: only the profile shows that it bends with an unknown n
     bent = [result.names.index(name) for name in found if found[name].profile_likelihood]
     for name in result.contact_names:
         bends = bool(np.any(correlation[result.names.index(name), bent] > _BENDS_WITH))
         if bends and not found[name].profile_likelihood and name not in withheld:
-            found[name] = _determination(points, pendulum, result, name, max_parabolic_u=0.0)
-    return tuple(found.values())
+            determine(name, 0.0)
+    model = ExactModel.of(points, pendulum, result)[0] if profiles else None
+    for name, profile in profiles.items():
+        assert model is not None
+        wider = _with_other_valleys(points, pendulum, result, name, profile, profiles.values(), model)
+        if wider is not profile:
+            found[name] = _determination(result, name, wider)
+    return tuple(found[name] for name in result.contact_names)
 
 
-def _determination(
+def _with_other_valleys(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
     result: FitResult,
     name: str,
-    *,
-    max_parabolic_u: float = _MAX_PARABOLIC_U,
-) -> Determination:
+    profile: Profile,
+    profiles: Iterable[Profile],
+    model: ExactModel,
+) -> Profile:
+    """The profile with limits beyond all that the profiles of other parameters allow.
+
+    Chi2 may have a second minimum beyond a rise; to a search along another parameter there is none.
+    """
+    row = model.names.index(name)
+    allowed = np.concatenate([one.allowed for one in profiles])
+    values = np.array([model.columns.physical(columns)[0][row] for columns in allowed])
+    if not np.any(np.isfinite(values)):
+        return profile
+    lowest, highest = int(np.nanargmin(values)), int(np.nanargmax(values))
+    if values[lowest] < profile.lower:
+        begun = profile_likelihood(points, pendulum, result, name, begin=allowed[lowest])
+        profile = replace(profile, lower=begun.lower)
+    if values[highest] > profile.upper:
+        begun = profile_likelihood(points, pendulum, result, name, begin=allowed[highest])
+        profile = replace(profile, upper=begun.upper)
+    return profile
+
+
+def _determination(result: FitResult, name: str, found: Profile | None) -> Determination:
+    """The verdict by value and uncertainty, and by the profile where it was looked at."""
     value, u = result.estimate(name)
     verdict = Determinacy.INTERVAL
     lower, upper = result.interval(name)
-    by_profile = not u <= max_parabolic_u * abs(value)
-    if by_profile:
-        found = profile_likelihood(points, pendulum, result, name)
+    by_profile = found is not None
+    if found is not None:
         limits, half = np.array([found.lower, found.upper]), 0.5 * (upper - lower)
         if u <= WELL_DETERMINED * abs(value) and np.all(
             np.abs(limits - (lower, upper)) < _MAX_END_DIFFERENCE * half
         ):
             by_profile = False
-    if not by_profile:
+    if found is None or not by_profile:
         verdict = Determinacy.DETERMINED
     else:
         lower, upper = found.lower, found.upper

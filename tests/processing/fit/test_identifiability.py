@@ -266,6 +266,21 @@ def test_a_refit_that_went_astray_neither_ends_a_profile_nor_bounds_it() -> None
     assert found.upper == pytest.approx(2.441, abs=0.02)
 
 
+@pytest.mark.slow
+def test_limits_hold_every_valley_of_the_likelihood() -> None:
+    """Friction nearly constant beside a drag, or nearly linear without one; chi2 rises between."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=3, last_arcsec=40)
+    known = Evidence(drag_s=Estimate(1.8e-3, 1.35e-3))
+    result = fit_exact(points, pendulum, drag=True, evidence=known)
+    assert result.estimate("p").value < 0.1
+    found = {one.name: one for one in identifiability(points, pendulum, result)}
+    for name, true in (("b", parameters.b), ("p", parameters.p), ("drag_s", 0.0)):
+        assert not found[name].lower_95 > true
+        assert not found[name].upper_95 < true
+    assert profile_likelihood(points, pendulum, result, "p").upper < 0.1
+
+
 def test_period0_and_n_are_named_as_hard_to_tell_apart() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=2), pendulum)
