@@ -180,9 +180,9 @@ class Watched:
 
     def _looked(self, seen: SessionPicture) -> AlignmentFrame | None:
         """The frame with its figures; None before the program has told its camera."""
-        if "full_scale_dn" not in (camera := self.news.get("camera") or {}):
+        if "full_scale_dn" not in seen.camera:
             return None
-        full_scale_dn, config = int(camera["full_scale_dn"]), self.config
+        full_scale_dn, config = int(seen.camera["full_scale_dn"]), self.config
         own, reference = seen.image, None
         if config is not None and config.reference is not None and seen.reference is not None:
             row = config.reference.from_row_px
@@ -191,8 +191,10 @@ class Watched:
         figures = picture.figures(own, full_scale_dn)
         self.focus.append((time.monotonic(), figures.sharpness_per_px))
         middle_px = middle_of(seen.image, None if config is None else config.lever_reference_px)
+        # those of this frame: the news may have others already, or not yet
+        applied = CameraSettings.model_validate(seen.camera["applied"])
         return AlignmentFrame(
-            seen.image, full_scale_dn, figures, seen.spot, middle_px, self.applied, seen.beam, reference
+            seen.image, full_scale_dn, figures, seen.spot, middle_px, applied, seen.beam, reference
         )
 
 

@@ -42,12 +42,14 @@ _WATCHED_S = 60.0
 class SessionPicture(NamedTuple):
     """A frame (ny, nx) in DN, the spot in it, and its number.
 
-    `reference` is the reference's spot where there is one, `beam` the verdict on the beam where there is one.
+    `reference` is the reference's spot where there is one, `beam` the verdict on the beam where there is one,
+    `camera` its full scale and settings with which the frame was taken.
     """
 
     image: Image
     spot: Spot
     number: int
+    camera: Mapping[str, Any]
     reference: Spot | None = None
     beam: Verdict | None = None
 
@@ -131,7 +133,9 @@ class SessionNews:
         self._picture_number += 1
         # a camera's frames are read-only and never written to again; anything else is copied
         held = image.copy() if image.flags.writeable else image
-        self._frame = SessionPicture(held, spot, self._picture_number, reference, beam)
+        self._frame = SessionPicture(
+            held, spot, self._picture_number, self._values["camera"], reference, beam
+        )
 
     # -- for those that answer -----------------------------------------------
 
