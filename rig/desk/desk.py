@@ -14,7 +14,7 @@ from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_directly, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.calibrating import KINDS, Calibration
-from rig.desk.following import CommandWatch, Following, Watched
+from rig.desk.following import CommandWatch, Following, WatchedProgram
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, reason_in, start_session
 from rig.desk.lighting import Lighting, Safety
 from rig.desk.sessions import SessionIndex, last_state, last_summary
@@ -206,7 +206,7 @@ class Desk:
         return "" if job is None or job.running or job.ending else job.problem
 
     @property
-    def shown(self) -> Watched | None:
+    def shown(self) -> WatchedProgram | None:
         """The session that runs, else the live picture; None without either."""
         if self.following.running:
             return self.following
@@ -306,7 +306,7 @@ class Desk:
         """End what ends with the desk; a session goes on."""
         self.alarming.stop()
         self.following.stop()
-        self.command.asking.stop()
+        self.command.poller.stop()
         self.safety.stop()
         self.end_aligning()
         for job in self.jobs.values():

@@ -37,7 +37,7 @@ _EVENTS_KEPT = 300
 _FOCUS_POINTS = 600
 
 
-class Asking:
+class SocketPoller:
     """A thread that asks the program in `folder()` again and again, by a connection of its own.
 
     `ask` is called with it, `gone` once nothing answers there. `age_s` is the time since the last answer,
@@ -92,7 +92,7 @@ class Asking:
             line.close()
 
 
-class Watched:
+class WatchedProgram:
     """A program with an order socket; `folder` has it (None without one).
 
     `news` is its last answer (empty without one), `heard_s` the monotonic time of it. `look` is the last
@@ -198,8 +198,8 @@ class Watched:
         )
 
 
-class CommandWatch(Watched):
-    """A command with the rig, which is no session, and has its socket in `holder()`; `asking` asks it.
+class CommandWatch(WatchedProgram):
+    """A command with the rig, which is no session, and has its socket in `holder()`; `poller` asks it.
 
     While it is busy the last news stay, and their age grows.
     """
@@ -207,7 +207,7 @@ class CommandWatch(Watched):
     def __init__(self, holder: Callable[[], Path | None]) -> None:
         super().__init__()
         self._stated: Configuration | None = None
-        self.asking = Asking("who has the rig", holder, self._hear, self._forget)
+        self.poller = SocketPoller("who has the rig", holder, self._hear, self._forget)
 
     @property
     def config(self) -> Configuration | None:
@@ -225,7 +225,7 @@ class CommandWatch(Watched):
         self.news, self.folder = {}, None
 
 
-class Following(Watched):
+class Following(WatchedProgram):
     """A thread that asks the running session for news, and looks for one while there is none.
 
     `events` are those of its records. `last_folder` is the folder of the last session, at first the newest of
@@ -245,7 +245,7 @@ class Following(Watched):
         self.ended: deque[RaisedAlarm] = deque(maxlen=8)
         self.unheard: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         # news wait for the threads that measure, and come late from a busy machine; a beat waits for nothing
-        self.heartbeat = Asking("heartbeat", lambda: self.folder, OrderConnection.beat)
+        self.heartbeat = SocketPoller("heartbeat", lambda: self.folder, OrderConnection.beat)
         self._line: OrderConnection | None = None
         self._reader: RecordFollower | None = None
         self._stated: Configuration | None = None

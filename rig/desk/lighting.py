@@ -21,7 +21,7 @@ from rig.control import (
     TripCause,
     in_thread,
 )
-from rig.desk.following import Following, Watched
+from rig.desk.following import Following, WatchedProgram
 from rig.desk.run_reader import clock
 from rig.devices import (
     HEARD_WITHIN_S,
@@ -165,7 +165,7 @@ class Safety:
     confirmed states, None before any.
     """
 
-    def __init__(self, rig: SafetyState, following: Following, command: Watched, by: str) -> None:
+    def __init__(self, rig: SafetyState, following: Following, command: WatchedProgram, by: str) -> None:
         self._rig, self._following, self._command, self._by = rig, following, command, by
         self.light: ConfirmedState | None = None
         self.interlock: ConfirmedState | None = None
@@ -195,7 +195,7 @@ class Safety:
             interlock_age_s=state.interlock_age_s + since_s,
         )
 
-    def _told(self) -> Watched | None:
+    def _told(self) -> WatchedProgram | None:
         """The program that has the devices, and has told their state; None without one."""
         has_told = (one for one in (self._following, self._command) if one.news.get("safety"))
         return next(has_told, None)

@@ -74,21 +74,21 @@ showed it is silent.
 ShowFrame = Callable[[Frame, Spot, CameraInfo], None]
 
 
-class Wishes:
+class CameraRequests:
     """What other threads request of the thread that has the camera, which stops it meanwhile."""
 
     def __init__(self) -> None:
         self._queue = SimpleQueue[tuple[Callable[[], str], Future[str]]]()
 
-    def put(self, wish: Callable[[], str]) -> Future[str]:
+    def put(self, request: Callable[[], str]) -> Future[str]:
         """Request something; returns what will have been done, or why not."""
         done: Future[str] = Future()
-        self._queue.put((wish, done))
+        self._queue.put((request, done))
         return done
 
-    def ask(self, wish: Callable[[], str]) -> str:
+    def ask(self, request: Callable[[], str]) -> str:
         """Request something, and wait until it is done; what comes too late is not done."""
-        done = self.put(wish)
+        done = self.put(request)
         try:
             return done.result(_DONE_WITHIN_S)
         except TimeoutError:
@@ -103,10 +103,10 @@ class Wishes:
         """Do all that was requested; returns what the last one has led to."""
         said = ""
         while self.waiting:
-            wish, done = self._queue.get()
+            request, done = self._queue.get()
             if done.set_running_or_notify_cancel():
                 try:
-                    said = wish()
+                    said = request()
                 except RigError as error:
                     said = str(error)
                 done.set_result(said)
@@ -114,16 +114,16 @@ class Wishes:
 
 
 class LivePicture:
-    """The camera and the laser of a live picture, and what is told of them to a desk, which gives `orders`.
+    """The camera and the laser of a live picture, which takes `orders` of a desk and has `news` for it.
 
-    `wishes` are carried out between two looks, `note` is what the last one has led to, and `dark`
-    why the laser is. `told` are the news, whose state has both.
+    `requests` are carried out between two looks. `note` says what the last one has led to, `dark` why the
+    laser is; the news have both.
     """
 
     def __init__(self, config: Configuration, devices: Devices) -> None:
         self._config, self._devices = config, devices
-        self.told = SessionNews()
-        self.wishes = Wishes()
+        self.news = SessionNews()
+        self.requests = CameraRequests()
         self.note = self.dark = ""
         self._left = self._over = False
         self._lit_s = 0.0
@@ -137,13 +137,13 @@ class LivePicture:
                 raise LightRefused(f"{trip.text}: acknowledge it first")
             # it is asked for now: a trip that comes before the picture follows outdates it
             self._devices.permit.request_light()
-            return self.wishes.ask(self._light)
+            return self.requests.ask(self._light)
 
         def set_(settings: str) -> str:
             wanted = CameraSettings.model_validate_json(settings)
-            return self.wishes.ask(lambda: self._configured(wanted))
+            return self.requests.ask(lambda: self._configured(wanted))
 
-        return {"key": lambda key: self.wishes.ask(lambda: self._press(key)), "set": set_, "light": light}
+        return {"key": lambda key: self.requests.ask(lambda: self._press(key)), "set": set_, "light": light}
 
     def show(
         self,
@@ -169,7 +169,7 @@ class LivePicture:
         self.note = "; ".join(filter(None, (*opened.notes, self._light())))
         try:
             while True:
-                self.told.begin_run("live picture", info.full_scale_dn, self._applied)
+                self.news.begin_run("live picture", info.full_scale_dn, self._applied)
                 self._tell()
                 tracker, reference = optics.tracker(), optics.reference()
                 newest = watch_latest(opened.camera, 1, end_s, _LOOK_S, self._frame_read)
@@ -180,21 +180,21 @@ class LivePicture:
                             frame.image, info.full_scale_dn, tracker, middle_px, applied, reference
                         )
                         of_reference = None if look.reference is None else look.reference.spot
-                        self.told.show(frame.image, look.spot, of_reference, look.beam)
+                        self.news.show(frame.image, look.spot, of_reference, look.beam)
                         watch.look()
                         self._keep_lit_while_seen()
                         if view is not None:
                             at_ns = nanoseconds(time.monotonic() - begun_s)
                             view(frame._replace(device_time_ns=at_ns), look.spot, info)
                         terminal.take(look, self)
-                        if self.wishes.waiting:
+                        if self.requests.waiting:
                             break
                     else:
                         if time.monotonic() < end_s:
                             raise DeviceError("the camera has delivered its last frame")
                         return
                 # a camera is configured while it is stopped, and goes on with the next round
-                self.note = self.wishes.carry_out()
+                self.note = self.requests.carry_out()
                 if self._over:
                     return
         finally:
@@ -202,7 +202,7 @@ class LivePicture:
 
     def press(self, key: str) -> None:
         """Request what a key means."""
-        self.wishes.put(partial(self._press, key))
+        self.requests.put(partial(self._press, key))
 
     def _light(self) -> str:
         """Light; what was done, or why the picture lives in the dark until somebody acknowledges and asks."""
@@ -219,9 +219,9 @@ class LivePicture:
 
     def _keep_lit_while_seen(self) -> None:
         """Switch the laser off once nobody looks at the desk that shows it, or the desk is gone."""
-        devices, told, now_s = self._devices, self.told, time.monotonic()
-        if devices.permit.begun and told.asked_s > 0.0 and not at_terminal():
-            seen_s, asked_s = max(told.looked_s, self._lit_s), max(told.asked_s, self._lit_s)
+        devices, news, now_s = self._devices, self.news, time.monotonic()
+        if devices.permit.begun and news.asked_s > 0.0 and not at_terminal():
+            seen_s, asked_s = max(news.looked_s, self._lit_s), max(news.asked_s, self._lit_s)
             if now_s - seen_s > _UNSEEN_S or now_s - asked_s > _UNASKED_S:
                 self._left = True
                 devices.darken(_LEFT)
@@ -231,7 +231,7 @@ class LivePicture:
         self._tell()
 
     def _tell(self) -> None:
-        self.told.state({"dark": self.dark, "note": self.note}, ())
+        self.news.state({"dark": self.dark, "note": self.note}, ())
 
     def _press(self, key: str) -> str:
         """Carry out a key that sets the camera, or ends the picture; returns what came of it."""
@@ -326,7 +326,7 @@ def align_camera(
     with Devices(config, output, "rig camera align") as devices:
         picture = LivePicture(config, devices)
         with (
-            light_shown_to_desk(devices, output, picture.told, picture.orders),
+            light_shown_to_desk(devices, output, picture.news, picture.orders),
             devices.camera(config) as opened,
         ):
             ask_leave(devices)

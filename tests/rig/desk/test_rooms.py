@@ -162,7 +162,7 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
-        desk.command.asking.start()
+        desk.command.poller.start()
         desk.safety.start()
         desk.begin_aligning()
         until(lambda: desk.command.frames_age_s > 0.0)
@@ -222,7 +222,7 @@ def test_the_bar_knows_the_light_of_a_simulated_rigs_command_and_that_it_is_dark
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
-        desk.command.asking.start()
+        desk.command.poller.start()
         desk.safety.start()
         desk.balancing.measure()
         until(lambda: lamps(desk.safety, "")["laser"]["text"] == "on")

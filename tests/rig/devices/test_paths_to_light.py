@@ -236,7 +236,7 @@ def test_after_a_trip_the_live_picture_lives_in_the_dark(
     config: Configuration, lit: Lit, tripped: None, tmp_path: Path
 ) -> None:
     with live_picture(config, tmp_path) as (picture, _):
-        until(lambda: picture.told.picture() is not None)
+        until(lambda: picture.news.picture() is not None)
         assert "trip 1 (INTERLOCK)" in picture.note
         assert lit.at == []
 
@@ -254,7 +254,7 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
         return usual(camera, timeout_s)
 
     def shown() -> int:
-        found = picture.told.picture()
+        found = picture.news.picture()
         return 0 if found is None else found.number
 
     monkeypatch.setattr(SimulatedCamera, "read", read)
@@ -262,7 +262,7 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
         until(lambda: len(lit.at) == 1 and shown() > 0)
         runs.clear()
         asked = in_thread(picture.orders["light"], "")
-        until(lambda: picture.wishes.waiting)
+        until(lambda: picture.requests.waiting)
         devices.light_off("the desk")
         until(lambda: devices.safety().light == "off")
         trip = devices.permit.latched
@@ -287,7 +287,7 @@ def test_a_live_picture_that_nobody_sees_at_a_desk_goes_dark_until_light_is_aske
     monkeypatch.setattr("rig.devices.aligning._UNSEEN_S", 1.0)
     monkeypatch.setattr("rig.devices.aligning._UNASKED_S", 1.0)
     with live_picture(config, tmp_path) as (picture, devices):
-        told = picture.told
+        told = picture.news
         until(lambda: len(lit.at) == 1 and not devices.darkness())
         told.asked_s = told.looked_s = time.monotonic() + 60.0
         setattr(told, silent, time.monotonic())
