@@ -232,7 +232,7 @@ def campaign(
     sample: bool = False,
     output: str | Path | None = None,
 ) -> Campaign:
-    """Fit one model over the runs of several sessions, as `rig compare --model` does.
+    """Fit one model over the runs of several sessions, as `rig compare` does.
 
     Parameters
     ----------

@@ -187,7 +187,7 @@ def test_an_envelope_has_no_runs(tmp_path: Path) -> None:
 
 
 def test_what_the_configuration_states_of_air_and_sample_goes_with_the_table(tmp_path: Path) -> None:
-    """It is that of a run: for `compare --against`, a campaign by samples, the archive, the export."""
+    """It is that of a run: for a campaign by samples, the archive, the export."""
     stated = (
         '[session]\nsample = "A7"\noperator = "O."\ncontact_made = 2024-05-01T10:00:00Z\n[environment]\n'
         "humidity_percent = 45.0\n"
