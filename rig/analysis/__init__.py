@@ -15,7 +15,6 @@ from rig.analysis.results import (
     AveragedCurves,
     ComparedLaws,
     Correlation,
-    EnvelopeResults,
     Fit,
     ModelFreeMoments,
     RunIdentity,
@@ -79,7 +78,7 @@ if TYPE_CHECKING:
         refuse_unread,
         session_results,
     )
-    from rig.analysis.table_fit import AnalysedTable, analyse_envelope, analyse_trajectory, series_of_runs
+    from rig.analysis.table_fit import AnalysedTable, analyse_trajectory, series_of_runs
     from rig.analysis.turning_plane import PlaneBalances, follow_plane
 else:
     _LAZY = {
@@ -95,7 +94,7 @@ else:
             "record_fit": "analyse_record analyse_run",
             "screen": "print_results print_series print_table",
             "series": "AnalysedRun fitted_series refuse_copies refuse_unread session_results",
-            "table_fit": "AnalysedTable analyse_envelope analyse_trajectory series_of_runs",
+            "table_fit": "AnalysedTable analyse_trajectory series_of_runs",
             "turning_plane": "PlaneBalances follow_plane",
         }.items()
         for name in names.split()

@@ -356,22 +356,3 @@ class SessionResults(RowsByName):
 
     def __repr__(self) -> str:
         return self._summary("\n".join(repr(run).partition("\n")[0] for run in self.runs))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EnvelopeResults:
-    """results.json of an envelope: see `processing.envelope.EnvelopeDecay`."""
-
-    schema: int = SCHEMA
-    envelope: str
-    unit: str
-    understood: tuple[str, ...] = ()
-    samples: int
-    time_constant_s: Estimate
-    first_half_s: float = nan
-    last_half_s: float = nan
-    chi2_per_dof: float = nan
-    noise_floor: float = nan
-    damping: AmplitudeDamping | None = None
-    quality_factor: Estimate | None = None
-    warnings: tuple[str, ...] = ()

@@ -3,7 +3,6 @@
 from rig.intake.doubts import (
     clipping_warnings,
     decay_warnings,
-    judge_envelope_unit,
     judge_sign,
     judge_time_unit,
     missing_for_laws,

@@ -145,9 +145,7 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
     if len(matrices) == 1 and not vectors:
         return _rows_of_matrix(path, *next(iter(matrices.items())))
     if complex_ := [name for name, value in found.items() if getattr(value, "dtype", None) in _COMPLEX_TYPES]:
-        raise DataError(
-            f"{path}: {complex_[0]} is complex; save its real part, or its modulus as an envelope"
-        )
+        raise DataError(f"{path}: {complex_[0]} is complex; save its real part")
     if not vectors or matrices:
         others = ", ".join(name for name in found if not name.startswith("__") and name not in numbers)
         raise DataError(
