@@ -46,7 +46,6 @@ from rig.analysis.run_values import PositionErrors, StoredTurningPoints, TableDe
 if TYPE_CHECKING:
     from rig.analysis.ambient import (
         HISTORY_KEYS,
-        drag_at_pressure,
         drag_of_fit,
         evidence_of,
         expected_drag,
@@ -84,8 +83,7 @@ else:
     _LAZY = {
         name: module
         for module, names in {
-            "ambient": "HISTORY_KEYS drag_at_pressure evidence_of expected_drag drag_of_fit recorded_ambient "
-            "stated_ambient",
+            "ambient": "HISTORY_KEYS evidence_of expected_drag drag_of_fit recorded_ambient stated_ambient",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
             "contact_fits": "loss_of refined_half_cycles",
             "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC base_motion with_contact",

@@ -49,7 +49,6 @@ from rig.intake import (
     judge_time_unit,
     missing_for_laws,
     strange_amplitudes,
-    two_oscillations_message,
 )
 from rig.settings import Configuration
 
@@ -109,17 +108,15 @@ def analyse_trajectory(
     if not usable:
         judge_time_unit(path, trajectory)
         most = max((len(turning_points(part)) for part in parts), default=0)
-        reason = two_oscillations_message(trajectory.times_ns, deflection) or (
-            "the samples hold no free decay, or too little of one. "
-            + (
-                trajectory.remedy
-                or f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
-                "--position choose others"
-            )
+        remedy = trajectory.remedy or (
+            f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
+            "--position choose others"
         )
         raise DataError(
             f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "
-            f"flagged or of other decays), at least {_MIN_USABLE_HALF_CYCLES} are needed: {reason}"
+            f"flagged or of other decays), at least {_MIN_USABLE_HALF_CYCLES} are needed: the samples hold "
+            "no free decay, too little of one, or a second oscillation as large, which has to be filtered. "
+            f"{remedy}"
         )
     judge_time_unit(path, trajectory, usable)
     both = _both_deflections(trajectory.times_ns, across, deflection, scatter)

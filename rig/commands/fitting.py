@@ -42,8 +42,8 @@ def fit(
     time_unit: Annotated[
         str,
         typer.Option(
-            help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h, d; m:ss or h:mm for times "
-            "like 12:30; default: from the header (time_ms, t [ms]), else s.",
+            help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h, d; default: from the header "
+            "(time_ms, t [ms]), else s.",
             show_default=False,
         ),
     ] = "",

@@ -138,6 +138,7 @@ def compare(
     from rig.report import (
         StatedCampaign,
         campaign_tables,
+        decays_table,
         fit_model,
         read_campaign,
         runs_of_archive,
@@ -153,6 +154,9 @@ def compare(
         from rig.archive import ordered_runs
 
         runs = runs_of_archive(ordered_runs(archive, where))
+    if output is None and not any(one.run.fits for one in runs):
+        print_tables([decays_table(runs)])
+        return
     found = fit_model(runs, stated, sample=sample)
     answer(campaign=lambda: encoded(found.results))
     print_tables(campaign_tables(found))

@@ -11,7 +11,7 @@ from rig.intake.doubts import (
 from rig.intake.film import FilmOptions, film_trajectory, films_in, is_filmed
 from rig.intake.seismometer import FIRST_UTC_S, SeismometerRecord, read_seismometer
 from rig.intake.table import TableColumns
-from rig.intake.times import fast_mode_ratio, fast_oscillation, two_oscillations_message
+from rig.intake.times import fast_mode_ratio, fast_oscillation
 from rig.intake.trajectory import (
     Trajectory,
     along_and_across,

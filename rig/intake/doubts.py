@@ -234,8 +234,12 @@ def strange_amplitudes(
     ]
 
 
+_TOO_QUIET = 0.01
+"""Chi-square per degree of freedom below which the stated noise must be too large."""
+
+
 def decay_warnings(summary: DecaySummary) -> list[str]:
-    """Warnings of a decay that grows, or whose period or decrement is not constant."""
+    """Warnings of a decay that grows, of a period or decrement that is not constant, of too large a noise."""
     doubts = []
     if summary.grows:
         doubts.append(
@@ -257,6 +261,11 @@ def decay_warnings(summary: DecaySummary) -> list[str]:
                 f"the {name} is not constant (χ²/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
                 "uncertainty of its mean allows for it"
             )
+    if max(summary.period_s.chi2_per_dof, summary.decrement.chi2_per_dof) < _TOO_QUIET:
+        doubts.append(
+            "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
+            "a swing that estimate is too large): the uncertainties are upper limits"
+        )
     return doubts
 
 

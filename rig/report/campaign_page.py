@@ -1,7 +1,7 @@
 """Tables of a campaign for terminal, page, CSV and LaTeX, and its files: campaign.json, page, figures."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isfinite, nan
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from processing.series import ABSENT, POSITIVE, CompressedRun, Effect, Form, Lat
 from rig.analysis import encoded
 from rig.report import html
 from rig.report.campaign import MIN_BAD_PROBABILITY, Campaign
+from rig.report.campaign_input import FoundRun
 from rig.report.drawing import INK, ReportFigure, canvas, three_columns
 from rig.report.likelihoods import CampaignEffect, CampaignResults
 from rig.terminal import (
@@ -241,6 +242,20 @@ def _priors_table(campaign: Campaign) -> Table:
     return Table(
         "priors", "Prior and posterior", ("what", "before", "now", "u_now"), ("", "prior", "posterior"), rows,
         "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",
+    )  # fmt: skip
+
+
+def decays_table(runs: Sequence[FoundRun]) -> Table:
+    """Table of period and decrement of runs without a fit, which no model can compare."""
+    names, lines = ("mean_period_s", "log_decrement"), []
+    for one in runs:
+        rows = [one.run[name] for name in names]
+        texts = [one.label, *(row.text for row in rows)]
+        lines.append(TableRow([one.label, *(number for row in rows for number in row)], texts))
+    return Table(
+        "decays", "Decays", ("run", *(column for name in names for column in (name, f"u_{name}"))),
+        ("", *(quantity(name).label for name in names)), lines,
+        "Value ± standard uncertainty. No run is fitted, and the model is one of the laws of the contact.",
     )  # fmt: skip
 
 

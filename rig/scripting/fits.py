@@ -189,7 +189,7 @@ def fit_table(
     time, positions
         Columns by name or by number from 1; by default the first column is the time, the second the position.
     time_unit
-        ns, us, ms, s, min or h, or m:ss or h:mm for times like 12:30; empty: the one with which the column's
+        ns, us, ms, s, min or h; empty: the one with which the column's
         name ends (time_ms), else s. Times may be absolute.
     run
         Which of the runs, where the file holds several.

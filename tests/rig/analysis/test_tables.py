@@ -81,8 +81,9 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
     assert period.first / period.last == pytest.approx((1 + 0.58**2 / 16) / (1 + 0.26**2 / 16), abs=3e-3)
     assert decay.number("mean_period_s").standard_uncertainty > 0.3 * (period.first - period.last)
     printed = rig("fit", path, "--position", "2", "--position", "3", "--unit", "rad").stdout
-    assert re.search(r"period 1\.66\d+ ± \S+ s at the start, 1\.63\d+ ± \S+ s at the end", printed)
-    assert "not constant (χ²/dof 1.5" in printed
+    assert re.search(
+        r"period is not constant \(χ²/dof 1\.5.*: 1\.66\d+ s over the .*, 1\.63\d+ s over", printed
+    )
 
 
 def test_half_cycles_that_scatter_less_than_the_noise_can_be_are_said(tmp_path: Path) -> None:
