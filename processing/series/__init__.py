@@ -8,7 +8,7 @@ from processing.series.combined import (
     combine_runs,
     combined_limits,
 )
-from processing.series.density import ABSENT, SEEN, ChangePoint, compare_forms, find_change
+from processing.series.density import ABSENT, SEEN, ChangePoint, find_change
 from processing.series.model import GROWTH, LatentNumber, SeriesModel
 from processing.series.posterior import SampledPosterior, SeriesPosterior, fit_series, sample_series
 from processing.series.runs import (

@@ -30,7 +30,7 @@ from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import RunResults, SessionResults
+from rig.analysis.results import SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_values import StoredTurningPoints, TableDecay, TableUnit
 from rig.analysis.series import AnalysedRun, instrument_series
@@ -42,7 +42,6 @@ from rig.intake import (
     along_and_across,
     clipping_warnings,
     decay_warnings,
-    direction_warning,
     fast_mode_ratio,
     fast_oscillation,
     judge_sign,
@@ -204,7 +203,7 @@ def _analyse(
     decay = decay_values(points, scale, u_common=u_common)
     warnings = [
         *run.warnings,
-        *filter(None, [_direction_warning(trajectory, inside, run, followed), oscillation]),
+        *filter(None, ["" if followed.problem == run.problem else followed.problem, oscillation]),
         *decay_warnings(summary),
         *(
             line
@@ -291,18 +290,6 @@ def _taken_as_exact(config: Configuration) -> list[str]:
             "their second (a clock that nobody compared may be off by 50 ppm: 5e-5)"
         )
     return lines
-
-
-def _direction_warning(
-    trajectory: Trajectory, inside: NDArray[np.bool_], run: RunResults, followed: FollowedPlane
-) -> str:
-    """Warning of a turning direction of swing that no fit has followed; empty where there is none."""
-    if followed.problem:
-        return "" if run.problem == followed.problem else followed.problem
-    of_instrument = run.instrument is not None and "plane" in run.instrument.curves
-    if followed.is_turned or of_instrument:
-        return ""
-    return direction_warning(trajectory.positions, inside)
 
 
 def separate_decays(swings: Sequence[HalfCycle]) -> list[list[HalfCycle]]:

@@ -92,10 +92,6 @@ def fit(
             help="Seconds to add to the seismometer's times; default: searched for if they do not fit."
         ),
     ] = None,
-    seismometer_time_unit: Annotated[
-        str,
-        typer.Option(help="Unit of the time of a seismometer's table, as --time-unit.", show_default=False),
-    ] = "",
     pixel: Annotated[
         str,
         typer.Option(
@@ -128,13 +124,10 @@ def fit(
     """
     of_seismometer = {
         "--seismometer-column": seismometer_column, "--seismometer-offset": seismometer_offset is not None,
-        "--seismometer-time-unit": seismometer_time_unit,
     }  # fmt: skip
     if seismometer is None:
         refuse_stated("without --seismometer", of_seismometer)
-    read = partial(
-        _seismometer, seismometer, seismometer_column or (), seismometer_offset, seismometer_time_unit
-    )
+    read = partial(_seismometer, seismometer, seismometer_column or (), seismometer_offset)
     columns = {
         "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
         "--decimal": decimal,
@@ -180,11 +173,11 @@ def fit(
 
 
 def _seismometer(
-    path: Path | None, columns: Sequence[str], offset_s: float | None, time_unit: str
+    path: Path | None, columns: Sequence[str], offset_s: float | None
 ) -> "SeismometerRecord | None":
     from rig.intake import read_seismometer
 
-    return None if path is None else read_seismometer(path, columns, offset_s, time_unit)
+    return None if path is None else read_seismometer(path, columns, offset_s)
 
 
 def fit_records(

@@ -47,18 +47,11 @@ def report(
 
 
 @in_json
-def paper(
-    output: Annotated[
-        Path | None,
-        output_option(
-            "Folder for paper.html with figures and tables.", folder_without("paper.html", "paper")
-        ),
-    ] = None,
-) -> None:
+def paper() -> None:
     """Simulate the paper's runs and compare with its tables."""
     from rig.report import reproduce_paper
 
-    reproduce_paper(output)
+    reproduce_paper()
 
 
 @in_json

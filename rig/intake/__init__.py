@@ -15,7 +15,6 @@ from rig.intake.times import fast_mode_ratio, fast_oscillation
 from rig.intake.trajectory import (
     Trajectory,
     along_and_across,
-    direction_warning,
     read_positions,
     write_positions,
 )

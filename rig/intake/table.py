@@ -312,9 +312,8 @@ class _TableReader:
         )
 
 
-def read_columns(path: Path, columns: Sequence[str], time_unit: str = "") -> Trajectory:
+def read_columns(path: Path, columns: Sequence[str]) -> Trajectory:
     """Read time and any number of columns of a table; all but the time if none is named."""
-    options = TableColumns(None, tuple(columns), time_unit=time_unit)
-    found = _TableReader(path, options, RowsOfRun("", read_cells(path))).columns()
+    found = _TableReader(path, TableColumns(None, tuple(columns)), RowsOfRun("", read_cells(path))).columns()
     judge_time_unit(path, found)
     return found

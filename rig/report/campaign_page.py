@@ -100,40 +100,32 @@ def _differences_table(results: CampaignResults) -> Table | None:
 
 
 def effects_table(results: CampaignResults) -> Table | None:
-    """Table with a row for each effect and each tried form; None without any."""
-    labelled = [*((one, "model") for one in results.effects), *((one, "tried") for one in results.candidates)]
-    if not labelled:
+    """Table with a row for each effect; None without any."""
+    if not results.effects:
         return None
     rows = [
         TableRow(
             [
-                one.label, kind, *one.slope, one.lower_95, one.upper_95, *one.over_span, one.chance,
-                "seen" if one.seen else "not seen", one.log_bayes_factor, one.probability,
-                one.equivalent, *one.slope_without_priors,
+                one.label, *one.slope, one.lower_95, one.upper_95, *one.over_span, one.chance,
+                "seen" if one.seen else "not seen", one.equivalent, *one.slope_without_priors,
             ],
             [
                 _effect_words(one), with_uncertainty(*one.over_span, signed=True),
                 f"{'< ' if one.chance_is_limit else ''}{plain(one.chance, 2)}",
-                _verdict_text(one), plain(one.probability, 2), _text(one.slope_without_priors),
+                _verdict_text(one), _text(one.slope_without_priors),
             ],
         )
-        for one, kind in labelled
+        for one in results.effects
     ]  # fmt: skip
     note = (
         f"Change over the campaign's span; of b, c and γ relative. Chance: the probability of an effect this "
-        f"large if there is none; the 5 % level is shared by the {len(labelled)} that were tried."
+        f"large if there is none; the 5 % level is shared by the {len(results.effects)} that were tried."
     )
-    if results.candidates:
-        note += (
-            f" Probability: posterior, of each form tried alone; of no effect: "
-            f"{plain(results.nothing, 2)}, with a prior of one half."
-        )
     return Table(
         "effects", "Effects",
-        ("effect", "kind", "slope", "u_slope", "lower_95", "upper_95", "over_span", "u_over_span", "chance",
-         "verdict", "log_bayes_factor", "probability", "equivalent", "slope_without_priors",
-         "u_slope_without_priors"),
-        ("", "over the span", "chance", "judged", "probability", "slope without priors"), rows, note,
+        ("effect", "slope", "u_slope", "lower_95", "upper_95", "over_span", "u_over_span", "chance",
+         "verdict", "equivalent", "slope_without_priors", "u_slope_without_priors"),
+        ("", "over the span", "chance", "judged", "slope without priors"), rows, note,
     )  # fmt: skip
 
 

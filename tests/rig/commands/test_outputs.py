@@ -29,7 +29,6 @@ FOLDERS = {
     ("fit", "no.mcap"): "results.json",
     ("plan", "no.mcap"): "plan.svg",
     ("compare", "no", "nor"): "campaign.json",
-    ("paper",): "paper.html",
     ("calibrate", "clock", "no.mcap"): "",
     ("export", "no"): "",
 }

@@ -87,7 +87,7 @@ def test_the_drag_is_measured_filed_and_used(
     ("lines", "said"),
     [
         ("[[run]]\nrecord = '0.mcap'\narea_m2 = 0.0", "two different areas"),
-        ("[[run]]\nrecord = '0.mcap'", "run 1.area_m2: is missing"),
+        ("[[run]]\nrecord = '0.mcap'", "run 1: area_m2: is missing"),
         (
             "[[run]]\nrecord = '0.mcap'\narea_m2 = 0.1\n[[run]]\nrecord = 'no.mcap'\narea_m2 = 0",
             "no.mcap: no such record",
