@@ -5,6 +5,7 @@ from processing.series.combined import (
     Disagreement,
     SeriesResult,
     average_curves,
+    combine,
     combine_runs,
     combined_limits,
 )
