@@ -4,12 +4,9 @@ from processing.contact.asymptotic import decay_path, fit_decay, frequency_drop,
 from processing.contact.free_swing import (
     BOUNDARY_LAYER_DRAG,
     ExpectedDrag,
-    UniformBar,
     bar_of,
     expected_drag_s,
-    free_molecular_drag_s,
     law_harmonics,
-    vane_drag_s_per_m2,
 )
 from processing.contact.half_swing import TABLE_RATIO, HalfSwings, OneHalfSwing, SwingTable, walk
 from processing.contact.hertz import (

@@ -244,27 +244,3 @@ def expected_drag_s(air: Air, bar: UniformBar, pendulum: PendulumOnBall, period_
     gamma = 1 + 4j * kve(1, -1j * root) / (root * kve(0, -1j * root))
     per_length = pi * air.density_kg_per_m3 * omega * radius**2 * gamma.imag
     return float(per_length * bar.length_m**3 / 12 / weight_moment(pendulum))
-
-
-def free_molecular_drag_s(
-    pressure_pa: float, density_kg_per_m3: float, bar: UniformBar, pendulum: PendulumOnBall
-) -> float:
-    """The drag on a bar as a round cylinder in a gas so thin that its molecules meet only the bar.
-
-    A wall that throws them back in all directions takes, per area and velocity, ``rho c (1/2 + pi/8)`` across
-    and ``rho c/4`` along itself, with their mean speed c (Epstein 1924).
-    """
-    flow = sqrt(8 / pi * pressure_pa * density_kg_per_m3)
-    per_length = flow * 0.5 * pi * bar.width_m * (3 / 4 + pi / 8)
-    return per_length * bar.length_m**3 / 12 / weight_moment(pendulum)
-
-
-def vane_drag_s_per_m2(air: Air, distance_m: float, pendulum: PendulumOnBall, period_s: float) -> float:
-    """Drag added by a thin vane that moves in its own plane, per area of one of its faces.
-
-    Both faces rub as walls that swing in still air do (Stokes 1851): ``sqrt(omega rho eta/2)`` of force per
-    area and velocity; edges add to that. `distance_m` is that of the vane's middle from the axis.
-    """
-    omega = 2 * pi / period_s
-    per_area = 2 * sqrt(0.5 * omega * air.density_kg_per_m3 * air.viscosity_pa_s)
-    return per_area * distance_m**2 / weight_moment(pendulum)

@@ -31,7 +31,6 @@ from processing.fit.law_comparison import LawComparison, compare_laws, fit_model
 from processing.fit.law_waveform import (
     CONTRADICTED,
     Predicted,
-    predicted_harmonics,
     predictions,
     waveform_chances,
 )

@@ -28,9 +28,7 @@ _U_PREDICTION = 0.001
 _THIRD, _EVEN = ORDERS.index(3), [ORDERS.index(2), ORDERS.index(4)]
 
 
-def predicted_harmonics(
-    classes: Sequence[HarmonicClass], fit: FitResult, pendulum: PendulumOnBall
-) -> list[Complexes]:
+def _harmonics(classes: Sequence[HarmonicClass], fit: FitResult, pendulum: PendulumOnBall) -> list[Complexes]:
     """A fitted law's harmonics (rad) in each class."""
     return [one.mean(lambda a: law_harmonics(fit.law, fit.named_values, pendulum, a)) for one in classes]
 
@@ -47,12 +45,12 @@ def predictions(
         at = LinearisedFit.of(points, pendulum, fit)
     except DataError:
         # at the values of a law that does not fit, its waveform may have no derivatives
-        return 0, lambda _: predicted_harmonics(classes, fit, pendulum)
+        return 0, lambda _: _harmonics(classes, fit, pendulum)
     root = FactoredJacobian(at.jacobian).root
 
     def by(errors: Floats) -> Sequence[Complexes]:
         values = at.model.columns.physical(at.coordinates + root @ errors)[0]
-        return predicted_harmonics(classes, replace(fit, values=values), pendulum)
+        return _harmonics(classes, replace(fit, values=values), pendulum)
 
     return root.shape[1], by
 
@@ -62,6 +60,7 @@ def waveform_chances(
 ) -> dict[str, float]:
     """For each law the chance of a third harmonic at least so far from its prediction.
 
+    A law whose friction would hold the pendulum in a class, which may be one that does not fit, has none.
     The prediction is the one within the fit's errors that comes nearest, at the cost of their chi2.
     """
     from scipy.special import gammaincc
@@ -86,7 +85,9 @@ def waveform_chances(
     for name, (count, predicted) in laws.items() if classes else ():
         none = np.zeros(count)
         chi2 = float(np.sum(residuals(none, predicted) ** 2))
-        if count and np.isfinite(chi2):
+        if not np.isfinite(chi2):
+            continue
+        if count:
             found = solve(differenced(partial(residuals, predicted=predicted)), none, max_evaluations=20)
             chi2 = min(chi2, found.chi2)
         chances[name] = float(gammaincc(len(classes), 0.5 * chi2))

@@ -1,8 +1,7 @@
-"""Measurement of the air's drag from runs of one contact in air that resists differently.
+"""Measurement of the air's drag from runs of one contact with different vanes on the pendulum.
 
-Vanes on the pendulum add to its drag, ``drag = d0 + k area``, or the pressure changes it in a ratio that is
-known better than its size, ``drag = d0 ratio``. The contact is the same in all runs, the period is not:
-vanes have inertia. All runs are fitted together, each with the noise and the waveform of its own fit, and
+They add to its drag: ``drag = d0 + k area``. The contact is the same in all runs, the period is not: vanes
+have inertia. All runs are fitted together, each with the noise and the waveform of its own fit, and
 with its own period, first amplitude and time. Contact and drag of a single run may lie far along a curved
 valley; what they share is where the valleys meet.
 """
@@ -29,16 +28,14 @@ from processing.swing import TurningPoints
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
 _COMMON = tuple(name for name in PAPER.names() if name not in _OWN)
 _AIR = len(_COMMON)
-"""Place of d0 among the shared parameters; k follows where it is fitted."""
+"""Place of d0 among the shared parameters; k follows."""
 _DISAGREEMENT_CHANCE = 0.01
 """Chance of the runs' scatter below which they do not share a contact and a line."""
 
 
 @dataclass(frozen=True, slots=True)
 class VanedRun:
-    """A run with its exact fit, and its stated exposure to the air, with the exposure's uncertainty.
-
-    The exposure is the area of the vanes in m^2, or the ratio of the drag to that wanted.
+    """A run with its exact fit, and the area of its vanes with its uncertainty.
 
     Points and fit are those of the second measurement (`refinement`). As detected, the first twenty
     half-cycles share an error of time, which no uncertainty of a turning point states: even on ground at rest
@@ -47,18 +44,18 @@ class VanedRun:
 
     points: TurningPoints
     fit: FitResult
-    exposure: float
-    u_exposure: float = 0.0
+    area_m2: float
+    u_area_m2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredAir:
-    """The drag without vanes, or at the ratio 1, from runs with several exposures.
+    """The drag without vanes, from runs with several areas.
 
     Attributes
     ----------
-    drag_s, per_exposure
-        d0, and k (by ratios: d0 again).
+    drag_s, per_m2_s
+        d0, and k.
     contact
         The contact's parameters from all runs together.
     of_runs_s, off_s
@@ -75,7 +72,7 @@ class MeasuredAir:
     """
 
     drag_s: Estimate
-    per_exposure: Estimate
+    per_m2_s: Estimate
     contact: Mapping[str, Estimate]
     of_runs_s: tuple[Estimate, ...]
     off_s: tuple[float, ...]
@@ -103,18 +100,17 @@ class _SharedParameters:
     """The parameters of all runs in the solver's units, in which each is of the order of 1.
 
     First those of the contact (`_COMMON`, ln b and gamma at the reference amplitude), d0 and k; then for each
-    run T0, first amplitude, first time and, where its exposure is uncertain, the error of that.
+    run T0, first amplitude, first time and, where its area is uncertain, the error of that.
     """
 
-    def __init__(self, runs: Sequence[_RunModel], by_ratio: bool) -> None:
-        self.runs, self.by_ratio = runs, by_ratio
-        self.count = _AIR + (1 if by_ratio else 2)
+    def __init__(self, runs: Sequence[_RunModel]) -> None:
+        self.runs, self.count = runs, _AIR + 2
         fits = [run.stated.fit for run in runs]
         self.log_r = float(np.mean([np.log(fit.reference_rad) for fit in fits]))
-        self.unsure = [run.stated.u_exposure > 0 for run in runs]
+        self.unsure = [run.stated.u_area_m2 > 0 for run in runs]
         self.ends = np.cumsum([self.count, *(len(_OWN) + unsure for unsure in self.unsure)])
         start = [np.median([self._at_reference(fit)[k] for fit in fits]) for k in range(_AIR)]
-        lines = np.array([self.line(run.stated.exposure) for run in runs])
+        lines = np.array([self.line(run.stated.area_m2) for run in runs])
         drags = np.array([fit.estimate(DRAG.key).value for fit in fits])
         start += FactoredJacobian(lines).coefficients(drags).tolist()
         self.unit = np.abs(np.array(start))
@@ -136,9 +132,10 @@ class _SharedParameters:
         known["gamma_pa"] *= float(np.exp(-known["n"] * self.log_r))
         return np.array([*(known[name] for name in _COMMON), *values[_AIR:]])
 
-    def line(self, exposure: float) -> Floats:
-        """Derivatives of the drag with respect to d0 and k at an exposure."""
-        return np.array([exposure] if self.by_ratio else [1.0, exposure])
+    @staticmethod
+    def line(area_m2: float) -> Floats:
+        """Derivatives of the drag with respect to d0 and k at an area."""
+        return np.array([1.0, area_m2])
 
     def __call__(self, values: Floats) -> tuple[Floats, Floats]:
         """Residuals of all runs, and their derivatives."""
@@ -147,11 +144,11 @@ class _SharedParameters:
 
     def run_parameters(self, values: Floats, number: int, drag_off_s: float = 0.0) -> tuple[Floats, Floats]:
         """Residuals and derivatives of one run, whose drag may lie off the line."""
-        run, u_exposure = self.runs[number], self.runs[number].stated.u_exposure
+        run, u_area_m2 = self.runs[number], self.runs[number].stated.u_area_m2
         own = values[self.ends[number] : self.ends[number + 1]]
-        off = own[-1] * u_exposure if self.unsure[number] else 0.0
+        off = own[-1] * u_area_m2 if self.unsure[number] else 0.0
         shared, by_shared = differenced(self.physical)(values[: self.count])
-        line = self.line(run.stated.exposure + off)
+        line = self.line(run.stated.area_m2 + off)
         centre, size = self.own[number]
         known = dict(zip(_COMMON, shared[:_AIR].tolist(), strict=True))
         known[DRAG.key] = float(line @ shared[_AIR:]) + drag_off_s
@@ -168,7 +165,7 @@ class _SharedParameters:
         residuals, by = residuals / run.size, by / run.size
         if self.unsure[number]:
             last = first + len(_OWN)
-            by[:, last] = by_drag[:, 0] * shared[-1] * u_exposure / run.size
+            by[:, last] = by_drag[:, 0] * shared[-1] * u_area_m2 / run.size
             prior = np.zeros(len(values))
             prior[last] = 1.0
             residuals, by = np.append(residuals, own[-1]), np.vstack([by, prior])
@@ -179,21 +176,19 @@ class _SharedParameters:
         return [run.model.names.index(name) for name in names]
 
 
-def air_of_vanes(
-    runs: Sequence[VanedRun], pendulum: PendulumOnBall, *, by_ratio: bool = False
-) -> MeasuredAir:
-    """The drag of the pendulum itself, from runs with different vanes, or (`by_ratio`) at ratios of drags.
+def air_of_vanes(runs: Sequence[VanedRun], pendulum: PendulumOnBall) -> MeasuredAir:
+    """The drag of the pendulum itself, from runs with different vanes.
 
     Raises
     ------
     DataError
-        Fewer than two exposures, a fit that is not exact, has no drag or a prior of it, or no convergence.
+        Fewer than two areas, a fit that is not exact, has no drag or a prior of it, or no convergence.
     """
     from scipy.special import chdtrc
 
-    _check(runs, by_ratio)
+    _check(runs)
     models = [_run_model(run, pendulum) for run in runs]
-    shared = _SharedParameters(models, by_ratio)
+    shared = _SharedParameters(models)
     free = np.full(len(shared.start), np.inf)
     model = partial(_finite_or_nan, shared)
     found = solve(model, shared.start, lower=-free, upper=free, cost_tolerance=1e-9)
@@ -211,7 +206,7 @@ def air_of_vanes(
     drags = [_drag_of(shared, found.values, number) for number in range(len(runs))]
     return MeasuredAir(
         drag_s=estimates[_AIR],
-        per_exposure=estimates[-1],
+        per_m2_s=estimates[-1],
         contact=dict(zip(_COMMON, estimates[:_AIR], strict=True)),
         of_runs_s=tuple(drag for drag, _ in drags),
         off_s=tuple(off for _, off in drags),
@@ -222,10 +217,9 @@ def air_of_vanes(
     )
 
 
-def _check(runs: Sequence[VanedRun], by_ratio: bool) -> None:
-    what = "pressures" if by_ratio else "areas of vanes"
-    if len({run.exposure for run in runs}) < 2:
-        raise DataError(f"the drag is measured at two {what} at least; make runs at three")
+def _check(runs: Sequence[VanedRun]) -> None:
+    if len({run.area_m2 for run in runs}) < 2:
+        raise DataError("the drag is measured at two areas of vanes at least; make runs at three")
     for number, run in enumerate(runs, 1):
         if run.fit.method is not FitMethod.EXACT or not run.fit.has_drag:
             raise DataError(f"run {number} was fitted without a drag")
@@ -259,7 +253,7 @@ def _drag_of(shared: _SharedParameters, values: Floats, number: int) -> tuple[Es
     """The drag of one run with the contact of all, and how far it is off the line, by one linear step."""
     residuals, by = shared.run_parameters(values, number)
     air = shared.physical(values[: shared.count])[_AIR:]
-    on_line = float(shared.line(shared.runs[number].stated.exposure) @ air)
+    on_line = float(shared.line(shared.runs[number].stated.area_m2) @ air)
     # the step is taken in the run's own drag, at the size of d0
     step = 1e-3 * float(shared.unit[_AIR])
     high, low = (shared.run_parameters(values, number, sign * step)[0] for sign in (1.0, -1.0))

@@ -1,17 +1,15 @@
-"""Runs of one contact combined, series compared, and one model over the runs' compressed likelihoods."""
+"""Runs of one contact combined, and one model over the runs' compressed likelihoods."""
 
 from processing.series.combined import (
     CombinedValue,
-    Comparison,
     Disagreement,
     SeriesResult,
     average_curves,
     combine,
     combine_runs,
     combined_limits,
-    compare_series,
 )
-from processing.series.density import ABSENT, SEEN, ChangePoint, compare_forms, find_change
+from processing.series.density import ABSENT, SEEN, ChangePoint, find_change
 from processing.series.model import GROWTH, LatentNumber, SeriesModel
 from processing.series.posterior import SampledPosterior, SeriesPosterior, fit_series, sample_series
 from processing.series.runs import (

@@ -1,8 +1,7 @@
-"""Combination of repeated runs of one contact pair, and comparison of series of runs."""
+"""Combination of repeated runs of one contact pair."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from math import hypot, isfinite, nan, sqrt
 from typing import Annotated
 
@@ -323,47 +322,3 @@ def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
         index=shared, time_s=time_s, u_time_s=np.sqrt(u2_time_s) * u_of_mean, amplitude=amplitude,
         u_amplitude=np.sqrt(u2_amplitude) * u_of_mean,
     )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """One parameter of two series: difference, its standard uncertainty, and the probability of a difference
-    at least as large if the series are equal (Welch's t-test).
-
-    The probability is NaN for two series of one run each: how runs scatter is then not known, and the
-    uncertainty is that of the swings alone.
-    """
-
-    name: str
-    first: str
-    second: str
-    difference: float
-    standard_uncertainty: float
-    p_value: float
-
-
-def compare_series(series: Mapping[str, Mapping[str, CombinedValue]]) -> tuple[Comparison, ...]:
-    """Compare all pairs of series (samples, days, humidities), parameter by parameter.
-
-    Type B uncertainties are not included, because errors of the rig's mass or radius shift all series
-    equally. The prior of the air counts as far as it shifts them differently. A single run is given the
-    scatter between the runs of the other series.
-    """
-    from scipy.special import stdtr
-
-    rows = []
-    for (first, of_first), (second, of_second) in combinations(series.items(), 2):
-        for name in of_first:
-            if name not in of_second:
-                continue
-            a, b = of_first[name], of_second[name]
-            u_a, u_b = (_without_air(one.estimate, one.by_air).standard_uncertainty for one in (a, b))
-            several, u, dof = [one for one in (a, b) if len(one.runs) > 1], hypot(u_a, u_b), 0.0
-            if len(several) == 1:
-                u, dof = hypot(u, several[0].between_runs), float(several[0].degrees_of_freedom)
-            elif several:
-                dof = u**4 / (u_a**4 / a.degrees_of_freedom + u_b**4 / b.degrees_of_freedom)
-            difference, u = a.value - b.value, hypot(u, a.by_air - b.by_air)
-            p_value = 2 * float(stdtr(dof, -abs(difference) / u)) if dof > 0 else nan
-            rows.append(Comparison(name, first, second, difference, u, p_value))
-    return tuple(rows)

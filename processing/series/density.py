@@ -247,29 +247,6 @@ class ChangePoint:
     at_most: int
 
 
-def compare_forms(
-    runs: Sequence[CompressedRun], model: SeriesModel, candidates: Sequence[Effect]
-) -> tuple[Floats, Floats, float]:
-    """Each candidate added to the model's effects against the model without it: logarithms of the ratios of
-    evidences by Laplace's method, the candidates' probabilities, and that of none.
-
-    The prior probability is half for no candidate, and the candidates share the other half: the more there
-    are, the less a chance resemblance counts.
-    """
-    from scipy.special import logsumexp
-
-    base = likeliest(design_of(runs, model))
-    gains = np.array(
-        [
-            likeliest(design_of(runs, model.with_effects(one)), base.h).log_evidence - base.log_evidence
-            for one in candidates
-        ]
-    )
-    log_share = np.concatenate([[0.0], gains - np.log(max(len(gains), 1))])
-    probability = np.exp(log_share - logsumexp(log_share))
-    return gains, probability[1:], float(probability[0])
-
-
 def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: str) -> ChangePoint:
     """The likeliest change of a parameter along the series, of runs in their order. Raises DataError for
     fewer than four runs."""
@@ -283,7 +260,14 @@ def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: st
         Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=float(order[place]))
         for place in places
     ]
-    gains, _, nothing = compare_forms(runs, model, steps)
+    base = likeliest(design_of(runs, model))
+    gains = np.array(
+        [
+            likeliest(design_of(runs, model.with_effects(step)), base.h).log_evidence - base.log_evidence
+            for step in steps
+        ]
+    )
+    nothing = float(np.exp(-logsumexp([0.0, *(gains - np.log(len(gains)))])))
     share = np.exp(gains - logsumexp(gains))
     first, last = np.searchsorted(np.cumsum(share), (0.025, 0.975))
     return ChangePoint(

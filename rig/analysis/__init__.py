@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from rig.analysis.decay_values import DECAY, INSTRUMENT, InstrumentResults, InstrumentSeries
 from rig.analysis.encoding import JsonObject
-from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
+from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named, plain_row
 from rig.analysis.results import (
     AveragedCurves,
     ComparedLaws,
     Correlation,
-    EnvelopeResults,
     Fit,
     ModelFreeMoments,
     RunIdentity,
@@ -47,7 +46,6 @@ from rig.analysis.run_values import PositionErrors, StoredTurningPoints, TableDe
 if TYPE_CHECKING:
     from rig.analysis.ambient import (
         HISTORY_KEYS,
-        drag_at_pressure,
         drag_of_fit,
         evidence_of,
         expected_drag,
@@ -79,14 +77,13 @@ if TYPE_CHECKING:
         refuse_unread,
         session_results,
     )
-    from rig.analysis.table_fit import AnalysedTable, analyse_envelope, analyse_trajectory, series_of_runs
+    from rig.analysis.table_fit import AnalysedTable, analyse_trajectory, series_of_runs
     from rig.analysis.turning_plane import PlaneBalances, follow_plane
 else:
     _LAZY = {
         name: module
         for module, names in {
-            "ambient": "HISTORY_KEYS drag_at_pressure evidence_of expected_drag drag_of_fit recorded_ambient "
-            "stated_ambient",
+            "ambient": "HISTORY_KEYS evidence_of expected_drag drag_of_fit recorded_ambient stated_ambient",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
             "contact_fits": "loss_of refined_half_cycles",
             "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC base_motion with_contact",
@@ -95,7 +92,7 @@ else:
             "record_fit": "analyse_record analyse_run",
             "screen": "print_results print_series print_table",
             "series": "AnalysedRun fitted_series refuse_copies refuse_unread session_results",
-            "table_fit": "AnalysedTable analyse_envelope analyse_trajectory series_of_runs",
+            "table_fit": "AnalysedTable analyse_trajectory series_of_runs",
             "turning_plane": "PlaneBalances follow_plane",
         }.items()
         for name in names.split()

@@ -17,10 +17,8 @@ from processing.arrival_times import sample_times
 from processing.contact import (
     ExpectedDrag,
     PendulumOnBall,
-    UniformBar,
     bar_of,
     expected_drag_s,
-    free_molecular_drag_s,
 )
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
@@ -129,7 +127,9 @@ def expected_drag(
     """The drag of a bar of the pendulum's size in this air; `_USUAL_AIR` stands for what is unknown."""
     known = {name: value for name, value in ambient.known().items() if name in _USUAL_AIR}
     air = humid_air(**{**_USUAL_AIR, **known})
-    bar, stated = _bar_of(config, pendulum, period_s), config.pendulum
+    stated = config.pendulum
+    length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
+    bar = bar_of(pendulum, period_s, length, width)
     return ExpectedDrag(
         # the air acts once on what all balls carry
         drag_s=expected_drag_s(air, bar, pendulum, period_s) / balls(config),
@@ -140,37 +140,6 @@ def expected_drag(
         assumed=tuple(name for name in _USUAL_AIR if name not in known)
         + tuple(name for name in _BAR_SIZES if getattr(stated, name, None) is None),
     )
-
-
-def _bar_of(config: Configuration, pendulum: PendulumOnBall, period_s: float) -> UniformBar:
-    """A bar of the size that is stated, or of the pendulum's inertia."""
-    stated = config.pendulum
-    length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
-    return bar_of(pendulum, period_s, length, width)
-
-
-def drag_at_pressure(
-    pressure_pa: float,
-    pendulum: PendulumOnBall,
-    period_s: float,
-    config: Configuration,
-    *,
-    width_factor: float = 1.0,
-) -> float:
-    """The drag of a bar in the pendulum's place in a room's air pumped to this pressure, in s.
-
-    Flow of a continuum and of free molecules resist one after the other, as their inverses add up. Drags at
-    two pressures have a ratio that is known better than they are. The bar is wider by `width_factor`.
-    """
-    stated = {**_USUAL_AIR, **stated_ambient(config).known()}
-    # pumped air keeps its composition: the vapour has its share of the pressure
-    humidity = stated["humidity_percent"] * pressure_pa / _USUAL_AIR["pressure_pa"]
-    air = humid_air(temperature_c=stated["temperature_c"], humidity_percent=humidity, pressure_pa=pressure_pa)
-    bar = _bar_of(config, pendulum, period_s)
-    bar = bar._replace(width_m=bar.width_m * width_factor)
-    flow_s = expected_drag_s(air, bar, pendulum, period_s)
-    free_s = free_molecular_drag_s(pressure_pa, air.density_kg_per_m3, bar, pendulum)
-    return 1 / (1 / flow_s + 1 / free_s) / balls(config)
 
 
 _U_RELATIVE, _U_RELATIVE_STATED = 0.75, 0.3

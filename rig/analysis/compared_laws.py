@@ -8,7 +8,6 @@ from math import nan
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from processing.arrays import Floats, Ints
 from processing.contact import (
@@ -28,10 +27,8 @@ from processing.fit import (
     FitMethod,
     FitResult,
     LawComparison,
-    Predicted,
     compare_laws,
     fit_model_free,
-    predicted_harmonics,
     predictions,
     waveform_chances,
 )
@@ -41,12 +38,10 @@ from processing.units import ARCSEC_RAD
 from rig.analysis.results import (
     ComparedLaws,
     Fit,
-    Harmonics,
     LawFit,
     LawMoments,
     ModelFreeMoments,
     RunResults,
-    WaveformClass,
 )
 from rig.analysis.series import AnalysedRun
 
@@ -82,26 +77,15 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     if free is not None and len(remaining) > 1 and set(remaining[:2]) <= set(free.laws):
         verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
     classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
-    predicted, within = dict[str, Sequence[NDArray[np.complex128]]](), dict[str, tuple[int, Predicted]]()
-    for trial in compared.trials if classes else ():
-        if trial.fit is not None:
-            # with the values of a law that does not fit, friction may hold the pendulum in a class
-            with suppress(DataError):
-                predicted[trial.law.name] = predicted_harmonics(classes, trial.fit, pendulum)
-                within[trial.law.name] = predictions(classes, run.points, trial.fit, pendulum)
+    within = {
+        trial.law.name: predictions(classes, run.points, trial.fit, pendulum)
+        for trial in (compared.trials if classes else ())
+        if trial.fit is not None
+    }
     chances = waveform_chances(classes, within)
     if classes:
         verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
-    waveform = tuple(
-        WaveformClass(
-            amplitude_rad=one.amplitude,
-            measured=_harmonics(one.harmonics),
-            u_rad=one.u,
-            laws={name: _harmonics(laws[place]) for name, laws in predicted.items()},
-        )
-        for place, one in enumerate(classes)
-    )
-    return replace(run, laws=ComparedLaws(_law_fits(compared, chances), verdict, free, waveform))
+    return replace(run, laws=ComparedLaws(_law_fits(compared, chances), verdict, free))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
@@ -183,10 +167,6 @@ def _waveform_verdict(classes: Sequence[HarmonicClass], chances: Mapping[str, fl
     if len(against) == len(chances):
         return f"{measured} contradicts them all: sensor or beam distort it, or none is right"
     return f"{measured} contradicts {', '.join(against)}"
-
-
-def _harmonics(values: NDArray[np.complex128]) -> Harmonics:
-    return Harmonics(values.real.copy(), -values.imag)
 
 
 _MIN_PERIODS = 8

@@ -1,6 +1,6 @@
 """Values of any decay, with or without a law: period, decrement, damping, in the amplitude's own unit."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from math import hypot, pi
@@ -37,11 +37,11 @@ _NEGATIVE_PARTS: Final = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DampingAt:
-    """Time constant at an amplitude (in the decay's unit); quality factor where the frequency is known."""
+    """Time constant and quality factor at an amplitude, in the decay's unit."""
 
     amplitude: Annotated[float, PART]
     time_constant_s: Estimate = NOT_DETERMINED
-    quality_factor: Estimate | None = None
+    quality_factor: Estimate = NOT_DETERMINED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,10 +61,10 @@ class AmplitudeDamping:
     chi2_per_dof: float = float("nan")
     curve: Annotated[tuple[DampingAt, ...], PART] = ()
 
-    def lines(self, unit: str, unit_of_curve: str = "") -> list[str]:
+    def lines(self, unit: str) -> list[str]:
         """Lines on the parts with their probabilities, and on the time constants at both ends.
 
-        `unit` is that of the amplitude in the parts; `unit_of_curve` that of the curve, if it differs.
+        `unit` is that of the amplitude.
         """
         units = {"constant": f" {unit}/s", "linear": " /s", "quadratic": f" /({unit} s)"}
         lines = []
@@ -75,21 +75,15 @@ class AmplitudeDamping:
             if value < -_SURELY_NEGATIVE_U * u and probability > _SURELY_NEEDED:
                 lines.append(f"a negative {name} part is {_NEGATIVE_PARTS[name]}")
         for point in (self.curve[0], self.curve[-1]) if self.curve else ():
-            quality = point.quality_factor
-            more = "" if quality is None else f", quality factor {with_uncertainty(*quality)}"
-            tau = with_uncertainty(*point.time_constant_s)
-            lines.append(f"time constant {tau} s at {point.amplitude:.4g} {unit_of_curve or unit}{more}")
+            tau, quality = (with_uncertainty(*one) for one in (point.time_constant_s, point.quality_factor))
+            lines.append(f"time constant {tau} s at {point.amplitude:.4g} {unit}, quality factor {quality}")
         return lines
 
 
 def amplitude_damping(
-    damping: DampingTerms,
-    frequency_hz: float | None,
-    shown: Callable[[float], float] = float,
-    *,
-    u_frequency: float = 0.0,
+    damping: DampingTerms, frequency_hz: float, *, u_frequency: float = 0.0
 ) -> AmplitudeDamping:
-    """The parts and the curve of a damping; `shown` converts amplitudes to the unit in which it is stored.
+    """The parts and the curve of a damping.
 
     `u_frequency` is the relative standard uncertainty of the frequency at an amplitude.
     """
@@ -103,18 +97,13 @@ def amplitude_damping(
         chi2_per_dof=damping.chi2_per_dof,
         curve=tuple(
             DampingAt(
-                amplitude=shown(float(amplitude)),
-                time_constant_s=Estimate(float(tau), float(u)),
-                quality_factor=(
-                    None
-                    if frequency_hz is None
-                    else Estimate(
-                        pi * frequency_hz * float(tau),
-                        pi * frequency_hz * hypot(float(u), u_frequency * float(tau)),
-                    )
+                amplitude=amplitude,
+                time_constant_s=Estimate(tau, u),
+                quality_factor=Estimate(
+                    pi * frequency_hz * tau, pi * frequency_hz * hypot(u, u_frequency * tau)
                 ),
             )
-            for amplitude, tau, u in zip(amplitudes, tau_s, u_tau_s, strict=True)
+            for amplitude, tau, u in np.stack([amplitudes, tau_s, u_tau_s]).T.tolist()
             if np.isfinite(tau) and tau > 0
         ),
     )

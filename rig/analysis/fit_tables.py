@@ -1,18 +1,16 @@
 """Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
 
 from collections.abc import Mapping, Sequence
-from math import hypot, isnan, nan
+from math import isnan, nan
 
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import FitMethod, FitQuality
 from processing.quantity import quantities_of
-from processing.swing import ORDERS
-from processing.units import ARCSEC_RAD
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
 from rig.analysis.run_remarks import limits_of, main_sources
-from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity, with_uncertainty
+from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
@@ -177,26 +175,3 @@ def moments_table(compared: ComparedLaws) -> Table:
             parts += [law.friction_n_m, law.elastic_n_m]
         lines = [TableRow(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
     return Table("moments", "Moments of the contact without a law", columns, (), lines)
-
-
-def waveform_table(compared: ComparedLaws) -> Table:
-    """Harmonics of the classes of amplitude, measured and by law; only the third is shown."""
-    names = list(compared.waveform[0].laws) if compared.waveform else []
-    lines = []
-    for one in compared.waveform:
-        for place, order in enumerate(ORDERS):
-            values = [one.measured, *(one.laws[name] for name in names)]
-            parts = [float(part[place]) for each in values for part in (each.cosine_rad, each.sine_rad)]
-            u = float(one.u_rad[place])
-            sizes = [hypot(*part) for part in zip(parts[::2], parts[1::2], strict=True)]
-            texts = [f"{1e3 * size / ARCSEC_RAD:.2f}" for size in sizes]
-            texts[0] = with_uncertainty(*(1e3 * each / ARCSEC_RAD for each in (sizes[0], u)))
-            shown = [f"{one.amplitude_rad / ARCSEC_RAD:.1f}", *texts] if order == 3 else ()
-            lines.append(TableRow([one.amplitude_rad, order, u, *parts], shown))
-    columns = [f"{name}_{part}_rad" for name in ("measured", *names) for part in ("cosine", "sine")]
-    return Table(
-        "waveform", "Third harmonic of the swing, mas",
-        ("amplitude_rad", "order", "u_rad", *columns), ("arcsec", "measured", *names), lines,
-        "Deflections stacked by phase. A law with a different third harmonic does not describe "
-        "the motion within the swing, however well it describes the decay.",
-    )  # fmt: skip

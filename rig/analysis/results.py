@@ -131,32 +131,12 @@ class ModelFreeMoments:
 
 
 @dataclass(frozen=True, slots=True)
-class Harmonics:
-    """Harmonics of the swing by order, from its turning point on: ``cosine cos(k s) + sine sin(k s)``."""
-
-    cosine_rad: Floats
-    sine_rad: Floats
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WaveformClass:
-    """Harmonics (of `ORDERS`) measured about one amplitude, their standard uncertainties, and the laws'."""
-
-    amplitude_rad: float
-    measured: Harmonics
-    u_rad: Floats
-    laws: Mapping[str, Harmonics] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
 class ComparedLaws:
-    """Laws by name, the best first, the verdict in words, the moments without a law (None: no fit), and the
-    waveform by classes of amplitude, the largest first."""
+    """Laws by name, the best first, the verdict in words, and the moments without a law (None: no fit)."""
 
     laws: Mapping[str, LawFit]
     verdict: str
     without_law: ModelFreeMoments | None = None
-    waveform: tuple[WaveformClass, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -356,22 +336,3 @@ class SessionResults(RowsByName):
 
     def __repr__(self) -> str:
         return self._summary("\n".join(repr(run).partition("\n")[0] for run in self.runs))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EnvelopeResults:
-    """results.json of an envelope: see `processing.envelope.EnvelopeDecay`."""
-
-    schema: int = SCHEMA
-    envelope: str
-    unit: str
-    understood: tuple[str, ...] = ()
-    samples: int
-    time_constant_s: Estimate
-    first_half_s: float = nan
-    last_half_s: float = nan
-    chi2_per_dof: float = nan
-    noise_floor: float = nan
-    damping: AmplitudeDamping | None = None
-    quality_factor: Estimate | None = None
-    warnings: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 from acquisition import atomic_write
 from processing.errors import RecordError, place_in_words, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
-from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults
+from rig.analysis.results import SCHEMA, RunResults, SessionResults
 from rig.terminal import plain_values, written
 
 RESULTS_NAME = "results.json"
@@ -32,7 +32,7 @@ def encoded(values: object) -> JsonObject:
     return tree
 
 
-def write_results(path: str | Path, results: SessionResults | EnvelopeResults) -> None:
+def write_results(path: str | Path, results: SessionResults) -> None:
     """Write results.json; never over an existing one. Raises ConfigurationError or RecordError."""
     with written(Path(path)):
         atomic_write.write_new(Path(path), (_text(encoded(results)) + "\n").encode())
@@ -82,10 +82,6 @@ def read_results(source: str | Path) -> SessionResults:
 
 def decoded(tree: Any, path: Path) -> SessionResults:
     """Results from the tree by `encoded`; RecordError names the file and the key at fault."""
-    if isinstance(tree, dict) and "envelope" in tree:
-        raise RecordError(
-            f"{path}: describes an envelope, which has no half-cycles; use the table it was made from"
-        )
     runs = tree.get("runs") if isinstance(tree, dict) else None
     if not isinstance(runs, list) or not runs:
         raise RecordError(f"{path}: names no runs; it was not made by rig run or rig fit")
@@ -146,6 +142,6 @@ def results_schema() -> str:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": RESULTS_NAME,
         "description": f"Version {SCHEMA}: of records, or of a table of positions of any instrument.",
-        **file_schema(SessionResults | EnvelopeResults),
+        **file_schema(SessionResults),
     }
     return _text(plain_values(tree)) + "\n"

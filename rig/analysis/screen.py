@@ -1,24 +1,21 @@
 """Results of records, tables and films on the terminal."""
 
 import logging
-import math
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from processing.decay_summary import DecayMean, summarise_decay
 from processing.swing import HalfCycleFlag, turning_points
 from processing.units import seconds
-from rig.analysis.decay_values import DECAY
-from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
+from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import encoded
 from rig.analysis.run_remarks import RemarkLevel, decay_lines, remark_rows
 from rig.analysis.run_values import TableDecay
 from rig.analysis.series import AnalysedRun
 from rig.analysis.table_fit import AnalysedTable
-from rig.terminal import answer, print_line, print_tables, with_uncertainty
+from rig.terminal import answer, print_line, print_tables
 
 logger = logging.getLogger(__name__)
 
@@ -67,7 +64,7 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
         parameters = parameter_table(run, full=full)
         print_tables([parameters, quality_table(run)] if full else [parameters])
     if run.laws is not None:
-        print_tables([law_table(run.laws), waveform_table(run.laws)])
+        print_tables([law_table(run.laws)])
         print_line(f"  {run.laws.verdict}")
     wanted = [RemarkLevel.RESULT, RemarkLevel.DETAIL if full else RemarkLevel.ADVICE] if not short else []
     lines = [*(run.instrument.text if run.instrument else ())]
@@ -77,8 +74,6 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
         print_line(f"  {line}")
 
 
-_TOO_QUIET = 0.01
-"""Chi-square per degree of freedom below which the stated noise must be too large."""
 _FLAGS = {
     HalfCycleFlag.GAP: "with too few samples around it",
     HalfCycleFlag.VIBRATION: "disturbed",
@@ -120,45 +115,17 @@ def print_series(series: Series | None) -> None:
 
 
 def _print_decay(number: int, decay: AnalysedRun) -> None:
-    summary = summarise_decay(turning_points(decay.swings))
-    flagged = len(decay.swings) - summary.half_cycles
-    rows = {row.quantity: row for row in decay.table if row.fit == DECAY}
-    lines = [
-        f"period {_mean_text(summary.period_s, ' s', rows['mean_period_s'].u)}",
-        f"log decrement {_mean_text(summary.decrement, '', rows['log_decrement'].u)}",
-    ]
-    if summary.decrement.value > math.pi:
-        lines.append("the decay is faster than a swing: no quality factor")
-    elif "quality_factor" in rows:
-        lines.append(f"quality factor {rows['quality_factor'].text}")
-    if decay.damping is not None:
-        lines += decay.damping.lines(decay.amplitude_unit or "")
-    if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
-        lines.append(
-            "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
-            "a swing that estimate is too large): the uncertainties are upper limits"
-        )
+    usable = len(turning_points(decay.swings))
     place, (first, last) = decay.decay or TableDecay(), decay.amplitudes
     head = (
-        f"decay {number}, {place.began_s:.4g} to {place.ended_s:.4g} s: {summary.half_cycles} "
-        f"half-cycles ({flagged} more flagged and left out{_reasons(decay)}), "
+        f"decay {number}, {place.began_s:.4g} to {place.ended_s:.4g} s: {usable} half-cycles "
+        f"({len(decay.swings) - usable} more flagged and left out{_reasons(decay)}), "
         f"amplitude {first:.4g} to {last:.4g} {decay.amplitude_unit}"
     )
-    print_run(decay, head, lines)
+    print_run(decay, head, decay_lines(decay))
 
 
 def _reasons(decay: AnalysedRun) -> str:
     """Flags of the half-cycles that are left out, with their numbers, the most frequent first."""
     counts = Counter(name for swing in decay.swings for flag, name in _FLAGS.items() if swing.flags & flag)
     return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))
-
-
-def _mean_text(mean: DecayMean, unit: str, u: float) -> str:
-    """A mean with its uncertainty `u`, or the range over which it changes."""
-    if not mean.changes:
-        constant = f"constant with χ²/dof {mean.chi2_per_dof:.3g}"
-        return f"{with_uncertainty(mean.value, u)}{unit} ({constant})"
-    if math.isnan(mean.first):
-        return f"about {mean.value:.3g}{unit}, not constant"
-    first, last = with_uncertainty(mean.first, mean.u_first), with_uncertainty(mean.last, mean.u_last)
-    return f"{first}{unit} at the start, {last}{unit} at the end"

@@ -1,6 +1,5 @@
-"""Analysis of a table by `rig fit`: every decay in it as a run of the rig, or an envelope."""
+"""Analysis of a table by `rig fit`: every decay in it as a run of the rig."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
@@ -14,9 +13,7 @@ from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import summarise_decay
 from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
-from processing.envelope import EnvelopeDecay, fit_envelope
-from processing.errors import ConfigurationError, DataError
-from processing.estimate import Estimate
+from processing.errors import DataError
 from processing.swing import (
     HalfCycle,
     HalfCycleFlag,
@@ -30,10 +27,10 @@ from processing.swing import (
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis.ambient import ambient_warnings, stated_ambient, table_ambient
 from rig.analysis.compared_laws import with_laws
-from rig.analysis.decay_values import amplitude_damping, decay_rows, decay_values
+from rig.analysis.decay_values import decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import EnvelopeResults, RunResults, SessionResults
+from rig.analysis.results import SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_values import StoredTurningPoints, TableDecay, TableUnit
 from rig.analysis.series import AnalysedRun, instrument_series
@@ -41,20 +38,16 @@ from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.intake import (
     FIRST_UTC_S,
     SeismometerRecord,
-    TableColumns,
     Trajectory,
     along_and_across,
     clipping_warnings,
     decay_warnings,
-    direction_warning,
     fast_mode_ratio,
     fast_oscillation,
-    judge_envelope_unit,
     judge_sign,
     judge_time_unit,
     missing_for_laws,
     strange_amplitudes,
-    two_oscillations_message,
 )
 from rig.settings import Configuration
 
@@ -114,17 +107,15 @@ def analyse_trajectory(
     if not usable:
         judge_time_unit(path, trajectory)
         most = max((len(turning_points(part)) for part in parts), default=0)
-        reason = two_oscillations_message(trajectory.times_ns, deflection) or (
-            "the samples hold no free decay, or too little of one. "
-            + (
-                trajectory.remedy
-                or f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
-                "--position choose others"
-            )
+        remedy = trajectory.remedy or (
+            f"Time is {trajectory.time_name}, position {' and '.join(trajectory.names)}; --time and "
+            "--position choose others"
         )
         raise DataError(
             f"{path}: {most} usable half-cycle{'' if most == 1 else 's'} ({len(swings) - most} more are "
-            f"flagged or of other decays), at least {_MIN_USABLE_HALF_CYCLES} are needed: {reason}"
+            f"flagged or of other decays), at least {_MIN_USABLE_HALF_CYCLES} are needed: the samples hold "
+            "no free decay, too little of one, or a second oscillation as large, which has to be filtered. "
+            f"{remedy}"
         )
     judge_time_unit(path, trajectory, usable)
     both = _both_deflections(trajectory.times_ns, across, deflection, scatter)
@@ -161,48 +152,6 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionRe
     if series is None:
         return None
     return replace(next(iter(tables.values())), trajectory=path.as_posix(), runs=runs, series=series)
-
-
-def analyse_envelope(
-    path: Path, columns: TableColumns, *, decibel: bool, frequency_hz: float | None
-) -> tuple[EnvelopeDecay, EnvelopeResults]:
-    """Fit the exponential of an envelope of amplitudes, or of powers in dB; see `fit_envelope`."""
-    trajectory = columns.read(path)
-    if len(trajectory.positions) > 1:
-        raise ConfigurationError("--position was given twice; an envelope is one column")
-    judge_time_unit(path, trajectory)
-    judge_envelope_unit(path, trajectory, decibel=decibel)
-    try:
-        times_s = seconds(trajectory.times_ns)
-        found = fit_envelope(times_s, trajectory.positions[0], decibel=decibel)
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from None
-    warnings = []
-    if found.changes:
-        warnings.append(
-            "the envelope is not one exponential: its time constant is "
-            f"{found.first_s:.3g} s a quarter down the fall and {found.last_s:.3g} s three quarters down"
-        )
-    if not found.described:
-        warnings.append(
-            "constant, linear and quadratic damping together do not describe the envelope (χ²/dof "
-            f"{found.damping.chi2_per_dof:.3g}); choose a stretch with --from and --to"
-        )
-    shown = (lambda amplitude: 20.0 * math.log10(amplitude)) if decibel else float
-    return found, EnvelopeResults(
-        envelope=path.as_posix(),
-        unit="dB" if decibel else trajectory.unit,
-        understood=trajectory.understood,
-        samples=found.samples,
-        time_constant_s=Estimate(found.tau_s, found.u_tau_s),
-        first_half_s=found.first_s,
-        last_half_s=found.last_s,
-        chi2_per_dof=found.chi2_per_dof,
-        noise_floor=found.floor,
-        quality_factor=None if frequency_hz is None else Estimate(*found.quality_factor(frequency_hz)),
-        damping=amplitude_damping(found.damping, frequency_hz, shown),
-        warnings=tuple(warnings),
-    )
 
 
 def _analyse(
@@ -254,7 +203,7 @@ def _analyse(
     decay = decay_values(points, scale, u_common=u_common)
     warnings = [
         *run.warnings,
-        *filter(None, [_direction_warning(trajectory, inside, run, followed), oscillation]),
+        *filter(None, ["" if followed.problem == run.problem else followed.problem, oscillation]),
         *decay_warnings(summary),
         *(
             line
@@ -341,18 +290,6 @@ def _taken_as_exact(config: Configuration) -> list[str]:
             "their second (a clock that nobody compared may be off by 50 ppm: 5e-5)"
         )
     return lines
-
-
-def _direction_warning(
-    trajectory: Trajectory, inside: NDArray[np.bool_], run: RunResults, followed: FollowedPlane
-) -> str:
-    """Warning of a turning direction of swing that no fit has followed; empty where there is none."""
-    if followed.problem:
-        return "" if run.problem == followed.problem else followed.problem
-    of_instrument = run.instrument is not None and "plane" in run.instrument.curves
-    if followed.is_turned or of_instrument:
-        return ""
-    return direction_warning(trajectory.positions, inside)
 
 
 def separate_decays(swings: Sequence[HalfCycle]) -> list[list[HalfCycle]]:

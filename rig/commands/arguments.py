@@ -224,13 +224,6 @@ def new_page(path: Path) -> None:
         )
 
 
-@_output
-def page_or_campaign(path: Path) -> None:
-    """Check that an HTML page does not exist, or that a folder holds no campaign."""
-    is_page = path.suffix.lower() in PAGES
-    (new_page if is_page else folder_without("campaign.json", "campaign.html"))(path)
-
-
 _ENDINGS_OF_FILES = {
     ".csv", ".h5", ".hdf5", ".html", ".json", ".mcap", ".nxs", ".parquet", ".pdf", ".png", ".rrd", ".tex",
     ".toml", ".tsv", ".txt", ".xlsx", ".zip",

@@ -16,7 +16,6 @@ from rig.commands.arguments import (
     in_json,
     input_argument,
     input_option,
-    loaded,
     one_record,
     output_option,
 )
@@ -35,7 +34,7 @@ Side = Annotated[
     Literal["+", "-"] | None,
     typer.Option(help="Sign of this mode's deflection in the first frame of the record."),
 ]
-Made = Callable[..., Path | None]
+Made = Callable[..., Path]
 """A function that makes a calibration from a file or record, a `Filing` and options of its own, in the order
 of the command's help; its docstring is that help."""
 
@@ -120,43 +119,20 @@ def shutter(record: Record, filing: "Filing") -> Path:
 
 
 def air(
-    vanes: Annotated[
-        Path | None, input_argument(f"Runs with their vanes or pressures {_SHOWN}", _LIST)
-    ] = None,
-    *,
+    vanes: Annotated[Path, input_argument(f"Runs with the areas of their vanes {_SHOWN}", _LIST)],
     filing: "Filing",
-    config: Annotated[
-        Path | None,
-        input_option("Without a file: say which vanes to cut for the pendulum of this configuration."),
-    ] = None,
-) -> Path | None:
+) -> Path:
     """Measure the drag of the air.
 
-    From runs with vanes of stated areas on the pendulum, or at stated pressures.
+    From runs with vanes of stated areas on the pendulum.
 
     \b
-    Examples:
-      rig calibrate air --config mine.toml
+    Example:
       rig calibrate air vanes.toml
     """
-    from rig.prepare import calibrate_air, vanes_to_cut
-    from rig.terminal import print_line
+    from rig.prepare import calibrate_air
 
-    if vanes is not None:
-        return calibrate_air(vanes, filing)
-    if config is None:
-        raise typer.BadParameter("a list of runs is needed; docs/calibrate.md shows one", param_hint="VANES")
-    stated = loaded(config, None)
-    # the period of [simulation] stands for what a rig does not know before its first run
-    vanes_text = vanes_to_cut(stated, stated.simulation.contact.period0_s)
-    if vanes_text is None:
-        raise typer.BadParameter(
-            f"{config}: [pendulum] is not stated; state its mass_kg and ball_radius_m, from which the drag "
-            "is estimated",
-            param_hint="--config",
-        )
-    print_line(vanes_text.text)
-    return None
+    return calibrate_air(vanes, filing)
 
 
 def pointing(record: Record, filing: "Filing") -> Path:
@@ -208,8 +184,7 @@ def _command(made: Made) -> Callable[..., None]:
 
     def command(**stated: Any) -> None:
         filing = _filing(**{name: stated.pop(name) for name in of_filing})
-        if (path := made(filing=filing, **stated)) is not None:
-            _say(path)
+        _say(made(filing=filing, **stated))
 
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(made).parameters.values():

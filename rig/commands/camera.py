@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,7 +27,6 @@ from rig.commands.arguments import (
 if TYPE_CHECKING:
     from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
     from processing.spot import Spot
-    from rig.devices import PictureFigures
     from rig.settings import Configuration
 
 
@@ -55,9 +54,11 @@ def _opened_camera(
 def show(config: Config, set_: Set = None) -> None:
     """Print the identity, settings and features of the camera.
 
+    What is set holds until the camera loses its power.
+
     \b
     Example:
-      rig camera show mine.toml
+      rig camera show mine.toml --set camera.exposure_us=80 --set camera.features.GainRaw=12
     """
     from rig.devices import feature_lines
     from rig.terminal import answer, print_line
@@ -77,57 +78,12 @@ def show(config: Config, set_: Set = None) -> None:
 
 
 @in_json
-def set_(
-    config: Config,
-    assignments: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", show_default=False)],
-    set_: Set = None,
-) -> None:
-    """Set features or settings by their names.
-
-    Features have their GenICam name, settings that of [camera]. They hold until the camera loses its power;
-    what a measurement needs belongs in the configuration.
-
-    \b
-    Example:
-      rig camera set mine.toml exposure_us=80 GainRaw=12
-    """
-    from acquisition.camera import CameraSettings
-    from processing.errors import ConfigurationError
-    from rig.settings import apply_overrides, validate_configuration
-    from rig.terminal import answer, print_line
-
-    stated = loaded(config, set_)
-    with _opened_camera(stated) as (camera, _, _):
-        for assignment in assignments:
-            name, equals, value = assignment.partition("=")
-            if not equals:
-                raise ConfigurationError(f"{assignment}: must read NAME=VALUE")
-            if name in CameraSettings.model_fields and name != "features":
-                tree: dict[str, Any] = {"camera": {"driver": stated.camera.driver}}
-                apply_overrides(tree, [f"camera.{assignment}"])
-                requested = validate_configuration(tree, str(config)).camera
-                applied = camera.configure(CameraSettings(**{name: getattr(requested, name)}))
-                answer(**{f"camera.{name}": getattr(applied, name)})
-                print_line(f"camera.{name} = {getattr(applied, name)}")
-            elif hasattr(camera, "features"):
-                reported = camera.features.set_feature(name, value)
-                answer(**{name: reported})
-                print_line(f"{name} = {reported}")
-            else:
-                known = ", ".join(CameraSettings.model_fields)
-                raise ConfigurationError(f"{name}: this camera has no such setting; there are {known}")
-
-
-Average = Annotated[
-    int, typer.Option(help="Number of frames to average, against laser speckle.", min=1, max=10_000)
-]
-
-
-@in_json
 def snap(
     config: Config,
     output: Annotated[Path, output_option("PNG file to write.", new_file(".png"))] = Path("snap.png"),
-    average: Average = 1,
+    average: Annotated[
+        int, typer.Option(help="Number of frames to average, against laser speckle.", min=1, max=10_000)
+    ] = 1,
     set_: Set = None,
 ) -> None:
     """Save a frame as PNG; print how good the beam is.
@@ -158,7 +114,9 @@ def snap(
         for line in camera_picture.histogram_bars(image, info.full_scale_dn):
             print_line(line)
         figures = camera_picture.figures(image, info.full_scale_dn)
-        print_line(_figures_line(figures))
+        saturated = f"{figures.saturated_px} px SATURATED" if figures.saturated_px else "none saturated"
+        peak = f"peak {100 * figures.peak:6.1f} %"
+        print_line(f"{peak}  {saturated}  sharpness {figures.sharpness_per_px:.4f} /px")
         optics = optics_of(stated, info.full_scale_dn)
         tracker, reference = optics.tracker(), optics.reference()
         # each spot is judged in its own part of the frame
@@ -213,35 +171,6 @@ def frames(
     from rig.measure import take_frames
 
     print_written(take_frames(loaded(config, set_), output, number))
-
-
-@in_json
-def focus(
-    config: Config,
-    seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at Ctrl-C.", min=0)] = 0.0,
-    average: Average = 1,
-    set_: Set = None,
-) -> None:
-    """Show sharpness and saturation, for focusing.
-
-    Continuously; larger is sharper.
-    """
-    import sys
-
-    from rig.devices import picture as camera_picture
-    from rig.devices import watch_latest
-    from rig.terminal import answer
-
-    with _opened_camera(loaded(config, set_)) as (camera, info, _):
-        best = 0.0
-        end_s = time.monotonic() + seconds if seconds else float("inf")
-        for frames in watch_latest(camera, average, end_s):
-            figures = camera_picture.figures(camera_picture.average(frames), info.full_scale_dn)
-            best = max(best, figures.sharpness_per_px)
-            age_ms = (time.monotonic_ns() - frames[-1].host_time_ns) * 1e-6
-            answer(seen=[figures], best_per_px=best)
-            line = f"{_figures_line(figures)}  best {best:.4f}  age {age_ms:.0f} ms"
-            typer.echo(f"\r{line:<100}" if sys.stdout.isatty() else line, nl=not sys.stdout.isatty())
 
 
 @in_json
@@ -320,11 +249,4 @@ def expose(
         print_line(f"exposure_us = {found.exposure_us:.6g}")
 
 
-def _figures_line(figures: "PictureFigures") -> str:
-    saturated = f"{figures.saturated_px} px SATURATED" if figures.saturated_px else "none saturated"
-    return f"peak {100 * figures.peak:6.1f} %  {saturated}  sharpness {figures.sharpness_per_px:.4f} /px"
-
-
-commands = group(
-    "camera", "Show, set and test the camera.", show, set_, snap, record, frames, focus, align, expose
-)
+commands = group("camera", "Show and test the camera.", show, snap, record, frames, align, expose)

@@ -42,8 +42,8 @@ def fit(
     time_unit: Annotated[
         str,
         typer.Option(
-            help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h, d; m:ss or h:mm for times "
-            "like 12:30; default: from the header (time_ms, t [ms]), else s.",
+            help="CSV: unit of the time: ns (also absolute), us, ms, s, min, h, d; default: from the header "
+            "(time_ms, t [ms]), else s.",
             show_default=False,
         ),
     ] = "",
@@ -71,13 +71,6 @@ def fit(
     run: Annotated[
         str, typer.Option(help="CSV or folder of several runs: the one to use, by its number; default: all.")
     ] = "",
-    envelope: Annotated[
-        str | None,
-        typer.Option(help="CSV: the column is an envelope: amplitude, or power in dB."),
-    ] = None,
-    frequency: Annotated[
-        float | None, typer.Option(min=0.0, help="CSV: frequency in Hz of an envelope's oscillation.")
-    ] = None,
     law: Annotated[
         list[str] | None,
         typer.Option(help="Compare the paper's law with another one, all or none; may be repeated."),
@@ -99,10 +92,6 @@ def fit(
             help="Seconds to add to the seismometer's times; default: searched for if they do not fit."
         ),
     ] = None,
-    seismometer_time_unit: Annotated[
-        str,
-        typer.Option(help="Unit of the time of a seismometer's table, as --time-unit.", show_default=False),
-    ] = "",
     pixel: Annotated[
         str,
         typer.Option(
@@ -135,16 +124,13 @@ def fit(
     """
     of_seismometer = {
         "--seismometer-column": seismometer_column, "--seismometer-offset": seismometer_offset is not None,
-        "--seismometer-time-unit": seismometer_time_unit,
     }  # fmt: skip
     if seismometer is None:
         refuse_stated("without --seismometer", of_seismometer)
-    read = partial(
-        _seismometer, seismometer, seismometer_column or (), seismometer_offset, seismometer_time_unit
-    )
+    read = partial(_seismometer, seismometer, seismometer_column or (), seismometer_offset)
     columns = {
         "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
-        "--decimal": decimal, "--envelope": envelope, "--frequency": frequency,
+        "--decimal": decimal,
     }  # fmt: skip
     of_films = {"--pixel": pixel, "--force-rate": force_rate, "--dark": dark is not None}
     both = {"--config": config, "--rate": rate, "--from": begin, "--to": end, "--run": run}
@@ -168,32 +154,30 @@ def fit(
         raise ConfigurationError(
             f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
         )
-    from rig.commands.table_fits import TableOptions, fit_envelope_table, fit_several
+    from rig.commands.table_fits import TableOptions, fit_several
     from rig.intake import TableColumns
 
     refuse_stated("on a table; leave it out", of_films)
-    if law and (config is None or envelope is not None):
+    if law and config is None:
         raise ConfigurationError(f"--law {law[0]}: laws need swings and --config CONFIG with [pendulum]")
-    if set_ and (config is None or envelope is not None):
+    if set_ and config is None:
         raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
     if decimal not in ("", ".", ","):
         raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
     asked_of = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal, run)
-    if seismometer is not None and (config is None or envelope is not None):
+    if seismometer is not None and config is None:
         raise ConfigurationError("--seismometer: has no effect without --config, which gives the pendulum")
-    if envelope is not None:
-        raise typer.Exit(fit_envelope_table(files[0], output, asked_of, envelope, frequency))
     wanted = TableOptions(config, set_ or [], law or [], read())
     inputs = [(each.run, files[0], lambda each=each: each) for each in asked_of.read_runs(files[0])]
     raise typer.Exit(fit_several(inputs, output, wanted))
 
 
 def _seismometer(
-    path: Path | None, columns: Sequence[str], offset_s: float | None, time_unit: str
+    path: Path | None, columns: Sequence[str], offset_s: float | None
 ) -> "SeismometerRecord | None":
     from rig.intake import read_seismometer
 
-    return None if path is None else read_seismometer(path, columns, offset_s, time_unit)
+    return None if path is None else read_seismometer(path, columns, offset_s)
 
 
 def fit_records(

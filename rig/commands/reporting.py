@@ -1,6 +1,5 @@
 """`rig report`, `rig paper`, `rig export`, `rig compare` and `rig plan`."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -8,7 +7,6 @@ import typer
 
 from processing.errors import ConfigurationError
 from rig.commands.arguments import (
-    PAGES,
     Set,
     Where,
     existing_toml,
@@ -21,10 +19,8 @@ from rig.commands.arguments import (
     new_page,
     one_record,
     output_option,
-    page_or_campaign,
     print_written,
     record_or_results,
-    refuse_stated,
     results_folder,
 )
 
@@ -51,18 +47,11 @@ def report(
 
 
 @in_json
-def paper(
-    output: Annotated[
-        Path | None,
-        output_option(
-            "Folder for paper.html with figures and tables.", folder_without("paper.html", "paper")
-        ),
-    ] = None,
-) -> None:
+def paper() -> None:
     """Simulate the paper's runs and compare with its tables."""
     from rig.report import reproduce_paper
 
-    reproduce_paper(output)
+    reproduce_paper()
 
 
 @in_json
@@ -88,92 +77,50 @@ def export(
 
 @in_json
 def compare(
-    folders: Annotated[list[Path] | None, input_argument("Folders of sessions.", results_folder)] = None,
+    folders: Annotated[
+        list[Path] | None,
+        input_argument(
+            "Folders of sessions; each is a contact, in the order of measurement.", results_folder
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
-        output_option("HTML file to write, with a figure; with --model: folder.", page_or_campaign),
-    ] = None,
-    against: Annotated[
-        str, typer.Option(help="Also over temperature, humidity, pressure, dwell or age of every run.")
-    ] = "",
-    model: Annotated[
-        str,
-        typer.Option(
-            metavar="FILE|default",
-            help="One model over all runs: its parameters, effects, priors (campaign.toml); each folder is a "
-            "contact, in the order of measurement.",
+        output_option(
+            "Folder for campaign.json, page, figures and tables.",
+            folder_without("campaign.json", "campaign.html"),
         ),
-    ] = "",
-    archive: Annotated[
+    ] = None,
+    model: Annotated[
         Path | None,
-        typer.Option(help="With --model: take the runs of an archive; each sample is a contact."),
+        input_option(
+            "What may depend on what, and priors (campaign.toml); default: nothing depends on anything.",
+            check=existing_toml("docs/many-runs.md shows such a file"),
+        ),
+    ] = None,
+    archive: Annotated[
+        Path | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")
     ] = None,
     where: Where = "",
     by_sample: Annotated[
-        bool,
-        typer.Option(
-            "--by-sample", help="With --model: folders with the same session.sample are one contact."
-        ),
+        bool, typer.Option("--by-sample", help="Folders with the same session.sample are one contact.")
     ] = False,
     sample: Annotated[
-        bool,
-        typer.Option("--sample", help="With --model: sample the full posterior (emcee), with its R-hat."),
+        bool, typer.Option("--sample", help="Sample the full posterior (emcee), with its R-hat.")
     ] = False,
 ) -> None:
-    """Compare the parameters of series, or model many runs.
+    """Compare contacts by one model over all of their runs.
 
-    In a model what runs share (air, lever, masses) counts once; contacts depend on humidity, temperature, age
-    as stated; bad runs are named.
+    What runs share (air, lever, masses) counts once; contacts depend on humidity, temperature, age as stated;
+    bad runs are named.
 
     \b
     Examples:
-      rig compare runs/glass runs/silicon -o comparison.html
-      rig compare runs/glass runs/silicon --against humidity -o humidity.html
+      rig compare runs/glass runs/silicon
       rig compare runs/monday runs/tuesday --model campaign.toml -o campaigns/glass
-      rig compare --model default --archive archive.duckdb --where "sample = 'K8'" -o campaigns/k8
+      rig compare --archive archive.duckdb --where "sample = 'K8'" -o campaigns/k8
     """
-    if model:
-        if against:
-            raise ConfigurationError(
-                f"--against {against}: has no effect with --model, whose file states effects"
-            )
-        model_runs(model, folders or [], output, archive, where, by_sample=by_sample, sample=sample)
-        return
-    of_models = {"--archive": archive, "--where": where, "--by-sample": by_sample, "--sample": sample}
-    refuse_stated("without --model", of_models)
-    if output is not None and output.suffix.lower() not in PAGES:
-        raise ConfigurationError(f"{output}: name a file that ends in .html or .htm")
-    if not folders:
-        raise typer.BadParameter("Missing argument 'FOLDERS'.")
-    if len(folders) < 2 and not against:
-        raise ConfigurationError(f"{folders[0]}: a comparison needs two sessions or more; name another")
-
-    from rig.report import compare as compare_sessions
-    from rig.terminal import answer, print_tables
-
-    print_tables(compare_sessions(folders, output, against))
-    if output is not None:
-        answer(written=[output])
-        print(f"page         {output}, figure and tables in {output.with_suffix('')}")
-
-
-DEFAULT = "default"
-"""Word in place of a file for the default model."""
-
-
-def model_runs(
-    model: str,
-    folders: Sequence[Path],
-    output: Path | None,
-    archive: Path | None,
-    where: str,
-    *,
-    by_sample: bool,
-    sample: bool,
-) -> None:
-    """Fit the model to the runs, print its tables and save the results in `output`."""
     if archive is None and not folders:
-        raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
+        raise ConfigurationError("rig compare needs runs: name folders of sessions, or --archive")
     if archive is not None and folders:
         raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
     if where and archive is None:
@@ -184,6 +131,7 @@ def model_runs(
     from rig.report import (
         StatedCampaign,
         campaign_tables,
+        decays_table,
         fit_model,
         read_campaign,
         runs_of_archive,
@@ -192,17 +140,16 @@ def model_runs(
     )
     from rig.terminal import answer, print_tables, say
 
-    if model == DEFAULT:
-        stated = StatedCampaign()
-    else:
-        existing_toml("docs/many-runs.md shows such a file")(Path(model))
-        stated = read_campaign(Path(model))
+    stated = StatedCampaign() if model is None else read_campaign(model)
     if archive is None:
-        runs = runs_of_folders(folders, by_sample=by_sample)
+        runs = runs_of_folders(folders or [], by_sample=by_sample)
     else:
         from rig.archive import ordered_runs
 
         runs = runs_of_archive(ordered_runs(archive, where))
+    if output is None and not any(one.run.fits for one in runs):
+        print_tables([decays_table(runs)])
+        return
     found = fit_model(runs, stated, sample=sample)
     answer(campaign=lambda: encoded(found.results))
     print_tables(campaign_tables(found))

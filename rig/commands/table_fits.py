@@ -1,6 +1,5 @@
-"""Fits of tables, films and envelopes by `rig fit`: analysed, printed and written one after another."""
+"""Fits of tables and films by `rig fit`: analysed, printed and written one after another."""
 
-import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,9 +10,7 @@ from processing.errors import ConfigurationError, DataError, DeviceError, Missin
 from rig.analysis import (
     RESULTS_NAME,
     AnalysedTable,
-    EnvelopeResults,
     SessionResults,
-    analyse_envelope,
     analyse_trajectory,
     chosen_laws,
     encoded,
@@ -24,12 +21,10 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import fill_from_files
-from rig.intake import SeismometerRecord, TableColumns, Trajectory
+from rig.intake import SeismometerRecord, Trajectory
 from rig.report import make_table_report
 from rig.settings import KeyUseMonitor, load_configuration
-from rig.terminal import answer, print_line, with_uncertainty
-
-ENVELOPES = ("amplitude", "power")
+from rig.terminal import answer, print_line
 
 
 class TableOptions(NamedTuple):
@@ -116,47 +111,15 @@ def _fit(
     return table
 
 
-def fit_envelope_table(
-    path: Path, output: Path | None, columns: TableColumns, kind: str, frequency_hz: float | None
-) -> int:
-    """Analyse an envelope, print its time constant, write results.json. Returns the exit status."""
-    if kind not in ENVELOPES:
-        raise ConfigurationError(f"--envelope {kind!r}: take one of {', '.join(ENVELOPES)} (in dB)")
-    found, results = analyse_envelope(path, columns, decibel=kind == "power", frequency_hz=frequency_hz)
-    unit = f" {results.unit}"
-    print_line(f"{path}: an envelope of {found.samples} values, noise of one {found.noise:.3g}{unit}")
-    for line in results.understood:
-        print_line(f"  {line}")
-    floor = (
-        f"noise floor {found.floor:.3g}{unit}" if math.isfinite(found.floor) else "no noise floor is reached"
-    )
-    print_line(f"  {found.initial:.4g}{unit} at the start, {floor}")
-    of_power = with_uncertainty(0.5 * found.tau_s, 0.5 * found.u_tau_s)
-    print_line(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
-    print_line(f"  time constant of the power {of_power} s")
-    if results.damping is not None:
-        of_parts = "sqrt(power)" if kind == "power" else results.unit
-        for line in results.damping.lines(of_parts, results.unit):
-            print_line(f"  {line}")
-    if results.quality_factor is not None:
-        print_line(f"  quality factor {with_uncertainty(*results.quality_factor)}")
-    for warning in results.warnings:
-        print_line(f"  note: {warning}")
-    _write(path, output, results)
-    return 0
-
-
-def _write(path: Path, output: Path | None, results: SessionResults | EnvelopeResults) -> None:
+def _write(path: Path, output: Path | None, results: SessionResults) -> None:
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        if isinstance(results, SessionResults):
-            record = relative_record(path, output)
-            results = replace(results, runs=tuple(replace(run, record=record) for run in results.runs))
-        _save(output, results)
+        record = relative_record(path, output)
+        _save(output, replace(results, runs=tuple(replace(run, record=record) for run in results.runs)))
     answer(results=lambda: [encoded(results)])
 
 
-def _save(folder: Path, results: SessionResults | EnvelopeResults) -> None:
+def _save(folder: Path, results: SessionResults) -> None:
     path = folder / RESULTS_NAME
     write_results(path, results)
     answer(written=[path])

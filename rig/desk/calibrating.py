@@ -78,9 +78,9 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
         120.0,
     ),
     "air": CalibrationKind(
-        "Drag of the air: vanes on the pendulum, or several pressures",
+        "Drag of the air: vanes on the pendulum",
         "Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from "
-        "one start, without lifting the ball off its place. rig calibrate air says which to cut.",
+        "one start, without lifting the ball off its place.",
         1500.0,
         '[[run]]\nrecord = "records/air-001.mcap"\narea_m2 = 0.0\n\n'
         '[[run]]\nrecord = "records/air-002.mcap"\narea_m2 = 0.067\n',

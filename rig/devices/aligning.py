@@ -172,9 +172,9 @@ class LivePicture:
                 self.news.begin_run("live picture", info.full_scale_dn, self._applied)
                 self._tell()
                 tracker, reference = optics.tracker(), optics.reference()
-                newest = watch_latest(opened.camera, 1, end_s, _LOOK_S, self._frame_read)
+                newest = watch_latest(opened.camera, end_s, _LOOK_S, self._frame_read)
                 with closing(newest):
-                    for *_, frame in newest:
+                    for frame in newest:
                         middle_px, applied = self._config.lever_reference_px, self._applied
                         look = take_look(
                             frame.image, info.full_scale_dn, tracker, middle_px, applied, reference

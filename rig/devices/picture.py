@@ -254,20 +254,19 @@ _LOOK_S = 0.2
 
 def watch_latest(
     camera: Camera,
-    at_least: int,
     end_s: float,
     interval_s: float = _LOOK_S,
     on_frame: Callable[[Frame], object] = lambda _: None,
-) -> Generator[list[Frame]]:
-    """Yield blocks of `at_least` frames, at most one per `interval_s`; older frames are dropped.
+) -> Generator[Frame]:
+    """Yield the newest frame, at most one per `interval_s`; older ones are dropped.
 
-    The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one block
+    The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one frame
     at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
     camera, and frames that no camera may deliver, are raised here. `on_frame` is called with every frame,
     dropped ones too, in the thread that reads them.
     """
     errors: list[Exception] = []
-    delivered, queue = FrameChecks(), BoundedQueue[Frame](at_least, "latest")
+    delivered, queue = FrameChecks(), BoundedQueue[Frame](1, "latest")
 
     def acquire() -> None:
         try:
@@ -289,10 +288,9 @@ def watch_latest(
     try:
         while not queue.drained:
             frames: list[Frame] = []
-            while len(frames) < at_least and not queue.drained:
-                frames += queue.take(at_least - len(frames), 0.1)
-            if frames:
-                yield frames
+            while not (frames or queue.drained):
+                frames = queue.take(1, 0.1)
+            yield from frames
             if time.monotonic() >= end_s:
                 break
             time.sleep(interval_s)

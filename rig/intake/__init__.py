@@ -3,7 +3,6 @@
 from rig.intake.doubts import (
     clipping_warnings,
     decay_warnings,
-    judge_envelope_unit,
     judge_sign,
     judge_time_unit,
     missing_for_laws,
@@ -12,11 +11,10 @@ from rig.intake.doubts import (
 from rig.intake.film import FilmOptions, film_trajectory, films_in, is_filmed
 from rig.intake.seismometer import FIRST_UTC_S, SeismometerRecord, read_seismometer
 from rig.intake.table import TableColumns
-from rig.intake.times import fast_mode_ratio, fast_oscillation, two_oscillations_message
+from rig.intake.times import fast_mode_ratio, fast_oscillation
 from rig.intake.trajectory import (
     Trajectory,
     along_and_across,
-    direction_warning,
     read_positions,
     write_positions,
 )

@@ -84,6 +84,12 @@ def is_timestamp(cell: str) -> bool:
     return match is not None and bool(match["date"] or match["clock"])
 
 
+def has_two_fields(cell: str) -> bool:
+    """Whether a cell is a time of two fields without a date, ``12:30.5``: minutes and seconds."""
+    match = TIMESTAMP.fullmatch(cell.strip())
+    return match is not None and not match["date"] and (match["clock"] or "").count(":") == 1
+
+
 def is_value(cell: str) -> bool:
     """Whether a cell is a number, a date or time, or a number followed by a unit."""
     if is_number(cell) or is_timestamp(cell):
@@ -162,11 +168,12 @@ _DAY_NS: Final = 86_400 * _SECOND_NS
 _DAY_1970: Final = date(1970, 1, 1).toordinal()
 
 
-def timestamps_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int | None]:
+def timestamps_ns(cells: Sequence[str]) -> list[int | None]:
     """Times in ns since 1970, or since midnight without a date; None for a cell that is neither.
 
-    In a time of two fields, ``12:30``, the first is the hour, or the minute with `minutes_first`. Times of
-    day without a date continue over midnight: a decrease by more than half a day means that a day has passed.
+    A time of two fields, ``12:30``, is one of minutes and seconds, or after a date one of hours and minutes.
+    Times of day without a date continue over midnight: a decrease by more than half a day means that a day
+    has passed.
     """
     times: list[int | None] = []
     days, previous = 0, None
@@ -175,8 +182,7 @@ def timestamps_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[
         if match is None or not (match["date"] or match["clock"]):
             times.append(None)
             continue
-        first_of_two = minutes_first and not match["date"]
-        clock, day = _clock_ns(match["clock"] or "0:00", first_of_two), _day(match["date"])
+        clock, day = _clock_ns(match["clock"] or "0:00", bool(match["date"])), _day(match["date"])
         if clock is None or (match["date"] and day is None):
             times.append(None)
             continue
@@ -196,13 +202,12 @@ def timestamps_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[
     return times
 
 
-def _clock_ns(text: str, minutes_first: bool) -> int | None:
+def _clock_ns(text: str, after_date: bool) -> int | None:
     """A time of day in ns; None for an impossible one (12:75). The first field has no upper limit."""
     fields = text.replace(",", ".").split(":")
-    counted_in_minutes = minutes_first and len(fields) == 2
+    counted_in_minutes = len(fields) == 2 and not after_date
     if len(fields) == 2:
-        # only seconds have a fraction
-        fields = ["0", *fields] if minutes_first or "." in text or "," in text else [*fields, "0"]
+        fields = [*fields, "0"] if after_date else ["0", *fields]
     hours, minutes, seconds = fields
     whole_s, _, fraction = seconds.partition(".")
     # a second 60 is a leap second

@@ -11,7 +11,7 @@ from typing import Final
 
 from processing.errors import DataError
 from rig.intake.cell_text import NumberFormat, counts_rows, is_timestamp, is_value, number_format, split_unit
-from rig.intake.files import binary_rows, decode, read_bytes_of
+from rig.intake.files import binary_rows, read_bytes_of, text_of_file
 from rig.intake.units import TIME_NAME, is_time, known_unit, split_name
 
 _COMMENTS: Final = ("#", "%", "//", "!")
@@ -63,7 +63,9 @@ def read_cells(path: Path, decimal: str = "") -> Cells:
         filled = [(number, cells) for number, cells in enumerate(binary.rows, 1) if any(cells)]
         return replace(_cells(path, filled, [], "", decimal), remarks=binary.remarks)
     numbered = [
-        (number, line) for number, line in enumerate(decode(raw).splitlines(), 1) if line.strip(" \t;,|")
+        (number, line)
+        for number, line in enumerate(text_of_file(path, raw).splitlines(), 1)
+        if line.strip(" \t;,|")
     ]
     plain = [item for item in numbered if not item[1].lstrip().startswith(_COMMENTS)]
     name, split = _separator([line for _, line in plain])

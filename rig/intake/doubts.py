@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.decay_summary import DecaySummary, summarise_decay
-from processing.envelope import unsigned_period_s
 from processing.errors import ConfigurationError, DataError
 from processing.swing import HalfCycle, turning_points
 from processing.units import conversion, seconds
+from processing.unsigned import unsigned_period_s
 from rig.intake.cell_text import TIMESTAMP, is_missing
 from rig.intake.times import likely_units, number
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
@@ -190,31 +190,14 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
     if len(values) > 1 and abs(values[-1] - values[0]) > _MAX_PART_LEFT * np.abs(np.diff(values)).sum():
         raise DataError(
             f"{path}: {trajectory.names[0]} goes from {values[0]:.4g} to {values[-1]:.4g} and hardly ever "
-            "back: no position of a swing does; name the column of the position (--position), or give "
-            "amplitudes as an envelope (--envelope amplitude)"
+            "back: no position of a swing does; name the column of the position (--position)"
         )
     period_s = unsigned_period_s(trajectory.times_ns, trajectory.positions[0])
     if math.isfinite(period_s):
         raise DataError(
             f"{path}: {trajectory.names[0]} has no sign, as |x| or x² of a swing: it comes back to one value "
             f"every {0.5 * period_s:.4g} s, while the pendulum's period is {period_s:.4g} s; give the "
-            "position with its sign, or its largest values as an envelope (--envelope amplitude)"
-        )
-
-
-def judge_envelope_unit(path: Path, trajectory: Trajectory, *, decibel: bool) -> None:
-    """Refuse amplitudes in dB and powers in another unit: taken for what they are not, they still fall."""
-    unit = trajectory.unit
-    in_decibel = unit.lower().startswith("db")
-    if decibel and unit != NOT_STATED and not in_decibel:
-        raise ConfigurationError(
-            f"{path}: {trajectory.names[0]} is in {unit}, but powers are taken in dB; convert it to dB, or "
-            "give its square root as --envelope amplitude"
-        )
-    if in_decibel and not decibel:
-        raise ConfigurationError(
-            f"{path}: {trajectory.names[0]} is in {unit}, which --envelope power reads, also of amplitudes "
-            "(20 lg A); --envelope amplitude takes the amplitude itself"
+            "position with its sign"
         )
 
 
@@ -251,8 +234,12 @@ def strange_amplitudes(
     ]
 
 
+_TOO_QUIET = 0.01
+"""Chi-square per degree of freedom below which the stated noise must be too large."""
+
+
 def decay_warnings(summary: DecaySummary) -> list[str]:
-    """Warnings of a decay that grows, or whose period or decrement is not constant."""
+    """Warnings of a decay that grows, of a period or decrement that is not constant, of too large a noise."""
     doubts = []
     if summary.grows:
         doubts.append(
@@ -274,6 +261,11 @@ def decay_warnings(summary: DecaySummary) -> list[str]:
                 f"the {name} is not constant (χ²/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
                 "uncertainty of its mean allows for it"
             )
+    if max(summary.period_s.chi2_per_dof, summary.decrement.chi2_per_dof) < _TOO_QUIET:
+        doubts.append(
+            "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
+            "a swing that estimate is too large): the uncertainties are upper limits"
+        )
     return doubts
 
 

@@ -16,20 +16,8 @@ from processing.errors import DataError, optional_module
 from rig.intake.cell_text import is_missing, is_number, is_timestamp
 
 _MAX_BYTES: Final = 1024 * 1024 * 1024
-_BINARY_BEGINNINGS: Final = (
-    (b"PAR1", "a Parquet file"),
-    (b"ARROW1", "a Feather or Arrow file"),
-    (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
-    (b"\x93NUMPY", "a NumPy array; its name must end in .npy, or save it"),
-    (b"MATLAB 5.0", "a MATLAB file; its name must end in .mat, or save it"),
-    (b"SQLite format 3\x00", "a SQLite database"),
-    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an old Office file (.xls)"),
-    (b"\x1f\x8b", "packed; its name must end in .gz, or unpack it"),
-    (b"%PDF", "a PDF"),
-    (b"\x89MCAP0\r\n", "a record, which rig fit takes by its name *.mcap"),
-)
+_JUDGED_CHARACTERS: Final = 4000
 _COMPLEX_TYPES: Final = (np.complex64, np.complex128)
-_JSON_BEGINNING: Final = re.compile(rb"\s*(?:\[\s*)?\{\s*\"")
 _ENCODING_MARKS: Final = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig"))
 
 
@@ -56,34 +44,20 @@ def read_bytes_of(path: Path) -> bytes:
     return raw
 
 
-def refuse_binary(path: Path, raw: bytes) -> None:
-    """Raise DataError for a file that is no text, by its first bytes."""
-    remedy = "save the table as text (CSV), or as .xlsx, .npy or .mat"
-    for mark, what in _BINARY_BEGINNINGS:
-        if raw.startswith(mark):
-            raise DataError(f"{path}: is {what}{'' if ';' in what else ', which is not read'}; {remedy}")
-    if raw.startswith(b"PK\x03\x04"):
-        try:
-            with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-                names = archive.namelist()
-        except zipfile.BadZipFile:
-            names = []
-        arrays = ", ".join(name for name in names if name.endswith(".npy"))
-        what = f"several NumPy arrays ({arrays})" if arrays else "a ZIP archive"
-        remedy = "save one with time and position as its columns (.npy)" if arrays else remedy
-        raise DataError(f"{path}: is {what}, which is not read; {remedy}")
-    if raw.startswith((b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff")):
-        raise DataError(f"{path}: is text in UTF-32, which is not read; save it in UTF-8")
-    if _JSON_BEGINNING.match(raw[:1000]):
-        raise DataError(f"{path}: is JSON, which is not read; {remedy}")
+def text_of_file(path: Path, raw: bytes) -> str:
+    """Text from UTF-8, from UTF-16 with or without its mark, or from Windows-1252; DataError for no text."""
+    text = _decode(raw)
+    if "\0" in text[:_JUDGED_CHARACTERS]:
+        remedy = "save the table as text (CSV, UTF-8), or as .xlsx, .npy or .mat, with that ending"
+        raise DataError(f"{path}: is no text; {remedy}")
+    return text
 
 
-def decode(raw: bytes) -> str:
-    """Text from UTF-8, from UTF-16 with or without its mark, or from Windows-1252."""
+def _decode(raw: bytes) -> str:
     for mark, encoding in _ENCODING_MARKS:
         if raw.startswith(mark):
             return raw.decode(encoding, errors="replace")
-    head = raw[:4000]
+    head = raw[:_JUDGED_CHARACTERS]
     # in UTF-16 every second byte of digits and separators is zero
     if len(head) > 3 and head.count(0) > len(head) // 3:
         little = head[1::2].count(0) > head[::2].count(0)
@@ -108,7 +82,6 @@ def binary_rows(path: Path, raw: bytes) -> Sheet | None:
             raise DataError(f"{path}: cannot be read as a workbook: {error}") from None
     if name.endswith((".xls", ".ods")):
         raise DataError(f"{path}: save it as .xlsx or as text (CSV); {path.suffix} is not read")
-    refuse_binary(path, raw)
     return None
 
 
@@ -145,9 +118,7 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
     if len(matrices) == 1 and not vectors:
         return _rows_of_matrix(path, *next(iter(matrices.items())))
     if complex_ := [name for name, value in found.items() if getattr(value, "dtype", None) in _COMPLEX_TYPES]:
-        raise DataError(
-            f"{path}: {complex_[0]} is complex; save its real part, or its modulus as an envelope"
-        )
+        raise DataError(f"{path}: {complex_[0]} is complex; save its real part")
     if not vectors or matrices:
         others = ", ".join(name for name in found if not name.startswith("__") and name not in numbers)
         raise DataError(

@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -55,12 +55,6 @@ _SUBDIVISIONS, _MAX_SUBDIVIDED_DN = 16, 4095
 """Subdivisions of a grey value after subtraction of fixed light, and the largest full scale for them."""
 _MAX_COMPRESSION_TRACE: Final = 0.015
 """Fraction of the spot's light that strong compression may leave along its path: 0.007 at crf 28."""
-_MAX_SEARCHED_FRAMES: Final = 100
-"""Number of the first frames without a spot in which a point smaller than a pixel is searched."""
-_POINT_REACH: Final = 4
-_MIN_HEIGHT, _MIN_CORE, _MAD = 10.0, 0.8, 0.6745
-"""Least height of a point over the noise, least fraction of its light in nine pixels (0.82 for a sigma of 0.9
-px), and median absolute over standard deviation of normal noise."""
 _MIN_BREAK_PX: Final = 0.1
 """Break of positions below which none is reported."""
 
@@ -136,14 +130,10 @@ def film_trajectory(
         + (", x counted in pixels as a viewer shows them" if camera.pixel_aspect != 1.0 else ""),
     ]
     if flags["LOST"] > (1.0 - _MIN_FOUND_FRACTION) * status.delivered:
-        if _moves(seen.points):
-            raise DataError(
-                f"{path}: what moves is smaller than a pixel, which hides where in the pixel it is; a spot "
-                "needs 2 px across at half its light (sigma 0.8 px): defocus it, or come nearer"
-            )
         raise DataError(
             f"{path}: in {flags['LOST']} of {status.delivered} frames there is nothing to follow; a bright "
-            "spot on a dark ground or a dark object on an even one is needed (--dark, --bright)"
+            "spot on a dark ground or a dark object on an even one is needed (--dark, --bright), 2 px across "
+            "or more at half its light"
         )
     xy = np.array(seen.places)
     # the centre of the first pixel is at 0, its left edge at -1/2
@@ -173,7 +163,6 @@ class _TrackedFilm:
     times_ns: list[int] = field(default_factory=list)
     places: list[tuple[float, float]] = field(default_factory=list)
     flags: Counter[str] = field(default_factory=Counter)
-    points: list[tuple[int, int] | None] = field(default_factory=list)
     sampled: list[tuple[Image, Spot]] = field(default_factory=list)
 
 
@@ -198,8 +187,6 @@ def _follow(
             rest = np.rint(fine * np.clip(image - fixed_dn, 0.0, full_dn))
             image = np.where(image >= full_dn, full_dn * fine, rest).astype(np.uint16)
         spot = tracker.track(image)
-        if spot.flags & SpotFlag.LOST and len(found.points) < _MAX_SEARCHED_FRAMES:
-            found.points.append(brightest_point(image))
         if len(found.times_ns) % every == 0:
             found.sampled.append((image, spot))
             if len(found.sampled) == _MAX_PICTURES or len(found.sampled) * image.nbytes > _MAX_PICTURES_BYTES:
@@ -237,26 +224,6 @@ def films_in(path: Path) -> list[Path]:
     if images_in([each.name for each in inside]):
         return []
     return sorted(filter(is_film, inside), key=lambda each: natural_key(each.name))
-
-
-def brightest_point(image: Image) -> tuple[int, int] | None:
-    """The brightest pixel (x, y) if it is a spot not larger than a pixel; else None."""
-    y, x = np.unravel_index(int(np.argmax(image)), image.shape)
-    around = image[
-        max(y - _POINT_REACH, 0) : y + _POINT_REACH + 1, max(x - _POINT_REACH, 0) : x + _POINT_REACH + 1
-    ]
-    level = float(np.median(around))
-    light = around - level
-    core = image[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] - level
-    noise = float(np.median(np.abs(light))) / _MAD + 0.5
-    alone = light.max() > _MIN_HEIGHT * noise and core.sum() > _MIN_CORE * light[light > _MAD * noise].sum()
-    return (int(x), int(y)) if alone else None
-
-
-def _moves(points: Sequence[tuple[int, int] | None]) -> bool:
-    """Whether most points exist and move, so that they are not a pixel that is always bright."""
-    found = [point for point in points if point is not None]
-    return 2 * len(found) > len(points) and bool(np.ptp(np.array(found), axis=0).max() > 1)
 
 
 def _extent(xy: NDArray[np.float64]) -> str:

@@ -34,7 +34,7 @@ _TWICE = "samples of records that overlap others"
 _REMEDIES: Final = {
     ", or the rows in a second: --rate HZ --position COLUMN": "",
     "name the time column with --time": "call the time column time_s",
-    "--time-unit": "--seismometer-time-unit",
+    "state --time-unit": "name in the header",
     "--position": "--seismometer-column",
 }
 """Options in messages on a table that is fitted, and those to name instead for a seismometer's table."""
@@ -77,30 +77,22 @@ class SeismometerRecord:
 
 
 def read_seismometer(
-    path: Path, columns: Sequence[str] = (), offset_s: float | None = None, time_unit: str = ""
+    path: Path, columns: Sequence[str] = (), offset_s: float | None = None
 ) -> SeismometerRecord:
     """The samples of an auxiliary seismometer's file, of all its `columns` or channels, or of some.
 
     `offset_s` is added to its times; with None they are used unchanged, and an offset is sought where they
-    explain nothing. `time_unit` is that of a table's times, where its header has none. Raises DataError or
-    ConfigurationError in one line.
+    explain nothing. Raises DataError or ConfigurationError in one line.
     """
-    if path.suffix.lower() not in _SEISMIC:
-        found = _read_table(path, columns, time_unit)
-    elif time_unit:
-        raise ConfigurationError(
-            f"--seismometer-time-unit {time_unit}: {path} has times of its own; leave the option out"
-        )
-    else:
-        found = _read_seismic(path, columns)
+    found = (_read_seismic if path.suffix.lower() in _SEISMIC else _read_table)(path, columns)
     if offset_s is None:
         return found
     return replace(found, first_ns=found.first_ns + nanoseconds(offset_s), offset_stated=True)
 
 
-def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> SeismometerRecord:
+def _read_table(path: Path, columns: Sequence[str]) -> SeismometerRecord:
     try:
-        table = read_columns(path, columns, time_unit)
+        table = read_columns(path, columns)
     except RigError as error:
         message = str(error)
         for option, of_seismometer in _REMEDIES.items():

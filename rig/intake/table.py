@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
-from rig.intake.cell_text import is_timestamp, timestamps_ns
+from rig.intake.cell_text import has_two_fields, is_timestamp, timestamps_ns
 from rig.intake.cells import Cells, read_cells
 from rig.intake.columns import HeaderColumns, RowsOfRun, separate_runs
 from rig.intake.doubts import (
@@ -24,7 +24,7 @@ from rig.intake.doubts import (
     judge_zones,
     unwrapped,
 )
-from rig.intake.times import M_SS, SORT, check_increasing, clock_form, lines_text, number, read_times
+from rig.intake.times import SORT, check_increasing, lines_text, number, read_times
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.intake.units import NOT_STATED_TIME, unit_of_positions, unit_of_time
 
@@ -194,19 +194,16 @@ class _TableReader:
     def _times(self, column: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], str, int]:
         cells = [row[column] for row in self._cells.rows]
         if sum(map(is_timestamp, cells[:50])) > 0.5 * len(cells[:50]):
-            form, source = clock_form(
-                self._path, self._names[column], self._columns.named[column], self._options.time_unit, cells
-            )
-            found = timestamps_ns(cells, minutes_first=form == M_SS)
+            self._refuse_unit_of_clock(column, cells[0])
+            found = timestamps_ns(cells)
             good = np.array([one is not None for one in found])
             kept = [one for one in found if one is not None]
             times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)
             read = [cell for cell, yes in zip(cells, good, strict=True) if yes]
             check_increasing(self._path, times_ns, read, SORT)
             judge_zones(self._path, read, times_ns)
-            self._remarks.append(
-                f"time: {self._names[column]}, " + (f"as {form} ({source})" if form else "moments")
-            )
+            form = "minutes and seconds" if has_two_fields(read[0]) else "moments"
+            self._remarks.append(f"time: {self._names[column]}, {form}")
             return times_ns, good, "s", kept[0]
         named = self._columns.named[column]
         unit, source = unit_of_time(self._path, self._names[column], named, self._options.time_unit)
@@ -221,6 +218,21 @@ class _TableReader:
             first_ns -= SPREADSHEET_ZERO_NS
             self._remarks.append("time: days since 1899-12-30, as spreadsheets count")
         return times_ns, good, unit, first_ns
+
+    def _refuse_unit_of_clock(self, column: int, cell: str) -> None:
+        """Raise ConfigurationError if an option, or a header of hours and minutes, does not fit a clock."""
+        named, option = self._columns.named[column], self._options.time_unit
+        if option:
+            raise ConfigurationError(
+                f"{self._path}: {self._names[column]!r} has times like {cell!r}, which --time-unit {option} "
+                "does not fit; leave the option out"
+            )
+        stated = named.unknown or named.unit
+        if has_two_fields(cell) and stated[:1].lower() == "h":
+            raise ConfigurationError(
+                f"{self._path}: {cell!r} in {self._names[column]!r} has no seconds, by which a swing is "
+                "followed; write h:mm:ss, or minutes and seconds as m:ss"
+            )
 
     def _position_unit(self, columns: Sequence[int]) -> str:
         titles, named = [self._names[k] for k in columns], [self._columns.named[k] for k in columns]
@@ -300,9 +312,8 @@ class _TableReader:
         )
 
 
-def read_columns(path: Path, columns: Sequence[str], time_unit: str = "") -> Trajectory:
+def read_columns(path: Path, columns: Sequence[str]) -> Trajectory:
     """Read time and any number of columns of a table; all but the time if none is named."""
-    options = TableColumns(None, tuple(columns), time_unit=time_unit)
-    found = _TableReader(path, options, RowsOfRun("", read_cells(path))).columns()
+    found = _TableReader(path, TableColumns(None, tuple(columns)), RowsOfRun("", read_cells(path))).columns()
     judge_time_unit(path, found)
     return found

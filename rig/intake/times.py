@@ -1,21 +1,17 @@
 """Columns of times in exact nanoseconds, and second oscillations in the samples of a table."""
 
 import math
-import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from decimal import Decimal
-from itertools import pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.errors import ConfigurationError, DataError
+from processing.errors import DataError
 from processing.units import conversion, seconds
-from rig.intake.cell_text import TIMESTAMP, timestamps_ns
-from rig.intake.units import ColumnName, known_unit, refuse_contradiction
 
 SORT: Final = (
     "sort the rows or name the time column with --time; several runs need a blank line between them or a "
@@ -133,92 +129,11 @@ def number(cell: str) -> float:
     return value if math.isfinite(value) else math.nan
 
 
-M_SS: Final = "m:ss"
-H_MM: Final = "h:mm"
-_FORM: Final = re.compile(
-    r"(?<![:\w])(?:(?P<minutes>mm?|min):(?:ss?|sec)|(?P<hours>hh?|std):(?:mm?|min))(?:[.,]\w+)?(?![:\w])",
-    re.IGNORECASE,
-)
-_LEADING: Final = {"min": M_SS, "h": H_MM}
-_HOURS_OF_DAY: Final = 24
-
-
-def clock_form(
-    path: Path, title: str, named: ColumnName, asked: str, cells: Sequence[str]
-) -> tuple[str, str]:
-    """The form of a column's times of two fields, M_SS or H_MM, and its source in words; empty without any.
-
-    The option or the header states it. Otherwise a fraction (``0:05.2``), a first field above 24 (``75:30``),
-    or cells with three fields decide.
-
-    Raises
-    ------
-    ConfigurationError
-        None of them decides, or two disagree.
-    """
-    two = [cell.strip() for cell in cells if _has_two_fields(cell)]
-    by_option, by_header = (_form(asked), _form(title) or _form(named.unknown) or _form(named.unit))
-    if not two:
-        if _FORM.search(asked) and cells:
-            raise ConfigurationError(
-                f"{path}: {title!r} has times like {cells[0]!r}, which --time-unit {asked} does not fit; "
-                "leave the option out"
-            )
-        return "", ""
-    refuse_contradiction(path, title, by_header, "--time-unit", by_option)
-    stated = by_option or by_header
-    fraction = next((cell for cell in two if "." in cell or "," in cell), "")
-    if stated == H_MM and fraction:
-        raise ConfigurationError(
-            f"{path}: {fraction!r} in {title!r} has a fraction of a second and cannot be {H_MM}; state "
-            f"--time-unit {M_SS}, or correct the header"
-        )
-    if stated:
-        return stated, "--time-unit" if by_option else "its header"
-    if fraction:
-        return M_SS, f"{fraction} has a fraction of a second"
-    late = next((cell for cell in two if int(cell.split(":")[0]) >= _HOURS_OF_DAY), "")
-    if late:
-        return M_SS, f"{late} is not a time of day"
-    increasing_forms = [form for form in (M_SS, H_MM) if _is_increasing(cells, form)]
-    if len(two) < len(cells) and len(increasing_forms) == 1:
-        return increasing_forms[0], "the others have hours, minutes and seconds"
-    raise ConfigurationError(
-        f"{path}: {two[0]!r} in {title!r} may be minutes and seconds or hours and minutes; state --time-unit "
-        f"{M_SS} or --time-unit {H_MM}, or write it in the header: t [{M_SS}]"
-    )
-
-
-def _has_two_fields(cell: str) -> bool:
-    found = TIMESTAMP.fullmatch(cell.strip())
-    return found is not None and not found["date"] and (found["clock"] or "").count(":") == 1
-
-
-def _form(text: str) -> str:
-    """The form that an option or a header names: ``mm:ss``, ``min:s``, or its first unit alone."""
-    found = _FORM.search(text)
-    if found is None:
-        return _LEADING.get(known_unit(text), "") if text else ""
-    return M_SS if found["minutes"] else H_MM
-
-
-def _is_increasing(cells: Sequence[str], form: str) -> bool:
-    times = [time for time in timestamps_ns(cells, minutes_first=form == M_SS) if time is not None]
-    return all(a < b for a, b in pairwise(times))
-
-
 _MIN_SAMPLES: Final = 64
-"""Fewest samples in which two oscillations are searched."""
+"""Fewest samples in which a second oscillation is searched."""
 _RELATIVE_HALF_WIDTH: Final = 0.1
 """Half width of a spectral line relative to its frequency, including the width by decay."""
 _MIN_HALF_WIDTH_BINS: Final = 4
-_MIN_TWO_LINES_SHARE: Final = 0.8
-"""Minimum fraction of the variance in two lines of samples that count as two oscillations."""
-_MIN_WEAKER_LINE_SHARE: Final = 0.1
-"""Minimum fraction of the variance in a weaker line that is nearly as large as a swing."""
-_OVERTONES: Final = (2, 3)
-"""Frequency ratios of overtones by stops or steps of one motion; higher ones are smaller than required."""
-_OVERTONE_TOLERANCE: Final = 0.1
 _MIN_GAP_STEPS: Final = 3.0
 """Shortest gap, in steps between samples."""
 _MIN_FAST_RATIO: Final = 1.5
@@ -238,43 +153,6 @@ _KAISER_BETA: Final = 12.0
 below 1e-4 of it, so that those of a few swings are no second oscillation."""
 _MIN_RELATIVE_SIZE: Final = 3e-4
 """Smallest second oscillation relative to the swing; below are rounding of the table and side lobes."""
-
-
-def two_oscillations_message(times_ns: NDArray[np.int64], deflection: NDArray[np.float64]) -> str:
-    """A message with the two frequencies in the samples and the remedy; empty without two oscillations."""
-    good = np.isfinite(deflection)
-    if np.count_nonzero(good) < _MIN_SAMPLES:
-        return ""
-    since_s = seconds(times_ns - times_ns[0])
-    even_s = np.linspace(since_s[0], since_s[-1], len(since_s))
-    even = np.interp(even_s, since_s[good], deflection[good])
-    power = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(len(even)))) ** 2
-    # power of three turns in the record and fewer is drift
-    power[:_MIN_HALF_WIDTH_BINS] = 0.0
-    total = float(power.sum())
-    lines: list[tuple[float, float]] = []
-    for _ in range(2):
-        k = int(np.argmax(power))
-        width = max(_MIN_HALF_WIDTH_BINS, round(_RELATIVE_HALF_WIDTH * k))
-        near = slice(max(k - width, 0), k + width + 1)
-        lines.append((k / float(even_s[-1]), float(power[near].sum())))
-        power[near] = 0.0
-    (first_hz, first), (second_hz, second) = sorted(lines)
-    ratio = second_hz / first_hz if first_hz > 0 else 0.0
-    harmonic = any(abs(ratio - overtone) < _OVERTONE_TOLERANCE for overtone in _OVERTONES)
-    if (
-        not first + second > _MIN_TWO_LINES_SHARE * total
-        or min(first, second) < _MIN_WEAKER_LINE_SHARE * total
-        or harmonic
-    ):
-        return ""
-    size = (second / first) ** 0.5
-    return (
-        f"the samples hold two oscillations, at {first_hz:.3g} Hz and at {second_hz:.3g} Hz, the second "
-        f"{size:.2g} times as large as the first, so that no half-cycle is one of a free decay; damp or "
-        "filter one of them, begin where it has faded (--from), or choose a position that does not "
-        "see it (--position)"
-    )
 
 
 def fast_oscillation(times_ns: NDArray[np.int64], deflection: NDArray[np.float64], period_s: float) -> str:

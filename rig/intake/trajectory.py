@@ -3,7 +3,6 @@
 import csv
 import io
 from dataclasses import dataclass
-from math import atan2, cos, degrees, pi
 from pathlib import Path
 from typing import Final
 
@@ -56,10 +55,6 @@ _OUTLIER_DISTANCE = 5.0
 _ITERATIONS = 3
 _DRIFT_DEGREE = 3
 """Degree of the polynomial drift of the rest position that is subtracted."""
-_MIN_SHORTENING = 1e-3
-"""Minimum relative loss of amplitude with which another direction is reported."""
-_MIN_DEVIATION_U = 5.0
-"""Least deviation of a direction that counts, in standard uncertainties."""
 
 
 def along_and_across(positions: tuple[Array, ...]) -> tuple[Array, Array]:
@@ -76,49 +71,12 @@ def along_and_across(positions: tuple[Array, ...]) -> tuple[Array, Array]:
     if not good.any():
         raise DataError("no row of the table has both positions; name other columns with --position")
     centred = both - both[good].mean(axis=0)
-    along, _ = _directions(both[good])[0]
+    along, _ = _directions(both[good])
     return centred @ along, centred @ np.array([along[1], -along[0]])
 
 
-def direction_warning(positions: tuple[Array, ...], inside: NDArray[np.bool_]) -> str:
-    """A warning if the samples `inside` one decay swing in another direction than all; else empty.
-
-    The directions of their first and last third are compared with the direction of all positions, along which
-    amplitudes are measured.
-    """
-    both = np.column_stack(positions)
-    good = np.isfinite(both).all(axis=1)
-    third = np.count_nonzero(good & inside) // 3
-    if both.shape[1] < 2 or third < 2 * _DRIFT_DEGREE:
-        return ""
-    used, _ = _angle(both[good])
-    decay_positions = both[good & inside]
-    off = []
-    for part in (decay_positions[:third], decay_positions[-third:]):
-        angle, u = _angle(part)
-        # a direction is defined modulo pi
-        away = (angle - used + 0.5 * pi) % pi - 0.5 * pi
-        off.append(away if abs(away) > _MIN_DEVIATION_U * u else 0.0)
-    shortened = 1.0 - cos(max(map(abs, off)))
-    if shortened < _MIN_SHORTENING:
-        return ""
-    first, last = (f"{degrees(one):.2g}".replace("-", "−") for one in off)
-    return (
-        f"the swing deviates from the direction in which amplitudes are measured by {first} degrees in the "
-        f"first third of this decay and {last} degrees in the last: amplitudes are too small by up to "
-        f"{100 * shortened:.1g} %. This biases decrement, damping and all parameters, and no uncertainty "
-        "includes it. Fit a shorter stretch (--from, --to)"
-    )
-
-
-def _angle(both: Array) -> tuple[float, float]:
-    """Direction of the motion and its standard uncertainty by the scatter across it, in rad."""
-    (along, _), sizes = _directions(both)
-    return atan2(along[0], along[1]), float(sizes[1] / sizes[0]) / len(both) ** 0.5
-
-
-def _directions(both: Array) -> tuple[Array, Array]:
-    """Unit vectors along and across the motion (n, 2), and the root mean squares in these directions.
+def _directions(both: Array) -> Array:
+    """Unit vectors along and across the motion (n, 2).
 
     Subtracting a drift of the rest position does not change the direction of the swing. A wrong value, or one
     that marks a missing value, is far from the rest and counts as one sample.
@@ -133,8 +91,7 @@ def _directions(both: Array) -> tuple[Array, Array]:
         weights = np.minimum(1.0, _OUTLIER_DISTANCE * usual / np.maximum(distance, 1e-300))
         fit, *_ = np.linalg.lstsq(weights[:, None] * trend, weights[:, None] * (both - middle), rcond=None)
         moved = both - middle - trend @ fit
-    _, sizes, axes = np.linalg.svd(weights[:, None] * moved, full_matrices=False)
-    return axes, sizes / len(both) ** 0.5
+    return np.linalg.svd(weights[:, None] * moved, full_matrices=False)[2]
 
 
 POSITIONS_NAME = "positions.csv"

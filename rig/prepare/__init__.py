@@ -11,4 +11,4 @@ from rig.prepare.frame_times import (
     calibrate_sensor,
     calibrate_shutter,
 )
-from rig.prepare.lever import calibrate_air, calibrate_lever, check_known_angle, vanes_to_cut
+from rig.prepare.lever import calibrate_air, calibrate_lever, check_known_angle

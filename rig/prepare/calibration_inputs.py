@@ -94,29 +94,15 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
 
 
 class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
-    """One run: its record, and the area of the vanes on the pendulum, or the pressure."""
+    """One run: its record, and the area of the vanes on the pendulum."""
 
     record: Path
-    area_m2: float | None = Field(default=None, ge=0, lt=10)
+    area_m2: float = Field(ge=0, lt=10)
     u_area_m2: float = Field(default=0.0, ge=0)
-    pressure_pa: float | None = Field(default=None, gt=0, lt=1e6)
-
-    @model_validator(mode="after")
-    def _either(self) -> Self:
-        if (self.area_m2 is None) == (self.pressure_pa is None):
-            raise ValueError("a run needs either area_m2 or pressure_pa")
-        return self
-
-    @property
-    def exposure(self) -> float:
-        """The area, or else the pressure."""
-        found = self.pressure_pa if self.area_m2 is None else self.area_m2
-        assert found is not None
-        return found
 
 
 class VaneFile(BaseModel, frozen=True, extra="forbid"):
-    """Runs of one contact with vanes of different areas, all at one place, or at different pressures.
+    """Runs of one contact with vanes of different areas, all at one place.
 
     `area_m2` is the sum over all vanes, one face of each, 0 without vanes; drag is proportional to it, so
     that only its ratios enter the drag of the pendulum itself. Paths of records are relative to the file.
@@ -124,17 +110,10 @@ class VaneFile(BaseModel, frozen=True, extra="forbid"):
 
     run: tuple[VanesOfRun, ...]
 
-    @property
-    def by_pressure(self) -> bool:
-        """Whether pressures are stated in place of areas."""
-        return self.run[0].area_m2 is None
-
     @model_validator(mode="after")
-    def _one_kind_only(self) -> Self:
-        if len({run.area_m2 is None for run in self.run}) != 1:
-            raise ValueError("state area_m2 of every [[run]], or pressure_pa of every one")
-        if len({run.exposure for run in self.run}) < 2:
-            raise ValueError("runs of two different areas or pressures are needed, better of three")
+    def _differ(self) -> Self:
+        if len({run.area_m2 for run in self.run}) < 2:
+            raise ValueError("runs of two different areas are needed, better of three")
         return self
 
 

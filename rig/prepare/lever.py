@@ -2,11 +2,8 @@
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from acquisition.record.reader import RecordReader
 from calibration import (
@@ -20,19 +17,16 @@ from calibration import (
     read_calibration,
     require_rest,
 )
-from processing.ambient import AmbientConditions, humid_air
-from processing.arrays import Floats
-from processing.contact import PendulumOnBall, vane_drag_s_per_m2
+from processing.ambient import AmbientConditions
+from processing.contact import PendulumOnBall
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
 from rig.analysis import (
     analyse_record,
-    drag_at_pressure,
     expected_drag,
     refuse_copies,
-    stated_ambient,
 )
-from rig.instrument import balls, pendulum_on_ball, recorded_configuration
+from rig.instrument import recorded_configuration
 from rig.prepare.calibration_inputs import (
     Filing,
     LadderFile,
@@ -152,52 +146,6 @@ def _ladder_details(fit: LadderFit, table: LadderFile) -> dict[str, Any]:
     }
 
 
-_VANE_DRAG_RATIO = 1.0
-"""Drag of the smaller vanes over that expected of the pendulum itself; the larger ones have twice as much."""
-
-
-@dataclass(frozen=True, slots=True)
-class VanesToCut:
-    """Vanes that add as much drag as is expected of the pendulum itself, and their position.
-
-    `area_m2` is the sum over all vanes, one face of each; `distance_m` is the distance of their middles from
-    the axis, `drag_s` the drag of the pendulum itself.
-    """
-
-    area_m2: float
-    distance_m: float
-    drag_s: float
-
-    @property
-    def text(self) -> str:
-        """Instructions to cut and mount the vanes."""
-        side_mm = 1e3 * (0.5 * self.area_m2) ** 0.5
-        return (
-            f"Cut two pairs of thin stiff sheets, {side_mm:.0f} x {side_mm:.0f} mm and {side_mm:.0f} x "
-            f"{2 * side_mm:.0f} mm. A pair of the first, {1e4 * self.area_m2:.0f} cm² together, adds about "
-            f"what air exerts on the pendulum itself ({1e3 * self.drag_s:.2g} ms), one of the second, "
-            f"{2e4 * self.area_m2:.0f} cm², twice that. One sheet of a pair goes to each end of the "
-            f"pendulum, its middle {1e3 * self.distance_m:.0f} mm from the axis, upright, so that it moves "
-            "in its own plane and the mass centre stays. In runs without them, and with the smaller ones, "
-            "their weight goes back to the same places in compact pieces: the load on the ball, and with it "
-            "the contact, has to stay."
-        )
-
-
-def vanes_to_cut(config: Configuration, period_s: float) -> VanesToCut | None:
-    """The vanes for the pendulum of a configuration; None without [pendulum]."""
-    pendulum = pendulum_on_ball(config)
-    if pendulum is None:
-        return None
-    found = stated_ambient(config)
-    bar = expected_drag(found, pendulum, period_s, config)
-    distance_m = 0.5 * bar.length_m
-    usual = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
-    air = humid_air(**{name: found.known().get(name, value) for name, value in usual.items()})
-    per_area = vane_drag_s_per_m2(air, distance_m, pendulum, period_s) / balls(config)
-    return VanesToCut(_VANE_DRAG_RATIO * bar.drag_s / per_area, distance_m, bar.drag_s)
-
-
 def calibrate_air(vanes: Path, filing: Filing) -> Path:
     """Calibrate the drag of the air from a list of runs (see `VaneFile`); returns the file."""
     table = read_input(vanes, VaneFile)
@@ -205,7 +153,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         if not (vanes.parent / listed_run.record).is_file():
             raise ConfigurationError(f"{vanes}: {vanes.parent / listed_run.record}: no such record")
     refuse_copies([vanes.parent / listed_run.record for listed_run in table.run])
-    runs, sources, rows, pendulums, configs = [], [vanes], [], [], []
+    runs, sources, areas_m2, pendulums = [], [vanes], [], []
     as_detected: list[int] = []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
@@ -229,68 +177,31 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         shown = shown or _air_details(run.ambient, pendulum, config, period_s)
         if run.measured_again_on is None:
             as_detected.append(number)
-        runs.append(VanedRun(run.points, fit, listed_run.exposure, listed_run.u_area_m2))
+        runs.append(VanedRun(run.points, fit, listed_run.area_m2, listed_run.u_area_m2))
         pendulums.append(pendulum)
-        configs.append(config)
-        rows.append(listed_run.exposure)
+        areas_m2.append(listed_run.area_m2)
         sources.append(record)
-    by_ratio = table.by_pressure
-    if by_ratio:
-        runs = _at_ratios(runs, pendulums[0], period_s, configs)
     if len(set(pendulums)) > 1:
         raise DataError(f"{vanes}: its runs are of different pendulums: mass, ball or flat have changed")
-    found = air_of_vanes(runs, pendulums[0], by_ratio=by_ratio)
+    found = air_of_vanes(runs, pendulums[0])
     if not found.drag_s.value > 0:
         raise DataError(
             f"{vanes}: its runs give a drag of {found.drag_s.value:.2g} ± "
             f"{found.drag_s.standard_uncertainty:.2g} s, which no air exerts: larger vanes, "
             "or longer runs, are needed"
         )
-    slope, u_slope = found.per_exposure
-    if not by_ratio and slope < -2.0 * u_slope:
+    slope, u_slope = found.per_m2_s
+    if slope < -2.0 * u_slope:
         raise DataError(
             f"{vanes}: its runs lose {-slope:.2g} ± {u_slope:.2g} s of drag per m² of vanes, and vanes add "
             "some: see which record has which area"
         )
     values = {"drag_s": found.drag_s.value, "u_drag_s": found.drag_s.standard_uncertainty}
-    method = f"{len(runs)} runs, {len(set(rows))} " + ("pressures" if by_ratio else "areas of vanes")
-    details = _details(found, rows, by_ratio) | shown
+    method = f"{len(runs)} runs, {len(set(areas_m2))} areas of vanes"
+    details = _details(found, areas_m2) | shown
     return file_calibration(
         "air", filing, method, values, details, sources, _notes(found, table, as_detected), began
     )
-
-
-_U_WIDTH, _U_WIDTH_STATED = 0.3, 0.1
-"""Relative standard uncertainty of the width of a bar that resists at other pressures as the pendulum does,
-where the width is assumed, and where it is stated: ends, mirror and weights are no bar."""
-
-
-def _at_ratios(
-    runs: Sequence[VanedRun], pendulum: PendulumOnBall, period_s: float, configs: Sequence[Configuration]
-) -> list[VanedRun]:
-    """Runs whose exposures, stated as pressures, are drags relative to that at the highest, the room's.
-
-    A wrong width changes all ratios together. As errors of single runs they are larger by the root of the
-    number of ratios, so that together they allow as much of it.
-    """
-    stated = configs[0].pendulum is not None and configs[0].pendulum.width_m is not None
-    u_width = _U_WIDTH_STATED if stated else _U_WIDTH
-
-    def ratios(width_factor: float) -> Floats:
-        drags = np.array(
-            [
-                drag_at_pressure(run.exposure, pendulum, period_s, config, width_factor=width_factor)
-                for run, config in zip(runs, configs, strict=True)
-            ]
-        )
-        return np.asarray(drags / drags.max())
-
-    found = ratios(1.0)
-    u = 0.5 * np.abs(ratios(1.0 + u_width) - ratios(1.0 - u_width)) * np.sqrt(np.count_nonzero(found < 1.0))
-    return [
-        replace(run, exposure=ratio, u_exposure=u_ratio)
-        for run, ratio, u_ratio in zip(runs, found.tolist(), u.tolist(), strict=True)
-    ]
 
 
 def _air_details(
@@ -301,21 +212,20 @@ def _air_details(
     return {**known.known(), "expected_drag_s": expected_drag(known, pendulum, period_s, config).drag_s}
 
 
-def _details(found: MeasuredAir, exposures: list[float], by_ratio: bool) -> dict[str, Any]:
+def _details(found: MeasuredAir, areas_m2: list[float]) -> dict[str, Any]:
     contact_details = {
         key: value
         for name, (one, u) in found.contact.items()
         for key, value in ((name, one), (f"u_{name}", u))
     }
-    slope = {} if by_ratio else dict(zip(("per_m2_s", "u_per_m2_s"), found.per_exposure, strict=True))
     return {
-        **slope,
+        **dict(zip(("per_m2_s", "u_per_m2_s"), found.per_m2_s, strict=True)),
         "chi2": found.chi2,
         "degrees_of_freedom": found.dof,
         "chance": found.chance,
         "enlarged": found.enlarged,
         **contact_details,
-        "pressures_pa" if by_ratio else "areas_m2": exposures,
+        "areas_m2": areas_m2,
         "drags_s": [one.value for one in found.of_runs_s],
         "u_drags_s": [one.standard_uncertainty for one in found.of_runs_s],
         "off_drags_s": list(found.off_s),
@@ -335,12 +245,12 @@ def _notes(found: MeasuredAir, table: VaneFile, as_detected: Sequence[int]) -> l
             f"the runs do not agree on one contact and one line (chance {found.chance:.2g}): uncertainties "
             f"are enlarged {found.enlarged:.2g} times; check which run deviates and if the load was the same"
         )
-    if len({run.exposure for run in table.run}) < 3:
-        notes.append("two exposures do not show whether the drag follows the line: make runs at three")
-    if not table.by_pressure and min(run.area_m2 or 0.0 for run in table.run) > 0:
+    if len({run.area_m2 for run in table.run}) < 3:
+        notes.append("two areas do not show whether the drag follows the line: make runs at three")
+    if min(run.area_m2 for run in table.run) > 0:
         notes.append("no run is without vanes: the drag of the pendulum alone is extrapolated")
-    slope, u_slope = found.per_exposure
-    if not table.by_pressure and slope < 2.0 * u_slope:
+    slope, u_slope = found.per_m2_s
+    if slope < 2.0 * u_slope:
         notes.append(
             f"the vanes add no drag that is seen ({slope:.2g} ± {u_slope:.2g} s per m²): see which record "
             "has which area"

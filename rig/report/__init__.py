@@ -1,9 +1,8 @@
-"""Figures, tables and HTML pages of a session, series compared, one model over many runs, exports, plans."""
+"""Figures, tables and HTML pages of a session, one model over many runs, exports, plans."""
 
 from rig.report.campaign import Campaign, fit_model
 from rig.report.campaign_input import StatedCampaign, read_campaign, runs_of_archive, runs_of_folders
-from rig.report.campaign_page import campaign_tables, save_campaign
-from rig.report.comparison import compare
+from rig.report.campaign_page import campaign_tables, decays_table, save_campaign
 from rig.report.drawing import styled
 from rig.report.export import export_session
 from rig.report.html import check_report

@@ -21,7 +21,6 @@ from processing.series import (
     LatentNumber,
     SeriesModel,
     SeriesPosterior,
-    compare_forms,
     find_change,
     fit_series,
     only_bound,
@@ -97,14 +96,6 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     posterior = fit(model) if sampled is None else sampled.posterior
     without_priors = fit(model.without_priors())
     effects = tuple(_effect(one, posterior, without_priors, stated) for one in stated.effect)
-    candidates, no_effect = [], 1.0
-    if stated.candidate:
-        gains, shares, no_effect = compare_forms(runs, model, [one.effect() for one in stated.candidate])
-        for one, gain, share in zip(stated.candidate, gains.tolist(), shares.tolist(), strict=True):
-            tried_model = model.with_effects(one.effect())
-            alone = None if one.margin is None else fit(tried_model.without_priors())
-            shown = _effect(one, fit(tried_model), alone, stated)
-            candidates.append(replace(shown, log_bayes_factor=gain, probability=share))
     runs_of_contact: dict[str, list[RunResults]] = {}
     for source, run in entered:
         runs_of_contact.setdefault(run.contact, []).append(source.run)
@@ -130,8 +121,6 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         between_runs=_estimates(posterior, posterior.hyper, "between runs"),
         between_contacts=_estimates(posterior, posterior.hyper, "between contacts"),
         effects=effects,
-        candidates=tuple(candidates),
-        nothing=no_effect,
         changes=tuple(find_change(runs, model, name) for name in stated.change_points),
         shared=_estimates(posterior, posterior.levels, "shared"),
         budgets={
@@ -159,14 +148,14 @@ def _estimates(found: SeriesPosterior, levels: Sequence[LatentNumber], kind: str
 
 
 def _effect(
-    one: StatedEffect, found: SeriesPosterior, without_priors: SeriesPosterior | None, stated: StatedCampaign
+    one: StatedEffect, found: SeriesPosterior, without_priors: SeriesPosterior, stated: StatedCampaign
 ) -> CampaignEffect:
     effect = one.effect()
     level = LatentNumber("effect", effect.label)
     draws, span = found.draws(level), effect.span(found.runs)
     low, high = found.quantiles(draws, (0.025, 0.975))
     value, u = found.moments(draws)
-    by_chance, tried = found.chance(draws), len(stated.effect) + len(stated.candidate)
+    by_chance = found.chance(draws)
     return CampaignEffect(
         label=effect.label,
         parameter=effect.parameter,
@@ -174,22 +163,20 @@ def _effect(
         form=str(effect.form),
         reference=effect.reference,
         slope=Estimate(value, u),
-        slope_without_priors=NOT_DETERMINED if without_priors is None else without_priors.estimate(level),
+        slope_without_priors=without_priors.estimate(level),
         lower_95=low,
         upper_95=high,
         over_span=Estimate(value * span, u * span),
         chance=by_chance,
         # true if less than one effective draw lies on the other side of zero
         chance_is_limit=by_chance <= 1 / found.effective,
-        seen=by_chance * max(tried, 1) < SEEN,
+        seen=by_chance * len(stated.effect) < SEEN,
         margin=one.margin,
         # a prior within the margin is no evidence: the data have to say it without priors, too
         equivalent=nan
         if one.margin is None
         else min(
-            each.below(np.abs(each.draws(level) * span), one.margin)
-            for each in (found, without_priors)
-            if each is not None
+            each.below(np.abs(each.draws(level) * span), one.margin) for each in (found, without_priors)
         ),
     )
 

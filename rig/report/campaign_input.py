@@ -79,9 +79,6 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
     draws: int = Field(default=1000, ge=100, le=100_000)
     seed: int = Field(default=1, ge=0)
     effect: tuple[StatedEffect, ...] = ()
-    candidate: tuple[StatedEffect, ...] = Field(
-        default=(), description="forms that are tried one by one beside the effects"
-    )
     change_points: tuple[str, ...] = Field(
         default=(), description="parameters that may have become other ones at some run"
     )
@@ -102,7 +99,6 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
         for what, stated in (
             ("parameters", self.parameters),
             ("effect", self.effect),
-            ("candidate", self.candidate),
         ):
             if len(set(stated)) < len(stated):
                 raise ValueError(f"{what}: the same is stated twice")
@@ -110,8 +106,8 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
 
     @property
     def covariates(self) -> set[str]:
-        """All covariates of effects and candidates."""
-        return {one.covariate for one in (*self.effect, *self.candidate)}
+        """All covariates of effects."""
+        return {one.covariate for one in self.effect}
 
 
 def _refuse_unknown(covariate: str) -> None:
@@ -136,7 +132,7 @@ def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[Co
         raise ConfigurationError(
             f"size.{unknown[0]}: there is no such parameter; a campaign has {', '.join(known)}"
         )
-    for one in (*stated.effect, *stated.candidate):
+    for one in stated.effect:
         if one.contact and one.contact not in contacts:
             raise ConfigurationError(
                 f"contact = {one.contact!r}: no such contact; the runs are of {', '.join(contacts)}"

@@ -1,7 +1,7 @@
 """Tables of a campaign for terminal, page, CSV and LaTeX, and its files: campaign.json, page, figures."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isfinite, nan
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from processing.series import ABSENT, POSITIVE, CompressedRun, Effect, Form, Lat
 from rig.analysis import encoded
 from rig.report import html
 from rig.report.campaign import MIN_BAD_PROBABILITY, Campaign
+from rig.report.campaign_input import FoundRun
 from rig.report.drawing import INK, ReportFigure, canvas, three_columns
 from rig.report.likelihoods import CampaignEffect, CampaignResults
 from rig.terminal import (
@@ -99,40 +100,32 @@ def _differences_table(results: CampaignResults) -> Table | None:
 
 
 def effects_table(results: CampaignResults) -> Table | None:
-    """Table with a row for each effect and each tried form; None without any."""
-    labelled = [*((one, "model") for one in results.effects), *((one, "tried") for one in results.candidates)]
-    if not labelled:
+    """Table with a row for each effect; None without any."""
+    if not results.effects:
         return None
     rows = [
         TableRow(
             [
-                one.label, kind, *one.slope, one.lower_95, one.upper_95, *one.over_span, one.chance,
-                "seen" if one.seen else "not seen", one.log_bayes_factor, one.probability,
-                one.equivalent, *one.slope_without_priors,
+                one.label, *one.slope, one.lower_95, one.upper_95, *one.over_span, one.chance,
+                "seen" if one.seen else "not seen", one.equivalent, *one.slope_without_priors,
             ],
             [
                 _effect_words(one), with_uncertainty(*one.over_span, signed=True),
                 f"{'< ' if one.chance_is_limit else ''}{plain(one.chance, 2)}",
-                _verdict_text(one), plain(one.probability, 2), _text(one.slope_without_priors),
+                _verdict_text(one), _text(one.slope_without_priors),
             ],
         )
-        for one, kind in labelled
+        for one in results.effects
     ]  # fmt: skip
     note = (
         f"Change over the campaign's span; of b, c and γ relative. Chance: the probability of an effect this "
-        f"large if there is none; the 5 % level is shared by the {len(labelled)} that were tried."
+        f"large if there is none; the 5 % level is shared by the {len(results.effects)} that were tried."
     )
-    if results.candidates:
-        note += (
-            f" Probability: posterior, of each form tried alone; of no effect: "
-            f"{plain(results.nothing, 2)}, with a prior of one half."
-        )
     return Table(
         "effects", "Effects",
-        ("effect", "kind", "slope", "u_slope", "lower_95", "upper_95", "over_span", "u_over_span", "chance",
-         "verdict", "log_bayes_factor", "probability", "equivalent", "slope_without_priors",
-         "u_slope_without_priors"),
-        ("", "over the span", "chance", "judged", "probability", "slope without priors"), rows, note,
+        ("effect", "slope", "u_slope", "lower_95", "upper_95", "over_span", "u_over_span", "chance",
+         "verdict", "equivalent", "slope_without_priors", "u_slope_without_priors"),
+        ("", "over the span", "chance", "judged", "slope without priors"), rows, note,
     )  # fmt: skip
 
 
@@ -241,6 +234,20 @@ def _priors_table(campaign: Campaign) -> Table:
     return Table(
         "priors", "Prior and posterior", ("what", "before", "now", "u_now"), ("", "prior", "posterior"), rows,
         "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",
+    )  # fmt: skip
+
+
+def decays_table(runs: Sequence[FoundRun]) -> Table:
+    """Table of period and decrement of runs without a fit, which no model can compare."""
+    names, lines = ("mean_period_s", "log_decrement"), []
+    for one in runs:
+        rows = [one.run[name] for name in names]
+        texts = [one.label, *(row.text for row in rows)]
+        lines.append(TableRow([one.label, *(number for row in rows for number in row)], texts))
+    return Table(
+        "decays", "Decays", ("run", *(column for name in names for column in (name, f"u_{name}"))),
+        ("", *(quantity(name).label for name in names)), lines,
+        "Value ± standard uncertainty. No run is fitted, and the model is one of the laws of the contact.",
     )  # fmt: skip
 
 

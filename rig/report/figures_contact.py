@@ -1,6 +1,6 @@
 """Figures of the contact's moments (Table 4), of series, and of quantities of other pendulums."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
@@ -14,7 +14,6 @@ from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, ResultRow, RunResults, Series
 from rig.report.drawing import (
-    ASYMPTOTIC,
     DATA,
     EXACT,
     INK,
@@ -112,28 +111,6 @@ def series_figure(series: Series) -> ReportFigure:
         "Exact fit of each run with its standard uncertainty; line and band: combined value, 95 % interval.",
         figure,
     )
-
-
-def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, ResultRow]]) -> ReportFigure:
-    """Figure of several series: a panel for each parameter, a 95 % interval and value for each series."""
-    figure, panels = three_columns(
-        len(names), lambda rows: 0.5 + 1.9 * rows, left=0.1, bottom=0.16, top=0.93, wspace=0.5, hspace=0.75
-    )
-    x = np.arange(len(series))
-    for axes, name in zip(panels, names, strict=True):
-        scale = quantity(name).factor
-        for position, (values, colour) in enumerate(
-            zip(series.values(), (DATA, EXACT, ASYMPTOTIC, *palette.SEQUENCE) * len(series), strict=False)
-        ):
-            if (row := values.get(name)) is None:
-                continue
-            axes.plot(position, row.value * scale, "o", color=colour, ms=4)
-            ends = [row.lower * scale, row.upper * scale]
-            axes.plot([position, position], ends, "_-", color=colour, lw=0.9, ms=5)
-        axes.set_xticks(x, list(series), rotation=25, ha="right")
-        axes.set(xlim=(-0.5, len(series) - 0.5), title=quantity(name).label)
-        axes.tick_params(axis="y", labelsize=7)
-    return ReportFigure("comparison", "Series compared", "Bars are 95 % intervals of each series.", figure)
 
 
 _MIN_VISIBLE_BAR = 0.01

@@ -11,36 +11,23 @@ from acquisition import atomic_write
 from acquisition.record.check import Finding
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
-from rig.report.drawing import DATA, INK, ReportFigure, png, styled, svg
+from rig.report.drawing import INK, ReportFigure, png, styled, svg
 from rig.terminal import Table, palette
 
 RESULTS_SHA256 = "results-sha256"
 _STYLE: Final = Path(__file__).with_name("report.css")
-"""Style sheet of a page, whose colours are those of a theme."""
-LIGHT: Final[Mapping[str, str]] = {
+"""Style sheet of a page."""
+COLOURS: Final[Mapping[str, str]] = {
     "paper": "#ffffff", "ink": INK, "soft": "#566070", "line": "#d9dee5", "tint": "#f4f6f9",
-    "accent": palette.BLUE, "warn": "#fdf3ec", "good": "#006b4e", "bad": "#a83f00", "card": "#ffffff",
+    "accent": palette.BLUE, "warn": "#fdf3ec", "good": "#006b4e", "bad": "#a83f00",
 }  # fmt: skip
-DARK: Final[Mapping[str, str]] = {
-    "paper": "#12161c", "ink": "#e3e8ee", "soft": "#aab5c2", "line": "#38424e", "tint": "#1c232c",
-    "accent": palette.SKY_BLUE, "warn": "#34241a", "good": "#3fcf9f", "bad": "#ff9a5c", "card": "#f4f6f9",
-}  # fmt: skip
-_DARK_COLOUR: Final = {INK: DARK["ink"], "#ffffff": DARK["paper"], "#000000": DARK["ink"], DATA: "#7cc4f0"}
-"""Colours of figures that are invisible on a dark ground, with their substitutes; the others stay."""
-
-
-def variables(theme: Mapping[str, str]) -> str:
-    """The colours as custom properties of CSS."""
-    return " ".join(f"--{name}: {colour};" for name, colour in theme.items())
+"""Colours of the style sheet, by the names of their custom properties."""
 
 
 def page(title: str, subtitle: str, body: Sequence[str], results_sha256: str = "") -> str:
     """The whole page; its head states the SHA-256 of the results that it was made from."""
-    style = f"""
-:root {{ color-scheme: light; {variables(LIGHT)} }}
-@media screen and (prefers-color-scheme: dark) {{ :root {{ color-scheme: dark; {variables(DARK)} }} }}
-
-{_STYLE.read_text(encoding="utf-8")}"""
+    colours = " ".join(f"--{name}: {colour};" for name, colour in COLOURS.items())
+    style = f":root {{ color-scheme: light; {colours} }}\n{_STYLE.read_text(encoding='utf-8')}"
     made_from = f'<meta name="{RESULTS_SHA256}" content="{results_sha256}">' if results_sha256 else ""
     return (
         "<!DOCTYPE html>\n"
@@ -76,22 +63,17 @@ def warning(text: str) -> str:
 
 
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
-    """A figure with its caption; `kind` is the media type of the data.
-
-    Line drawings follow the page's theme; figures that contain pixels stay on white.
-    """
-    themed = kind == "image/svg+xml" and b"<image" not in data
+    """A figure with its caption; `kind` is the media type of the data."""
     if kind == "image/svg+xml":
-        text = (with_theme(data) if themed else data).decode().replace("\n", " ").replace('"', "'")
+        text = data.decode().replace("\n", " ").replace('"', "'")
         # escaped, because an address ends at a `#`; base64 would be a third longer
         for mark in "%#&":
             text = text.replace(mark, f"%{ord(mark):X}")
         source = f"data:{kind},{text}"
     else:
         source = f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
-    card = "" if themed else ' class="card"'
     return (
-        f'<figure><img{card} alt="{escape(drawing.title)}" src="{source}">'
+        f'<figure><img alt="{escape(drawing.title)}" src="{source}">'
         f"<figcaption><b>{escape(drawing.title)}.</b> {escape(drawing.caption)}</figcaption></figure>"
     )
 
@@ -191,14 +173,3 @@ def save_parts(
             atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
             found[drawing.name] = picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
     return found
-
-
-def with_theme(figure: bytes) -> bytes:
-    """A line drawing (SVG) that takes the colours of a dark theme by itself, even as an image."""
-    rules = [f"svg {{ fill: {DARK['ink']}; }}"]
-    for light, dark in _DARK_COLOUR.items():
-        for part in ("fill", "stroke"):
-            rules.append(f'[style*="{part}: {light.lower()}"] {{ {part}: {dark} !important; }}')
-    style = f"<style>@media (prefers-color-scheme: dark) {{ {' '.join(rules)} }}</style>"
-    head, tag, rest = figure.partition(b"<defs>")
-    return head + style.encode() + tag + rest

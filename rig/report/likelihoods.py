@@ -261,10 +261,8 @@ class CampaignEffect:
 
     `over_span` is the change over the campaign's span. `chance` is the probability of an effect as large if
     there is none (`chance_is_limit`: an upper limit, by the number of draws), `seen` whether it is below the
-    5 % level, which all tried effects share. `log_bayes_factor` compares the form with no effect,
-    `probability` follows from it, allowing for the choice among the tried forms; `margin` is the stated
-    negligible size, `equivalent` the probability that the effect over the span is smaller, with or without
-    priors, whichever is less.
+    5 % level, which all effects share. `margin` is the stated negligible size, `equivalent` the probability
+    that the effect over the span is smaller, with or without priors, whichever is less.
     """
 
     label: str
@@ -280,8 +278,6 @@ class CampaignEffect:
     chance: float = nan
     chance_is_limit: bool = False
     seen: bool = False
-    log_bayes_factor: float = nan
-    probability: float = nan
     margin: float | None = None
     equivalent: float = nan
 
@@ -340,10 +336,10 @@ class CampaignResults:
     """The contents of campaign.json.
 
     `between_runs` and `between_contacts` are standard deviations, of b, c and gamma as fractions. `shared`
-    are posteriors of inputs that runs have in common, in their standard uncertainties. `nothing` is the
-    probability that no candidate holds. `draws_that_count` (effective draws) tells how well Laplace's method
-    describes the posterior, `predictive_p` is the probability that runs of the model scatter as much as the
-    real ones. `stated` is the contents of campaign.toml.
+    are posteriors of inputs that runs have in common, in their standard uncertainties. `draws_that_count`
+    (effective draws) tells how well Laplace's method describes the posterior, `predictive_p` is the
+    probability that runs of the model scatter as much as the real ones. `stated` is the contents of
+    campaign.toml.
     """
 
     schema: int = SCHEMA
@@ -355,8 +351,6 @@ class CampaignResults:
     between_runs: Mapping[str, Estimate] = field(default_factory=dict)
     between_contacts: Mapping[str, Estimate] = field(default_factory=dict)
     effects: tuple[CampaignEffect, ...] = ()
-    candidates: tuple[CampaignEffect, ...] = ()
-    nothing: float = nan
     changes: tuple[ChangePoint, ...] = ()
     shared: Mapping[str, Estimate] = field(default_factory=dict)
     budgets: Mapping[str, Mapping[str, tuple[CampaignSource, ...]]] = field(default_factory=dict)

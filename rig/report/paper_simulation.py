@@ -19,7 +19,7 @@ from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pen
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import swings_of_blocks, turning_points
-from processing.units import ARCSEC_RAD, seconds
+from processing.units import ARCSEC_RAD
 from rig.analysis import (
     AnalysedRun,
     RunResults,
@@ -29,7 +29,6 @@ from rig.analysis import (
     refined_half_cycles,
     with_contact,
 )
-from rig.report.source import ShownTrajectory, ShownUnit
 from rig.settings import FitSettings
 
 MASS_KG: Final = 0.406
@@ -117,13 +116,9 @@ PAIRS: Final = (
 
 @dataclass(frozen=True)
 class PairSeries:
-    """One contact pair, simulated and analysed.
-
-    `motion` and `run` belong to the first run, `series` to all.
-    """
+    """One contact pair, simulated and analysed; `run` is the first run, `series` is of all."""
 
     pair: PrintedPair
-    motion: ShownTrajectory
     run: RunResults
     series: Series
 
@@ -141,7 +136,7 @@ def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
         InputQuantity(MASS_KG), InputQuantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
         InputQuantity(1.0), InputQuantity(1.0),
     )  # fmt: skip
-    runs, shown = [], []
+    runs = []
     for number in range(_RUNS):
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         deflections = slow_deflections(seen.times_ns, seen.y_rad, noise_rad)
@@ -160,9 +155,6 @@ def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
             rig=rig,
         )
         runs.append(with_contact(run, pendulum))
-        time_s = seconds(seen.times_ns - next(swing.turn_time_ns for swing in swings if swing.flags == 0))
-        unit = ShownUnit("arcsec", ARCSEC_RAD)
-        shown.append(ShownTrajectory(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, unit))
     series = fitted_series(runs)
     assert series is not None  # of several fitted runs
-    return PairSeries(pair, shown[0], runs[0], series)
+    return PairSeries(pair, runs[0], series)

@@ -1,50 +1,36 @@
-"""Tables that compare the paper's printed values with simulated and analysed ones, and their HTML page."""
+"""Tables that compare the paper's printed values with simulated and analysed ones."""
 
 import math
 from collections.abc import Sequence
-from functools import partial
-from pathlib import Path
 from typing import Final, NamedTuple
 
-from acquisition import atomic_write
 from processing.contact import (
     MATERIALS,
     STANDARD_GRAVITY_M_PER_S2,
-    ContactParameters,
-    cycle_work,
     hertz_contact,
     surface_energy,
 )
-from processing.contact.laws import PAPER
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from processing.units import ARCSEC_RAD
-from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, curves_of
-from rig.report import figures_contact, figures_laws, figures_motion, html
-from rig.report.drawing import ReportFigure
 from rig.report.paper_simulation import (
     B_EXPONENT,
     BALL,
     BALL_RADIUS_M,
     MASS_KG,
-    NOISE_ARCSEC,
     PAIRS,
     PARAMETERS,
     PairSeries,
     PrintedPair,
     simulate_pair,
 )
-from rig.report.tables import series_table
 from rig.terminal import (
     Table,
     TableRow,
-    answer,
     plain,
     power,
     print_line,
     print_tables,
     with_uncertainty,
-    written,
 )
 
 CONTRADICTION: Final = "known contradiction"
@@ -76,24 +62,15 @@ CONTRADICTIONS: Final = (
 )
 
 
-def reproduce_paper(output: Path | None) -> None:
-    """Simulate and analyse the three contact pairs, three runs each, and print Tables 1 to 4 beside the
-    paper's.
-
-    With `output`, a page ``paper.html`` with Figs. 9 to 14 is written into that folder, and the figures (SVG,
-    PNG) and tables (CSV) into its subfolder ``paper``.
-    """
+def reproduce_paper() -> None:
+    """Simulate and analyse the three contact pairs, three runs each, and print Tables 1 to 3 beside the
+    paper's."""
     seeds = {pair: _SEED + 1000 * place for place, pair in enumerate(PAIRS, start=1)}
     found = [simulate_pair(pair, seed) for pair, seed in seeds.items()]
-    tables = [table1(), table2(found), table3(found), table4(found)]
-    print_tables(tables)
+    print_tables([table1(), table2(found), table3(found)])
     print_line("Known contradictions of the printed text:")
     for line in CONTRADICTIONS:
         print_line(f"- {line}")
-    if output is not None:
-        page = write_paper(output, found, tables)
-        answer(written=[page])
-        print(page)
 
 
 def table1() -> Table:
@@ -152,31 +129,6 @@ def table3(found: Sequence[PairSeries]) -> Table:
         )
     ]
     return _comparison_table("table3", "Table 3: elastic rolling resistance", rows)
-
-
-def table4(found: Sequence[PairSeries]) -> Table:
-    """Table 4: work over one cycle, with the printed and with the fitted parameters."""
-    lines = []
-    for series in found:
-        fits = [series.series.fits[method] for method in (_EXACT, _ASYMPTOTIC)]
-        contacts = [ContactParameters(**{name: fit[name].value for name in PAPER.names()}) for fit in fits]
-        works = [
-            cycle_work(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, contact, series.pair.pendulum)
-            for contact in (series.pair.parameters, *contacts)
-        ]
-        for what, attribute in (("4A", "dissipated_j"), ("4Aₜ", "adhesive_j")):
-            expected, exact, asymptotic = (getattr(work, attribute) * 1e15 for work in works)
-            off = exact / expected - 1, asymptotic / expected - 1
-            texts = [
-                series.pair.flat_name if what == "4A" else "", f"{what} / fJ", plain(expected),
-                plain(exact), _percent(off[0]), plain(asymptotic), _percent(off[1]), "no printed number",
-            ]  # fmt: skip
-            lines.append(TableRow([series.pair.name, what, "fJ", expected, exact, asymptotic, *off], texts))
-    return Table(
-        "table4", f"Table 4: work over one cycle at {TABLE4_AMPLITUDE_ARCSEC:g} arcsec",
-        ("pair", "quantity", "unit", "of_printed_parameters", _EXACT, _ASYMPTOTIC, *_DIFFERENCES),
-        ("", "", "of printed parameters", *_FITS_HEAD), lines,
-    )  # fmt: skip
 
 
 class _PrintedRow(NamedTuple):
@@ -282,46 +234,3 @@ def _percent(share: float) -> str:
         return "0.000 %"
     digits = 1 if abs(share) >= 0.1 else 2 if abs(share) >= 0.001 else 3
     return f"{100 * share:+.{digits}f} %".replace("-", "−")
-
-
-def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Table]) -> Path:
-    """Write the page and its files into a folder; returns the page. Raises RecordError if that fails."""
-    files, target = output / "paper", output / "paper.html"
-    body = [
-        html.paragraph(
-            "The three contact pairs are simulated with the paper's parameters, three runs each: the "
-            f"equation of motion is integrated, noise of {NOISE_ARCSEC:g} arcsec is added to each of the "
-            "100 positions per second, half-cycles are detected, both fits are made, and the runs are "
-            "combined. The simulator shares no formula with the analysis."
-        ),
-        html.heading("Known contradictions of the printed text", 3),
-        html.notes(CONTRADICTIONS),
-        *(html.table(content) for content in tables),
-    ]
-    with written(output):
-        html.save_parts(files, tables)
-        for series in found:
-            combined = series_table(series.series)
-            body.append(html.heading(series.pair.name[0].upper() + series.pair.name[1:]))
-            body.append(html.table(combined))
-            draw = partial(_drawings, series)
-            body += html.save_parts(files / series.pair.flat, [combined], draw).values()
-        page = html.page("Tables and figures of Lubricants 2023, 11(2), 88", "made again", body)
-        atomic_write.write_new(target, page.encode())
-    return target
-
-
-def _drawings(series: PairSeries) -> list[ReportFigure]:
-    points, motion = series.run.points, series.motion
-    curves, exact = curves_of(series.run), series.run.fits[_EXACT]
-    period_s = exact.mean_period_s.value
-    drawings = figures_motion.motion_figures(motion, period_s)
-    if curves is not None:
-        drawings += [
-            figures_laws.decay_figure(points, curves, motion.unit),
-            figures_laws.period_figure(curves),
-        ]
-    loop = figures_contact.loop_figure(
-        exact.contact(), series.pair.pendulum, TABLE4_AMPLITUDE_ARCSEC, has_c=True
-    )
-    return [*drawings, loop]

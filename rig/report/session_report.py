@@ -113,7 +113,7 @@ _ORDER = (
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
     "fig13-period", "residuals", "position-errors",
-    "spectrum", "seismometer", "table4-loops", "work", "losses", "laws", "waveform", "moments",
+    "spectrum", "seismometer", "table4-loops", "work", "losses", "laws", "moments",
  "correlation", "budget",
 )  # fmt: skip
 """Order of the tables and figures of a run; small tables in a tuple stand side by side."""
@@ -185,9 +185,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, has_c=known))
         if run.spectrum is not None:
             unit = motion.unit
-            drawings.append(
-                figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
-            )
+            drawings.append(figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size))
         seismometer = run.results.seismometer
         if seismometer is not None and seismometer.spectra is not None:
             drawings.append(seismometer_figure(seismometer.spectra))

@@ -19,7 +19,7 @@ from rig.analysis import (
 )
 from rig.intake import FilmOptions, TableColumns, film_trajectory, read_seismometer
 from rig.report import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
-from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
+from rig.scripting.session import Record, Session, overrides_of, several
 from rig.settings import Configuration, load_configuration
 
 RecordSource = str | Path | Record | Session
@@ -64,9 +64,9 @@ def fit(
         A record cannot be read, or a key is unknown.
     """
     changes = overrides_of(overrides)
-    paths = [path for one in several(source, (Record, Session), "source") for path in _paths(one)]
+    paths = [path for one in several(source, Record, Session) for path in _paths(one)]
     refuse_copies(paths)
-    ground = None if seismometer is None else read_seismometer(path_of(seismometer, "seismometer"))
+    ground = None if seismometer is None else read_seismometer(Path(seismometer))
     runs = [analyse_record(path, changes, seismometer=ground) for path in paths]
     if laws := _laws(law, elastic):
         runs = [with_laws(run, laws) for run in runs]
@@ -130,15 +130,12 @@ def fit_film(
     RigError
         The file is no film, cannot be read as it was recorded, or shows no free decay.
     """
-    film = path_of(path, "path")
-    config = _configuration(configuration)
-    size = text_of(pixel, "pixel", "0.142 mm")
-    asked = FilmOptions(rate_hz=rate_hz, dark=dark, size=size, begin_s=begin_s, end_s=end_s)
-    return analyse_trajectory(film, film_trajectory(film, asked), config)
+    asked = FilmOptions(rate_hz=rate_hz, dark=dark, size=pixel, begin_s=begin_s, end_s=end_s)
+    return analyse_trajectory(Path(path), film_trajectory(Path(path), asked), _configuration(configuration))
 
 
 def _configuration(path: str | Path | None) -> Configuration | None:
-    return None if path is None else load_configuration(path_of(path, "configuration"), needs_camera=False)
+    return None if path is None else load_configuration(Path(path), needs_camera=False)
 
 
 def _laws(law: StatedMoment | None, elastic: StatedMoment | None) -> tuple[Law | StatedLaw, ...]:
@@ -159,7 +156,7 @@ def _paths(source: RecordSource) -> list[Path]:
         case Record():
             return [source.path]
         case _:
-            return records_in(path_of(source, "source"))
+            return records_in(Path(source))
 
 
 def fit_table(
@@ -189,7 +186,7 @@ def fit_table(
     time, positions
         Columns by name or by number from 1; by default the first column is the time, the second the position.
     time_unit
-        ns, us, ms, s, min or h, or m:ss or h:mm for times like 12:30; empty: the one with which the column's
+        ns, us, ms, s, min or h; empty: the one with which the column's
         name ends (time_ms), else s. Times may be absolute.
     run
         Which of the runs, where the file holds several.
@@ -212,17 +209,16 @@ def fit_table(
     for name, stated in (("seismometer", seismometer), ("law", law)):
         if stated is not None and configuration is None:
             raise ConfigurationError(f"{name}: has no effect without configuration, which gives the pendulum")
-    table = path_of(path, "path")
-    ground = None if seismometer is None else read_seismometer(path_of(seismometer, "seismometer"))
+    ground = None if seismometer is None else read_seismometer(Path(seismometer))
     config = _configuration(configuration)
     columns = TableColumns(
-        None if time is None else columns_of(time, "time")[0],
-        columns_of(positions, "positions"),
-        text_of(unit, "unit", "arcsec"),
-        text_of(time_unit, "time_unit", "ms"),
+        None if time is None else str(time),
+        (str(positions),) if isinstance(positions, str | int) else tuple(map(str, positions)),
+        unit,
+        time_unit,
         run=run,
     )
-    return analyse_trajectory(table, columns.read(table), config, _laws(law, elastic), ground)
+    return analyse_trajectory(Path(path), columns.read(Path(path)), config, _laws(law, elastic), ground)
 
 
 def campaign(
@@ -232,7 +228,7 @@ def campaign(
     sample: bool = False,
     output: str | Path | None = None,
 ) -> Campaign:
-    """Fit one model over the runs of several sessions, as `rig compare --model` does.
+    """Fit one model over the runs of several sessions, as `rig compare` does.
 
     Parameters
     ----------
@@ -257,13 +253,9 @@ def campaign(
         Results cannot be read, a run is there twice, or the file names a key, parameter or covariate that
         does not exist.
     """
-    folders = [
-        one.folder if isinstance(one, Session) else path_of(one, "sessions")
-        for one in several(sessions, (Session,), "sessions")
-    ]
-    folder = None if output is None else path_of(output, "output")
-    known = StatedCampaign() if stated is None else read_campaign(path_of(stated, "stated"))
+    folders = [one.folder if isinstance(one, Session) else Path(one) for one in several(sessions, Session)]
+    known = StatedCampaign() if stated is None else read_campaign(Path(stated))
     found = fit_model(runs_of_folders(folders), known, sample=sample)
-    if folder is not None:
-        save_campaign(found, folder)
+    if output is not None:
+        save_campaign(found, Path(output))
     return found

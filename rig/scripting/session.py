@@ -2,9 +2,8 @@
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,78 +23,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_SAVED = "save what is in memory first (to_csv, numpy.save) and name the file"
-
-
-def path_of(value: object, what: str) -> Path:
-    """A path; raises ConfigurationError for an array or a data frame."""
-    if isinstance(value, str | os.PathLike):
-        return Path(value)
-    raise ConfigurationError(f"{what}: a path is needed, not {_named(value)}; {_SAVED}")
-
-
-def text_of(value: object, what: str, such_as: str) -> str:
-    """A text, empty for None; raises ConfigurationError for other types."""
-    if value is None or isinstance(value, str):
-        return value or ""
-    raise ConfigurationError(f"{what}: a text such as {such_as!r} is needed, not {_named(value)}")
-
-
-def columns_of(value: Any, what: str) -> tuple[str, ...]:
-    """Columns by name or number, one or several; raises ConfigurationError for other types."""
-    found = list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
-    if wrong := [one for one in found if isinstance(one, bool) or not isinstance(one, str | Integral)]:
-        raise ConfigurationError(
-            f"{what}: names of columns, or numbers from 1, are needed, not {_named(wrong[0])}"
-        )
-    return tuple(map(str, found))
-
-
-def several(value: Any, single: tuple[type, ...], what: str) -> list[Any]:
-    """One value, or a sequence of values, as a list; raises ConfigurationError for none or other types."""
-    if isinstance(value, (str, os.PathLike, *single)):
-        return [value]
-    # refused, because iteration over an array or a data frame yields numbers or column names
-    if not isinstance(value, Iterable) or hasattr(value, "shape"):
-        raise ConfigurationError(f"{what}: paths, or what was opened, are needed, not {_named(value)}")
-    found = list(value)
+def several(value: Any, *single: type) -> list[Any]:
+    """One value of these types or a path, or a sequence of values, as a list; refused if it is empty."""
+    found = [value] if isinstance(value, (str, os.PathLike, *single)) else list(value)
     if not found:
-        raise ConfigurationError(f"{what}: is empty; name at least one")
+        raise ConfigurationError("nothing is named; name at least one record or session")
     return found
 
 
 def overrides_of(changes: Mapping[str, object] | None) -> list[str]:
     """Changes as ``KEY=VALUE`` of the command line; numbers of NumPy are numbers."""
-    if changes is None:
-        return []
-    if not isinstance(changes, Mapping):
-        raise ConfigurationError(
-            'overrides: a mapping from keys to values is needed, {"fit.robust": True}, '
-            f"not {_named(changes)}"
-        )
-    return [f"{_key(key)}={_written(str(key), value)}" for key, value in changes.items()]
-
-
-def _key(key: object) -> str:
-    text = str(key)
-    if "=" in text or not text.isprintable():
-        raise ConfigurationError(f"overrides: {text!r} is no key of the configuration")
-    return text
-
-
-def _written(key: str, value: object) -> str:
-    plain = value.item() if hasattr(value, "item") and not hasattr(value, "__len__") else value
-    try:
-        return json.dumps(plain)
-    except TypeError:
-        raise ConfigurationError(
-            f"overrides: {key}: {_named(value)} is no value of a configuration; a number, a text, true or "
-            "false"
-        ) from None
-
-
-def _named(value: object) -> str:
-    return "None" if value is None else f"a {type(value).__name__}"
+    return [
+        f"{key}={json.dumps(value.item() if isinstance(value, np.generic) else value)}"
+        for key, value in (changes or {}).items()
+    ]
 
 
 @dataclass(frozen=True, repr=False)
@@ -191,7 +132,7 @@ def open_record(path: str | Path) -> Record:
     RigError
         The file does not exist, or is not a record of this program.
     """
-    with RecordReader(path_of(path, "path")) as reader:
+    with RecordReader(Path(path)) as reader:
         return Record(reader.path, reader.deflection_unit, reader.metadata, reader.truncated)
 
 
@@ -221,7 +162,7 @@ def figures(source: "str | Path | Session | SessionResults", run: int = 1) -> "M
         )
     if isinstance(source, Session):
         source = source.folder
-    found = source if isinstance(source, SessionResults) else path_of(source, "source")
+    found = source if isinstance(source, SessionResults) else Path(source)
     with styled():
         return {drawing.name: drawing.figure for drawing in draw_run(found, run)}
 
@@ -256,7 +197,7 @@ def open_session(folder: str | Path) -> Session:
     RigError
         There are no results (`rig.fit` makes them), or a record is missing.
     """
-    folder = path_of(folder, "folder")
+    folder = Path(folder)
     results = analysis.read_results(folder)
     return Session(folder, results, tuple(open_record(folder / run.record) for run in results.runs))
 
@@ -269,7 +210,7 @@ def read_results(source: str | Path) -> SessionResults:
     RigError
         No such file, or a key that cannot be understood.
     """
-    return analysis.read_results(path_of(source, "source"))
+    return analysis.read_results(source)
 
 
 def write_results(path: str | Path, results: SessionResults) -> None:
@@ -285,4 +226,4 @@ def write_results(path: str | Path, results: SessionResults) -> None:
         raise ConfigurationError(
             f"results: what rig.fit or rig.fit_table returned is needed, not a {type(results).__name__}"
         )
-    analysis.write_results(path_of(path, "path"), results)
+    analysis.write_results(path, results)

@@ -222,7 +222,7 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
 
     @property
     def features(self) -> NodeMap:
-        """All features of the open camera, for ``rig camera show`` and ``rig camera set``."""
+        """All features of the open camera, for ``rig camera show``."""
         return self._open_device()
 
     @contextmanager

@@ -264,7 +264,7 @@ class UsbFrameStream:
         if self._mismatches >= _MAX_MISMATCHES:
             raise DeviceError(
                 f"{self._link.name}: sends payload of type 0x{kind:04X}, no image; switch chunks and "
-                "compression off (rig camera set CONFIGURATION ChunkModeActive=0)"
+                "compression off (--set camera.features.ChunkModeActive=0)"
             )
 
     def _take_payload(self, data: NDArray[np.uint8], planned: int, host_time_ns: int) -> Frame | None:

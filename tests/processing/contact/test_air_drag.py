@@ -5,7 +5,7 @@ from math import pi, sqrt
 import pytest
 
 from processing.ambient import humid_air
-from processing.contact import bar_of, expected_drag_s, vane_drag_s_per_m2
+from processing.contact import bar_of, expected_drag_s
 from processing.contact.free_swing import UniformBar
 from tests.processing.fit.decays import paper_pair
 
@@ -30,9 +30,6 @@ def test_a_thick_bar_feels_the_boundary_layer_alone() -> None:
         thin = 2 * sqrt(2) * pi * radius_m * sqrt(air.density_kg_per_m3 * air.viscosity_pa_s * omega)
         found = expected_drag_s(air, UniformBar(0.5, 2 * radius_m), PENDULUM, PERIOD_S)
         assert found == pytest.approx(thin * 0.5**3 / 12 / weight, rel=0.01 / radius_m)
-    # a vane of 1 m2 has two faces, in a flow that is not faster at its sides
-    faces = 2 * sqrt(0.5 * air.density_kg_per_m3 * air.viscosity_pa_s * omega)
-    assert vane_drag_s_per_m2(air, 0.3, PENDULUM, PERIOD_S) == pytest.approx(faces * 0.3**2 / weight)
 
 
 def test_a_bar_has_the_pendulums_inertia_unless_it_is_stated() -> None:

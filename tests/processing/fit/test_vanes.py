@@ -57,7 +57,7 @@ def found(runs: list[VanedRun]) -> MeasuredAir:
 
 @pytest.mark.slow
 def test_the_line_and_the_contact_are_those_of_all_runs(runs: list[VanedRun], found: MeasuredAir) -> None:
-    for (value, u), true in ((found.drag_s, DRAG_S), (found.per_exposure, PER_M2_S)):
+    for (value, u), true in ((found.drag_s, DRAG_S), (found.per_m2_s, PER_M2_S)):
         assert abs(value - true) < 3.5 * u
         assert u < 0.03 * true
     for name, (value, u) in found.contact.items():
@@ -90,7 +90,7 @@ def test_a_scatter_that_chance_may_explain_enlarges_too(runs: list[VanedRun], fo
     assert not doubted.disagree
     assert doubted.enlarged == pytest.approx(1.7**0.5, rel=0.05)
     # what was left out of the stated noise is back
-    for one, whole in ((doubted.drag_s, found.drag_s), (doubted.per_exposure, found.per_exposure)):
+    for one, whole in ((doubted.drag_s, found.drag_s), (doubted.per_m2_s, found.per_m2_s)):
         unscaled = whole.standard_uncertainty / found.enlarged
         assert one.standard_uncertainty == pytest.approx(unscaled * quieter * doubted.enlarged, rel=0.05)
 
@@ -98,10 +98,10 @@ def test_a_scatter_that_chance_may_explain_enlarges_too(runs: list[VanedRun], fo
 @pytest.mark.slow
 def test_an_uncertain_area_counts_as_its_drag(runs: list[VanedRun], found: MeasuredAir) -> None:
     """The larger area alone is uncertain: by as much as its drag, the line has another slope."""
-    unsure = [*runs[:-1], replace(runs[-1], u_exposure=0.02)]
+    unsure = [*runs[:-1], replace(runs[-1], u_area_m2=0.02)]
     measured = (found, air_of_vanes(unsure, PENDULUM), air_of_vanes(runs[:-1], PENDULUM))
     # by the stated noise: the scatter of each choice of runs is its own
-    u_exact, u_unsure, two_areas = (one.per_exposure.standard_uncertainty / one.enlarged for one in measured)
+    u_exact, u_unsure, two_areas = (one.per_m2_s.standard_uncertainty / one.enlarged for one in measured)
     assert 1.1 * u_exact < u_unsure < 1.1 * two_areas
 
 
@@ -113,7 +113,7 @@ def test_an_uncertain_area_moves_the_drag_as_its_derivatives_say() -> None:
             replace(PARAMETERS, drag_s=DRAG_S + PER_M2_S * area_m2), PENDULUM, noise_arcsec=0.005, seed=1
         )
         areas.append(VanedRun(points, fit_exact(points, PENDULUM, drag=True), area_m2, u_m2))
-    shared = vanes._SharedParameters([vanes._run_model(one, PENDULUM) for one in areas], by_ratio=False)
+    shared = vanes._SharedParameters([vanes._run_model(one, PENDULUM) for one in areas])
     at = shared.start.copy()
     at[-1] = 0.5
     derivatives = shared.run_parameters(at, 1)[1][:, -1]
@@ -125,25 +125,13 @@ def test_an_uncertain_area_moves_the_drag_as_its_derivatives_say() -> None:
     larger = vanes._SharedParameters(
         [
             vanes._run_model(one, PENDULUM)
-            for one in (areas[0], replace(areas[1], exposure=0.11, u_exposure=0.0))
-        ],
-        by_ratio=False,
+            for one in (areas[0], replace(areas[1], area_m2=0.11, u_area_m2=0.0))
+        ]
     )
     larger.unit, larger.own = shared.unit, shared.own
     assert shared.run_parameters(at, 1)[0][:-1] == pytest.approx(
         larger.run_parameters(at[:-1], 1)[0], rel=1e-9
     )
-
-
-@pytest.mark.slow
-def test_ratios_of_pressures_need_no_line(runs: list[VanedRun], found: MeasuredAir) -> None:
-    ratios = [(DRAG_S + PER_M2_S * area) / DRAG_S for area in AREAS_M2]
-    by_ratio = [replace(run, exposure=ratio) for run, ratio in zip(runs, ratios, strict=True)]
-    measured = air_of_vanes(by_ratio, PENDULUM, by_ratio=True)
-    assert measured.per_exposure == measured.drag_s
-    assert abs(measured.drag_s.value - DRAG_S) < 3.5 * measured.drag_s.standard_uncertainty
-    # a ratio tells the drag from friction, which a line of unknown height does not
-    assert measured.drag_s.standard_uncertainty < 0.7 * found.drag_s.standard_uncertainty
 
 
 def test_what_measures_no_air_is_refused(runs: list[VanedRun]) -> None:

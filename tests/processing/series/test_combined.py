@@ -16,7 +16,8 @@ from processing.fit.exact import fit_exact
 from processing.fit.reported import fitted_contact
 from processing.fit.result import FitResult
 from processing.fit.uncertainty import budgets
-from processing.series import average_curves, combine, combine_runs, combined_limits, compare_series
+from processing.series import average_curves, combine_runs, combined_limits
+from processing.series.combined import combine
 from tests.processing.fit.decays import decay, paper_pair, without
 from tests.processing.fit.test_uncertainty import rig
 
@@ -198,20 +199,6 @@ def test_curves_averaged_then_fitted_agree_with_the_runs() -> None:
         estimate = fitted.estimate(name)
         assert abs(estimate.value - getattr(parameters, name)) < 5 * estimate.standard_uncertainty, name
     assert fit_asymptotic(average, pendulum).arae_decay < 0.004
-
-
-def test_series_are_compared_pair_by_pair() -> None:
-    series = {
-        "monday": combine_runs(runs(0, 1, 2)),
-        "tuesday": combine_runs(runs(10, 11, 12)),
-        "humid": combine_runs(runs(20, 21, 22, c=13e-9)),
-    }
-    table = compare_series({name: one.parameters for name, one in series.items()})
-    assert len(table) == 3 * len(PAPER.names())
-    by = {(row.first, row.second, row.name): row for row in table}
-    assert by["monday", "tuesday", "c"].p_value > 0.01
-    assert by["monday", "humid", "c"].p_value < 0.01
-    assert by["monday", "humid", "c"].difference == pytest.approx(10.51e-9 - 13e-9, rel=0.1)
 
 
 def test_one_run_is_no_series() -> None:

@@ -22,9 +22,9 @@ from rig.analysis import AnalysedRun, AnalysedTable, analyse_record, record_fit,
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import seismometer_sentences
-from rig.analysis.table_fit import TableColumns
 from rig.archive.session_rows import results_row
 from rig.intake import read_seismometer
+from rig.intake.table import TableColumns
 from rig.report import make_table_report
 from rig.settings import load_configuration
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -213,27 +213,18 @@ def test_a_column_that_is_not_there_is_said(decay: Path) -> None:
         read_seismometer(decay / "seismometer.csv", ("up",))
 
 
-def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_path: Path) -> None:
+def test_the_unit_of_its_times_is_that_of_the_header(tmp_path: Path) -> None:
     path = tmp_path / "w.csv"
     path.write_text("t,z\n" + "".join(f"{k // 60}:{k % 60:02d},{k % 7}\n" for k in range(300)))
-    with pytest.raises(
-        ConfigurationError, match=r"'0:00' in 't' may be .* state --seismometer-time-unit m:ss or"
-    ):
-        read_seismometer(path)
-    for unit, step_s in (("m:ss", 1), ("h:mm", 60)):
-        found = read_seismometer(path, time_unit=unit)
-        assert set(np.diff(found.times_ns).tolist()) == {step_s * 10**9}
+    assert set(np.diff(read_seismometer(path).times_ns).tolist()) == {10**9}
     backwards = csv(tmp_path / "b.csv", "t,z", np.arange(9.0)[::-1], np.arange(9.0))
     with pytest.raises(DataError, match="call the time column time_s"):
         read_seismometer(backwards)
-    in_ms = read_seismometer(csv(tmp_path / "c.csv", "t,z", np.arange(9.0), np.arange(9.0)), time_unit="ms")
-    assert in_ms.times_ns[-1] == 8_000_000
-    with pytest.raises(
-        ConfigurationError, match=r"unit of 't', .* 1 s apart; state --seismometer-time-unit .* d$"
-    ):
-        read_seismometer(tmp_path / "c.csv")
-    with pytest.raises(ConfigurationError, match=r"--seismometer-time-unit s: .* has times of its own"):
-        read_seismometer(tmp_path / "w.mseed", time_unit="s")
+    in_ms = csv(tmp_path / "c.csv", "time_ms,z", np.arange(9.0), np.arange(9.0))
+    assert read_seismometer(in_ms).times_ns[-1] == 8_000_000
+    unstated = csv(tmp_path / "d.csv", "t,z", np.arange(9.0), np.arange(9.0))
+    with pytest.raises(ConfigurationError, match=r"unit of 't', .* apart; name in the header ns, us, .* d$"):
+        read_seismometer(unstated)
 
 
 @pytest.mark.slow

@@ -20,7 +20,6 @@ NEW_FILES = {
     ("run", DEMO, "--record-only"): ("out.mcap", "-o"),
     ("record", "recover", "no.mcap"): ("out.mcap", "-o"),
     ("report", "no"): ("out.html", "-o"),
-    ("compare", "no", "nor"): ("out.html", "-o"),
     ("export", "no", "--format", "hdf5"): ("out.h5", "-o"),
     ("balance", DEMO): ("out.rrd", "--rrd"),
 }
@@ -29,7 +28,7 @@ FOLDERS = {
     ("replay", "no.mcap"): "results.json",
     ("fit", "no.mcap"): "results.json",
     ("plan", "no.mcap"): "plan.svg",
-    ("paper",): "paper.html",
+    ("compare", "no", "nor"): "campaign.json",
     ("calibrate", "clock", "no.mcap"): "",
     ("export", "no"): "",
 }
@@ -78,10 +77,12 @@ def test_a_folder_that_is_a_file_or_holds_results_is_refused(words: tuple[str, .
 def test_the_folder_of_a_page_is_not_written_into(tmp_path: Path) -> None:
     (tmp_path / "page").mkdir()
     (tmp_path / "page" / "mine.svg").touch()
-    for words in (("report", "no"), ("compare", "no", "nor")):
-        empty_inputs(words, tmp_path)
-        assert "page: the page's figures go there" in rig(*words, "-o", "page.html", cwd=tmp_path).stderr
-        assert "name a file that ends in .html" in rig(*words, "-o", "my.page", cwd=tmp_path).stderr
+    empty_inputs(("report", "no"), tmp_path)
+    for page, said in (
+        ("page.html", "page: the page's figures go there"),
+        ("my.page", "name a file that ends in .html"),
+    ):
+        assert said in rig("report", "no", "-o", page, cwd=tmp_path).stderr
 
 
 def test_every_path_that_a_command_reads_is_looked_for_first() -> None:

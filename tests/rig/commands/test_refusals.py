@@ -119,10 +119,6 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         ),
         (("fit", "run-1.mcap", "--unit", "arcsec"), "--unit: has no effect on records"),
         (("fit", "run-1.mcap", "--time-unit", "ms"), "--time-unit: has no effect on records"),
-        (
-            ("fit", "run-1.mcap", "--seismometer-time-unit", "ms"),
-            "--seismometer-time-unit: has no effect without",
-        ),
     ],
 )
 def test_a_slip_is_refused(tmp_path: Path, words: tuple[str | Path, ...], message: str) -> None:

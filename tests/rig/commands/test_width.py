@@ -23,7 +23,6 @@ SCREENS = {
     "replay": "replay SERIES/run-1.mcap --retrack --set sensor.read_noise_e=40",
     "plan": f"plan {DEMO} --first 124 --last 30",
     "compare": "compare SERIES other",
-    "campaign": "compare SERIES --model default",
     "instruments": "init --instruments",
     "devices": "doctor",
     "doctor": f"doctor {DEMO}",

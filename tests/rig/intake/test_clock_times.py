@@ -1,4 +1,4 @@
-"""Times of two fields, ``12:30``, are minutes and seconds or hours and minutes, and never guessed."""
+"""Times of two fields, ``12:30``, are minutes and seconds."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -34,46 +34,36 @@ def _table(path: Path, header: str, times: Sequence[str]) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("header", "write", "ticks", "step_s", "time_unit"),
+    ("header", "write", "ticks", "step_s"),
     [
-        ("t", _m_ss, range(0, 1300, 2), 0.2, ""),
-        ("t", lambda k: _m_ss(k).replace(".", ","), range(0, 1300, 2), 0.2, ""),
-        ("t", _m_ss, range(0, 1300, 10), 1.0, "mm:ss"),
-        ("t", _whole, range(1600), 1.0, ""),  # up to 26:39, which is no time of day
-        ("t", _whole, range(6000, 6100), 1.0, ""),  # 100:00 and more
-        ("t", _with_hours, range(3500, 3700), 1.0, ""),  # 59:59 is followed by 1:00:00
-        ("t [m:ss]", _whole, range(300), 1.0, ""),
-        ("Zeit (mm:ss)", _whole, range(300), 1.0, ""),
-        ("t [min]", _whole, range(300), 1.0, ""),
-        ("t", _whole, range(300), 1.0, "min:s"),
-        ("t", _whole, range(300), 1.0, "min"),
-        ("t", _whole, range(300), 60.0, "h:mm"),
-        ("clock [hh:mm]", _whole, range(720, 1000), 60.0, ""),
+        ("t", _m_ss, range(0, 1300, 2), 0.2),
+        ("t", lambda k: _m_ss(k).replace(".", ","), range(0, 1300, 2), 0.2),
+        ("t", _whole, range(300), 1.0),
+        ("t", _whole, range(6000, 6100), 1.0),  # 100:00 and more
+        ("t", _with_hours, range(3500, 3700), 1.0),  # 59:59 is followed by 1:00:00
+        ("Zeit (mm:ss)", _whole, range(300), 1.0),
+        ("t [min]", _whole, range(300), 1.0),
     ],
 )
-def test_what_the_column_says_decides(
-    tmp_path: Path, header: str, write: Callable[[int], str], ticks: range, step_s: float, time_unit: str
+def test_they_are_minutes_and_seconds(
+    tmp_path: Path, header: str, write: Callable[[int], str], ticks: range, step_s: float
 ) -> None:
-    path = _table(tmp_path / "decay.csv", header, [write(k) for k in ticks])
-    found = TableColumns(time_unit=time_unit).read(path)
+    found = TableColumns().read(_table(tmp_path / "decay.csv", header, [write(k) for k in ticks]))
     assert set(np.diff(found.times_ns).tolist()) == {round(step_s * 1e9)}
     assert len(found.times_ns) == len(ticks)
-    form = "h:mm" if step_s == 60.0 else "m:ss"
-    assert any(f"as {form} (" in line for line in found.understood)
+    assert any("minutes and seconds" in line for line in found.understood)
 
 
 @pytest.mark.parametrize(
     ("header", "times", "time_unit", "said"),
     [
-        ("t", [_whole(k) for k in range(300)], "", "'0:00' in 't' may be minutes and seconds or hours"),
-        ("t", [_whole(k) for k in range(750, 1000)], "s", "state --time-unit m:ss or --time-unit h:mm"),
-        ("t [h:mm]", [_whole(k) for k in range(300)], "m:ss", "says h:mm, --time-unit says m:ss"),
-        ("t", [_m_ss(k) for k in range(300)], "h:mm", "'0:00.0' in 't' has a fraction"),
-        ("t", [f"0:0{k // 60}:{k % 60:02d}" for k in range(300)], "m:ss", "times like '0:00:00'"),
+        ("t [h:mm]", [_whole(k) for k in range(300)], "", "'0:00' in 't [h:mm]' has no seconds"),
+        ("t [h]", [_whole(k) for k in range(300)], "", "'0:00' in 't [h]' has no seconds"),
+        ("t", [f"0:0{k // 60}:{k % 60:02d}" for k in range(300)], "min", "times like '0:00:00'"),
         ("t", [str(k) for k in range(300)], "m:ss", "--time-unit 'm:ss' is not a unit of time"),
     ],
 )
-def test_what_is_open_or_contradicts_is_refused_in_one_line(
+def test_what_contradicts_is_refused_in_one_line(
     tmp_path: Path, header: str, times: list[str], time_unit: str, said: str
 ) -> None:
     path = _table(tmp_path / "decay.csv", header, times)

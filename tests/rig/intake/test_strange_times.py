@@ -122,7 +122,7 @@ def test_zones_of_half_hours_west_and_east(tmp_path: Path) -> None:
 
 def test_minutes_that_come_first_have_no_limit_but_those_after_an_hour_have() -> None:
     minute_ns = 60 * 10**9
-    assert timestamps_ns(["75:00", "1:05:00", "1:75:00"], minutes_first=True) == [
+    assert timestamps_ns(["75:00", "1:05:00", "1:75:00"]) == [
         75 * minute_ns,
         65 * minute_ns,
         None,

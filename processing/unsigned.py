@@ -1,100 +1,13 @@
-"""Decay measured as an envelope of amplitudes or powers, and test for deflections without a sign."""
+"""Test for deflections without a sign."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
-from math import log10, nan, pi
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.arrays import Floats
-from processing.damping import DampingTerms, fit_damping
-from processing.swing import estimate_noise
-from processing.units import nanoseconds, seconds
-
-_ROUNDING_ERROR = 1e-9
-_NOT_DESCRIBED = 2.0
-"""Chi-square per degree of freedom at which the error of the model equals the noise. Noise alone exceeds it
-once in 30 envelopes of twelve values and once in 90,000 of sixty."""
-
-
-@dataclass(frozen=True, slots=True)
-class EnvelopeDecay:
-    """Decay of an envelope, with time constants of the amplitude (those of the power are half as long).
-
-    `initial` and `floor` are the amplitude at the first sample and of the noise floor (NaN if the end shows
-    none), in the samples' unit; `noise` is the scatter of the samples. `tau_s` is the time constant of a
-    single exponential; `u_tau_s` includes its variation over the fall. `first_s` and `last_s` are those at a
-    quarter and three quarters of the fall (in its logarithm). `damping` is the dependence on the amplitude.
-    """
-
-    samples: int
-    noise: float
-    initial: float
-    floor: float
-    tau_s: float
-    u_tau_s: float
-    chi2_per_dof: float
-    first_s: float
-    last_s: float
-    damping: DampingTerms
-
-    @property
-    def changes(self) -> bool:
-        """Whether one time constant does not describe the fall."""
-        return max(self.damping.constant.probability, self.damping.quadratic.probability) >= 0.95
-
-    @property
-    def described(self) -> bool:
-        """Whether constant, linear and quadratic damping together describe the fall."""
-        return self.damping.chi2_per_dof <= _NOT_DESCRIBED
-
-    def quality_factor(self, frequency_hz: float) -> tuple[float, float]:
-        """Quality factor pi f tau with its standard uncertainty."""
-        return pi * frequency_hz * self.tau_s, pi * frequency_hz * self.u_tau_s
-
-
-def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeDecay:
-    """Fit the damping of an envelope, and a noise floor if its end shows one.
-
-    Parameters
-    ----------
-    times_s : (n,) ascending
-    values : (n,) amplitudes in any unit, or powers in dB (`decibel`); NaN is left out
-
-    Raises
-    ------
-    DataError
-        Fewer than 12 values, amplitudes that are not positive, or values that do not fall.
-    """
-    good = np.isfinite(values)
-    t, y = times_s[good] - times_s[0], values[good]
-    # computed values have no noise: their scatter about the fit replaces it
-    noise = max(estimate_noise(nanoseconds(t), y), _ROUNDING_ERROR * float(np.max(np.abs(y), initial=0.0)))
-    damping = fit_damping(t, y, np.full(len(y), noise), decibel=decibel, floor=True)
-    quarters = damping.amplitudes(5)
-    ends_s = damping.time_constant_s(quarters[[1, 3]])[0]
-
-    def shown(amplitude: float) -> float:
-        if not amplitude > 0:
-            return nan
-        return 20.0 * log10(amplitude) if decibel else amplitude
-
-    return EnvelopeDecay(
-        samples=len(y),
-        noise=noise,
-        initial=shown(damping.first),
-        floor=shown(damping.floor),
-        tau_s=damping.exponential.value,
-        u_tau_s=damping.exponential.standard_uncertainty,
-        chi2_per_dof=damping.exponential_chi2_per_dof,
-        first_s=float(ends_s[0]),
-        last_s=float(ends_s[1]),
-        damping=damping,
-    )
-
+from processing.units import seconds
 
 _FEWEST_CYCLES: Final = 8
 """Fewest cycles, and fewest samples per cycle, from which a shape is judged."""
