@@ -160,7 +160,6 @@ def _refuse_all_but_a_record(
 def replay(
     record: Record,
     output: ResultsFolder = None,
-    speed: Annotated[str, typer.Option(metavar="1|10|max", help="Speed relative to real time.")] = "max",
     from_s: Annotated[float, typer.Option("--from", help="Begin this many seconds after the start.")] = 0.0,
     to_s: Annotated[
         float | None, typer.Option("--to", help="End this many seconds after the start.", show_default=False)
@@ -173,9 +172,6 @@ def replay(
     set_: Set = None,
 ) -> None:
     """Process a record again and compare with what was recorded.
-
-    Keys in a terminal: space pauses; → or n steps one frame, h one half-cycle, + and - 10 s; g goes to a
-    time; q ends.
 
     \b
     Examples:
@@ -190,7 +186,6 @@ def replay(
             output,
             retrack=retrack,
             overrides=set_ or [],
-            speed=speed,
             from_s=from_s,
             to_s=math.inf if to_s is None else to_s,
             mode=MODES[view],

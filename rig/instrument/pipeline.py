@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import Frame
+from acquisition.record.writer import RecordWriter
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -77,6 +78,22 @@ class Block(NamedTuple):
     swings: list[HalfCycle]
     balances: list[Balance]
     references: Sequence[Spot] = ()
+
+    def write(
+        self,
+        writer: RecordWriter,
+        numbers: Sequence[int],
+        device_times_ns: Sequence[int],
+        host_times_ns: Sequence[int],
+    ) -> None:
+        """Write the results of frames of these numbers and times into a record."""
+        if numbers:
+            clocks = device_times_ns, host_times_ns
+            writer.write_spots(numbers, *clocks, self.spots, self.deflections, self.references)
+        for swing in self.swings:
+            writer.write_swing(swing)
+        for balance in self.balances:
+            writer.write_balance(balance)
 
 
 class DualSpotTracker:

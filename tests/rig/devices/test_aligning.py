@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -18,7 +18,7 @@ from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_l
 from rig.devices.picture import figures
 from rig.settings import load_configuration
 from rig.terminal import palette
-from rig.terminal.quantities import Keys
+from rig.terminal.quantities import KeyParser, Keys
 from tests.rig.command_line import CONFIGS
 
 FULL_SCALE_DN = 255
@@ -191,3 +191,17 @@ def test_keys_set_the_camera_and_save_pictures(
     assert ("▀" in said) is terminal
     assert "exposure 156.25 µs" in said
     assert "align-1.png saved" in said
+
+
+@pytest.mark.parametrize("pieces", [lambda data: [data], lambda data: [bytes([byte]) for byte in data]])
+def test_keys_are_the_same_in_one_piece_and_in_many(pieces: Callable[[bytes], list[bytes]]) -> None:
+    parser = KeyParser()
+    keys = [key for piece in pieces(b"n \x1b[C\x1b[1;5C\x1bOCg1\r\x7f\x1bq") for key in parser.feed(piece)]
+    assert keys == ["n", "space", "right", "right", "g", "1", "enter", "backspace", "escape", "q"]
+
+
+def test_an_escape_that_stands_alone_is_a_key() -> None:
+    parser = KeyParser()
+    assert parser.feed(b"\x1b") == []
+    assert parser.flush() == ["escape"]
+    assert parser.flush() == []
