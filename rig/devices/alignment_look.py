@@ -231,8 +231,9 @@ def take_look(
     reference_px: tuple[float, float] | None,
     applied: CameraSettings,
     reference: tuple[SpotTracker, int] | None = None,
+    limits: PreflightSettings | None = None,
 ) -> AlignmentFrame:
-    """Find the spot in a frame, and judge frame and beam.
+    """Find the spot in a frame, and judge frame and beam, by default with the preflight's default limits.
 
     `reference` is the tracker of the reference's spot, and the row from which on the frame is the
     reference's; figures and beam are those of the part above.
@@ -243,7 +244,7 @@ def take_look(
         part, found = image[:row], follower.track(image[row:])
         other = ReferencePart.in_image(found._replace(y_px=found.y_px + row), row, image, full_scale_dn)
     spot = tracker.track(part)
-    beam = beam_quality([part], [spot], tracker.model, full_scale_dn, PreflightSettings())
+    beam = beam_quality([part], [spot], tracker.model, full_scale_dn, limits or PreflightSettings())
     seen = picture.figures(part, full_scale_dn)
     if beam.ok and seen.saturated_px:
         # the shape of a beam that is cut off at full scale cannot be judged

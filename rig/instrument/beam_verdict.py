@@ -1,6 +1,6 @@
 """The verdict on the beam by its spots and its shape, and the live correction of the beam's motion."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from processing.reference_spot import CausalReference
 from processing.spot import BeamShape, FixedLight, Spot, SpotFlag, SpotModel, beam_shape
 from processing.swing import HalfCycle, TurningPointDetector
 from processing.units import seconds
-from rig.instrument.pipeline import Block, DeflectionConverter, EstimateThread
+from rig.instrument.pipeline import Block, DeflectionConverter
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict, percent
 
@@ -157,19 +157,12 @@ BEAM_CORRECTED = (
 
 
 class BeamCorrection:
-    """Subtracts the beam's motion, which the reference spot shows, from the blocks of the pipeline.
+    """Subtracts the beam's motion, which the reference spot shows, from the blocks of the pipeline."""
 
-    `threaded`: half-cycles are found in a thread of their own and come with a later block, as the pipeline's.
-    """
-
-    def __init__(self, deflector: DeflectionConverter, gain: Estimate, *, threaded: bool) -> None:
+    def __init__(self, deflector: DeflectionConverter, gain: Estimate) -> None:
         self._deflector = deflector
         self._reference = CausalReference(gain)
         self._detector = TurningPointDetector()
-        self._beside = EstimateThread(self._swings_in, "live swings") if threaded else None
-        self._detect: Callable[[Deflections], list[HalfCycle]] = (
-            self._swings_in if self._beside is None else self._beside.update
-        )
         self._found_ns: int | None = None
         self._lost = False
         self._news: list[str] = [BEAM_CORRECTED]
@@ -203,20 +196,17 @@ class BeamCorrection:
             deflections.unit,
         )
         self._watch(times_ns, np.isfinite(position_px[:, 0]).tolist())
-        return block._replace(deflections=deflections, swings=self._detect(deflections))
+        swings = self._detector.update(deflections.times_ns, deflections.y, deflections.u_y)
+        return block._replace(deflections=deflections, swings=swings)
 
     def finish(self) -> list[HalfCycle]:
         """Half-cycles that are completed by the end of the frames."""
-        waiting = [] if self._beside is None else self._beside.finish()
-        return waiting + self._detector.finish()
+        return self._detector.finish()
 
     def take_news(self) -> list[str]:
         """Texts for the log since the last call."""
         news, self._news = self._news, []
         return news
-
-    def _swings_in(self, samples: Deflections) -> list[HalfCycle]:
-        return self._detector.update(samples.times_ns, samples.y, samples.u_y)
 
     def _watch(self, times_ns: Ints, found: Sequence[bool]) -> None:
         for time_ns, seen in zip(times_ns.tolist(), found, strict=True):

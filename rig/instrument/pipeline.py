@@ -1,10 +1,8 @@
 """The optics, and the pipeline from frames to spots, deflections and half-cycles, live and in replay."""
 
-from collections import deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,57 +11,14 @@ from acquisition.camera import Frame
 from acquisition.record.writer import RecordWriter
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
-from processing.deflections import Deflections, DeflectionUnit, joined
+from processing.deflections import Deflections, DeflectionUnit
 from processing.estimate import Estimate
 from processing.spot import SensorModel, Spot, SpotTracker
 from processing.swing import HalfCycle, TurningPointDetector
 from rig.instrument.configured_camera import ObserverGuard, shutter_of
 from rig.settings import Configuration
 
-Result = TypeVar("Result")
-
-_MAX_WAITING_CALLS = 4096
-_BATCH_NS = 50_000_000
-"""Time span of samples that are handed to a thread together: at 1000 frames/s each frame would wake two."""
 _BALANCE = "the estimate of the balance"
-
-
-class EstimateThread(Generic[Result]):
-    """A thread that calls `estimate` on batches of samples in order, so that frames do not wait for it.
-
-    One estimate takes as long as many frames. The estimates are the same as without the thread: `estimate` is
-    the `update` of a detector or estimator, which does not depend on how samples are divided. An error in it
-    is raised by a later call. `update` waits only while thousands of calls are pending.
-    """
-
-    def __init__(self, estimate: Callable[[Deflections], list[Result]], name: str) -> None:
-        self._estimate = estimate
-        self._executor = ThreadPoolExecutor(1, thread_name_prefix=name)
-        self._batch: list[Deflections] = []
-        self._pending: deque[Future[list[Result]]] = deque()
-
-    def update(self, samples: Deflections) -> list[Result]:
-        """Add samples; returns the estimates that have become ready since the last call."""
-        if len(samples):
-            self._batch.append(samples)
-            if samples.times_ns[-1] - self._batch[0].times_ns[0] >= _BATCH_NS:
-                self._hand_over()
-        estimates: list[Result] = []
-        while self._pending and (self._pending[0].done() or len(self._pending) > _MAX_WAITING_CALLS):
-            estimates += self._pending.popleft().result()
-        return estimates
-
-    def finish(self) -> list[Result]:
-        """Wait for the estimates that are still being made, and return them."""
-        self._hand_over()
-        estimates = [estimate for pending in self._pending for estimate in pending.result()]
-        self._pending.clear()
-        return estimates
-
-    def _hand_over(self) -> None:
-        if self._batch:
-            samples, self._batch = joined(self._batch, self._batch[0].unit), []
-            self._pending.append(self._executor.submit(self._estimate, samples))
 
 
 class Block(NamedTuple):
@@ -136,9 +91,6 @@ class Pipeline:
         Calibration; each deflection gets the time of exposure of the rows that its spot lies on.
     sensor_shape
         (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
-    threaded
-        Whether half-cycles are fitted, and the balance is estimated, in threads of their own. The results are
-        the same, but come with a later block, the last ones with `finish` and `finish_balance`.
     guard
         Catches errors of the estimate of the balance.
     """
@@ -147,19 +99,13 @@ class Pipeline:
         self,
         optics: "Optics",
         sensor_shape: tuple[int, int],
-        *,
-        threaded: bool = False,
         guard: ObserverGuard | None = None,
     ) -> None:
         self.spots = optics.dual_tracker()
         self.tracker = self.spots.tracker
         self._deflector = optics.deflector(sensor_shape)
         self._detector = TurningPointDetector()
-        estimator = BalanceEstimator()
-        self._half_cycles = EstimateThread(self._half_cycles_in, "swings") if threaded else None
-        self._balances = EstimateThread(estimator.update, "balance") if threaded else None
-        self._detect = self._half_cycles_in if self._half_cycles is None else self._half_cycles.update
-        self._balance = (self._balances or estimator).update
+        self._estimator = BalanceEstimator()
         self._guard = guard or ObserverGuard()
 
     def process(self, frames: Sequence[Frame]) -> Block:
@@ -174,21 +120,13 @@ class Pipeline:
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
         """Half-cycles and balances from known deflections (replay without tracking)."""
-        half_cycles = self._detect(deflections)
-        balances: list[Balance] = self._guard.call(_BALANCE, [], self._balance, deflections)
+        half_cycles = self._detector.update(deflections.times_ns, deflections.y, deflections.u_y)
+        balances: list[Balance] = self._guard.call(_BALANCE, [], self._estimator.update, deflections)
         return Block(spots, deflections, half_cycles, balances)
-
-    def _half_cycles_in(self, samples: Deflections) -> list[HalfCycle]:
-        return self._detector.update(samples.times_ns, samples.y, samples.u_y)
 
     def finish(self) -> list[HalfCycle]:
         """Half-cycles that are completed by the end of the samples."""
-        pending = [] if self._half_cycles is None else self._half_cycles.finish()
-        return pending + self._detector.finish()
-
-    def finish_balance(self) -> list[Balance]:
-        """Wait for the balances that are still being estimated, and return them."""
-        return [] if self._balances is None else self._guard.call(_BALANCE, [], self._balances.finish)
+        return self._detector.finish()
 
 
 class DeflectionConverter:

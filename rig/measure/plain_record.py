@@ -82,6 +82,26 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     return record
 
 
+def simulate_record(config: Configuration, source: Path, record: Path) -> int:
+    """Record one run of the simulated rig, without viewer and fits; returns the exit status 0."""
+    if not config.simulated:
+        raise ConfigurationError(
+            f"camera.driver = {config.camera.driver!r}: --record-only needs the simulated camera; "
+            "rig camera record records a real one"
+        )
+    quiet = config.view.model_copy(update={"mode": "none", "file": False})
+    record.parent.mkdir(parents=True, exist_ok=True)
+    config = complete(config.model_copy(update={"view": quiet}))
+    with ready_for_frames(live=not config.on_demand), Devices(config, task="rig run") as devices:
+        outcome = measure_run(
+            RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
+        )
+    outcome.check()
+    answer(written=[record])
+    print(record)
+    return 0
+
+
 def take_frames(config: Configuration, folder: Path, count: int) -> Path:
     """Save whole frames as PNG, with every bit, into a new folder; the laser stays as it is.
 

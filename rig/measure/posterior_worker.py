@@ -205,7 +205,7 @@ class FollowedMotion:
         self._beam_correction: BeamCorrection | None = None
         if optics.reference_gain is not None:
             deflector = optics.deflector(frame_shape(reader))
-            self._beam_correction = BeamCorrection(deflector, optics.reference_gain, threaded=False)
+            self._beam_correction = BeamCorrection(deflector, optics.reference_gain)
         # rows of frames of which only one of the two spots is flushed yet
         nothing = Piece(b"", {})
         self._spots, self._references = (reader.table(kind.topic, nothing) for kind in (SPOT, REFERENCE))

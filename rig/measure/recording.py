@@ -154,11 +154,10 @@ class Recording:
         keep = parts.plan.config.record
         self._counts = FrameCounts(first, nanoseconds(keep.full_frame_interval_s), keep_windows=keep.windows)
         shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
-        threaded = not self._on_demand
-        self._pipeline = Pipeline(parts.optics, shape, threaded=threaded, guard=parts.guard)
+        self._pipeline = Pipeline(parts.optics, shape, parts.guard)
         self._beam_correction: BeamCorrection | None = None
         if gain is not None:
-            self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain, threaded=threaded)
+            self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain)
         self._end = parts.end
         self._steps = StepEvents(parts.optics.unit)
         self._readings = SideReadings(parts, first.time_ns)
@@ -285,10 +284,8 @@ class Recording:
 
     def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
-        counts, pipeline = self._counts, self._pipeline
-        swings = pipeline.finish()
-        rest = pipeline.measure(np.empty(0, np.int64), [])
-        rest = rest._replace(swings=swings, balances=[*rest.balances, *pipeline.finish_balance()])
+        counts, swings = self._counts, self._pipeline.finish()
+        rest = self._pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings)
         attachments = self._readings.close()
         if not rejection:
             # the stream is closed first, so that the record names a camera that cannot be stopped

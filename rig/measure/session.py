@@ -2,8 +2,9 @@
 
 import datetime
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from copy import deepcopy
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,12 +22,13 @@ from rig.analysis import (
 from rig.devices import Devices, OrderSocket, SessionNews, safety_values
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
-from rig.measure.notices import Notices, PreflightWait, announced, check_notices, check_waiting
+from rig.measure.notices import Notices, PreflightWait, check_notices, check_waiting
 from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
 from rig.measure.run import measure_run, ready_for_frames
 from rig.measure.run_parts import RunPlan
 from rig.measure.session_file import (
+    STATE_NAME,
     RunState,
     SessionFile,
     close_earlier_runs,
@@ -34,8 +36,15 @@ from rig.measure.session_file import (
     withdraw_unrecorded,
 )
 from rig.measure.session_orders import Notes, await_acknowledgement, orders
-from rig.settings import Configuration, stored_configuration
-from rig.terminal import answer, failures, print_json_line, say
+from rig.settings import (
+    Configuration,
+    apply_overrides,
+    load_configuration,
+    stored_configuration,
+    unnumbered,
+    validate_configuration,
+)
+from rig.terminal import failures, print_json_line, say
 
 _SEED_STEP_OF_RUNS = 1_000_003
 
@@ -66,6 +75,41 @@ def measure_session(
             return finish_session(file, config, "rig run", waiting, force=force, json_lines=json_lines)
     finally:
         withdraw_unrecorded(folder, made)
+
+
+def resume_session(
+    folder: Path,
+    replacement: Path | None = None,
+    overrides: Sequence[str] = (),
+    *,
+    force: bool = False,
+    json_lines: bool = False,
+) -> int:
+    """Continue an interrupted session: complete runs stay, the missing runs are made.
+
+    The missing runs get the configuration with which the session was begun, or that of the file
+    `replacement`, either with `overrides`; from then on it is the configuration of the session. A truncated
+    record is left unchanged and a recovered copy is made next to it. New runs get new numbers. Returns the
+    exit status like `measure_session`.
+    """
+    with closing(SessionFile.opened(folder)) as file:
+        source = replacement or Path(file.state.source)
+        if replacement is None:
+            tree = unnumbered(deepcopy(file.state.configuration), f"{folder / STATE_NAME}: its configuration")
+            apply_overrides(tree, overrides)
+            config = validate_configuration(tree, str(folder / STATE_NAME), overrides)
+            config = config.remember_file(source, overrides)
+        else:
+            config = load_configuration(replacement, overrides)
+        if replacement is None and not overrides:
+            say(f"{folder}: continues as begun, with {source} (--set changes it, --config takes another)")
+        else:
+            config = checked(config)
+            changed = file.reconfigure(source, stored_configuration(config))
+            if any(text.partition("=")[0].strip() == "session.runs" for text in overrides):
+                file.save(file.state.model_copy(update={"runs_wanted": config.session.runs}))
+            say(f"{folder}: continues with {source}, which states {changed}")
+        return finish_session(file, config, "rig run --resume", force=force, json_lines=json_lines)
 
 
 def checked(config: Configuration) -> Configuration:
@@ -105,11 +149,10 @@ def finish_session(
     Returns the exit status like `measure_session`.
     """
     waiting = waiting or PreflightWait(file.folder.name, config.preflight)
-
-    def finish(notices: Notices) -> int:
-        return _finish(file, config, task, SessionOptions(notices, force, json_lines, waiting))
-
-    return announced(config.session, file, finish)
+    with Notices(config.session, file.folder) as notices:
+        status = _finish(file, config, task, SessionOptions(notices, force, json_lines, waiting))
+        notices.tell_end(status)
+        return status
 
 
 def _finish(file: SessionFile, config: Configuration, task: str, options: SessionOptions) -> int:
@@ -324,30 +367,6 @@ def _whole_results(file: SessionFile) -> SessionResults | None:
     if not path.with_name(path.name.replace("results", "report", 1)).with_suffix(".html").exists():
         say(f"report {make_report(path)}")
     return results
-
-
-def simulate_record(config: Configuration, source: Path, record: Path) -> int:
-    """Record one run of the simulated rig, without viewer and fits; returns the exit status."""
-    if not config.simulated:
-        raise ConfigurationError(
-            f"camera.driver = {config.camera.driver!r}: --record-only needs the simulated camera; "
-            "rig camera record records a real one"
-        )
-    quiet = config.view.model_copy(update={"mode": "none", "file": False})
-    record.parent.mkdir(parents=True, exist_ok=True)
-    config = complete(config.model_copy(update={"view": quiet}))
-    with ready_for_frames(live=not config.on_demand), Devices(config, task="rig run") as devices:
-        outcome = measure_run(
-            RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
-        )
-    if outcome.failure is not None:
-        say(f"simulation failed: {outcome.failure}", error=True)
-        return 1
-    if outcome.interrupt is not None:
-        raise outcome.interrupt
-    answer(written=[record])
-    print(record)
-    return 0
 
 
 def session_folder(config: Configuration, source: Path, output: Path | None) -> tuple[Path, list[Path]]:

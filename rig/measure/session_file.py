@@ -67,8 +67,6 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     configuration: dict[str, Any]
     """The complete configuration, so that the session can be resumed without other files."""
     entries: tuple[RunEntry, ...] = ()
-    end_notice_sent: str = ""
-    """The last notice sent of the session's end; empty if a run was made since."""
 
     @property
     def complete(self) -> list[RunEntry]:
@@ -83,7 +81,7 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     def with_entry(self, entry: RunEntry) -> Self:
         """A copy in which this entry replaces the one of the same record, or is added."""
         kept = [old for old in self.entries if old.record != entry.record]
-        return self.model_copy(update={"entries": (*kept, entry), "end_notice_sent": ""})
+        return self.model_copy(update={"entries": (*kept, entry)})
 
 
 def read_session(folder: Path) -> SessionState:
@@ -191,10 +189,6 @@ class SessionFile:
         """Remove the entry of a run that did not begin."""
         kept = tuple(entry for entry in self.state.entries if entry.record != record)
         self.save(self.state.model_copy(update={"entries": kept}))
-
-    def note_end_notice(self, words: str) -> None:
-        """Save the notice that was sent of the session's end."""
-        self.save(self.state.model_copy(update={"end_notice_sent": words}))
 
     def reconfigure(self, source: Path, configuration: dict[str, Any]) -> str:
         """Give the missing runs another configuration; returns what it changes, in words.

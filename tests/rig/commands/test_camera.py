@@ -111,12 +111,9 @@ def test_show_set_snap_focus_expose(tmp_path: Path) -> None:
     assert "DN" in done.output
     again = run(app, ["camera", "snap", DEMO, "-o", str(png)])
     assert "not overwritten" in str(again.exception)
-    done = run(app, ["camera", "focus", DEMO, "--seconds", "0.5"])
+    done = run(app, ["camera", "align", DEMO, "--seconds", "0.5", "-o", str(tmp_path)])
     assert "sharpness" in done.output
-    rrd = tmp_path / "align.rrd"
-    done = run(app, ["camera", "align", DEMO, "--seconds", "0.5", "-o", str(tmp_path), "--rrd", str(rrd)])
     assert "off the crosshair" in done.output
-    assert rrd.stat().st_size > 10_000
     done = run(app, ["camera", "expose", DEMO])
     # the line can be put where it is said to belong
     assert re.search(r"^peak \d\d\.\d % of .*below \[camera\]:\nexposure_us = ", done.output)
@@ -247,5 +244,5 @@ def test_a_snap_judges_each_spot_in_its_own_part(tmp_path: Path) -> None:
     assert re.search(r"reference: go, 1\d\d\.\d, 68\d\.\d px", both)
     assert "reference: NO-GO, none found" in alone
     # what is said of the pendulum's beam does not depend on the other's
-    (beam,) = re.findall(r"χ²/dof [\d.]+", both)
-    assert re.findall(r"χ²/dof [\d.]+", alone) == [beam]
+    (beam,) = set(re.findall(r"χ²/dof [\d.]+", both))
+    assert set(re.findall(r"χ²/dof [\d.]+", alone)) == {beam}

@@ -47,7 +47,6 @@ RUNS: dict[str, str] = {
     "camera snap": f"camera snap {DEMO} -o spot.png",
     "camera record": f"camera record {DEMO} -o clamped.mcap --seconds 1",
     "camera frames": f"camera frames {DEMO} -o level",
-    "camera focus": f"camera focus {DEMO} --seconds 0.3",
     "camera align": f"camera align {DEMO} --seconds 0.3",
     "camera expose": f"camera expose {DEMO}",
     "light show": f"light show {DEMO}",

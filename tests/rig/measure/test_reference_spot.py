@@ -27,10 +27,9 @@ from rig.instrument import (
     optics_of,
     recorded_configuration,
 )
-from rig.measure import measure_session
+from rig.measure import measure_session, simulate_record
 from rig.measure.posterior_worker import FollowedMotion
 from rig.measure.recent_frames import RecentFrames
-from rig.measure.session import simulate_record
 from rig.settings import Configuration, ReferenceSettings, load_configuration
 from rig.view import analyse_replayed
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
@@ -150,22 +149,19 @@ def blocks_of(reader: RecordReader, config: Configuration, lost: range = range(0
     return found
 
 
-def corrected(
-    blocks: Sequence[Block], config: Configuration, *, threaded: bool = False
-) -> tuple[list[Block], BeamCorrection]:
+def corrected(blocks: Sequence[Block], config: Configuration) -> tuple[list[Block], BeamCorrection]:
     """The blocks less the beam's motion so far."""
     optics = optics_of(config, full_scale_dn=255.0)
     assert optics.reference_gain is not None
-    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=threaded)
+    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain)
     return [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks], less
 
 
-@pytest.mark.parametrize("threaded", [False, True])
-def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, threaded: bool) -> None:
+def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path) -> None:
     with RecordReader(recorded) as reader:
         config, raw = recorded_configuration(reader), scatter(reader.swings())
         blocks = blocks_of(reader, config)
-    shown, less = corrected(blocks, config, threaded=threaded)
+    shown, less = corrected(blocks, config)
     swings = [swing for block in shown for swing in block.swings] + less.finish()
     assert scatter(swings)[0] < 0.5 * raw[0]
     # the picture's spot is where it is seen

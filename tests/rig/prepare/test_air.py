@@ -16,7 +16,7 @@ from processing.fit.vanes import VanedRun
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.analysis.ambient import drag_at_pressure, expected_drag
 from rig.instrument import complete, pendulum_on_ball
-from rig.measure.session import simulate_record
+from rig.measure import simulate_record
 from rig.prepare import Filing, calibrate_air, vanes_to_cut
 from rig.settings import validate_configuration
 

@@ -17,7 +17,7 @@ from rig.analysis import analyse_record
 from rig.instrument import complete
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
 from rig.instrument.provenance import recorded_configuration
-from rig.measure.session import simulate_record
+from rig.measure import simulate_record
 from rig.prepare import (
     calibrate_axes,
     calibrate_clock,
