@@ -10,7 +10,7 @@ from rig.devices.alignment_look import (
     middle_of,
     take_look,
 )
-from rig.devices.audit import AUDIT_NAME, AuditEntry, check_log
+from rig.devices.audit import AuditEntry
 from rig.devices.clocks import (
     ClockAnchors,
     ClockRate,

@@ -3,7 +3,6 @@
 from rig.measure.end_of_run import SessionSummary, session_summary, state_of
 from rig.measure.plain_record import (
     acknowledge_trip,
-    check_audit,
     light_off,
     preflight_rig,
     record_plainly,

@@ -26,7 +26,6 @@ from rig.analysis import (
 from rig.instrument import configuration_attachments, recorded_configuration
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import (
-    QuantityDisplay,
     Table,
     TableRow,
     answer,
@@ -44,7 +43,6 @@ from rig.view.show import show_records
 
 _MAX_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is attributed to rounding."""
-_EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 
 def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
@@ -81,33 +79,19 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
 
 
 def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
-    """Print the changes of the recorded fitted parameters; one line if nothing changed.
-
-    The exact fit of the contact law is shown with values and changes, the asymptotic fit with changes only.
-    """
+    """Print the changes of the quantities of the results; one line if nothing changed."""
     if not changes:
         return
     if all(change.change_u == 0.0 for change in changes):
-        text = f"{len(changes)} fitted numbers, equal to those of {source}"
-        print_line(text)
+        print_line(f"{len(changes)} fitted numbers, equal to those of {source}")
         return
-    by_name = {change.name: change for change in changes}
-    asymptotic = [change for name, change in by_name.items() if name.startswith(_ASYMPTOTIC)]
-    head = ("", f"{source}, u: swings", "change / u", *(["of the asymptotic fit"] if asymptotic else []))
-    rows: list[list[str]] = []
-    for name, change in by_name.items():
-        if name.startswith(_ASYMPTOTIC):
-            continue
-        asymptotic_fit = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
-        parameter = name.removeprefix(_EXACT)
-        shown = quantity(parameter) if parameter != name else QuantityDisplay(name, "", name)
-        asymptotic_change = [_in_u(asymptotic_fit) if asymptotic_fit else ""] if asymptotic else []
-        rows.append([shown.label, shown.text(*change.recorded), _in_u(change), *asymptotic_change])
+    head = ("", "", f"{source}, u: swings", "change / u")
+    rows = []
+    for change in changes:
+        shown, by_u = quantity(change.quantity), change.change_u
+        size = "?" if math.isnan(by_u) else signed(by_u)
+        rows.append([shown.label, change.fit, shown.text(*change.recorded), size])
     print_tables([Table("changes", "", head, head, [TableRow(row, row) for row in rows])])
-
-
-def _in_u(change: ParameterDifference) -> str:
-    return "?" if math.isnan(change.change_u) else signed(change.change_u)
 
 
 def _largest(differences: Differences, place: str) -> str:
