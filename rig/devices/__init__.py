@@ -14,7 +14,6 @@ from rig.devices.audit import AuditEntry
 from rig.devices.clocks import (
     ClockAnchors,
     ClockRate,
-    ntp_state,
     wrong_rate,
 )
 from rig.devices.doctor import RULES_FOLDER, examine, install_rules, udev_rules

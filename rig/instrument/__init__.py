@@ -43,12 +43,11 @@ from rig.instrument.provenance import (
     prepare_kernels,
     recorded_configuration,
     session_metadata,
+    u_of_host_rate,
     versions,
 )
 from rig.instrument.run_now import (
-    U_FREE_RUNNING,
     U_QUARTZ,
-    U_SYNCHRONISED,
     CameraClock,
     Phase,
     RecordContents,

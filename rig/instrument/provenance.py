@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from acquisition.camera import CameraInfo, Frame
 from acquisition.record.digest import camera_metadata
 from acquisition.record.reader import RecordReader
+from acquisition.record.topics import CLOCK
 from acquisition.record.writer import encode_window
 from processing import spot as spots
 from processing import swing as swings
@@ -23,6 +24,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.kernel import at_compilation
 from processing.spot import SensorModel, SpotTracker
 from rig.instrument.calibration import calibration_attachments
+from rig.instrument.run_now import U_FREE_RUNNING, U_SYNCHRONISED
 from rig.settings import (
     Configuration,
     apply_overrides,
@@ -170,6 +172,15 @@ def frame_shape(reader: RecordReader) -> tuple[int, int]:
             f"{reader.path}: the size of the frames is missing; the record was not made by rig run"
         )
     return int(frame["height_px"]), int(frame["width_px"])
+
+
+def u_of_host_rate(reader: RecordReader) -> tuple[float, bool]:
+    """Relative standard uncertainty of the second of the computer that made a record, and whether its clock
+    followed a time server all the while.
+    """
+    anchors = reader.table(CLOCK.topic)
+    synchronised = len(anchors) > 0 and bool(np.all(anchors["synchronised"]))
+    return U_SYNCHRONISED if synchronised else U_FREE_RUNNING, synchronised
 
 
 def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) -> Configuration:

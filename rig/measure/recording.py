@@ -286,7 +286,7 @@ class Recording:
         """Record the half-cycles completed by the end, and how the run has ended."""
         counts, swings = self._counts, self._pipeline.finish()
         rest = self._pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings)
-        attachments = self._readings.close()
+        attachments = self._readings.end_attachments()
         if not rejection:
             # the stream is closed first, so that the record names a camera that cannot be stopped
             self._stop.close_stream()
