@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -41,9 +41,13 @@ def _opened_camera(config: "Configuration") -> Iterator["OpenCamera"]:
 def show(config: Config, set_: Set = None) -> None:
     """Print the identity, settings and features of the camera.
 
+    What --set changes holds until the camera loses its power; what a measurement needs belongs in the
+    configuration.
+
     \b
-    Example:
+    Examples:
       rig camera show mine.toml
+      rig camera show mine.toml --set camera.exposure_us=80 --set camera.features.GainRaw=12
     """
     from rig.devices import feature_lines
     from rig.terminal import answer, print_line
@@ -61,49 +65,6 @@ def show(config: Config, set_: Set = None) -> None:
         answer(camera=info, settings=applied.model_dump(mode="json"), features=lines)
         for line in lines:
             print_line(line)
-
-
-@in_json
-def set_(
-    config: Config,
-    assignments: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", show_default=False)],
-    set_: Set = None,
-) -> None:
-    """Set features or settings by their names.
-
-    Features have their GenICam name, settings that of [camera]. They hold until the camera loses its power;
-    what a measurement needs belongs in the configuration.
-
-    \b
-    Example:
-      rig camera set mine.toml exposure_us=80 GainRaw=12
-    """
-    from acquisition.camera import CameraSettings
-    from processing.errors import ConfigurationError
-    from rig.settings import apply_overrides, validate_configuration
-    from rig.terminal import answer, print_line
-
-    stated = loaded(config, set_)
-    with _opened_camera(stated) as opened:
-        camera = opened.camera
-        for assignment in assignments:
-            name, equals, value = assignment.partition("=")
-            if not equals:
-                raise ConfigurationError(f"{assignment}: must read NAME=VALUE")
-            if name in CameraSettings.model_fields and name != "features":
-                tree: dict[str, Any] = {"camera": {"driver": stated.camera.driver}}
-                apply_overrides(tree, [f"camera.{assignment}"])
-                requested = validate_configuration(tree, str(config)).camera
-                applied = camera.configure(CameraSettings(**{name: getattr(requested, name)}))
-                answer(**{f"camera.{name}": getattr(applied, name)})
-                print_line(f"camera.{name} = {getattr(applied, name)}")
-            elif hasattr(camera, "features"):
-                reported = camera.features.set_feature(name, value)
-                answer(**{name: reported})
-                print_line(f"{name} = {reported}")
-            else:
-                known = ", ".join(CameraSettings.model_fields)
-                raise ConfigurationError(f"{name}: this camera has no such setting; there are {known}")
 
 
 Average = Annotated[
@@ -141,10 +102,8 @@ def snap(
             atomic_write.write_new(output, picture.png_of(image, output))
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
-        optics = optics_of(stated, full_scale_dn)
-        look = take_look(
-            image, full_scale_dn, optics.tracker(), None, opened.applied, optics.reference(), stated.preflight
-        )
+        trackers = optics_of(stated, full_scale_dn).dual_tracker()
+        look = take_look(image, full_scale_dn, trackers, None, opened.applied, stated.preflight)
         for line in (f"pixels (logarithmic) {histogram_line(look)}", *look.lines(), look.beam_line):
             print_line(line)
         if look.reference is not None:
@@ -240,4 +199,4 @@ def expose(
         print_line(f"exposure_us = {found.exposure_us:.6g}")
 
 
-commands = group("camera", "Show, set and test the camera.", show, set_, snap, record, frames, align, expose)
+commands = group("camera", "Show and test the camera.", show, snap, record, frames, align, expose)

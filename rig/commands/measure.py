@@ -184,7 +184,7 @@ def replay(
 def view(
     records: Annotated[
         list[Path],
-        typer.Argument(help="Records (.mcap), their folders, or Rerun files (.rrd)."),
+        typer.Argument(help="Records (.mcap), or their folders."),
     ],
     view: View = None,
     rrd: Rrd = None,
@@ -208,11 +208,6 @@ def view(
 
     if rrd is not None and view:
         raise ConfigurationError(f"--view {view} --rrd {rrd}: written or shown, not both; leave one out")
-    made = [path for path in records if path.suffix == ".rrd"]
-    if rrd is not None and made:
-        raise ConfigurationError(
-            f"{made[0]}: is a Rerun file already, --rrd makes one of records; leave it out"
-        )
     if not follow:
         # a followed record may not exist yet
         record_input(records)

@@ -165,14 +165,12 @@ class LivePicture:
             while True:
                 self.news.begin_run("live picture", info.full_scale_dn, self._applied)
                 self._tell()
-                tracker, reference = optics.tracker(), optics.reference()
+                trackers = optics.dual_tracker()
                 newest = watch_latest(opened.camera, end_s, _LOOK_S, self._frame_read)
                 with closing(newest):
                     for frame in newest:
                         middle_px, applied = self._config.lever_reference_px, self._applied
-                        look = take_look(
-                            frame.image, info.full_scale_dn, tracker, middle_px, applied, reference
-                        )
+                        look = take_look(frame.image, info.full_scale_dn, trackers, middle_px, applied)
                         of_reference = None if look.reference is None else look.reference.spot
                         self.news.show(frame.image, look.spot, of_reference, look.beam)
                         watch.look()

@@ -33,7 +33,15 @@ from rig.instrument.configured_camera import (
     shutter_of,
     with_read_back,
 )
-from rig.instrument.pipeline import Block, DeflectionConverter, Optics, Pipeline, optics_of, sensor_model
+from rig.instrument.pipeline import (
+    Block,
+    DeflectionConverter,
+    DualSpotTracker,
+    Optics,
+    Pipeline,
+    optics_of,
+    sensor_model,
+)
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
     code_identity,

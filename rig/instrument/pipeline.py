@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import Frame
+from acquisition.camera import Frame, Image
 from acquisition.record.writer import RecordWriter
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
@@ -54,30 +54,25 @@ class Block(NamedTuple):
 class DualSpotTracker:
     """Trackers of the pendulum's spot and of the reference spot, each in its own part of the frames.
 
-    Parameters
-    ----------
-    tracker
-        The tracker of the pendulum's spot.
-    reference
-        The tracker of the reference spot, and the first row of its part of the frames; None without one.
+    The rows from `reference_row` on are those of the reference; None without one.
     """
 
-    def __init__(self, tracker: SpotTracker, reference: tuple[SpotTracker, int] | None) -> None:
-        self.tracker = tracker
-        self._reference = reference
+    def __init__(self, sensor: SensorModel, reference_row: int | None = None) -> None:
+        self.tracker, self._other = SpotTracker(sensor), SpotTracker(sensor)
+        self.reference_row = reference_row
 
-    def track(self, frames: Sequence[Frame]) -> tuple[list[Spot], list[Spot]]:
+    def track(self, images: Sequence[Image]) -> tuple[list[Spot], list[Spot]]:
         """The pendulum's spots in consecutive frames, and the reference spots, empty without a reference."""
-        if self._reference is None:
-            return [self.tracker.track(frame.image) for frame in frames], []
-        tracker, first_row = self._reference
-        spots = [self.tracker.track(frame.image[:first_row]) for frame in frames]
-        references = [tracker.track(frame.image[first_row:]) for frame in frames]
-        return spots, [spot._replace(y_px=spot.y_px + first_row) for spot in references]
+        row = self.reference_row
+        spots = [self.tracker.track(image[:row]) for image in images]
+        if row is None or row >= len(images[0]):
+            return spots, []
+        references = [self._other.track(image[row:]) for image in images]
+        return spots, [spot._replace(y_px=spot.y_px + row) for spot in references]
 
     def pendulum_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
         """Shape (ny, nx) of the part of a frame of this shape that contains the pendulum's spot."""
-        return shape if self._reference is None else (min(shape[0], self._reference[1]), shape[1])
+        return shape if self.reference_row is None else (min(shape[0], self.reference_row), shape[1])
 
 
 class Pipeline:
@@ -109,10 +104,15 @@ class Pipeline:
         self._guard = guard or ObserverGuard()
 
     def process(self, frames: Sequence[Frame]) -> Block:
-        """Track the spot in some consecutive frames, and continue with `measure`."""
+        """Track the spot in some consecutive frames, and continue with `detect`."""
+        seen = self.look(frames)
+        return self.detect(seen.spots, seen.deflections)._replace(references=seen.references)
+
+    def look(self, frames: Sequence[Frame]) -> Block:
+        """Spots and deflections of some consecutive frames, without half-cycles and balances."""
         times_ns = np.array([frame.time_ns for frame in frames], dtype=np.int64)
-        spots, references = self.spots.track(frames)
-        return self.measure(times_ns, spots)._replace(references=references)
+        spots, references = self.spots.track([frame.image for frame in frames])
+        return Block(spots, self._deflector(times_ns, spots), [], [], references)
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
         """Deflections, half-cycles and balances from spots of frames at these times."""
@@ -180,17 +180,9 @@ class Optics:
     reference_gain: Estimate | None = None
     """Gain of the reference's correction as stated; None if a fit determines it."""
 
-    def tracker(self) -> SpotTracker:
-        """A new tracker."""
-        return SpotTracker(self.sensor)
-
-    def reference(self) -> tuple[SpotTracker, int] | None:
-        """A new tracker of the reference spot, and the first row of its part of the frames."""
-        return None if self.reference_row is None else (self.tracker(), self.reference_row)
-
     def dual_tracker(self) -> DualSpotTracker:
         """New trackers of the pendulum's spot and the reference spot."""
-        return DualSpotTracker(self.tracker(), self.reference())
+        return DualSpotTracker(self.sensor, self.reference_row)
 
     def deflector(self, sensor_shape: tuple[int, int]) -> DeflectionConverter:
         """The conversion of spots to deflections on a sensor of (ny, nx) pixels."""

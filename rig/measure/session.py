@@ -1,7 +1,6 @@
 """Measures a session: records one or more runs of one contact pair, then fits each of them."""
 
 import datetime
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from copy import deepcopy
@@ -164,7 +163,7 @@ def _finish(file: SessionFile, config: Configuration, task: str, options: Sessio
         if (results := _whole_results(file)) is None:
             # complete records are fitted without the rig, which may not even exist any more
             records = [folder / entry.record for entry in file.state.complete]
-            return report(config, folder, SessionOutcome(records, failed=False, stopped=False), options)
+            return report(config, folder, SessionOutcome(records, failed=False), options)
         faults = result_faults(results, config)
         for why in faults:
             say(why)
@@ -176,11 +175,10 @@ def _finish(file: SessionFile, config: Configuration, task: str, options: Sessio
 
 
 class SessionOutcome(NamedTuple):
-    """The complete records of a session, whether a run failed, and whether an interrupt ended it."""
+    """The complete records of a session, and whether a run failed."""
 
     records: list[Path]
     failed: bool
-    stopped: bool
 
 
 @contextmanager
@@ -290,7 +288,7 @@ def make_runs(
                 failed = True
             if isinstance(interrupt, Terminated):
                 raise interrupt
-        return SessionOutcome(records, failed, stopped)
+        return SessionOutcome(records, failed)
 
 
 def _has_record(file: SessionFile) -> bool:
@@ -303,17 +301,13 @@ def report(config: Configuration, folder: Path, outcome: SessionOutcome, options
     # importing matplotlib takes a second, which must not delay the first frame
     from rig.report import make_report
 
-    records, failed = outcome.records, outcome.failed
-    if outcome.stopped and records and not _wants_fit():
-        say(f"record {records[-1]}; rig fit {records[-1]} fits it later")
-        records = records[:-1]
-    runs = [analyse_record(record) for record in records]
+    runs = [analyse_record(record) for record in outcome.records]
     if not runs:
         return 1
     path = free_path(folder)
     results = session_results(runs, folder)
     faults = result_faults(results, config)
-    failed = failed or bool(faults)
+    failed = outcome.failed or bool(faults)
     options.notices.failures.extend(faults)
     write_results(path, results)
     paths = []
@@ -403,14 +397,3 @@ def with_other_seed(config: Configuration, more: int) -> Configuration:
     simulation = config.simulation
     seed = (simulation.seed + more) % 2**63
     return config.model_copy(update={"simulation": simulation.model_copy(update={"seed": seed})})
-
-
-def _wants_fit() -> bool:
-    """Ask after Ctrl-C whether to fit the record; True without a terminal."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return True
-    try:
-        answer = input("The record is closed. Fit it now? [Y/n] ")
-    except (EOFError, KeyboardInterrupt):
-        return False
-    return answer.strip().lower() in {"", "y", "yes"}

@@ -2,9 +2,7 @@
 
 import datetime
 import json
-import math
 import os
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from enum import StrEnum
@@ -138,7 +136,6 @@ class SessionFile:
         self.folder = folder
         self.state = state
         self._lock: IO[bytes] | None = None
-        self._begun_s: dict[str, float] = {}
 
     @classmethod
     def create(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
@@ -165,12 +162,8 @@ class SessionFile:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         before = next((entry for entry in self.state.entries if entry.record == record), None)
         begun = before.begun_utc if before is not None else now
-        self._begun_s.setdefault(record, time.monotonic() if before is None else math.nan)
-        lasted_s = time.monotonic() - self._begun_s[record]
-        ended = ""
-        if state != RunState.RECORDING:
-            # the time of day may have been set meanwhile; for a run of an earlier program only it is known
-            ended = _later(begun, lasted_s) if math.isfinite(lasted_s) else max(now, begun)
+        # the time of day may have been set back meanwhile
+        ended = "" if state == RunState.RECORDING else max(now, begun)
         self.save(
             self.state.with_entry(
                 RunEntry(
@@ -237,11 +230,6 @@ class SessionFile:
                 "session: name a folder on another disk"
             ) from None
         self._lock = lock
-
-
-def _later(utc: str, seconds: float) -> str:
-    then = datetime.datetime.fromisoformat(utc) + datetime.timedelta(seconds=seconds)
-    return then.isoformat(timespec="seconds")
 
 
 def _changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

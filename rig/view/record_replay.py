@@ -41,11 +41,8 @@ from rig.view.replay_comparison import Differences, ParameterDifference, ReplayD
 from rig.view.scratch import Mode, no_window
 from rig.view.show import show_records
 
-_MAX_ROUNDING_U = 0.01
-"""Largest change, in standard uncertainties, that is attributed to rounding."""
 
-
-def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
+def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
     spots, half_cycles = comparison.spots, comparison.half_cycles
     if comparison.identical:
@@ -65,12 +62,6 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
     ]
     head = ("", "recorded", "replayed", "changed", "largest change")
     print_tables([Table("comparison", "", head, head, [TableRow(row, row) for row in rows])])
-    if retracked and not spots.once and 0 < spots.largest_u < _MAX_ROUNDING_U:
-        # each fit starts at the spot of the previous frame, which passes rounding errors on
-        print_line(
-            "the spots agree: pixels of a window are counted from another corner than those of the whole "
-            "frame, so that sums are rounded differently"
-        )
     if partial:
         say(
             "half-cycles of a part differ in any case: they are numbered from its beginning, "
@@ -139,7 +130,7 @@ def replay_record(
             # a part has another end than the record
             run = replace(run, ended=None, warnings=(part, *run.warnings))
         results = session_results([run], output or record.parent)
-        _say_differences(record, replay, result, run, retracked=retrack)
+        _say_differences(record, replay, result, run)
         print_results(results, [])
         if output is not None:
             output.mkdir(parents=True, exist_ok=True)
@@ -220,12 +211,10 @@ def _analyse(
     )
 
 
-def _say_differences(
-    record: Path, replay: Replay, result: ReplayResult, run: AnalysedRun, *, retracked: bool
-) -> None:
+def _say_differences(record: Path, replay: Replay, result: ReplayResult, run: AnalysedRun) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
     answer(comparison=result.comparison)
-    print_comparison(result.comparison, partial=replay.partial, retracked=retracked)
+    print_comparison(result.comparison, partial=replay.partial)
     if replay.partial:
         return
     source, recorded = recorded_results(record, run.sha256)

@@ -43,7 +43,6 @@ RUNS: dict[str, str] = {
     "model": "compare SERIES --model default -o campaign",
     "calibrate lever": "calibrate lever geometry.toml",
     "camera show": f"camera show {DEMO}",
-    "camera set": f"camera set {DEMO} exposure_us=90",
     "camera snap": f"camera snap {DEMO} -o spot.png",
     "camera record": f"camera record {DEMO} -o clamped.mcap --seconds 1",
     "camera frames": f"camera frames {DEMO} -o level",

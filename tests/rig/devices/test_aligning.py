@@ -16,6 +16,7 @@ from rig.devices import Devices
 from rig.devices.aligning import AlignmentTerminal, LivePicture, half_blocks, histogram_line
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
+from rig.instrument import DualSpotTracker
 from rig.settings import load_configuration
 from rig.terminal import palette
 from rig.terminal.quantities import KeyParser, Keys
@@ -88,8 +89,7 @@ def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, 
     """The pendulum's spot is found although the reference's is the brighter one."""
     image = np.maximum(spot_at(100.0, 200.0, 60.0), spot_at(210.0, 320.0, below_dn))
     model = SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN)
-    reference = (SpotTracker(model), 260)
-    look = take_look(image, FULL_SCALE_DN, SpotTracker(model), None, CameraSettings(), reference)
+    look = take_look(image, FULL_SCALE_DN, DualSpotTracker(model, 260), None, CameraSettings())
     assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 200.0), abs=0.5)
     lamps = {one.name: one for one in look.lamps()}
     # what is wrong with the reference is none of the pendulum's spot
