@@ -19,7 +19,7 @@ from rig.instrument.balance import (
     swing_text,
     turn_text,
 )
-from rig.instrument.beam_verdict import BEAM_CORRECTED, NO_STRAY_LIGHT, BeamCorrection, beam_quality
+from rig.instrument.beam_verdict import NO_STRAY_LIGHT, beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
 from rig.instrument.configured_camera import (
     ObserverGuard,

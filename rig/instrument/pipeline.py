@@ -12,7 +12,6 @@ from acquisition.record.writer import RecordWriter
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit
-from processing.estimate import Estimate
 from processing.spot import SensorModel, Spot, SpotTracker
 from processing.swing import HalfCycle, TurningPointDetector
 from rig.instrument.configured_camera import ObserverGuard, shutter_of
@@ -177,8 +176,6 @@ class Optics:
     axes: Axes
     shutter: Shutter = GLOBAL
     reference_row: int | None = None
-    reference_gain: Estimate | None = None
-    """Gain of the reference's correction as stated; None if a fit determines it."""
 
     def dual_tracker(self) -> DualSpotTracker:
         """New trackers of the pendulum's spot and the reference spot."""
@@ -202,9 +199,6 @@ def optics_of(config: Configuration, full_scale_dn: float) -> Optics:
         config.axes or Axes(),
         shutter_of(config),
         None if config.reference is None else config.reference.from_row_px,
-        None
-        if config.reference is None or config.reference.gain is None
-        else Estimate(config.reference.gain, config.reference.u_gain),
     )
 
 

@@ -19,7 +19,7 @@ from acquisition.record.topics import (
 from processing.errors import DeviceError, in_one_line
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
-from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContents
+from rig.instrument import Block, Phase, Pipeline, RecordContents
 from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import SideReadings, StepEvents
 from rig.measure.recorder import RecordEntry, Recorder
@@ -27,7 +27,6 @@ from rig.measure.run_parts import RunParts
 from rig.measure.session_orders import StartJudge
 
 _LIVE_FIT = "the live fit"
-_BEAM_CORRECTION = "the live subtraction of the reference spot"
 _LIVE_PICTURE = "the live picture"
 
 _BLOCK_FRAMES = 64
@@ -153,11 +152,8 @@ class Recording:
         self._on_demand = parts.stream.policy == "wait"
         keep = parts.plan.config.record
         self._counts = FrameCounts(first, nanoseconds(keep.full_frame_interval_s), keep_windows=keep.windows)
-        shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
+        shape = first.image.shape[0], first.image.shape[1]
         self._pipeline = Pipeline(parts.optics, shape, parts.guard)
-        self._beam_correction: BeamCorrection | None = None
-        if gain is not None:
-            self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain)
         self._end = parts.end
         self._steps = StepEvents(parts.optics.unit)
         self._readings = SideReadings(parts, first.time_ns)
@@ -209,22 +205,22 @@ class Recording:
             late = (n for n, frame in enumerate(frames) if frame.time_ns > end_ns)
             count = min(_BLOCK_FRAMES, next(late, len(frames)))
             block_frames, early = frames[:count], frames[count:]
-            corrected = None
+            block = None
             if block_frames:
-                corrected = self._take(block_frames, taken_ns)
+                block = self._take(block_frames, taken_ns)
             else:
                 self._take_nothing()
             if self._recorder.error is not None:
                 raise self._recorder.error
             self._end_in_darkness()
-            if corrected is None:
+            if block is None:
                 continue
             elapsed_s = self._counts.elapsed_s
             if self._judge is not None:
-                rejection = self._judge.rejection(corrected.swings, corrected.balances, elapsed_s)
+                rejection = self._judge.rejection(block.swings, block.balances, elapsed_s)
                 if rejection:
                     return rejection
-            reason = self._end.reason(corrected.swings, elapsed_s, self._posterior.estimates)
+            reason = self._end.reason(block.swings, elapsed_s, self._posterior.estimates)
             if reason is not None:
                 self._stop.request(reason)
             if reason is not None or (self._stop and self._stop.skip_waiting):
@@ -235,52 +231,33 @@ class Recording:
 
     def _take_nothing(self) -> None:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
-        events, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
-        if events or messages:
-            self._record(RecordEntry(events=events, messages=messages))
+        messages = [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
+        self._record(RecordEntry(events=self._device_events(), messages=messages))
 
     def _take(self, frames: list[Frame], taken_ns: int) -> Block:
-        """Process frames that were taken at `taken_ns` and record them.
-
-        Returns the block as watchers see it: minus the beam's motion if there is a reference spot.
-        """
+        """Process frames that were taken at `taken_ns` and record them."""
         counts, parts = self._counts, self._parts
         block = self._pipeline.process(frames)
-        # corrected numbers are displayed and decide on start and end; the record gets the uncorrected ones
-        corrected, beam_events = block, []
-        if self._beam_correction is not None:
-            times_ns = [frame.time_ns for frame in frames]
-            correct = self._beam_correction.shown
-            corrected = self._guard.call(_BEAM_CORRECTION, block, correct, times_ns, block)
-            beam_events = [
-                Event(times_ns[-1], EventKind.BEAM, text) for text in self._beam_correction.take_news()
-            ]
-        self._half_cycles += len(corrected.swings)
+        self._half_cycles += len(block.swings)
         entry = counts.record_entry(frames, block, self._pipeline)
         self._last = frames[-1]
         messages, clock_events = self._readings.take(frames)
-        messages += self._notes()
         step_events: list[Event] = self._guard.call("the watch for steps", [], self._steps.take, block)
-        entry.events = [*entry.events, *beam_events, *step_events, *clock_events, *self._device_events()]
-        entry.messages = messages
-        self._recorder.put(entry)
+        entry.events = [*entry.events, *step_events, *clock_events, *self._device_events()]
+        entry.messages = [*messages, *self._notes()]
+        self._record(entry)
         if parts.posterior is not None:
             callbacks = self._recorder.flush, self._stream.waits_on_purpose
-            self._guard.call(_LIVE_FIT, None, parts.posterior.take, corrected.swings, *callbacks)
+            self._guard.call(_LIVE_FIT, None, parts.posterior.take, block.swings, *callbacks)
         overdue = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
-        due = bool(corrected.swings) or self._on_demand or overdue
-        if due:
+        if block.swings or self._on_demand or overdue:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - frames[0].host_time_ns)
-            state = self._state(Phase.MEASURING, age_s)
-            self._recorder.put(RecordEntry(messages=state))
-            messages = [*messages, *state]
+            self._record(RecordEntry(messages=self._state(Phase.MEASURING, age_s)))
         look = partial(parts.plan.session_news.look, recorded=True)
-        self._guard.call(_LIVE_PICTURE, None, look, frames, corrected)
-        if due or entry.events or messages or corrected.balances:
-            self._inform_watchers(entry.events, messages, corrected)
-        return corrected
+        self._guard.call(_LIVE_PICTURE, None, look, frames, block)
+        return block
 
     def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
@@ -297,19 +274,20 @@ class Recording:
             text = f"in all: {self._guard.text}"
             self._recorder.put(RecordEntry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
         early = [] if rejection or self._stop.early is None else [end._replace(kind=self._stop.early)]
-        if self._beam_correction is not None:
-            swings = self._guard.call(_BEAM_CORRECTION, swings, self._beam_correction.finish)
         self._half_cycles += len(swings)
         last = [*self._device_events(), *early, end]
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
-        entry = RecordEntry(block=rest, events=last, messages=messages, attachments=attachments)
-        self._record(entry, rest._replace(swings=swings))
+        self._record(RecordEntry(block=rest, events=last, messages=messages, attachments=attachments))
 
-    def _record(self, entry: RecordEntry, corrected: Block | None = None) -> None:
-        """Record an entry, and pass it to the watchers with the block as they see it."""
-        self._recorder.put(entry)
-        self._inform_watchers(entry.events, entry.messages, corrected)
+    def _record(self, entry: RecordEntry) -> None:
+        """Record an entry, unless it is empty, and pass what it tells to the watchers."""
+        block = entry.block
+        tells = entry.events or entry.messages or (block is not None and (block.swings or block.balances))
+        if block is not None or tells:
+            self._recorder.put(entry)
+        if tells:
+            self._inform_watchers(entry.events, entry.messages, block)
 
     def _inform_watchers(
         self, events: Sequence[Event], messages: Sequence[TimedMessage] = (), block: Block | None = None
