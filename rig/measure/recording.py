@@ -16,7 +16,7 @@ from acquisition.record.topics import (
     RecordedPhase,
     TimedMessage,
 )
-from processing.errors import DeviceError, in_one_line
+from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
 from rig.instrument import Block, Phase, Pipeline, RecordContents
@@ -173,9 +173,8 @@ class Recording:
             last_ns = self._counts.last_ns
             text = f"{type(error).__name__}: {error}"
             kinds = (EventKind.FAILED, EventKind.STOP)
-            self._recorder.put(RecordEntry(events=[Event(last_ns, kind, text) for kind in kinds]))
             # watchers are informed now, because closing the devices may take seconds
-            self._inform_watchers([Event(last_ns, EventKind.FAILED, in_one_line(error))])
+            self._record(RecordEntry(events=[Event(last_ns, kind, text) for kind in kinds]))
             raise
         return rejection
 
@@ -281,22 +280,20 @@ class Recording:
         self._record(RecordEntry(block=rest, events=last, messages=messages, attachments=attachments))
 
     def _record(self, entry: RecordEntry) -> None:
-        """Record an entry, unless it is empty, and pass what it tells to the watchers."""
-        block = entry.block
-        tells = entry.events or entry.messages or (block is not None and (block.swings or block.balances))
-        if block is not None or tells:
-            self._recorder.put(entry)
-        if tells:
-            self._inform_watchers(entry.events, entry.messages, block)
+        """Record an entry, unless it is empty, and pass what it tells to the watchers.
 
-    def _inform_watchers(
-        self, events: Sequence[Event], messages: Sequence[TimedMessage] = (), block: Block | None = None
-    ) -> None:
-        """Pass what was recorded to the watchers; for them notes are events, too."""
-        counts = self._counts
-        events = [*events, *(message.event for message in messages if isinstance(message, RecordedNote))]
+        For them notes are events, too.
+        """
+        block, counts = entry.block, self._counts
         swings, balances = ([], []) if block is None else (block.swings, block.balances)
-        self._status.tell(RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, messages))
+        if block is not None or entry.events or entry.messages:
+            self._recorder.put(entry)
+        if swings or balances or entry.events or entry.messages:
+            notes = [one.event for one in entry.messages if isinstance(one, RecordedNote)]
+            events = [*entry.events, *notes]
+            self._status.tell(
+                RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, entry.messages)
+            )
 
     def _notes(self) -> list[TimedMessage]:
         """Notes of the operators since the last call, timed by the frames' clock."""
