@@ -26,8 +26,8 @@ from rig.devices import (
     running_sessions,
 )
 from rig.instrument import check_materials, complete
-from rig.measure.run import measure_run, ready_for_frames
-from rig.measure.run_parts import RunPlan
+from rig.measure.run import measure_run
+from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.settings import Configuration
 from rig.terminal import (
     Verdict,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +22,10 @@ from processing.spot import SpotFlag
 from processing.units import nanoseconds
 from rig.devices import ClockAnchors, ClockRate
 from rig.instrument import Block, CameraClock
-from rig.measure.run_parts import RunParts, features_json
+from rig.measure.run_parts import features_json
+
+if TYPE_CHECKING:
+    from rig.measure.run import MeasurementRun
 
 _LOSSES_INTERVAL_NS = 1_000_000_000
 
@@ -33,9 +37,9 @@ class SideReadings:
     clock is not related to any other.
     """
 
-    def __init__(self, parts: RunParts, start_ns: int) -> None:
-        self._parts, self._guard, self._start_ns = parts, parts.guard, start_ns
-        on_demand = parts.stream.policy == "wait"
+    def __init__(self, run: "MeasurementRun", start_ns: int) -> None:
+        self._run, self._guard, self._start_ns = run, run.guard, start_ns
+        on_demand = run.stream.policy == "wait"
         self._anchors = None if on_demand else ClockAnchors()
         self._rate = None if on_demand else ClockRate()
         self._environment_due_ns = self._losses_due_ns = 0
@@ -52,7 +56,7 @@ class SideReadings:
             anchor, events = guard.call(
                 "the reading of the computer's clocks", nothing, self._anchors.take, last.time_ns
             )
-        steps = [one for one in self._parts.stream.take_clock_steps() if one.time_ns > self._start_ns]
+        steps = [one for one in self._run.stream.take_clock_steps() if one.time_ns > self._start_ns]
         if self._rate is not None:
             self.clock = guard.call(
                 "the reading of the camera's clock", self.clock, self._rate.take, frames, steps
@@ -67,13 +71,13 @@ class SideReadings:
 
     def end_attachments(self) -> dict[str, bytes]:
         """The attachments for the end of the record, by name."""
-        camera = self._parts.camera.camera
+        camera = self._run.camera.camera
         features = self._guard.call("the reading of the camera's features", b"", features_json, camera)
         return {"camera-features-end.json": features} if features else {}
 
     def _losses(self, time_ns: int) -> RecordedLosses | None:
         """The losses since the record began, if they have changed; at most once per second of frame time."""
-        now = self._parts.stream.losses
+        now = self._run.stream.losses
         if now == self._losses_written or time_ns < self._losses_due_ns:
             return None
         self._losses_due_ns, self._losses_written = time_ns + _LOSSES_INTERVAL_NS, now
@@ -84,17 +88,17 @@ class SideReadings:
 
         A sensor that has fallen silent is recorded once, as a reading of NaN.
         """
-        devices = self._parts.devices
+        devices = self._run.devices
         if time_ns < self._environment_due_ns:
             return None
-        self._environment_due_ns = time_ns + nanoseconds(self._parts.plan.config.environment_sensor.period_s)
+        self._environment_due_ns = time_ns + nanoseconds(self._run.plan.config.environment_sensor.period_s)
         reading = devices.environment()
         before, self._has_air = self._has_air, not all(map(math.isnan, reading))
         return Environment(time_ns, *reading) if before or self._has_air else None
 
     def _seismometer_samples(self, frame: Frame) -> list[RecordedSeismometer]:
         """Samples of the auxiliary seismometer since the last call, up to a frame; empty without one."""
-        seismometer = self._parts.devices.seismometer
+        seismometer = self._run.devices.seismometer
         return [] if seismometer is None else seismometer.take(frame)
 
 

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +24,10 @@ from rig.instrument import Block, Phase, Pipeline, RecordContents
 from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import SideReadings, StepEvents
 from rig.measure.recorder import RecordEntry, Recorder
-from rig.measure.run_parts import RunParts
 from rig.measure.session_orders import StartJudge
+
+if TYPE_CHECKING:
+    from rig.measure.run import MeasurementRun
 
 _LIVE_FIT = "the live fit"
 _LIVE_PICTURE = "the live picture"
@@ -139,24 +142,24 @@ class Recording:
 
     def __init__(
         self,
-        parts: RunParts,
+        run: "MeasurementRun",
         recorder: Recorder,
         judge: StartJudge | None,
         first: Frame,
     ) -> None:
-        self._parts, self._stream = parts, parts.stream
-        self._stop, self._status, self._guard = parts.stop, parts.status, parts.guard
+        self._run, self._stream = run, run.stream
+        self._stop, self._status, self._guard = run.stop, run.status, run.guard
         self._recorder, self._judge = recorder, judge
         self._first = self._last = first
         # frames made on demand wait for all other threads, so that a run of the simulated rig repeats exactly
-        self._on_demand = parts.stream.policy == "wait"
-        keep = parts.plan.config.record
+        self._on_demand = run.stream.policy == "wait"
+        keep = run.plan.config.record
         self._counts = FrameCounts(first, nanoseconds(keep.full_frame_interval_s), keep_windows=keep.windows)
         shape = first.image.shape[0], first.image.shape[1]
-        self._pipeline = Pipeline(parts.optics, shape, parts.guard)
-        self._end = parts.end
-        self._steps = StepEvents(parts.optics.unit)
-        self._readings = SideReadings(parts, first.time_ns)
+        self._pipeline = Pipeline(run.optics, shape, run.guard)
+        self._end = run.end
+        self._steps = StepEvents(run.optics.unit)
+        self._readings = SideReadings(run, first.time_ns)
         self._published_ns = self._half_cycles = 0
 
     def record(self, frames: list[Frame], events: list[Event]) -> str:
@@ -179,13 +182,13 @@ class Recording:
         return rejection
 
     def _begin(self, earlier: list[Event]) -> None:
-        parts, first_ns = self._parts, self._first.time_ns
+        run, first_ns = self._run, self._first.time_ns
         self._status.begin_record()
-        if parts.posterior is not None:
-            self._guard.call(_LIVE_FIT, None, parts.posterior.begin, parts.plan.record)
+        if run.posterior is not None:
+            self._guard.call(_LIVE_FIT, None, run.posterior.begin, run.plan.record)
         events = [
             *earlier,
-            *(Event(first_ns, EventKind.WAITED, text) for text in parts.plan.waited),
+            *(Event(first_ns, EventKind.WAITED, text) for text in run.plan.waited),
             Event(first_ns, EventKind.START, "first frame"),
         ]
         self._record(RecordEntry(events=events))
@@ -235,7 +238,7 @@ class Recording:
 
     def _take(self, frames: list[Frame], taken_ns: int) -> Block:
         """Process frames that were taken at `taken_ns` and record them."""
-        counts, parts = self._counts, self._parts
+        counts, run = self._counts, self._run
         block = self._pipeline.process(frames)
         self._half_cycles += len(block.swings)
         entry = counts.record_entry(frames, block, self._pipeline)
@@ -245,16 +248,16 @@ class Recording:
         entry.events = [*entry.events, *step_events, *clock_events, *self._device_events()]
         entry.messages = [*messages, *self._notes()]
         self._record(entry)
-        if parts.posterior is not None:
+        if run.posterior is not None:
             callbacks = self._recorder.flush, self._stream.waits_on_purpose
-            self._guard.call(_LIVE_FIT, None, parts.posterior.take, block.swings, *callbacks)
+            self._guard.call(_LIVE_FIT, None, run.posterior.take, block.swings, *callbacks)
         overdue = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
         if block.swings or self._on_demand or overdue:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - frames[0].host_time_ns)
             self._record(RecordEntry(messages=self._state(Phase.MEASURING, age_s)))
-        look = partial(parts.plan.session_news.look, recorded=True)
+        look = partial(run.plan.session_news.look, recorded=True)
         self._guard.call(_LIVE_PICTURE, None, look, frames, block)
         return block
 
@@ -299,7 +302,7 @@ class Recording:
         """Notes of the operators since the last call, timed by the frames' clock."""
         counts, last = self._counts, self._last
         notes = list[TimedMessage]()
-        for host_time_ns, author, text in self._parts.plan.take_notes():
+        for host_time_ns, author, text in self._run.plan.take_notes():
             time_ns = last.time_ns + host_time_ns - last.host_time_ns
             # clipped: notes typed before the record begins belong to it, and frames on demand have another
             # clock
@@ -312,15 +315,15 @@ class Recording:
         alarm = self._status.light.alarm
         if not alarm or self._stop:
             return
-        parts = self._parts
-        if parts.waits_when_dark and parts.operator_present:
+        run = self._run
+        if run.waits_when_dark and run.operator_present:
             return
-        why = "nobody is at the terminal or a desk" if parts.waits_when_dark else "laser.when_dark = 'end'"
+        why = "nobody is at the terminal or a desk" if run.waits_when_dark else "laser.when_dark = 'end'"
         self._stop.failed(DeviceError(f"{alarm}; the run ends: {why}"))
 
     @property
     def _posterior(self) -> Posterior:
-        posterior = self._parts.posterior
+        posterior = self._run.posterior
         if posterior is None:
             return Posterior()
         return self._guard.call(_LIVE_FIT, Posterior(), lambda: posterior.latest)
@@ -331,7 +334,7 @@ class Recording:
         for paused_s in self._recorder.take_pauses():
             text = f"did not answer for {paused_s:.1f} s; frames waited in memory meanwhile"
             events.append((EventKind.SLOW_DISK, text))
-        posterior = self._parts.posterior
+        posterior = self._run.posterior
         if posterior is not None and (remark := self._guard.call(_LIVE_FIT, "", posterior.take_remark)):
             events.append((EventKind.LIVE_FIT, remark))
         return [Event(self._counts.last_ns, kind, text) for kind, text in events]
@@ -343,7 +346,7 @@ class Recording:
         # where the laser is dark nobody needs to look for the spot
         lost = "" if phase is not Phase.MEASURING or self._status.light.alarm else counts.lost_text
         if lost:
-            lost += f" rig camera align {self._parts.plan.config.command_words}"
+            lost += f" rig camera align {self._run.plan.config.command_words}"
         health = RecordedHealth(
             now_ns,
             counts.frames,

@@ -24,8 +24,8 @@ from rig.interruption import Terminated, reason_of
 from rig.measure.notices import Notices, PreflightWait, check_notices, check_waiting
 from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
-from rig.measure.run import measure_run, ready_for_frames
-from rig.measure.run_parts import RunPlan
+from rig.measure.run import measure_run
+from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.measure.session_file import (
     STATE_NAME,
     RunState,

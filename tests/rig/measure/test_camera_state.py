@@ -13,7 +13,7 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import Devices, OpenCamera
 from rig.instrument import optics_of
 from rig.measure.run import MeasurementRun
-from rig.measure.run_parts import RunOutcome, RunParts, RunPlan
+from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.settings import Configuration
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
@@ -37,13 +37,11 @@ def recorded(camera: Usb3VisionCamera, record: Path) -> RunOutcome:
     asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
     opened = OpenCamera(camera, camera.open(), (), camera.configure(asked), 100_000)
     outcome = MeasurementRun(
-        RunParts(
-            plan=RunPlan(ONE_SECOND, Path(), record, "run 1"),
-            camera=opened,
-            optics=optics_of(ONE_SECOND, 255),
-            stream=FrameStream(camera, asked, time_shift_ns=opened.time_shift_ns),
-            devices=Devices(ONE_SECOND),
-        )
+        plan=RunPlan(ONE_SECOND, Path(), record, "run 1"),
+        camera=opened,
+        optics=optics_of(ONE_SECOND, 255),
+        stream=FrameStream(camera, asked, time_shift_ns=opened.time_shift_ns),
+        devices=Devices(ONE_SECOND),
     ).execute()
     assert outcome.failure is None
     return outcome
