@@ -1,6 +1,5 @@
 """Correction of the pendulum's spot by a reference spot from a fixed mirror."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -218,81 +217,3 @@ def _independent_count(values: Floats) -> float:
     below = np.flatnonzero(correlation <= 0)
     length = int(below[0]) if len(below) else len(values)
     return len(values) / (1 + 2 * float(np.sum(correlation[1:length])))
-
-
-_LAG_FRAMES = 16
-"""Distance in frames of the positions whose difference shows a walk; between neighbours noise hides it."""
-_MEMORY_FRAMES = 1000
-"""Number of differences in the running mean of their squares."""
-_MIN_DIFFERENCES = 32
-"""Fewest differences from which a walk is accepted."""
-_MIN_RATIO = 1.1
-"""Mean square of the differences, relative to that of the noise alone, above which there is motion."""
-_DATUM_FRAMES = 16
-"""Number of the first frames, whose mean is the origin of positions."""
-
-
-class _BeamAxis:
-    """Random-walk filter of the reference spot along one axis; `walk` is the variance per frame, px^2."""
-
-    def __init__(self) -> None:
-        self._recent: list[float] = []
-        self._count = 0
-        self._square = self._noise = 0.0
-        self._datum = 0.0
-        self._datum_count = 0
-        self.level, self.variance, self.walk = math.nan, math.inf, 0.0
-
-    def take(self, place: float, u: float) -> tuple[float, float]:
-        """Add a frame (NaN: no spot); returns the motion from the datum in px and its variance in px^2."""
-        if math.isnan(self.level):
-            if not math.isfinite(place):
-                return 0.0, 0.0
-            self.level = place
-        self.variance += self.walk
-        if math.isfinite(place):
-            self._learn(place, u * u)
-            # before the first place the variance is infinite
-            part = self.variance / (self.variance + u * u) if u > 0 and self.variance < math.inf else 1.0
-            self.level += part * (place - self.level)
-            self.variance = part * u * u
-            if self._datum_count < _DATUM_FRAMES:
-                self._datum_count += 1
-                self._datum += (place - self._datum) / self._datum_count
-        else:
-            self._recent.clear()
-        return self.level - self._datum, self.variance
-
-    def _learn(self, place: float, noise: float) -> None:
-        self._recent.append(place)
-        if len(self._recent) <= _LAG_FRAMES:
-            return
-        difference = place - self._recent.pop(0)
-        self._count += 1
-        share = 1.0 / min(self._count, _MEMORY_FRAMES)
-        self._square += share * (difference * difference - self._square)
-        self._noise += share * (2.0 * noise - self._noise)
-        moves = self._count >= _MIN_DIFFERENCES and self._square > _MIN_RATIO * self._noise
-        self.walk = (self._square - self._noise) / _LAG_FRAMES if moves else 0.0
-
-
-class CausalReference:
-    """Filter that follows a reference spot frame by frame; `gain` is the stated one."""
-
-    def __init__(self, gain: Estimate) -> None:
-        self._gain = gain
-        self._axes = (_BeamAxis(), _BeamAxis())
-
-    def take(self, place_px: Floats, u_px: Floats) -> tuple[Floats, Floats]:
-        """Motion (n, 2) of the pendulum's spot by the beam in the next frames, px, and its variance, px^2.
-
-        `place_px` and `u_px` (n, 2) are those of the reference, NaN in frames without it.
-        """
-        moved, variance = np.zeros(place_px.shape), np.zeros(place_px.shape)
-        gain, u_gain = self._gain
-        for k, axis in enumerate(self._axes):
-            for n, (place, u) in enumerate(zip(place_px[:, k].tolist(), u_px[:, k].tolist(), strict=True)):
-                motion, of_motion = axis.take(place, u)
-                moved[n, k] = gain * motion
-                variance[n, k] = gain * gain * of_motion + (u_gain * motion) ** 2
-        return moved, variance

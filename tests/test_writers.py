@@ -26,7 +26,7 @@ ALLOWED = {
     # lines that are added, never changed
     "rig/prepare/learned_turns.py": "a history to which lines are added",
     "rig/measure/session_orders.py": "lines of a file beside the record, which holds them too",
-    "rig/devices/audit.py": "a chain of lines, each forced to the disk, which knows where it was cut",
+    "rig/devices/audit.py": "lines that are added, each forced to the disk",
     "rig/desk/jobs.py": "what a program prints",
     # no content that anybody keeps
     "rig/devices/order_socket.py": "a live port, gone with its process",

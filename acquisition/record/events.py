@@ -58,8 +58,6 @@ class EventKind(StrEnum):
     """A write took seconds; frames waited in memory, and those that could not are counted as lost."""
     BACKLOG = "backlog", Severity.WARNING
     """Many frames wait in memory to be processed, or no longer do."""
-    STANDSTILL = "standstill", Severity.WARNING
-    """All of the program stood still: it was stopped, or its computer had no time for it."""
     REST = "rest"
     WARM_UP = "warm-up"
     PREFLIGHT = "preflight"

@@ -103,13 +103,6 @@ class ClockAnchor(NamedTuple):
     synchronised: bool
 
 
-class CameraTemperature(NamedTuple):
-    """Temperature inside the camera, at the time of a frame."""
-
-    time_ns: int
-    temperature_c: float
-
-
 class RecordedLosses(NamedTuple):
     """Numbers of frames lost since the beginning, by cause; see `acquisition.frames.losses.FrameLosses`."""
 
@@ -331,7 +324,6 @@ _CLASSES: Final[dict[str, type[Any]]] = {
     "/losses": RecordedLosses,
     "/clock": ClockAnchor,
     "/camera_clock_step": RecordedClockStep,
-    "/camera_temperature": CameraTemperature,
     LOG_TOPIC: Log,
     CAMERA_TOPIC: CameraCalibration,
     "/phase": RecordedPhase,

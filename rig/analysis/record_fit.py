@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.record.digest import RecordedCamera
 from acquisition.record.events import Event, EventKind, end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import CLOCK, DEFLECTION_FIELDS, ENVIRONMENT, RecordedClockStep
+from acquisition.record.topics import DEFLECTION_FIELDS, ENVIRONMENT, RecordedClockStep
 from calibration import relate_clocks
 from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
@@ -35,14 +35,13 @@ from rig.analysis.run_values import Beam, RunClock
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import (
-    U_FREE_RUNNING,
     U_QUARTZ,
-    U_SYNCHRONISED,
     inputs_sha256,
     judge_calibration,
     optics_of,
     recorded_configuration,
     run_balance_verdicts,
+    u_of_host_rate,
 )
 from rig.intake import SeismometerRecord
 from rig.settings import Configuration, KeyUseMonitor, PreflightSettings
@@ -190,9 +189,7 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
     """The clock of a record; None for frames made on demand, which have times of their own."""
     if config.on_demand:
         return None
-    anchors = reader.table(CLOCK.topic)
-    synchronised = len(anchors) > 0 and bool(np.all(anchors["synchronised"]))
-    u_host = U_SYNCHRONISED if synchronised else U_FREE_RUNNING
+    u_host, synchronised = u_of_host_rate(reader)
     blocks = [block[list(_FIELDS)] for block in reader.spot_blocks(fields=_FIELDS)]
     if RecordedCamera.from_metadata(reader.metadata).has_clock is False or not blocks:
         return RunClock(drift_ppm=math.nan, u_drift_ppm=math.nan, u_rate=u_host, synchronised=synchronised)

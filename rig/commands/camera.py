@@ -1,6 +1,5 @@
 """`rig camera`: set up the camera, look at its pictures, record what calibrations need."""
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,11 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.commands.arguments import (
-    MODES,
     Config,
     NewRecord,
     Set,
-    View,
     group,
     in_json,
     loaded,
@@ -25,45 +22,38 @@ from rig.commands.arguments import (
 )
 
 if TYPE_CHECKING:
-    from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
-    from processing.spot import Spot
+    from rig.devices import OpenCamera
     from rig.settings import Configuration
 
 
 @contextmanager
-def _opened_camera(
-    config: "Configuration",
-) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
-    """The configured camera, its identity and its settings; settings that differ are printed on stderr."""
-    from rig.instrument import camera_settings, check_full_scale, make_camera, setting_differences
+def _opened_camera(config: "Configuration") -> Iterator["OpenCamera"]:
+    """The configured camera; settings that differ from the requested ones are printed on stderr."""
+    from rig.devices import Devices
 
-    camera = make_camera(config)
-    try:
-        info = camera.open()
-        requested = camera_settings(config)
-        applied = camera.configure(requested)
-        check_full_scale(config, info, applied)
-        for line in setting_differences(requested, applied):
+    with Devices(config).camera(config) as opened:
+        for line in opened.notes:
             typer.echo(line, err=True)
-        yield camera, info, applied
-    finally:
-        camera.close()
+        yield opened
 
 
 @in_json
 def show(config: Config, set_: Set = None) -> None:
     """Print the identity, settings and features of the camera.
 
-    What is set holds until the camera loses its power.
+    What --set changes holds until the camera loses its power; what a measurement needs belongs in the
+    configuration.
 
     \b
-    Example:
+    Examples:
+      rig camera show mine.toml
       rig camera show mine.toml --set camera.exposure_us=80 --set camera.features.GainRaw=12
     """
     from rig.devices import feature_lines
     from rig.terminal import answer, print_line
 
-    with _opened_camera(loaded(config, set_)) as (camera, info, applied):
+    with _opened_camera(loaded(config, set_)) as opened:
+        camera, info, applied = opened.camera, opened.info, opened.applied
         print_line(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
         print_line(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
         for name, value in applied.model_dump(exclude={"features"}).items():
@@ -77,13 +67,16 @@ def show(config: Config, set_: Set = None) -> None:
             print_line(line)
 
 
+Average = Annotated[
+    int, typer.Option(help="Number of frames to average, against laser speckle.", min=1, max=10_000)
+]
+
+
 @in_json
 def snap(
     config: Config,
     output: Annotated[Path, output_option("PNG file to write.", new_file(".png"))] = Path("snap.png"),
-    average: Annotated[
-        int, typer.Option(help="Number of frames to average, against laser speckle.", min=1, max=10_000)
-    ] = 1,
+    average: Average = 1,
     set_: Set = None,
 ) -> None:
     """Save a frame as PNG; print how good the beam is.
@@ -96,40 +89,26 @@ def snap(
     """
     from acquisition import atomic_write
     from processing.errors import RecordError
-    from rig.devices import ReferencePart
-    from rig.devices import picture as camera_picture
-    from rig.instrument import beam_quality, complete, optics_of
+    from rig.devices import histogram_line, picture, take_look
+    from rig.instrument import complete, optics_of
     from rig.terminal import answer, print_line
 
     stated = complete(loaded(config, set_))
-    with _opened_camera(stated) as (camera, info, _):
-        image = camera_picture.average(camera_picture.read_frames(camera, average, stated.camera.patience_s))
-        png = camera_picture.png_of(image, output)
+    with _opened_camera(stated) as opened:
+        full_scale_dn = opened.info.full_scale_dn
+        image = picture.average(picture.read_frames(opened.camera, average, stated.camera.patience_s))
         try:
             atomic_write.take_away_leftovers(output.parent, output.name)
-            atomic_write.write_new(output, png)
+            atomic_write.write_new(output, picture.png_of(image, output))
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
-        print_line("pixels in each range of grey values (bars: logarithmic)")
-        for line in camera_picture.histogram_bars(image, info.full_scale_dn):
+        trackers = optics_of(stated, full_scale_dn).dual_tracker()
+        look = take_look(image, full_scale_dn, trackers, None, opened.applied, stated.preflight)
+        for line in (f"pixels (logarithmic) {histogram_line(look)}", *look.lines(), look.beam_line):
             print_line(line)
-        figures = camera_picture.figures(image, info.full_scale_dn)
-        saturated = f"{figures.saturated_px} px SATURATED" if figures.saturated_px else "none saturated"
-        peak = f"peak {100 * figures.peak:6.1f} %"
-        print_line(f"{peak}  {saturated}  sharpness {figures.sharpness_per_px:.4f} /px")
-        optics = optics_of(stated, info.full_scale_dn)
-        tracker, reference = optics.tracker(), optics.reference()
-        # each spot is judged in its own part of the frame
-        split_row = len(image) if reference is None else min(len(image), reference[1])
-        spot = tracker.track(image[:split_row])
-        limits = stated.preflight
-        beam = beam_quality([image[:split_row]], [spot], tracker.model, info.full_scale_dn, limits)
-        print_line(beam.line)
-        if reference is not None and split_row < len(image):
-            reference_spot = reference[0].track(image[split_row:])
-            reference_spot = reference_spot._replace(y_px=reference_spot.y_px + split_row)
-            print_line(ReferencePart.in_image(reference_spot, split_row, image, info.full_scale_dn).lamp.line)
-        answer(picture=figures, beam=beam)
+        if look.reference is not None:
+            print_line(look.reference.lamp.line)
+        answer(picture=look.figures, beam=look.beam)
         print_written(output)
 
 
@@ -178,11 +157,6 @@ def align(
     config: Config,
     output: Annotated[Path, output_option("Folder for pictures (key s).", old_folder)] = Path("."),
     seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at q.", min=0)] = 0.0,
-    rrd: Annotated[
-        Path | None,
-        output_option("Also write the live picture into this Rerun file.", new_file(".rrd"), names=()),
-    ] = None,
-    view: View = None,
     set_: Set = None,
 ) -> None:
     """Show the live picture, for aligning.
@@ -193,36 +167,12 @@ def align(
 
     \b
     Example:
-      rig camera align mine.toml --view web
+      rig camera align mine.toml
     """
-    from contextlib import nullcontext
-
     from rig.devices import align_camera
-    from rig.instrument import complete, configuration_attachments, session_metadata
-    from rig.view import ScratchView
+    from rig.instrument import complete
 
-    stated = complete(loaded(config, set_))
-    is_viewed = rrd is not None or bool(view)
-    with (
-        ScratchView("aligning", MODES[view], rrd, "balancing", stated.deflection_unit)
-        if is_viewed
-        else nullcontext()
-    ) as scratch_view:
-
-        def show_frame(frame: "Frame", spot: "Spot", info: "CameraInfo") -> None:
-            assert scratch_view is not None
-            if not scratch_view.begun:
-                scratch_view.begin(
-                    frame.time_ns,
-                    epoch_offset_ns=time.time_ns() - frame.time_ns,
-                    metadata=session_metadata(stated, info, frame),
-                    attachments=configuration_attachments(stated, config),
-                )
-            scratch_view.look(frame, spot)
-
-        print_written(
-            *align_camera(stated, folder=output, seconds=seconds, view=show_frame if is_viewed else None)
-        )
+    print_written(*align_camera(complete(loaded(config, set_)), folder=output, seconds=seconds))
 
 
 @in_json
@@ -242,8 +192,8 @@ def expose(
     from rig.devices import find_exposure
     from rig.terminal import answer, print_line
 
-    with _opened_camera(loaded(config, set_)) as (camera, info, applied):
-        found = find_exposure(camera, info, applied, target)
+    with _opened_camera(loaded(config, set_)) as opened:
+        found = find_exposure(opened.camera, opened.info, opened.applied, target)
         answer(found=found)
         print_line(f"peak {100 * found.peak:.1f} % of full scale; in the configuration, below [camera]:")
         print_line(f"exposure_us = {found.exposure_us:.6g}")

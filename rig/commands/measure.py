@@ -51,17 +51,12 @@ def demo(
     """
     from rig.settings import shipped
 
-    run([shipped("demo")], output, set_=set_, view=view, json_lines=json_lines)
+    run(shipped("demo"), output, set_=set_, view=view, json_lines=json_lines)
 
 
 def run(
-    configs: Annotated[
-        list[Path] | None,
-        input_argument(
-            "Configuration (TOML file); of several, one session after the other.",
-            configuration,
-            metavar="CONFIG",
-        ),
+    config: Annotated[
+        Path | None, input_argument("Configuration (TOML file).", configuration, metavar="CONFIG")
     ] = None,
     output: Annotated[
         Path | None,
@@ -100,21 +95,16 @@ def run(
       rig run --resume runs/first
       rig run --resume runs/first --set camera.exposure_us=80
       rig run --resume runs/first --config corrected.toml
-      rig run steel.toml silicon.toml -o runs/night
       rig run configs/demo.toml --record-only -o one.mcap --set session.max_duration_s=60
     """
-    named = configs or []
     if record_only:
-        _refuse_all_but_a_record(named, output, runs, resume, view)
+        _refuse_all_but_a_record(config, output, runs, resume, view)
     elif output is not None and output.suffix.lower() == ".mcap":
         raise ConfigurationError(f"{output}: one record is written with --record-only; else name a folder")
     if instead is not None and resume is None:
         raise typer.BadParameter("--config goes with --resume DIR; else name the file as CONFIG")
-    if not named and resume is None:
-        raise typer.BadParameter("Missing argument 'CONFIG'.")
-
     if resume is not None:
-        if named or output is not None or runs is not None or view:
+        if config is not None or output is not None or runs is not None or view:
             raise typer.BadParameter(
                 "--resume takes its configuration from DIR: leave out CONFIG and options but --set, --force, "
                 "--json, --config FILE"
@@ -123,17 +113,13 @@ def run(
 
         raise typer.Exit(resume_session(resume, instead, set_ or [], force=force, json_lines=json_lines))
 
+    if config is None:
+        raise typer.BadParameter("Missing argument 'CONFIG'.")
     overrides = list(set_ or [])
     if runs is not None:
         overrides.append(f"session.runs={runs}")
     if view:
         overrides.append(f'view.mode="{MODES[view]}"')
-    if len(named) > 1:
-        from rig.measure import measure_sessions
-
-        raise typer.Exit(measure_sessions(named, overrides, output, force=force, json_lines=json_lines))
-
-    (config,) = named
     stated = loaded(config, overrides)
     # imported after the configuration is checked, because it takes a second
     from rig.measure import measure_session, simulate_record
@@ -145,10 +131,10 @@ def run(
 
 
 def _refuse_all_but_a_record(
-    configs: list[Path], output: Path | None, runs: int | None, *others: object
+    config: Path | None, output: Path | None, runs: int | None, *others: object
 ) -> None:
     """Raise ConfigurationError if `--record-only` is not with one configuration and one new record."""
-    if len(configs) != 1 or output is None or runs is not None or any(others):
+    if config is None or output is None or runs is not None or any(others):
         raise typer.BadParameter(
             "--record-only takes CONFIG, -o NAME.mcap and --set alone: it records one run"
         )
@@ -160,7 +146,6 @@ def _refuse_all_but_a_record(
 def replay(
     record: Record,
     output: ResultsFolder = None,
-    speed: Annotated[str, typer.Option(metavar="1|10|max", help="Speed relative to real time.")] = "max",
     from_s: Annotated[float, typer.Option("--from", help="Begin this many seconds after the start.")] = 0.0,
     to_s: Annotated[
         float | None, typer.Option("--to", help="End this many seconds after the start.", show_default=False)
@@ -173,9 +158,6 @@ def replay(
     set_: Set = None,
 ) -> None:
     """Process a record again and compare with what was recorded.
-
-    Keys in a terminal: space pauses; → or n steps one frame, h one half-cycle, + and - 10 s; g goes to a
-    time; q ends.
 
     \b
     Examples:
@@ -190,7 +172,6 @@ def replay(
             output,
             retrack=retrack,
             overrides=set_ or [],
-            speed=speed,
             from_s=from_s,
             to_s=math.inf if to_s is None else to_s,
             mode=MODES[view],
@@ -203,7 +184,7 @@ def replay(
 def view(
     records: Annotated[
         list[Path],
-        typer.Argument(help="Records (.mcap), their folders, or Rerun files (.rrd)."),
+        typer.Argument(help="Records (.mcap), or their folders."),
     ],
     view: View = None,
     rrd: Rrd = None,
@@ -227,11 +208,6 @@ def view(
 
     if rrd is not None and view:
         raise ConfigurationError(f"--view {view} --rrd {rrd}: written or shown, not both; leave one out")
-    made = [path for path in records if path.suffix == ".rrd"]
-    if rrd is not None and made:
-        raise ConfigurationError(
-            f"{made[0]}: is a Rerun file already, --rrd makes one of records; leave it out"
-        )
     if not follow:
         # a followed record may not exist yet
         record_input(records)

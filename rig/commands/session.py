@@ -18,7 +18,6 @@ from rig.commands.arguments import (
     group,
     in_json,
     input_argument,
-    input_option,
     loaded,
     new_file,
     old_folder,
@@ -246,24 +245,4 @@ def acknowledge(
     raise typer.Exit(acknowledge_trip(loaded(config, set_), number))
 
 
-@in_json
-def audit(
-    folder: Annotated[Path, input_argument("Folder with audit.jsonl.")],
-    config: Annotated[
-        Path | None, input_option("Configuration of the rig, to verify the end of the log.")
-    ] = None,
-) -> None:
-    """Check that no line of an audit log is missing or altered.
-
-    \b
-    Example:
-      rig light audit runs/glass
-    """
-    from rig.measure import check_audit
-
-    raise typer.Exit(check_audit(folder, None if config is None else loaded(config, None)))
-
-
-light = group(
-    "light", "Switch the laser off; show and acknowledge why it is dark.", off, show, acknowledge, audit
-)
+light = group("light", "Switch the laser off; show and acknowledge why it is dark.", off, show, acknowledge)

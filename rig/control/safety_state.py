@@ -25,7 +25,6 @@ except ImportError:  # pragma: no cover
     # no file locks on this system; the serial ports themselves are opened by one program at a time
     fcntl = None  # type: ignore[assignment]
 
-_MAX_LOGS = 200
 _SCHEMA = 1
 _STORED_WITHIN_S = 0.2
 """Longest wait of a trip for the disk: whoever latches it also switches the light off."""
@@ -65,15 +64,8 @@ class _LatchEntry(BaseModel, frozen=True, extra="forbid"):
     lit: bool
 
 
-class _LogEnd(BaseModel, frozen=True, extra="forbid"):
-    """The last line of an audit log."""
-
-    lines: int
-    digest: str
-
-
 class _SafetyFile(BaseModel, frozen=True, extra="forbid"):
-    """Content of the file: the last trip's number, the latched trip, and ends of audit logs.
+    """Content of the file: the last trip's number, and the latched trip.
 
     `lit` is True from the moment when a program lights until it has confirmed that the light is off. `press`
     is the mark of the last press of LIGHT OFF that was taken over.
@@ -84,7 +76,6 @@ class _SafetyFile(BaseModel, frozen=True, extra="forbid"):
     latched: _LatchEntry | None = None
     lit: bool = False
     press: str = ""
-    logs: dict[str, _LogEnd] = {}
 
 
 def rig_state_path(laser: LaserSettings, controller: ControllerSettings) -> Path | None:
@@ -300,18 +291,6 @@ class SafetyState:
         if self.path is not None and (self.problem or not self.path.exists()):
             with suppress(DeviceError):
                 self._write_noted()
-
-    def note_log(self, log: Path, lines: int, digest: str) -> None:
-        """Note the end of an audit log, so that lines missing there are detected."""
-        logs = {name: end for name, end in self._stored.logs.items() if name != str(log)}
-        newest = dict([*logs.items(), (str(log), _LogEnd(lines=lines, digest=digest))][-_MAX_LOGS:])
-        self._note(logs=newest)
-        self._write_noted()
-
-    def end_of_log(self, log: Path) -> tuple[int, str] | None:
-        """Number of lines, and digest of the last one, as noted; None if none were."""
-        end = self._stored.logs.get(str(log))
-        return None if end is None else (end.lines, end.digest)
 
     def _note(self, **changed: object) -> None:
         """Change the state in memory, where it holds from now on."""

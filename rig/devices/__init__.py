@@ -2,7 +2,7 @@
 
 from rig.devices import picture
 from rig.devices.acknowledgement import LightWatch, TypedAcknowledgement, ask_leave, at_terminal
-from rig.devices.aligning import align_camera
+from rig.devices.aligning import align_camera, histogram_line
 from rig.devices.alignment_look import (
     AlignmentFrame,
     ReferencePart,
@@ -10,11 +10,10 @@ from rig.devices.alignment_look import (
     middle_of,
     take_look,
 )
-from rig.devices.audit import AUDIT_NAME, AuditEntry, check_log
+from rig.devices.audit import AuditEntry
 from rig.devices.clocks import (
     ClockAnchors,
     ClockRate,
-    ntp_state,
     wrong_rate,
 )
 from rig.devices.doctor import RULES_FOLDER, examine, install_rules, udev_rules
@@ -36,12 +35,5 @@ from rig.devices.order_socket import (
     safety_values,
     thinned_path,
 )
-from rig.devices.picture import (
-    PictureFigures,
-    feature_lines,
-    find_exposure,
-    png_of,
-    read_frames,
-    watch_latest,
-)
+from rig.devices.picture import feature_lines, find_exposure, png_of, read_frames
 from rig.devices.session_devices import Devices, OpenCamera

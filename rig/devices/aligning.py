@@ -17,10 +17,8 @@ from rich.style import Style
 from rich.text import Text
 
 from acquisition import atomic_write
-from acquisition.camera import CameraInfo, CameraSettings, Frame
+from acquisition.camera import CameraSettings, Frame
 from processing.errors import DeviceError, RigError
-from processing.spot import Spot
-from processing.units import nanoseconds
 from rig.control import NEEDS_REQUEST, LightRefused, Stage
 from rig.devices.acknowledgement import LightWatch, ask_leave, at_terminal
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
@@ -71,7 +69,6 @@ _UNSEEN_S, _UNASKED_S = 30.0, 5.0
 """Longest times for which the laser stays lit while no browser fetches the picture, and while the desk that
 showed it is silent.
 """
-ShowFrame = Callable[[Frame, Spot, CameraInfo], None]
 
 
 class CameraRequests:
@@ -151,41 +148,33 @@ class LivePicture:
         terminal: "AlignmentTerminal",
         *,
         seconds: float = 0.0,
-        view: ShowFrame | None = None,
     ) -> None:
         """Light the laser and show the newest frames until a key at the terminal, or the time in s, ends it.
 
         The camera must be configured and stopped; it is stopped again afterwards and keeps what was set.
-        `view` is called with each shown frame, timed from the beginning, and the spot in it.
         """
         devices, info = self._devices, opened.info
         self._opened, self._applied = opened, opened.applied
         optics = optics_of(self._config, info.full_scale_dn)
         # compiled while it is dark: a laser may be lit only while frames are looked at
         prepare_kernels(optics.sensor, say)
-        begun_s = time.monotonic()
-        end_s = begun_s + seconds if seconds else float("inf")
+        end_s = time.monotonic() + seconds if seconds else float("inf")
         watch = LightWatch(devices)
         self.note = "; ".join(filter(None, (*opened.notes, self._light())))
         try:
             while True:
                 self.news.begin_run("live picture", info.full_scale_dn, self._applied)
                 self._tell()
-                tracker, reference = optics.tracker(), optics.reference()
+                trackers = optics.dual_tracker()
                 newest = watch_latest(opened.camera, end_s, _LOOK_S, self._frame_read)
                 with closing(newest):
                     for frame in newest:
                         middle_px, applied = self._config.lever_reference_px, self._applied
-                        look = take_look(
-                            frame.image, info.full_scale_dn, tracker, middle_px, applied, reference
-                        )
+                        look = take_look(frame.image, info.full_scale_dn, trackers, middle_px, applied)
                         of_reference = None if look.reference is None else look.reference.spot
                         self.news.show(frame.image, look.spot, of_reference, look.beam)
                         watch.look()
                         self._keep_lit_while_seen()
-                        if view is not None:
-                            at_ns = nanoseconds(time.monotonic() - begun_s)
-                            view(frame._replace(device_time_ns=at_ns), look.spot, info)
                         terminal.take(look, self)
                         if self.requests.waiting:
                             break
@@ -318,9 +307,7 @@ class AlignmentTerminal:
         self._live.update(Group(half_blocks(picture), text), refresh=True)
 
 
-def align_camera(
-    config: Configuration, *, folder: Path, seconds: float = 0.0, view: ShowFrame | None = None
-) -> list[Path]:
+def align_camera(config: Configuration, *, folder: Path, seconds: float = 0.0) -> list[Path]:
     """Open the rig and show the live picture, at the terminal and to a desk; returns the pictures saved."""
     output = config.session.output
     with Devices(config, output, "rig camera align") as devices:
@@ -331,7 +318,7 @@ def align_camera(
         ):
             ask_leave(devices)
             with AlignmentTerminal(folder) as terminal:
-                picture.show(opened, terminal, seconds=seconds, view=view)
+                picture.show(opened, terminal, seconds=seconds)
             return terminal.saved
 
 

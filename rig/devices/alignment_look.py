@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings, Image
-from processing.spot import Spot, SpotFlag, SpotTracker
+from processing.spot import Spot, SpotFlag
 from rig.devices import picture
 from rig.devices.picture import PictureFigures
-from rig.instrument import beam_quality
+from rig.instrument import DualSpotTracker, beam_quality
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict, decimals, palette
 
@@ -227,23 +227,21 @@ def middle_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[f
 def take_look(
     image: Image,
     full_scale_dn: int,
-    tracker: SpotTracker,
+    trackers: DualSpotTracker,
     reference_px: tuple[float, float] | None,
     applied: CameraSettings,
-    reference: tuple[SpotTracker, int] | None = None,
+    limits: PreflightSettings | None = None,
 ) -> AlignmentFrame:
-    """Find the spot in a frame, and judge frame and beam.
+    """Find the spot in a frame, and judge frame and beam, by default with the preflight's default limits.
 
-    `reference` is the tracker of the reference's spot, and the row from which on the frame is the
-    reference's; figures and beam are those of the part above.
+    Figures and beam are those of the pendulum's part of the frame.
     """
-    part, other = image, None
-    if reference is not None and reference[1] < len(image):
-        follower, row = reference
-        part, found = image[:row], follower.track(image[row:])
-        other = ReferencePart.in_image(found._replace(y_px=found.y_px + row), row, image, full_scale_dn)
-    spot = tracker.track(part)
-    beam = beam_quality([part], [spot], tracker.model, full_scale_dn, PreflightSettings())
+    (spot,), references = trackers.track([image])
+    row = trackers.reference_row
+    part, other = image[:row], None
+    if row is not None and references:
+        other = ReferencePart.in_image(references[0], row, image, full_scale_dn)
+    beam = beam_quality([part], [spot], trackers.tracker.model, full_scale_dn, limits or PreflightSettings())
     seen = picture.figures(part, full_scale_dn)
     if beam.ok and seen.saturated_px:
         # the shape of a beam that is cut off at full scale cannot be judged

@@ -2,17 +2,14 @@
 
 import ctypes
 import math
-import shutil
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.camera import CLOCK_STATES, Camera, Frame, HasFeatures
 from acquisition.frames.guard import MAX_DRIFT_PPM, clock_rate_text
@@ -21,19 +18,9 @@ from acquisition.record.topics import ClockAnchor, RecordedClockStep
 from calibration import ClockRelation, relate_clocks
 from processing.errors import DataError, DeviceError
 from processing.units import seconds
-from rig.instrument import U_FREE_RUNNING, U_SYNCHRONISED, CameraClock
+from rig.instrument import CameraClock
 
-_PATIENCE_S = 3.0
 _TIME_ERROR, _UNSYNCHRONISED = 5, 0x40
-
-
-@dataclass(frozen=True, slots=True)
-class HostClock:
-    """State of the host's clock; `u_rate` is the relative standard uncertainty of the host's second."""
-
-    synchronised: bool
-    text: str
-    u_rate: float
 
 
 class _Timex(ctypes.Structure):
@@ -61,47 +48,6 @@ def u_of_kernel_clock() -> float:
         return math.nan
     synchronised = 0 <= answer < _TIME_ERROR and not state.status & _UNSYNCHRONISED
     return float(state.estimated_error_us * 1e-6) if synchronised else math.nan
-
-
-def ntp_state() -> HostClock:
-    """State reported by chrony, else by systemd; without either the clock is taken as free-running."""
-    tracking = _ask("chronyc", "-n", "tracking")
-    if tracking:
-        fields = dict(line.split(":", 1) for line in tracking.splitlines() if ":" in line)
-        fields = {key.strip(): value.strip() for key, value in fields.items()}
-        locked = fields.get("Leap status") == "Normal"
-        # "0.012 ppm": chrony's estimate of the error of the rate
-        skew = fields.get("Skew", "").split()
-        u_rate = float(skew[0]) * 1e-6 if locked and skew else U_FREE_RUNNING
-        shown = ("Reference ID", "Stratum", "System time", "Frequency", "Skew", "Leap status")
-        text = "chrony: " + "; ".join(f"{name} {fields[name]}" for name in shown if name in fields)
-        return HostClock(locked, text, u_rate)
-    answer = _ask("timedatectl", "show", "-p", "NTPSynchronized", "--value").strip()
-    if answer:
-        locked = answer == "yes"
-        return HostClock(
-            locked, f"systemd: NTPSynchronized={answer}", U_SYNCHRONISED if locked else U_FREE_RUNNING
-        )
-    return HostClock(False, "neither chrony nor systemd answers", U_FREE_RUNNING)
-
-
-def _ask(*command: str) -> str:
-    if shutil.which(command[0]) is None:
-        return ""
-    try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            timeout=_PATIENCE_S,
-            check=False,
-            stdin=subprocess.DEVNULL,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout if done.returncode == 0 else ""
 
 
 def wrong_rate(relation: ClockRelation) -> str:
@@ -205,19 +151,13 @@ _FIRST_NS, _BETWEEN_NS = 3_000_000_000, 10_000_000_000
 
 
 class ClockRate:
-    """Rate of the camera's clock, from a line through some hundred pairs of times, each 10 s of the run.
-
-    The line is fitted in a thread of its own, so that frames do not wait for the 10 ms that a fit takes; its
-    error is raised by the next call.
-    """
+    """Rate of the camera's clock, from a line through some hundred pairs of times, each 10 s of the run."""
 
     def __init__(self) -> None:
         self._pairs: list[tuple[int, int, int]] = []
         self._every = 1
         self._passed = 0
         self._due_ns = 0
-        self._thread: threading.Thread | None = None
-        self._error: Exception | None = None
         self._rate_ppm = (math.nan, math.nan)
         self._steps_s: list[float] = []
 
@@ -228,9 +168,6 @@ class ClockRate:
             # the time is negative if the camera has no clock
             if frame.device_time_ns >= 0:
                 self._pair(frame)
-        error, self._error = self._error, None
-        if error is not None:
-            raise error
         largest_s = max(self._steps_s, key=abs, default=0.0)
         return CameraClock(*self._rate_ppm, len(self._steps_s), largest_s)
 
@@ -244,22 +181,15 @@ class ClockRate:
                 self._every *= 2
         if not self._due_ns:
             self._due_ns = host_ns + _FIRST_NS
-        if host_ns >= self._due_ns and (self._thread is None or not self._thread.is_alive()):
+        if host_ns >= self._due_ns:
             self._due_ns = host_ns + _BETWEEN_NS
-            table = np.array(self._pairs, dtype=np.int64)
-            self._thread = threading.Thread(target=self._look, args=(table,), name="clock", daemon=True)
-            self._thread.start()
+            self._fit()
 
-    def _look(self, table: NDArray[np.int64]) -> None:
-        try:
-            # of frames that were read at the same moment, the first is kept
-            keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
-            device_ns, host_ns, sequence = table[keep].T
-            relation = relate_clocks(device_ns, host_ns, sequence)
-        except DataError:
-            # there are too few pairs as yet
-            return
-        except Exception as error:
-            self._error = error
-            return
-        self._rate_ppm = (relation.drift_ppm, relation.u_drift_ppm)
+    def _fit(self) -> None:
+        table = np.array(self._pairs, dtype=np.int64)
+        # of frames that were read at the same moment, the first is kept
+        keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
+        # a DataError says that there are too few pairs as yet
+        with suppress(DataError):
+            relation = relate_clocks(*table[keep].T)
+            self._rate_ppm = (relation.drift_ppm, relation.u_drift_ppm)

@@ -22,9 +22,6 @@ from rig.control import LightPermit, Stage
 from rig.devices.clocks import wait_for_network_clock
 from rig.instrument import setting_differences, with_read_back
 
-_EVERY_S = 0.25
-_MIN_STANDSTILL_NS = 2_000_000_000
-"""Shortest standstill that is reported; a busy computer delays a thread by less."""
 _SLEPT_NS = 1_000_000_000
 _MAX_CLOCK_READING_NS = 10_000_000
 """Largest time between the readings of two clocks; it is longer if the program was stopped there."""
@@ -54,35 +51,16 @@ def _clock_with_sleep() -> int | None:
     return time.CLOCK_MONOTONIC if sys.platform == "darwin" else None
 
 
-class Standstill:
-    """Detects that the program stood still, by a thread that wakes often and measures its delay.
+class SleepWatch:
+    """Refuses frames of a computer that has slept since `begin`; `read` gives the two clocks."""
 
-    `report` is called with the message.
-    """
-
-    def __init__(self, report: Callable[[str], None], read: Callable[[], AwakeTime] = read_awake) -> None:
-        self._report, self._read = report, read
-        self._ended = threading.Event()
-        self._last = self._first = read()
+    def __init__(self, read: Callable[[], AwakeTime] = read_awake) -> None:
+        self._read = read
+        self.begin()
 
     def begin(self) -> None:
-        """Start the thread, which runs until `end`."""
-        self._last = self._first = self._read()
-        threading.Thread(target=self._look_on, name="standstill", daemon=True).start()
-
-    def end(self) -> None:
-        """End the thread within a quarter of a second."""
-        self._ended.set()
-
-    def look(self) -> None:
-        """Measure the delay of this call, which is due every quarter of a second."""
-        before, self._last = self._last, self._read()
-        late_ns = self._last.awake_ns - before.awake_ns - round(_EVERY_S * 1e9)
-        if late_ns > _MIN_STANDSTILL_NS:
-            self._report(
-                f"the program stood still for {seconds(late_ns):.1f} s (Ctrl-Z, or a busy computer); "
-                "frames that came meanwhile may be missing, times are right"
-            )
+        """Compare with this moment from now on."""
+        self._first = self._read()
 
     def raise_if_slept(self) -> None:
         """Raise DeviceError if the computer has slept since `begin`; called with every frame."""
@@ -93,10 +71,6 @@ class Standstill:
                 f"the computer slept for {seconds(slept_ns):.0f} s, in which its clock stood: times after it "
                 "cannot be believed; keep it awake while it measures (systemd-inhibit rig run ..., lid open)"
             )
-
-    def _look_on(self) -> None:
-        while not self._ended.wait(_EVERY_S):
-            self.look()
 
 
 _log = logging.getLogger(__name__)
@@ -147,7 +121,7 @@ class FrameStream:
         self._begun = threading.Event()
         self._first: Frame | None = None
         self._events: deque[tuple[EventKind, str]] = deque()
-        self._standstill = Standstill(lambda text: self._events.append((EventKind.STANDSTILL, text)))
+        self._sleep = SleepWatch()
         self._steps: deque[RecordedClockStep] = deque()
         self._lost_before = self._at_last_look = FrameLosses()
         self._look_ns = 0
@@ -159,8 +133,7 @@ class FrameStream:
         """Start the camera; `begin` waits for its first frame."""
         with driver_errors("camera", "start()"):
             self._camera.start()
-        if self.policy != "wait":
-            self._standstill.begin()
+        self._sleep.begin()
 
     def begin(self) -> Frame | None:
         """Wait for the first frame and start the thread; None if the source is empty.
@@ -217,7 +190,6 @@ class FrameStream:
         if self._closed:
             return
         self._closed = True
-        self._standstill.end()
         self._queue.close()
         if remark := end_within(self._camera.stop, "camera: stop()"):
             _log.warning("%s", remark)
@@ -291,7 +263,7 @@ class FrameStream:
             if read is None:
                 self.ended = self.ended or "the camera delivered its last frame"
             elif not on_demand:
-                self._standstill.raise_if_slept()
+                self._sleep.raise_if_slept()
             if silent_s and begun and read is not None:
                 text = f"after more than {silent_s:.2f} s of silence"
                 self._events.append((EventKind.CAMERA_SPEAKS, text))

@@ -69,7 +69,7 @@ class LitDevices:
         self.control: ControlService | None = None
         self.laser: LaserService | None = None
         self.state = state or SafetyState(rig_state_path(config.laser, config.controller), task)
-        self._log = AuditLog(folder, config.session.operator, task, self.state)
+        self._log = AuditLog(folder, config.session.operator, task)
         self._task = task
         self._lighting = threading.Lock()
         self._was_lit = self._is_lit = self._disagreed = False

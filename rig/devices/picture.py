@@ -17,7 +17,6 @@ from acquisition.frames.guard import FrameChecks
 from acquisition.frames.queue import BoundedQueue
 from processing.errors import DataError, DeviceError
 
-_BARS, _BAR_WIDTH = 16, 50
 _FLOOR = 0.1
 # sqrt(A / B) for exp(-u) - 0.1 where it is positive, u = r^2 / (2 s^2), u0 = ln 10:
 # A = (1 - exp(-2 u0) (1 + 2 u0)) / 2, B = 0.99 / 2 - 0.2 * 0.9 + 0.01 u0
@@ -83,18 +82,6 @@ def average(frames: Sequence[Frame]) -> Image:
         total += frame.image
     mean = np.rint(total / len(frames))
     return mean.astype(np.uint8) if first.dtype == np.uint8 else mean.astype(np.uint16)
-
-
-def histogram_bars(image: Image, full_scale_dn: int) -> list[str]:
-    """Lines of a histogram for a terminal; the length of a bar is logarithmic in the count."""
-    counts: NDArray[np.int64] = np.histogram(image, _BARS, (0, full_scale_dn + 1))[0]
-    longest = np.log1p(counts.max())
-    lines = []
-    for index, count in enumerate(counts):
-        low = index * (full_scale_dn + 1) // _BARS
-        bar = "#" * round(float(np.log1p(count) / longest) * _BAR_WIDTH)
-        lines.append(f"{low:>6} DN {bar:<{_BAR_WIDTH}} {count}")
-    return lines
 
 
 def png_of(image: NDArray[Any], path: Path) -> bytes:
@@ -249,16 +236,13 @@ def _remark(reading: FeatureReading) -> str:
     return f"{low:.9g} to {high:.9g} {reading.unit}".strip()
 
 
-_LOOK_S = 0.2
-
-
 def watch_latest(
     camera: Camera,
     end_s: float,
-    interval_s: float = _LOOK_S,
+    interval_s: float,
     on_frame: Callable[[Frame], object] = lambda _: None,
 ) -> Generator[Frame]:
-    """Yield the newest frame, at most one per `interval_s`; older ones are dropped.
+    """Yield the newest frame, at most one per `interval_s`; older frames are dropped.
 
     The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one frame
     at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
@@ -287,9 +271,8 @@ def watch_latest(
     thread.start()
     try:
         while not queue.drained:
-            frames: list[Frame] = []
-            while not (frames or queue.drained):
-                frames = queue.take(1, 0.1)
+            if not (frames := queue.take(1, 0.1)):
+                continue
             yield from frames
             if time.monotonic() >= end_s:
                 break

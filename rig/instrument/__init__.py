@@ -19,7 +19,7 @@ from rig.instrument.balance import (
     swing_text,
     turn_text,
 )
-from rig.instrument.beam_verdict import BEAM_CORRECTED, NO_STRAY_LIGHT, BeamCorrection, beam_quality
+from rig.instrument.beam_verdict import NO_STRAY_LIGHT, beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
 from rig.instrument.configured_camera import (
     ObserverGuard,
@@ -33,7 +33,15 @@ from rig.instrument.configured_camera import (
     shutter_of,
     with_read_back,
 )
-from rig.instrument.pipeline import Block, DeflectionConverter, Optics, Pipeline, optics_of, sensor_model
+from rig.instrument.pipeline import (
+    Block,
+    DeflectionConverter,
+    DualSpotTracker,
+    Optics,
+    Pipeline,
+    optics_of,
+    sensor_model,
+)
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
     code_identity,
@@ -43,12 +51,11 @@ from rig.instrument.provenance import (
     prepare_kernels,
     recorded_configuration,
     session_metadata,
+    u_of_host_rate,
     versions,
 )
 from rig.instrument.run_now import (
-    U_FREE_RUNNING,
     U_QUARTZ,
-    U_SYNCHRONISED,
     CameraClock,
     Phase,
     RecordContents,

@@ -1,19 +1,12 @@
-"""The verdict on the beam by its spots and its shape, and the live correction of the beam's motion."""
+"""The verdict on the beam by its spots and its shape."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from acquisition.camera import Image
-from processing.arrays import Floats, Ints
-from processing.deflections import Deflections
-from processing.estimate import Estimate
-from processing.reference_spot import CausalReference
 from processing.spot import BeamShape, FixedLight, Spot, SpotFlag, SpotModel, beam_shape
-from processing.swing import HalfCycle, TurningPointDetector
-from processing.units import seconds
-from rig.instrument.pipeline import Block, DeflectionConverter, EstimateThread
 from rig.settings import PreflightSettings
 from rig.terminal import Verdict, percent
 
@@ -147,96 +140,3 @@ def _other_shapes(shape: BeamShape | None) -> list[_Fault]:
 
 def _is_ghost(shape: BeamShape) -> bool:
     return shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS
-
-
-_MIN_LOST_S = 0.5
-"""Shortest loss of the reference spot that is reported; the fit uses the same time."""
-BEAM_CORRECTED = (
-    "the beam's motion, from the reference spot, is subtracted from live numbers but not in the record"
-)
-
-
-class BeamCorrection:
-    """Subtracts the beam's motion, which the reference spot shows, from the blocks of the pipeline.
-
-    `threaded`: half-cycles are found in a thread of their own and come with a later block, as the pipeline's.
-    """
-
-    def __init__(self, deflector: DeflectionConverter, gain: Estimate, *, threaded: bool) -> None:
-        self._deflector = deflector
-        self._reference = CausalReference(gain)
-        self._detector = TurningPointDetector()
-        self._beside = EstimateThread(self._swings_in, "live swings") if threaded else None
-        self._detect: Callable[[Deflections], list[HalfCycle]] = (
-            self._swings_in if self._beside is None else self._beside.update
-        )
-        self._found_ns: int | None = None
-        self._lost = False
-        self._news: list[str] = [BEAM_CORRECTED]
-
-    def shown(self, frame_times_ns: Sequence[int], block: Block) -> Block:
-        """The block with the beam's motion subtracted; `frame_times_ns` are the times of its frames."""
-        if not block.references:
-            return block
-        position_px, u_px = _table(block.references)
-        moved, variance = self._reference.take(position_px, u_px)
-        times_ns = np.array(frame_times_ns, dtype=np.int64)
-        spots = [
-            spot._replace(
-                x_px=spot.x_px - x,
-                y_px=spot.y_px - y,
-                u_x_px=float(np.hypot(spot.u_x_px, u_x)),
-                u_y_px=float(np.hypot(spot.u_y_px, u_y)),
-            )
-            for spot, (x, y), (u_x, u_y) in zip(
-                block.spots, moved.tolist(), np.sqrt(variance).tolist(), strict=True
-            )
-        ]
-        # keep the times of exposure of the rows on which the spot was seen
-        deflections = self._deflector(times_ns, spots)
-        deflections = Deflections(
-            block.deflections.times_ns,
-            deflections.x,
-            deflections.y,
-            deflections.u_x,
-            deflections.u_y,
-            deflections.unit,
-        )
-        self._watch(times_ns, np.isfinite(position_px[:, 0]).tolist())
-        return block._replace(deflections=deflections, swings=self._detect(deflections))
-
-    def finish(self) -> list[HalfCycle]:
-        """Half-cycles that are completed by the end of the frames."""
-        waiting = [] if self._beside is None else self._beside.finish()
-        return waiting + self._detector.finish()
-
-    def take_news(self) -> list[str]:
-        """Texts for the log since the last call."""
-        news, self._news = self._news, []
-        return news
-
-    def _swings_in(self, samples: Deflections) -> list[HalfCycle]:
-        return self._detector.update(samples.times_ns, samples.y, samples.u_y)
-
-    def _watch(self, times_ns: Ints, found: Sequence[bool]) -> None:
-        for time_ns, seen in zip(times_ns.tolist(), found, strict=True):
-            if seen:
-                if self._lost:
-                    self._lost = False
-                    self._news.append("reference spot found: live numbers exclude the beam's motion again")
-                self._found_ns = time_ns
-                continue
-            if self._found_ns is None:
-                self._found_ns = time_ns
-            if not self._lost and seconds(time_ns - self._found_ns) > _MIN_LOST_S:
-                self._lost = True
-                self._news.append(
-                    "reference spot lost: live numbers include the beam's motion until it is found again"
-                )
-
-
-def _table(references: Sequence[Spot]) -> tuple[Floats, Floats]:
-    """Positions and standard uncertainties (n, 2) in px; NaN where the spot is lost."""
-    table = np.array([spot[:4] for spot in references], dtype=np.float64)
-    table[[bool(spot.flags & SpotFlag.LOST) for spot in references]] = np.nan
-    return table[:, :2], table[:, 2:]

@@ -7,11 +7,7 @@ import json
 import platform
 import socket
 import subprocess
-import sys
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +16,7 @@ from pydantic import ValidationError
 from acquisition.camera import CameraInfo, Frame
 from acquisition.record.digest import camera_metadata
 from acquisition.record.reader import RecordReader
+from acquisition.record.topics import CLOCK
 from acquisition.record.writer import encode_window
 from processing import spot as spots
 from processing import swing as swings
@@ -27,6 +24,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.kernel import at_compilation
 from processing.spot import SensorModel, SpotTracker
 from rig.instrument.calibration import calibration_attachments
+from rig.instrument.run_now import U_FREE_RUNNING, U_SYNCHRONISED
 from rig.settings import (
     Configuration,
     apply_overrides,
@@ -176,6 +174,15 @@ def frame_shape(reader: RecordReader) -> tuple[int, int]:
     return int(frame["height_px"]), int(frame["width_px"])
 
 
+def u_of_host_rate(reader: RecordReader) -> tuple[float, bool]:
+    """Relative standard uncertainty of the second of the computer that made a record, and whether its clock
+    followed a time server all the while.
+    """
+    anchors = reader.table(CLOCK.topic)
+    synchronised = len(anchors) > 0 and bool(np.all(anchors["synchronised"]))
+    return U_SYNCHRONISED if synchronised else U_FREE_RUNNING, synchronised
+
+
 def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) -> Configuration:
     """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied."""
     attachment = reader.attachments.get(CONFIGURATION_NAME)
@@ -207,31 +214,23 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
 
 
 _SIDE_PX, _SIGMA_PX = 64, 4.0
-_COMPILING = "compiling the numerical kernels (half a minute on an idle machine"
-REMINDER_INTERVAL_S = 20.0
+_COMPILING = "compiling the numerical kernels (half a minute, or some minutes on a small or busy machine"
 
 
 def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
     """Compile the kernels by tracking a synthetic spot and detecting synthetic half-cycles once.
 
-    This takes half a minute after an installation, when a second process compiles the kernels of half-cycles,
-    and less than a second afterwards (from the cache). `say` is called with a line if something is compiled,
-    and again every `REMINDER_INTERVAL_S`.
+    This takes half a minute after an installation, and less than a second afterwards (from the cache). `say`
+    is called with a line if something is compiled.
     """
-    with ExitStack() as until_all_is_done, ExitStack() as until_both_have_ended:
 
-        def announce(kept: bool) -> None:
-            until_all_is_done.enter_context(_reminders(say))
-            if kept:
-                say(f"{_COMPILING}, only once after an installation)")
-                until_both_have_ended.enter_context(_compiling_swings())
-            else:
-                say(f"{_COMPILING}, at every start: no cache can be written; NUMBA_CACHE_DIR can name one)")
+    def announce(kept: bool) -> None:
+        again = "at every start: no cache can be written; NUMBA_CACHE_DIR can name one"
+        say(f"{_COMPILING}), {'only once after an installation' if kept else again}")
 
-        with at_compilation(announce):
-            compile_tracker(sensor)
-            until_both_have_ended.close()
-            swings.compile_kernels()
+    with at_compilation(announce):
+        compile_tracker(sensor)
+        swings.compile_kernels()
 
 
 @functools.cache
@@ -248,35 +247,3 @@ def compile_tracker(sensor: SensorModel) -> None:
         spot = tracker.track(image)
     encode_window(0, 0, image, 0, 0, spot)
     spots.compile_kernels(sensor.pixel_noise)
-
-
-@contextmanager
-def _compiling_swings() -> Iterator[None]:
-    """A second process that fills the cache; this process compiles the kernels that it fails to compile."""
-    program = "from processing.swing import compile_kernels; compile_kernels()"
-    quiet = subprocess.DEVNULL
-    process = subprocess.Popen([sys.executable, "-c", program], stdin=quiet, stdout=quiet, stderr=quiet)
-    try:
-        yield
-        process.wait()
-    finally:
-        process.kill()
-        process.wait()
-
-
-@contextmanager
-def _reminders(say: Callable[[str], None]) -> Iterator[None]:
-    """Calls `say` at intervals while the block runs."""
-    begun_s, ended = time.monotonic(), threading.Event()
-
-    def tell() -> None:
-        while not ended.wait(REMINDER_INTERVAL_S):
-            say(f"still compiling, {time.monotonic() - begun_s:.0f} s so far")
-
-    thread = threading.Thread(target=tell, name="compilation", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()

@@ -3,16 +3,15 @@
 from rig.measure.end_of_run import SessionSummary, session_summary, state_of
 from rig.measure.plain_record import (
     acknowledge_trip,
-    check_audit,
     light_off,
     preflight_rig,
     record_plainly,
     show_light,
+    simulate_record,
     take_frames,
 )
 from rig.measure.posterior_worker import FIRST_HALF_CYCLES
-from rig.measure.resuming import measure_sessions, resume_session
 from rig.measure.run import LEAST_FREE_BYTES
 from rig.measure.run_status import estimate_texts
-from rig.measure.session import measure_session, session_folder, simulate_record
+from rig.measure.session import measure_session, resume_session, session_folder
 from rig.measure.session_file import STATE_NAME, RunState, is_in_use, read_session

@@ -6,15 +6,13 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 from acquisition.record.events import Severity
-from processing.errors import ConfigurationError, RigError
+from processing.errors import ConfigurationError
 from rig.instrument import RecordContents
 from rig.interruption import reason_of
-from rig.measure.session_file import SessionFile
 from rig.settings import Configuration, PreflightSettings, SessionSettings
 from rig.terminal import say
 
@@ -28,32 +26,43 @@ class Notices:
     """Sends notices: calls `session.notify_command` with kind, text and folder as its last arguments.
 
     Each call has a thread of its own, so that one that hangs delays nothing. As a watcher of runs it sends
-    events at the level of an alarm or a trip. `failures` holds the causes that a notice of failure states.
+    events at the level of an alarm or a trip. `failures` holds the causes that a notice of failure states. As
+    a context manager it sends the error that ends the context, and waits until all notices are sent.
     """
 
     def __init__(self, settings: SessionSettings, folder: Path) -> None:
         self._command = settings.notify_command
         self._folder = folder
         self.calls: list[threading.Thread] = []
-        self._delivered = threading.Event()
         self.failures: list[str] = []
         self._alarms = 0
 
-    @property
-    def last_was_delivered(self) -> bool:
-        """Whether the command has surely taken the last notice."""
-        return self._delivered.is_set()
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        if error is not None:
+            why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
+            self.tell("failure", why or type(error).__name__)
+        self.wait()
 
     def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
         """Send a notice; returns at once."""
-        # an event of this notice alone: an earlier one whose command answers late does not count for it
-        delivered = self._delivered = threading.Event()
         if self._command:
             words = (kind, text, str(self._folder.absolute()))
             name = f"session.notify_command: {self._command[0]}"
-            thread = threading.Thread(target=self._run, args=(words, delivered), name=name, daemon=True)
+            thread = threading.Thread(target=self._run, args=words, name=name, daemon=True)
             thread.start()
             self.calls.append(thread)
+
+    def tell_end(self, status: int) -> None:
+        """Send the end of a session by its exit status."""
+        if status:
+            causes = ["not every run was measured and fitted under its conditions"]
+            causes += ["; ".join(self.failures)] if self.failures else []
+            self.tell("failure", ": ".join(causes))
+        else:
+            self.tell("end", "every run was measured and fitted")
 
     def wait(self) -> None:
         """Wait until all notices are sent, at most `_LAST_WAIT_S`: the program is about to end."""
@@ -73,13 +82,14 @@ class Notices:
                 self._alarms += 1
                 self.tell("alarm", event.line)
 
-    def _run(self, words: tuple[str, ...], delivered: threading.Event) -> None:
+    def _run(self, *words: str) -> None:
+        quiet = subprocess.DEVNULL
         try:
             done = subprocess.run(
                 [*self._command, *words],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
+                stdin=quiet,
+                stdout=quiet,
+                stderr=quiet,
                 timeout=_MAX_CALL_S,
                 check=False,
             )
@@ -90,69 +100,32 @@ class Notices:
         else:
             if done.returncode:
                 say(f"session.notify_command: {self._command[0]} ended with {done.returncode}", error=True)
-            else:
-                delivered.set()
 
 
-def announced(settings: SessionSettings, file: SessionFile, make: Callable[[Notices], int]) -> int:
-    """Make a session and send a notice of its end or failure, by its exit status, which is returned.
-
-    A resumed session without a missing run ends as it ended before: that notice is not sent twice, unless the
-    first was not delivered.
-    """
-    notices, end_notice = Notices(settings, file.folder), ""
-    try:
-        status = make(notices)
-        text = "end: every run was measured and fitted"
-        if status:
-            text = "failure: not every run was measured and fitted under its conditions"
-            text = ": ".join([text, *filter(None, ["; ".join(notices.failures)])])
-        end_notice = text
-        if file.state.end_notice_sent != end_notice:
-            notices.tell("failure" if status else "end", end_notice.partition(": ")[2])
-        return status
-    except BaseException as error:
-        why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
-        notices.tell("failure", why or type(error).__name__)
-        raise
-    finally:
-        notices.wait()
-        if (
-            notices.calls
-            and file.state.end_notice_sent != end_notice
-            and (notices.last_was_delivered or not end_notice)
-        ):
-            with suppress(RigError):
-                file.note_end_notice(end_notice)
-
-
-Sleep = Callable[[float], None]
 _MIN_GROUND_S = 60.0
 """Shortest look at the resting pendulum that holds the eight periods which the ground's drive needs."""
 
 
 class PreflightWait:
-    """Waits after a no-go of the preflight as `[preflight]` states; `over` once `wait_max_s` is used up."""
+    """Waits after a no-go of the preflight as `[preflight]` states, until `wait_max_s` is used up."""
 
     def __init__(
         self,
         name: str,
         preflight: PreflightSettings,
         now_s: Callable[[], float] = time.monotonic,
-        sleep: Sleep = time.sleep,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._name, self._now_s, self._sleep = name, now_s, sleep
         self._interval_s, self._max_s = preflight.try_every_s, preflight.wait_max_s
         self._waited_s = self._run_waited_s = 0.0
         self._since = self._last = ""
         self._refused = False
-        self.over = False
 
     def __call__(self, why: str) -> bool:
         """Wait before the next try of a run refused for the reason `why`; returns whether to try again."""
         left_s = self._max_s - self._waited_s
         if left_s <= 0:
-            self.over = True
             if self._max_s:
                 say(f"{self._name}: not ready within {self._max_s:g} s: {why}", error=True)
             return False

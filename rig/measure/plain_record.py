@@ -1,4 +1,4 @@
-"""Work on the rig without a session: a plain record, a preflight, frames, light, trips, the audit log."""
+"""Work on the rig without a session: a plain record, a preflight, frames, light, trips."""
 
 import math
 import time
@@ -12,7 +12,6 @@ from acquisition import atomic_write
 from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
 from rig.control import Light, SafetyNow, SafetyState, rig_state_path
 from rig.devices import (
-    AUDIT_NAME,
     NOT_OURS,
     ORDERS_NAME,
     Devices,
@@ -21,15 +20,14 @@ from rig.devices import (
     OrderConnection,
     SessionNews,
     ask_leave,
-    check_log,
     light_shown_to_desk,
     png_of,
     read_frames,
     running_sessions,
 )
 from rig.instrument import check_materials, complete
-from rig.measure.run import measure_run, ready_for_frames
-from rig.measure.run_parts import RunPlan
+from rig.measure.run import measure_run
+from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.settings import Configuration
 from rig.terminal import (
     Verdict,
@@ -80,6 +78,26 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
         outcome = measure_run(plan, devices)
     outcome.check()
     return record
+
+
+def simulate_record(config: Configuration, source: Path, record: Path) -> int:
+    """Record one run of the simulated rig, without viewer and fits; returns the exit status 0."""
+    if not config.simulated:
+        raise ConfigurationError(
+            f"camera.driver = {config.camera.driver!r}: --record-only needs the simulated camera; "
+            "rig camera record records a real one"
+        )
+    quiet = config.view.model_copy(update={"mode": "none", "file": False})
+    record.parent.mkdir(parents=True, exist_ok=True)
+    config = complete(config.model_copy(update={"view": quiet}))
+    with ready_for_frames(live=not config.on_demand), Devices(config, task="rig run") as devices:
+        outcome = measure_run(
+            RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
+        )
+    outcome.check()
+    answer(written=[record])
+    print(record)
+    return 0
 
 
 def take_frames(config: Configuration, folder: Path, count: int) -> Path:
@@ -212,25 +230,6 @@ def acknowledge_trip(config: Configuration, number: int) -> int:
         answer(acknowledged=number, said=reply)
         say(reply)
     return 0
-
-
-def check_audit(folder: Path, config: Configuration | None) -> int:
-    """Print what is wrong with an audit log; returns 1 if something is, else 0."""
-    state = SafetyState(None if config is None else rig_state_path(config.laser, config.controller))
-    state.read()
-    faults = check_log(folder, state)
-    end_is_known = state.end_of_log(folder.absolute() / AUDIT_NAME) is not None
-    answer(log=folder / AUDIT_NAME, faults=[str(fault) for fault in faults], end_checked=end_is_known)
-    for fault in faults:
-        print_line(f"{folder / AUDIT_NAME}: {fault}")
-    if not faults and end_is_known:
-        print_line(f"{folder / AUDIT_NAME}: whole")
-    elif not faults:
-        why = "--config names the rig whose state knows it"
-        if config is not None:
-            why = "the state of this rig knows nothing of this log (a simulated rig keeps none)"
-        print_line(f"{folder / AUDIT_NAME}: whole but perhaps for its end, which was not checked: {why}")
-    return 1 if faults else 0
 
 
 def _sessions(config: Configuration) -> Iterator[Path]:

@@ -3,7 +3,6 @@
 It ends with the record, or with the process that writes the record.
 """
 
-import math
 import os
 import pickle
 import sys
@@ -12,13 +11,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from acquisition.record.reader import Piece, RecordReader
-from acquisition.record.topics import REFERENCE, SPOT, RecordedFittedPoint
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import SPOT, RecordedFittedPoint
 from calibration import Axes
 from processing.balance import Balance
 from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
@@ -34,7 +31,6 @@ from processing.fit import (
     points_in_true_time,
     with_discrepancy,
 )
-from processing.spot import Spot
 from processing.swing import HalfCycle, HarmonicsMeasurement, TurningPoints, turning_points
 from rig.analysis import (
     PassingDeflections,
@@ -47,14 +43,9 @@ from rig.analysis import (
     stated_ambient,
 )
 from rig.instrument import (
-    BeamCorrection,
-    Block,
-    frame_shape,
-    optics_of,
     pendulum_on_ball,
     recorded_configuration,
 )
-from rig.settings import Configuration
 
 FIRST_HALF_CYCLES = 40
 """Half-cycles before the first fit. With fewer, b and c are less than their u for every pair of the paper."""
@@ -193,53 +184,6 @@ class MeasuredRun:
         self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
 
 
-class FollowedMotion:
-    """Deflections and half-cycles read from a growing record, in rad.
-
-    If the record has a reference spot, the beam's motion is subtracted, as in the live numbers of a run.
-    """
-
-    def __init__(self, reader: RecordReader, config: Configuration) -> None:
-        self._reader = reader
-        optics = optics_of(config, reader.full_scale_dn)
-        self._beam_correction: BeamCorrection | None = None
-        if optics.reference_gain is not None:
-            deflector = optics.deflector(frame_shape(reader))
-            self._beam_correction = BeamCorrection(deflector, optics.reference_gain, threaded=False)
-        # rows of frames of which only one of the two spots is flushed yet
-        nothing = Piece(b"", {})
-        self._spots, self._references = (reader.table(kind.topic, nothing) for kind in (SPOT, REFERENCE))
-
-    def unread(self) -> Iterator[tuple[Sequence[HalfCycle], Deflections]]:
-        """Half-cycles, and deflections up to them, that were flushed since the last call, piece by piece."""
-        for piece in self._reader.unread():
-            spots = self._reader.table(SPOT.topic, piece)
-            if self._beam_correction is None:
-                swings = self._reader.swings(piece)
-                yield swings, self._reader.deflections(spots)
-            else:
-                yield self._correct(self._beam_correction, spots, piece)
-
-    def _correct(
-        self, correction: BeamCorrection, spots: NDArray[Any], piece: Piece
-    ) -> tuple[Sequence[HalfCycle], Deflections]:
-        new = self._reader.table(REFERENCE.topic, piece)
-        spots, references = np.append(self._spots, spots), np.append(self._references, new)
-        both = min(len(spots), len(references))
-        self._spots, self._references = spots[both:], references[both:]
-        deflections = self._reader.deflections(spots[:both])
-        block = Block(_located_spots(spots[:both]), deflections, [], [], _located_spots(references[:both]))
-        shown = correction.shown(deflections.times_ns.tolist(), block)
-        return shown.swings, shown.deflections
-
-
-def _located_spots(rows: NDArray[Any]) -> list[Spot]:
-    """Spots with position and flags, all else NaN, from rows of either topic of spots."""
-    unknown = [math.nan] * (len(Spot._fields) - 5)
-    names = [*Spot._fields[:4], "flags"]
-    return [Spot._make((*place, *unknown, flags)) for *place, flags in rows[names].tolist()]
-
-
 class FollowedRun:
     """The unflagged half-cycles in the record of a run so far, and the fit to them.
 
@@ -252,7 +196,7 @@ class FollowedRun:
         if pendulum is None:
             raise RecordError(f"{reader.path}: states no pendulum on a ball; nothing can be fitted")
         self._pendulum, self._clock_rate = pendulum, clock_rate_of(config)
-        self._motion = FollowedMotion(reader, config)
+        self._reader = reader
         self._run = MeasuredRun(axes=config.axes)
         self._waveform = HarmonicsMeasurement()
         self._swings: list[HalfCycle] = []
@@ -266,7 +210,9 @@ class FollowedRun:
 
     def read(self) -> None:
         """Read what was flushed since the last call."""
-        for half_cycles, deflections in self._motion.unread():
+        for piece in self._reader.unread():
+            half_cycles = self._reader.swings(piece)
+            deflections = self._reader.deflections(self._reader.table(SPOT.topic, piece))
             self._waveform.update(deflections)
             self._waveform.add(half_cycles)
             if len(deflections):

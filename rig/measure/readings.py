@@ -1,17 +1,15 @@
-"""Recorded in addition to the frames: air, ground, clocks, losses, the camera's temperature, steps."""
+"""Recorded in addition to the frames: air, ground, clocks, losses, steps."""
 
 import math
-import threading
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from acquisition.camera import Camera, Frame, HasFeatures
+from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import (
-    CameraTemperature,
     ClockAnchor,
     Environment,
     RecordedLosses,
@@ -19,61 +17,17 @@ from acquisition.record.topics import (
     TimedMessage,
 )
 from processing.deflections import DeflectionUnit
-from processing.errors import DeviceError
 from processing.slope_uncertainty import KickWatch, StepWatch
 from processing.spot import SpotFlag
 from processing.units import nanoseconds
 from rig.devices import ClockAnchors, ClockRate
 from rig.instrument import Block, CameraClock
-from rig.measure.run_parts import RunParts, features_json
+from rig.measure.run_parts import features_json
+
+if TYPE_CHECKING:
+    from rig.measure.run import MeasurementRun
 
 _LOSSES_INTERVAL_NS = 1_000_000_000
-_TEMPERATURE = "the camera's temperature"
-_TEMPERATURE_FEATURES: Final = ("DeviceTemperature", "TemperatureAbs")
-"""Different makers' names of the feature with the temperature inside the camera in degrees Celsius."""
-
-
-class TemperatureWatch:
-    """Reads the camera's temperature every `period_s`, in a thread, because a camera may answer late.
-
-    A camera without such a feature is read only once.
-    """
-
-    def __init__(self, camera: Camera, period_s: float = 10.0) -> None:
-        self._camera = camera
-        self._period_s = period_s
-        self._ended = threading.Event()
-        self._reading: float | None = None
-        self._thread = threading.Thread(target=self._watch, name="camera temperature", daemon=True)
-        self._thread.start()
-
-    def take(self, time_ns: int) -> CameraTemperature | None:
-        """The reading since the last call, if there is one; never blocks."""
-        reading, self._reading = self._reading, None
-        return None if reading is None else CameraTemperature(time_ns, reading)
-
-    def close(self) -> None:
-        """Stop reading; does not wait for a reading that is under way."""
-        self._ended.set()
-
-    def _watch(self) -> None:
-        names = self._read(_TEMPERATURE_FEATURES)
-        while names and not self._ended.wait(self._period_s):
-            names = self._read(names)
-
-    def _read(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Read the first of these features that the camera has; returns the features to read next time."""
-        if not isinstance(self._camera, HasFeatures):
-            return ()
-        for name in names:
-            try:
-                value = self._camera.feature_value(name)
-            except DeviceError:
-                return names  # unplugged, perhaps only for a while
-            if value is not None:
-                self._reading = float(value)
-                return (name,)
-        return ()
 
 
 class SideReadings:
@@ -83,12 +37,11 @@ class SideReadings:
     clock is not related to any other.
     """
 
-    def __init__(self, parts: RunParts, start_ns: int) -> None:
-        self._parts, self._guard, self._start_ns = parts, parts.guard, start_ns
-        on_demand = parts.stream.policy == "wait"
+    def __init__(self, run: "MeasurementRun", start_ns: int) -> None:
+        self._run, self._guard, self._start_ns = run, run.guard, start_ns
+        on_demand = run.stream.policy == "wait"
         self._anchors = None if on_demand else ClockAnchors()
         self._rate = None if on_demand else ClockRate()
-        self._temperature = TemperatureWatch(parts.camera.camera)
         self._environment_due_ns = self._losses_due_ns = 0
         self._losses_written = FrameLosses()
         self._has_air = False
@@ -103,13 +56,12 @@ class SideReadings:
             anchor, events = guard.call(
                 "the reading of the computer's clocks", nothing, self._anchors.take, last.time_ns
             )
-        steps = [one for one in self._parts.stream.take_clock_steps() if one.time_ns > self._start_ns]
+        steps = [one for one in self._run.stream.take_clock_steps() if one.time_ns > self._start_ns]
         if self._rate is not None:
             self.clock = guard.call(
                 "the reading of the camera's clock", self.clock, self._rate.take, frames, steps
             )
-        temperature = guard.call(_TEMPERATURE, None, self._temperature.take, last.time_ns)
-        readings = (self._environment(last.time_ns), self._losses(last.time_ns), anchor, temperature)
+        readings = (self._environment(last.time_ns), self._losses(last.time_ns), anchor)
         found: list[TimedMessage] = [
             *(value for value in readings if value is not None),
             *steps,
@@ -117,16 +69,15 @@ class SideReadings:
         ]
         return found, events
 
-    def close(self) -> dict[str, bytes]:
-        """Stop reading; returns the attachments for the end of the record, by name."""
-        camera = self._parts.camera.camera
-        self._guard.call(_TEMPERATURE, None, self._temperature.close)
+    def end_attachments(self) -> dict[str, bytes]:
+        """The attachments for the end of the record, by name."""
+        camera = self._run.camera.camera
         features = self._guard.call("the reading of the camera's features", b"", features_json, camera)
         return {"camera-features-end.json": features} if features else {}
 
     def _losses(self, time_ns: int) -> RecordedLosses | None:
         """The losses since the record began, if they have changed; at most once per second of frame time."""
-        now = self._parts.stream.losses
+        now = self._run.stream.losses
         if now == self._losses_written or time_ns < self._losses_due_ns:
             return None
         self._losses_due_ns, self._losses_written = time_ns + _LOSSES_INTERVAL_NS, now
@@ -137,17 +88,17 @@ class SideReadings:
 
         A sensor that has fallen silent is recorded once, as a reading of NaN.
         """
-        devices = self._parts.devices
+        devices = self._run.devices
         if time_ns < self._environment_due_ns:
             return None
-        self._environment_due_ns = time_ns + nanoseconds(self._parts.plan.config.environment_sensor.period_s)
+        self._environment_due_ns = time_ns + nanoseconds(self._run.plan.config.environment_sensor.period_s)
         reading = devices.environment()
         before, self._has_air = self._has_air, not all(map(math.isnan, reading))
         return Environment(time_ns, *reading) if before or self._has_air else None
 
     def _seismometer_samples(self, frame: Frame) -> list[RecordedSeismometer]:
         """Samples of the auxiliary seismometer since the last call, up to a frame; empty without one."""
-        seismometer = self._parts.devices.seismometer
+        seismometer = self._run.devices.seismometer
         return [] if seismometer is None else seismometer.take(frame)
 
 

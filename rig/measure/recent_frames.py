@@ -12,7 +12,7 @@ from processing.deflections import Deflections, joined
 from processing.errors import DataError
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.devices import FrameStream
-from rig.instrument import Block, DeflectionConverter, Optics, Phase
+from rig.instrument import Block, Optics, Phase, Pipeline
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames
 
@@ -41,8 +41,7 @@ class RecentFrames:
         self._stream = stream
         self._watch = watch
         self._optics = optics
-        self._dual_tracker = optics.dual_tracker()
-        self._deflector: DeflectionConverter | None = None
+        self._pipeline: Pipeline | None = None
         self._frames: deque[Frame] = deque()
         self._blocks: deque[Block] = deque()
         self._frames_ns = nanoseconds(frames_s)
@@ -55,14 +54,12 @@ class RecentFrames:
         frames = self._stream.take(_BLOCK_FRAMES, 0.1)
         if not frames:
             return not self._stream.drained
-        if self._deflector is None:
-            self._deflector = self._optics.deflector((frames[0].image.shape[0], frames[0].image.shape[1]))
-        spots, references = self._dual_tracker.track(frames)
-        times_ns = np.array([frame.time_ns for frame in frames], dtype=np.int64)
-        deflections = self._deflector(times_ns, spots)
-        block = Block(spots, deflections, [], [], references)
+        if self._pipeline is None:
+            self._pipeline = Pipeline(self._optics, (frames[0].image.shape[0], frames[0].image.shape[1]))
+        block = self._pipeline.look(frames)
         self._blocks.append(block)
-        found_ns = times_ns[deflections.found]
+        times_ns = block.deflections.times_ns
+        found_ns = times_ns[block.deflections.found]
         self._last_spot_ns = int(found_ns[-1]) if len(found_ns) else self._last_spot_ns or int(times_ns[0])
         self._frames.extend(frames)
         if self._watch is not None:
@@ -115,16 +112,16 @@ class RecentFrames:
             spots[len(spots) - len(deflections) :],
             deflections,
             resting,
-            self._dual_tracker.tracker.model,
+            None if self._pipeline is None else self._pipeline.tracker.model,
             references[len(spots) - len(deflections) :],
         )
 
     def window_bytes(self) -> float:
         """Bytes of the window around the spot that a record keeps of each frame; 0 before the first frame."""
-        if not self._frames:
+        if self._pipeline is None:
             return 0.0
         image = self._frames[-1].image
-        x0, y0, x1, y1 = self._dual_tracker.tracker.record_window(self._blocks[-1].spots[-1], image.shape)
+        x0, y0, x1, y1 = self._pipeline.tracker.record_window(self._blocks[-1].spots[-1], image.shape)
         return float((x1 - x0) * (y1 - y0) * image.itemsize)
 
 

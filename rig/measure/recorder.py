@@ -155,17 +155,12 @@ class Recorder:
         try:
             if block is not None:
                 numbers, times_ns = entry.sequences, block.deflections.times_ns.tolist()
-                clocks = entry.device_times_ns, entry.host_times_ns
-                writer.write_spots(numbers, *clocks, block.spots, block.deflections, block.references)
+                block.write(writer, numbers, entry.device_times_ns, entry.host_times_ns)
                 for number, time_ns, window, spot in zip(
                     numbers, times_ns, entry.windows, block.spots, strict=True
                 ):
                     if window is not None:
                         writer.write_window(number, time_ns, *window, spot)
-                for swing in block.swings:
-                    writer.write_swing(swing)
-                for balance in block.balances:
-                    writer.write_balance(balance)
             for frame in entry.images:
                 writer.write_image(frame)
             if entry.preview is not None:

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,18 +17,19 @@ from acquisition.record.topics import (
     RecordedPhase,
     TimedMessage,
 )
-from processing.errors import DeviceError, in_one_line
+from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
-from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContents
+from rig.instrument import Block, Phase, Pipeline, RecordContents
 from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import SideReadings, StepEvents
 from rig.measure.recorder import RecordEntry, Recorder
-from rig.measure.run_parts import RunParts
 from rig.measure.session_orders import StartJudge
 
+if TYPE_CHECKING:
+    from rig.measure.run import MeasurementRun
+
 _LIVE_FIT = "the live fit"
-_BEAM_CORRECTION = "the live subtraction of the reference spot"
 _LIVE_PICTURE = "the live picture"
 
 _BLOCK_FRAMES = 64
@@ -140,28 +142,24 @@ class Recording:
 
     def __init__(
         self,
-        parts: RunParts,
+        run: "MeasurementRun",
         recorder: Recorder,
         judge: StartJudge | None,
         first: Frame,
     ) -> None:
-        self._parts, self._stream = parts, parts.stream
-        self._stop, self._status, self._guard = parts.stop, parts.status, parts.guard
+        self._run, self._stream = run, run.stream
+        self._stop, self._status, self._guard = run.stop, run.status, run.guard
         self._recorder, self._judge = recorder, judge
         self._first = self._last = first
         # frames made on demand wait for all other threads, so that a run of the simulated rig repeats exactly
-        self._on_demand = parts.stream.policy == "wait"
-        keep = parts.plan.config.record
+        self._on_demand = run.stream.policy == "wait"
+        keep = run.plan.config.record
         self._counts = FrameCounts(first, nanoseconds(keep.full_frame_interval_s), keep_windows=keep.windows)
-        shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
-        threaded = not self._on_demand
-        self._pipeline = Pipeline(parts.optics, shape, threaded=threaded, guard=parts.guard)
-        self._beam_correction: BeamCorrection | None = None
-        if gain is not None:
-            self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain, threaded=threaded)
-        self._end = parts.end
-        self._steps = StepEvents(parts.optics.unit)
-        self._readings = SideReadings(parts, first.time_ns)
+        shape = first.image.shape[0], first.image.shape[1]
+        self._pipeline = Pipeline(run.optics, shape, run.guard)
+        self._end = run.end
+        self._steps = StepEvents(run.optics.unit)
+        self._readings = SideReadings(run, first.time_ns)
         self._published_ns = self._half_cycles = 0
 
     def record(self, frames: list[Frame], events: list[Event]) -> str:
@@ -178,20 +176,19 @@ class Recording:
             last_ns = self._counts.last_ns
             text = f"{type(error).__name__}: {error}"
             kinds = (EventKind.FAILED, EventKind.STOP)
-            self._recorder.put(RecordEntry(events=[Event(last_ns, kind, text) for kind in kinds]))
             # watchers are informed now, because closing the devices may take seconds
-            self._inform_watchers([Event(last_ns, EventKind.FAILED, in_one_line(error))])
+            self._record(RecordEntry(events=[Event(last_ns, kind, text) for kind in kinds]))
             raise
         return rejection
 
     def _begin(self, earlier: list[Event]) -> None:
-        parts, first_ns = self._parts, self._first.time_ns
+        run, first_ns = self._run, self._first.time_ns
         self._status.begin_record()
-        if parts.posterior is not None:
-            self._guard.call(_LIVE_FIT, None, parts.posterior.begin, parts.plan.record)
+        if run.posterior is not None:
+            self._guard.call(_LIVE_FIT, None, run.posterior.begin, run.plan.record)
         events = [
             *earlier,
-            *(Event(first_ns, EventKind.WAITED, text) for text in parts.plan.waited),
+            *(Event(first_ns, EventKind.WAITED, text) for text in run.plan.waited),
             Event(first_ns, EventKind.START, "first frame"),
         ]
         self._record(RecordEntry(events=events))
@@ -210,22 +207,22 @@ class Recording:
             late = (n for n, frame in enumerate(frames) if frame.time_ns > end_ns)
             count = min(_BLOCK_FRAMES, next(late, len(frames)))
             block_frames, early = frames[:count], frames[count:]
-            corrected = None
+            block = None
             if block_frames:
-                corrected = self._take(block_frames, taken_ns)
+                block = self._take(block_frames, taken_ns)
             else:
                 self._take_nothing()
             if self._recorder.error is not None:
                 raise self._recorder.error
             self._end_in_darkness()
-            if corrected is None:
+            if block is None:
                 continue
             elapsed_s = self._counts.elapsed_s
             if self._judge is not None:
-                rejection = self._judge.rejection(corrected.swings, corrected.balances, elapsed_s)
+                rejection = self._judge.rejection(block.swings, block.balances, elapsed_s)
                 if rejection:
                     return rejection
-            reason = self._end.reason(corrected.swings, elapsed_s, self._posterior.estimates)
+            reason = self._end.reason(block.swings, elapsed_s, self._posterior.estimates)
             if reason is not None:
                 self._stop.request(reason)
             if reason is not None or (self._stop and self._stop.skip_waiting):
@@ -236,60 +233,39 @@ class Recording:
 
     def _take_nothing(self) -> None:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
-        events, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
-        if events or messages:
-            self._record(RecordEntry(events=events, messages=messages))
+        messages = [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
+        self._record(RecordEntry(events=self._device_events(), messages=messages))
 
     def _take(self, frames: list[Frame], taken_ns: int) -> Block:
-        """Process frames that were taken at `taken_ns` and record them.
-
-        Returns the block as watchers see it: minus the beam's motion if there is a reference spot.
-        """
-        counts, parts = self._counts, self._parts
+        """Process frames that were taken at `taken_ns` and record them."""
+        counts, run = self._counts, self._run
         block = self._pipeline.process(frames)
-        # corrected numbers are displayed and decide on start and end; the record gets the uncorrected ones
-        corrected, beam_events = block, []
-        if self._beam_correction is not None:
-            times_ns = [frame.time_ns for frame in frames]
-            correct = self._beam_correction.shown
-            corrected = self._guard.call(_BEAM_CORRECTION, block, correct, times_ns, block)
-            beam_events = [
-                Event(times_ns[-1], EventKind.BEAM, text) for text in self._beam_correction.take_news()
-            ]
-        self._half_cycles += len(corrected.swings)
+        self._half_cycles += len(block.swings)
         entry = counts.record_entry(frames, block, self._pipeline)
         self._last = frames[-1]
         messages, clock_events = self._readings.take(frames)
-        messages += self._notes()
         step_events: list[Event] = self._guard.call("the watch for steps", [], self._steps.take, block)
-        entry.events = [*entry.events, *beam_events, *step_events, *clock_events, *self._device_events()]
-        entry.messages = messages
-        self._recorder.put(entry)
-        if parts.posterior is not None:
+        entry.events = [*entry.events, *step_events, *clock_events, *self._device_events()]
+        entry.messages = [*messages, *self._notes()]
+        self._record(entry)
+        if run.posterior is not None:
             callbacks = self._recorder.flush, self._stream.waits_on_purpose
-            self._guard.call(_LIVE_FIT, None, parts.posterior.take, corrected.swings, *callbacks)
+            self._guard.call(_LIVE_FIT, None, run.posterior.take, block.swings, *callbacks)
         overdue = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
-        due = bool(corrected.swings) or self._on_demand or overdue
-        if due:
+        if block.swings or self._on_demand or overdue:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - frames[0].host_time_ns)
-            state = self._state(Phase.MEASURING, age_s)
-            self._recorder.put(RecordEntry(messages=state))
-            messages = [*messages, *state]
-        look = partial(parts.plan.session_news.look, recorded=True)
-        self._guard.call(_LIVE_PICTURE, None, look, frames, corrected)
-        if due or entry.events or messages or corrected.balances:
-            self._inform_watchers(entry.events, messages, corrected)
-        return corrected
+            self._record(RecordEntry(messages=self._state(Phase.MEASURING, age_s)))
+        look = partial(run.plan.session_news.look, recorded=True)
+        self._guard.call(_LIVE_PICTURE, None, look, frames, block)
+        return block
 
     def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
-        counts, pipeline = self._counts, self._pipeline
-        swings = pipeline.finish()
-        rest = pipeline.measure(np.empty(0, np.int64), [])
-        rest = rest._replace(swings=swings, balances=[*rest.balances, *pipeline.finish_balance()])
-        attachments = self._readings.close()
+        counts, swings = self._counts, self._pipeline.finish()
+        rest = self._pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings)
+        attachments = self._readings.end_attachments()
         if not rejection:
             # the stream is closed first, so that the record names a camera that cannot be stopped
             self._stop.close_stream()
@@ -300,34 +276,33 @@ class Recording:
             text = f"in all: {self._guard.text}"
             self._recorder.put(RecordEntry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
         early = [] if rejection or self._stop.early is None else [end._replace(kind=self._stop.early)]
-        if self._beam_correction is not None:
-            swings = self._guard.call(_BEAM_CORRECTION, swings, self._beam_correction.finish)
         self._half_cycles += len(swings)
         last = [*self._device_events(), *early, end]
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
-        entry = RecordEntry(block=rest, events=last, messages=messages, attachments=attachments)
-        self._record(entry, rest._replace(swings=swings))
+        self._record(RecordEntry(block=rest, events=last, messages=messages, attachments=attachments))
 
-    def _record(self, entry: RecordEntry, corrected: Block | None = None) -> None:
-        """Record an entry, and pass it to the watchers with the block as they see it."""
-        self._recorder.put(entry)
-        self._inform_watchers(entry.events, entry.messages, corrected)
+    def _record(self, entry: RecordEntry) -> None:
+        """Record an entry, unless it is empty, and pass what it tells to the watchers.
 
-    def _inform_watchers(
-        self, events: Sequence[Event], messages: Sequence[TimedMessage] = (), block: Block | None = None
-    ) -> None:
-        """Pass what was recorded to the watchers; for them notes are events, too."""
-        counts = self._counts
-        events = [*events, *(message.event for message in messages if isinstance(message, RecordedNote))]
+        For them notes are events, too.
+        """
+        block, counts = entry.block, self._counts
         swings, balances = ([], []) if block is None else (block.swings, block.balances)
-        self._status.tell(RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, messages))
+        if block is not None or entry.events or entry.messages:
+            self._recorder.put(entry)
+        if swings or balances or entry.events or entry.messages:
+            notes = [one.event for one in entry.messages if isinstance(one, RecordedNote)]
+            events = [*entry.events, *notes]
+            self._status.tell(
+                RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, entry.messages)
+            )
 
     def _notes(self) -> list[TimedMessage]:
         """Notes of the operators since the last call, timed by the frames' clock."""
         counts, last = self._counts, self._last
         notes = list[TimedMessage]()
-        for host_time_ns, author, text in self._parts.plan.take_notes():
+        for host_time_ns, author, text in self._run.plan.take_notes():
             time_ns = last.time_ns + host_time_ns - last.host_time_ns
             # clipped: notes typed before the record begins belong to it, and frames on demand have another
             # clock
@@ -340,15 +315,15 @@ class Recording:
         alarm = self._status.light.alarm
         if not alarm or self._stop:
             return
-        parts = self._parts
-        if parts.waits_when_dark and parts.operator_present:
+        run = self._run
+        if run.waits_when_dark and run.operator_present:
             return
-        why = "nobody is at the terminal or a desk" if parts.waits_when_dark else "laser.when_dark = 'end'"
+        why = "nobody is at the terminal or a desk" if run.waits_when_dark else "laser.when_dark = 'end'"
         self._stop.failed(DeviceError(f"{alarm}; the run ends: {why}"))
 
     @property
     def _posterior(self) -> Posterior:
-        posterior = self._parts.posterior
+        posterior = self._run.posterior
         if posterior is None:
             return Posterior()
         return self._guard.call(_LIVE_FIT, Posterior(), lambda: posterior.latest)
@@ -359,7 +334,7 @@ class Recording:
         for paused_s in self._recorder.take_pauses():
             text = f"did not answer for {paused_s:.1f} s; frames waited in memory meanwhile"
             events.append((EventKind.SLOW_DISK, text))
-        posterior = self._parts.posterior
+        posterior = self._run.posterior
         if posterior is not None and (remark := self._guard.call(_LIVE_FIT, "", posterior.take_remark)):
             events.append((EventKind.LIVE_FIT, remark))
         return [Event(self._counts.last_ns, kind, text) for kind, text in events]
@@ -371,7 +346,7 @@ class Recording:
         # where the laser is dark nobody needs to look for the spot
         lost = "" if phase is not Phase.MEASURING or self._status.light.alarm else counts.lost_text
         if lost:
-            lost += f" rig camera align {self._parts.plan.config.command_words}"
+            lost += f" rig camera align {self._run.plan.config.command_words}"
         health = RecordedHealth(
             now_ns,
             counts.frames,

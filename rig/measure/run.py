@@ -1,31 +1,45 @@
 """Sets up one run and executes it in several threads, to the closed record."""
 
-import gc
-import sys
+import json
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from acquisition.camera import Frame
 from acquisition.frames.queue import MAX_QUEUE_BYTES
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedLosses, RecordedPhase
+from acquisition.record.writer import RecordWriter
 from processing import decay_summary
+from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, DataError, DeviceError, RecordError
-from rig.devices import Devices, OpenCamera, TypedAcknowledgement
-from rig.instrument import Phase, RecordContents, RunNow, optics_of, prepare_kernels
+from processing.units import ARCSEC_RAD
+from rig.devices import Devices, FrameStream, OpenCamera, TypedAcknowledgement
+from rig.instrument import (
+    ObserverGuard,
+    Optics,
+    Phase,
+    RecordContents,
+    RunNow,
+    configuration_attachments,
+    optics_of,
+    prepare_kernels,
+    session_metadata,
+)
 from rig.interruption import reason_of
+from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.posterior import LivePosterior, live_posterior
 from rig.measure.recorder import Recorder
 from rig.measure.recording import Recording
-from rig.measure.run_parts import RunOutcome, RunParts, RunPlan, set_aside
+from rig.measure.run_parts import RunOutcome, RunPlan, features_json, set_aside
+from rig.measure.run_status import RunStatus, Watcher
 from rig.measure.screen import RunDisplay
 from rig.measure.session_orders import StartJudge
-from rig.terminal import Verdict, say
+from rig.terminal import Verdict, plain_values, say
 from rig.view import RunningView
 
 _MAX_PAUSE_S = 60.0
@@ -33,49 +47,101 @@ _MAX_PAUSE_S = 60.0
 _MAX_PAUSE_AFTER_INTERRUPT_S = 2.0
 """The same after a second interrupt."""
 
-_SWITCH_INTERVAL_S = 0.0005
-"""Time after which a thread must pass Python's interpreter lock on. Each numerical kernel releases the lock,
-and would wait Python's default of 5 ms to get it back from a busy thread: a loop over many small kernels
-would delay frames by seconds."""
 
-
-@contextmanager
-def ready_for_frames(*, live: bool) -> Iterator[None]:
-    """A context in which threads wait for one another only shortly.
-
-    For a `live` camera the garbage collector leaves out all objects that exist now: those of the libraries
-    are so many that one collection stops all threads for some tenths of a second, in which the buffers of a
-    camera overflow. Frames made on demand would wait. Enter the context before the devices are opened: it
-    collects once itself, on a busy machine for longer than a controller's watchdog waits.
-    """
-    default_interval_s = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    if live:
-        gc.collect()
-        gc.freeze()
-    try:
-        yield
-    finally:
-        if live:
-            gc.unfreeze()
-        sys.setswitchinterval(default_interval_s)
-
-
+@dataclass(slots=True, kw_only=True)
 class MeasurementRun:
     """One run: camera thread -> bounded queue -> processing thread -> recorder thread.
 
     The main thread displays the run.
     """
 
-    def __init__(self, parts: RunParts) -> None:
-        self._parts, self._stream = parts, parts.stream
-        self._guard, self._status, self._stop = parts.guard, parts.status, parts.stop
-        self._done = threading.Event()
+    plan: RunPlan
+    camera: OpenCamera
+    """Open and configured, not started."""
+    optics: Optics
+    """Calibrated values for the conversion of frames to deflections."""
+    stream: FrameStream
+    """The camera's frames."""
+    devices: Devices
+    """Controller, laser and environment sensor, whose events and readings are recorded."""
+    phases: PhasesBeforeRecord | None = None
+    """Phases before the record; None: the record begins with the camera's first frame."""
+    watchers: Sequence[Watcher] = ()
+    """Receive what is recorded."""
+    posterior: LivePosterior | None = None
+    """The live fit; None without one."""
+    typed_acknowledgement: TypedAcknowledgement | None = None
+    """Acknowledgements of a trip that a person types at the terminal."""
+    guard: ObserverGuard = field(init=False, default_factory=ObserverGuard)
+    """Catches the errors of observers."""
+    status: RunStatus = field(init=False)
+    """State of the run, passed on to the watchers."""
+    stop: StopRequest = field(init=False)
+    """Request to end the run."""
+    _done: threading.Event = field(init=False, default_factory=threading.Event)
+
+    def __post_init__(self) -> None:
+        self.status = RunStatus(self.watchers, self.devices, self.optics.unit, self.guard)
+        self.stop = StopRequest(self.stream)
+
+    @property
+    def end(self) -> EndOfRun:
+        """The judge of the run's end, by its limits of amplitude and time and its stop conditions."""
+        session = self.plan.config.session
+        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
+        final_rad = session.final_amplitude_arcsec * ARCSEC_RAD
+        return EndOfRun(
+            final_rad if self.optics.unit is DeflectionUnit.RAD else 0.0,
+            session.max_duration_s,
+            self.plan.config.stop_conditions if self.posterior is not None else (),
+        )
+
+    @property
+    def waits_when_dark(self) -> bool:
+        """Whether a run whose laser goes dark waits for a person to relight it; otherwise it ends."""
+        return self.plan.config.laser.when_dark == "wait"
+
+    @property
+    def operator_present(self) -> bool:
+        """Whether a person at the terminal or a desk could acknowledge a trip and ask for light."""
+        typed = self.typed_acknowledgement
+        return (typed is not None and typed.available) or self.plan.session_news.watched
+
+    def open_record(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
+        """Create the file with configuration, provenance and preflight table.
+
+        `epoch_offset_ns` is UTC minus the time of the frames' clock, `first` the first frame of the record.
+        """
+        config, camera, lever = self.plan.config, self.camera, self.optics.lever
+        attachments = configuration_attachments(config, self.plan.source)
+        if features := features_json(camera.camera):
+            attachments["camera-features-start.json"] = features
+        if preflight:
+            attachments["preflight.json"] = json.dumps(plain_values(preflight), indent=1).encode()
+        # the settings that were read back from the camera
+        applied = camera.applied.model_dump(exclude_none=True)
+        settings = {key: str(value) for key, value in applied.items()} | {
+            "stamped": config.camera.stamped or camera.info.stamped,
+            "time_shift_ns": str(camera.time_shift_ns),
+        }
+        writer = RecordWriter(
+            self.plan.record,
+            epoch_offset_ns,
+            metadata=session_metadata(config, camera.info, first) | {"camera_settings": settings},
+            attachments=attachments,
+            deflection_unit=self.optics.unit,
+        )
+        if lever is not None:
+            shape = (first.image.shape[0], first.image.shape[1])
+            distance_px = lever.arm_m / lever.pixel_pitch_m
+            reference_px = self.optics.deflector(shape).reference_px
+            writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
+        return writer
 
     @property
     def now(self) -> RunNow:
         """State of the run; may be read from any thread."""
-        return self._status.now
+        return self.status.now
 
     def execute(self, show: Callable[[RunNow], None] = lambda _: None, interval_s: float = 0.1) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
@@ -83,7 +149,7 @@ class MeasurementRun:
         Ctrl-C and `Terminated` switch the laser off and end the run early, immediately if
         frames come on demand. A thread that hangs at the end is abandoned, sooner after a second interrupt.
         """
-        self._stream.start_camera()
+        self.stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()
         interrupt: KeyboardInterrupt | None = None
         stopped, hangs = False, ""
@@ -91,19 +157,19 @@ class MeasurementRun:
             self._watch(show, interval_s)
         except KeyboardInterrupt as error:
             interrupt = error
-            self._stop.skip_waiting = True
+            self.stop.skip_waiting = True
             self._darken(reason_of(error))
-            stopped = self._stop.request(reason_of(error), EventKind.ENDED_EARLY)
+            stopped = self.stop.request(reason_of(error), EventKind.ENDED_EARLY)
         finally:
             # also after an interrupt or an error, so that the record is complete
-            self._stop.request("the program has failed", EventKind.FAILED)
+            self.stop.request("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
-        return RunOutcome(self.now, self._stop.failure, interrupt, stopped, hangs)
+        return RunOutcome(self.now, self.stop.failure, interrupt, stopped, hangs)
 
     def _darken(self, why: str) -> None:
         """Refuse light from now on and ask for the laser to be switched off; nothing here can block."""
-        self._parts.devices.permit.withdraw(why)
-        self._parts.devices.darken(why)
+        self.devices.permit.withdraw(why)
+        self.devices.darken(why)
 
     def _end(self, show: Callable[[RunNow], None]) -> str:
         """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
@@ -112,7 +178,7 @@ class MeasurementRun:
         done = False
         while not done:
             try:
-                paused_s = self._stream.permit.paused_s
+                paused_s = self.stream.permit.paused_s
                 if paused_s > max_pause_s and not self._done.is_set():
                     return f"nothing was processed or recorded for {paused_s:.0f} s"
                 done = self._done.wait(0.1)
@@ -125,30 +191,30 @@ class MeasurementRun:
         """Show the run until it ends or stalls."""
         done = False
         while not done:
-            done = self._done.wait(interval_s) or self._stream.permit.paused_s > _MAX_PAUSE_S
-            for state in self._status.take_instructions():
+            done = self._done.wait(interval_s) or self.stream.permit.paused_s > _MAX_PAUSE_S
+            for state in self.status.take_instructions():
                 self._show(show, state)
             self._show(show, self._now_with_stall())
-            if self._parts.waits_when_dark and self._parts.typed_acknowledgement is not None:
+            if self.waits_when_dark and self.typed_acknowledgement is not None:
                 # an OSError comes from a terminal that was closed, where nobody can be asked
                 with suppress(OSError):
-                    self._parts.typed_acknowledgement.look(self._status.light.alarm)
+                    self.typed_acknowledgement.look(self.status.light.alarm)
 
     def _show(self, show: Callable[[RunNow], None], now: RunNow) -> None:
-        self._guard.call("the display", None, show, now)
+        self.guard.call("the display", None, show, now)
 
     def _now_with_stall(self) -> RunNow:
         """The state of the run; a stalled thread cannot say by itself that it has stalled."""
-        stalled = self._stream.permit.stalled
+        stalled = self.stream.permit.stalled
         return replace(self.now, alarm=stalled) if stalled else self.now
 
     def _process(self) -> None:
         """The processing thread, from the first frame to the closed record."""
         try:
-            first = self._stream.begin()
+            first = self.stream.begin()
             if first is None:
                 raise DataError("the camera delivered no frame at all; nothing was recorded")
-            if self._parts.plan.checked is not None:
+            if self.plan.checked is not None:
                 self._check()
                 return
             at_first_ns = utc_offset_ns(first)
@@ -156,70 +222,70 @@ class MeasurementRun:
             while not self._attempt(number, at_first_ns):
                 number += 1
         except Exception as error:
-            self._stop.failed(error)
+            self.stop.failed(error)
         finally:
             # the main thread must learn that the run has ended, whatever else fails here
             try:
                 self._shut_down()
             except Exception as error:
-                self._stop.failed(error)
+                self.stop.failed(error)
             finally:
                 self._done.set()
 
     def _check(self) -> None:
         """Make the preflight alone; the laser is switched off before the display, which may be slow."""
         try:
-            if self._parts.phases is not None:
-                self._parts.phases.check_alone(self._stream, self._prepare, self._stop)
+            if self.phases is not None:
+                self.phases.check_alone(self.stream, self._prepare, self.stop)
         finally:
-            self._parts.devices.darken()
-        self._stop.request("the checks are made")
+            self.devices.darken()
+        self.stop.request("the checks are made")
 
     def _attempt(self, number: int, at_first_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
-        parts, config = self._parts, self._parts.plan.config
+        config = self.plan.config
         frames, events = self._first_frames()
         # computed now, because the computer's clock may be set during an hour of rest and warm-up; frames
         # made on demand are timed by their first frame
-        epoch_offset_ns = at_first_ns if self._stream.policy == "wait" else utc_offset_ns(frames[-1])
-        if parts.phases is not None:
-            self._stream.count_losses_anew()
-        preflight = () if parts.phases is None else parts.phases.verdicts
+        epoch_offset_ns = at_first_ns if self.stream.policy == "wait" else utc_offset_ns(frames[-1])
+        if self.phases is not None:
+            self.stream.count_losses_anew()
+        preflight = () if self.phases is None else self.phases.verdicts
         recorder = Recorder(
-            parts.open_record(epoch_offset_ns, frames[0], preflight),
+            self.open_record(epoch_offset_ns, frames[0], preflight),
             # frames made on demand wait for the disk, and no memory has to hold them
-            MAX_QUEUE_BYTES // 16 if self._stream.policy == "wait" else MAX_QUEUE_BYTES,
-            permit=self._stream.permit,
+            MAX_QUEUE_BYTES // 16 if self.stream.policy == "wait" else MAX_QUEUE_BYTES,
+            permit=self.stream.permit,
         )
         # a run that is recorded at once accepts any start
-        judge = None if config.start.way == "at once" else StartJudge(config, parts.optics.unit)
+        judge = None if config.start.way == "at once" else StartJudge(config, self.optics.unit)
         rejected = ""
         try:
-            rejected = Recording(parts, recorder, judge, frames[0]).record(frames, events)
+            rejected = Recording(self, recorder, judge, frames[0]).record(frames, events)
         finally:
             recorder.close()
             if recorder.error is not None:
-                self._stop.failed(recorder.error)
+                self.stop.failed(recorder.error)
         if not rejected or judge is None or recorder.error is not None:
             return True
-        aside = set_aside(parts.plan.record, number)
-        if parts.phases is not None:
-            parts.phases.correct_starter(judge.first_amplitude)
-        parts.plan.start_rejected(aside, rejected)
+        aside = set_aside(self.plan.record, number)
+        if self.phases is not None:
+            self.phases.correct_starter(judge.first_amplitude)
+        self.plan.start_rejected(aside, rejected)
         if number >= judge.attempts:
             raise DataError(f"no start of {number} was accepted; the last: {rejected}")
         return False
 
     def _first_frames(self) -> tuple[list[Frame], list[Event]]:
         """The frames with which the record begins, at least one, and the events before them."""
-        phases, stream = self._parts.phases, self._stream
+        phases, stream = self.phases, self.stream
         if phases is not None:
-            frames, events = phases.run(stream, self._prepare, self._stop)
+            frames, events = phases.run(stream, self._prepare, self.stop)
             if not frames:
-                why = self._stop.reason or stream.ended or "stopped"
+                why = self.stop.reason or stream.ended or "stopped"
                 raise stream.failure or DataError(f"{why} before the run began; nothing was recorded")
             return frames, events
-        while not (stream.drained or self._stop):
+        while not (stream.drained or self.stop):
             frames = stream.take(1, 0.1)
             if frames:
                 return frames, []
@@ -227,14 +293,14 @@ class MeasurementRun:
 
     def _prepare(self, phase: RecordedPhase) -> None:
         """Publish a state before the record begins; raises DeviceError if the laser is dark."""
-        self._status.prepare(phase)
-        if self._status.light.alarm:
-            raise DeviceError(f"{self._status.light.alarm}; nothing was recorded")
+        self.status.prepare(phase)
+        if self.status.light.alarm:
+            raise DeviceError(f"{self.status.light.alarm}; nothing was recorded")
 
     def _shut_down(self) -> None:
-        self._stop.close_stream()
-        done = RecordedPhase(0, self.now.elapsed_s, Phase.DONE.value, reason=self._stop.reason)
-        self._status.tell(RecordContents(messages=[RecordedLosses(0, *self._stream.losses.counts), done]))
+        self.stop.close_stream()
+        done = RecordedPhase(0, self.now.elapsed_s, Phase.DONE.value, reason=self.stop.reason)
+        self.status.tell(RecordContents(messages=[RecordedLosses(0, *self.stream.losses.counts), done]))
 
 
 def utc_offset_ns(frame: Frame) -> int:
@@ -333,7 +399,7 @@ def _execute(
             show_table=show_table,
             watch=session_news.look,
         )
-    parts = RunParts(
+    run = MeasurementRun(
         plan=plan,
         camera=camera,
         optics=optics,
@@ -350,7 +416,7 @@ def _execute(
     if lit := devices.light():
         say(lit)
     with display:
-        return MeasurementRun(parts).execute(show)
+        return run.execute(show)
 
 
 def _say_if_open(text: str) -> None:

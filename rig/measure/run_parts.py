@@ -1,26 +1,23 @@
-"""Plan, parts and outcome of one run, and the creation of its record with attachments."""
+"""Plan and outcome of one run, and what prepares the program for its frames."""
 
+import gc
 import json
 import logging
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from acquisition.camera import Camera, Frame, HasFeatures
+from acquisition.camera import Camera, HasFeatures
 from acquisition.record import pixels_beside
-from acquisition.record.writer import RecordWriter
-from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError
-from processing.units import ARCSEC_RAD
-from rig.devices import Devices, FrameStream, OpenCamera, SessionNews, TypedAcknowledgement
-from rig.instrument import ObserverGuard, Optics, RunNow, configuration_attachments, session_metadata
-from rig.measure.end_of_run import EndOfRun, StopRequest
-from rig.measure.phases import PhasesBeforeRecord
-from rig.measure.posterior import LivePosterior
-from rig.measure.run_status import RunStatus, Watcher
+from rig.devices import SessionNews
+from rig.instrument import RunNow
+from rig.measure.run_status import Watcher
 from rig.measure.session_orders import OperatorNote
 from rig.settings import Configuration
-from rig.terminal import Verdict, plain_values
+from rig.terminal import Verdict
 
 _log = logging.getLogger(__name__)
 
@@ -51,93 +48,6 @@ class RunPlan:
     """What the run has waited for, for the record."""
     checked: Callable[[Sequence[Verdict]], None] | None = None
     """Called with the preflight table of a run that ends there, without a record; None for other runs."""
-
-
-@dataclass(slots=True, kw_only=True)
-class RunParts:
-    """The parts of a run, and what they share: its state, the request to end it, the observer guard."""
-
-    plan: RunPlan
-    camera: OpenCamera
-    """Open and configured, not started."""
-    optics: Optics
-    """Calibrated values for the conversion of frames to deflections."""
-    stream: FrameStream
-    """The camera's frames."""
-    devices: Devices
-    """Controller, laser and environment sensor, whose events and readings are recorded."""
-    phases: PhasesBeforeRecord | None = None
-    """Phases before the record; None: the record begins with the camera's first frame."""
-    watchers: Sequence[Watcher] = ()
-    """Receive what is recorded."""
-    posterior: LivePosterior | None = None
-    """The live fit; None without one."""
-    typed_acknowledgement: TypedAcknowledgement | None = None
-    """Acknowledgements of a trip that a person types at the terminal."""
-    guard: ObserverGuard = field(init=False, default_factory=ObserverGuard)
-    """Catches the errors of observers."""
-    status: RunStatus = field(init=False)
-    """State of the run, passed on to the watchers."""
-    stop: StopRequest = field(init=False)
-    """Request to end the run."""
-
-    def __post_init__(self) -> None:
-        self.status = RunStatus(self.watchers, self.devices, self.optics.unit, self.guard)
-        self.stop = StopRequest(self.stream)
-
-    @property
-    def end(self) -> EndOfRun:
-        """The judge of the run's end, by its limits of amplitude and time and its stop conditions."""
-        session = self.plan.config.session
-        # without a lever the amplitude in arcsec is unknown, and only the time limit applies
-        final_rad = session.final_amplitude_arcsec * ARCSEC_RAD
-        return EndOfRun(
-            final_rad if self.optics.unit is DeflectionUnit.RAD else 0.0,
-            session.max_duration_s,
-            self.plan.config.stop_conditions if self.posterior is not None else (),
-        )
-
-    @property
-    def waits_when_dark(self) -> bool:
-        """Whether a run whose laser goes dark waits for a person to relight it; otherwise it ends."""
-        return self.plan.config.laser.when_dark == "wait"
-
-    @property
-    def operator_present(self) -> bool:
-        """Whether a person at the terminal or a desk could acknowledge a trip and ask for light."""
-        typed = self.typed_acknowledgement
-        return (typed is not None and typed.available) or self.plan.session_news.watched
-
-    def open_record(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
-        """Create the file with configuration, provenance and preflight table.
-
-        `epoch_offset_ns` is UTC minus the time of the frames' clock, `first` the first frame of the record.
-        """
-        config, camera, lever = self.plan.config, self.camera, self.optics.lever
-        attachments = configuration_attachments(config, self.plan.source)
-        if features := features_json(camera.camera):
-            attachments["camera-features-start.json"] = features
-        if preflight:
-            attachments["preflight.json"] = json.dumps(plain_values(preflight), indent=1).encode()
-        # the settings that were read back from the camera
-        applied = camera.applied.model_dump(exclude_none=True)
-        settings = {key: str(value) for key, value in applied.items()} | {
-            "stamped": config.camera.stamped or camera.info.stamped,
-            "time_shift_ns": str(camera.time_shift_ns),
-        }
-        writer = RecordWriter(
-            self.plan.record,
-            epoch_offset_ns,
-            metadata=session_metadata(config, camera.info, first) | {"camera_settings": settings},
-            attachments=attachments,
-            deflection_unit=self.optics.unit,
-        )
-        if lever is not None:
-            shape = (first.image.shape[0], first.image.shape[1])
-            distance_px = lever.arm_m / lever.pixel_pitch_m
-            reference_px = self.optics.deflector(shape).reference_px
-            writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
-        return writer
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,3 +89,31 @@ def set_aside(record: Path, attempt: int) -> Path:
     if pixels_beside(record).exists():
         pixels_beside(record).rename(pixels_beside(aside))
     return aside
+
+
+_SWITCH_INTERVAL_S = 0.0005
+"""Time after which a thread must pass Python's interpreter lock on. Each numerical kernel releases the lock,
+and would wait Python's default of 5 ms to get it back from a busy thread: a loop over many small kernels
+would delay frames by seconds."""
+
+
+@contextmanager
+def ready_for_frames(*, live: bool) -> Iterator[None]:
+    """A context in which threads wait for one another only shortly.
+
+    For a `live` camera the garbage collector leaves out all objects that exist now: those of the libraries
+    are so many that one collection stops all threads for some tenths of a second, in which the buffers of a
+    camera overflow. Frames made on demand would wait. Enter the context before the devices are opened: it
+    collects once itself, on a busy machine for longer than a controller's watchdog waits.
+    """
+    default_interval_s = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    if live:
+        gc.collect()
+        gc.freeze()
+    try:
+        yield
+    finally:
+        if live:
+            gc.unfreeze()
+        sys.setswitchinterval(default_interval_s)

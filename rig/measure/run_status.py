@@ -161,7 +161,6 @@ def _light(devices: Devices) -> RecordedLight:
 
 _MIN_WIDTH_OF_TWO_COLUMNS = 120
 _MAX_NOTES = 10
-_RATES_SPAN_S = 5.0
 
 
 def run_panel(
@@ -224,37 +223,6 @@ def _progress_bar(part: float, width: int) -> Text:
     full = round(part * room)
     rest = ("━" * (room - full), "bright_black")
     return Text.assemble(("━" * full, "green"), rest, f" {100 * part:3.0f} %")
-
-
-class Rates:
-    """Frames and bytes per second over the last few seconds of the host's time."""
-
-    def __init__(self) -> None:
-        self._points: deque[tuple[float, int, int]] = deque()
-
-    def take(self, now: RunNow) -> None:
-        """Add the counts if they have changed; a smaller number of frames is that of a new record."""
-        points, now_s = self._points, time.monotonic()
-        if points and now.frames < points[-1][1]:
-            points.clear()
-        if not points or now.frames != points[-1][1]:
-            points.append((now_s, now.frames, now.record_bytes))
-        while len(points) > 2 and now_s - points[0][0] > _RATES_SPAN_S:
-            points.popleft()
-
-    @property
-    def frames_hz(self) -> float:
-        return self._rate(1)
-
-    @property
-    def bytes_per_s(self) -> float:
-        return self._rate(2)
-
-    def _rate(self, column: int) -> float:
-        if len(self._points) < 2 or time.monotonic() - self._points[-1][0] > _RATES_SPAN_S:
-            return 0.0
-        first, last = self._points[0], self._points[-1]
-        return float(last[column] - first[column]) / max(last[0] - first[0], 1e-9)
 
 
 _MAX_SHOWN_U_RELATIVE = 1.0

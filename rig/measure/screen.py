@@ -23,7 +23,7 @@ from processing.deflections import DeflectionUnit
 from processing.units import seconds
 from rig.instrument import Phase, RecordContents, RunNow
 from rig.measure.end_of_run import CONSECUTIVE_BELOW
-from rig.measure.run_status import Rates, estimate_rows, run_panel
+from rig.measure.run_status import estimate_rows, run_panel
 from rig.settings import StopCondition
 from rig.terminal import Verdict, decimals, loud, print_json_line, print_verdicts, say
 
@@ -66,7 +66,6 @@ class RunDisplay:
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SWINGS)
         self._notes: deque[str] = deque(maxlen=12)
         self._to_print: deque[Callable[[], None]] = deque()
-        self._rates = Rates()
         self._forecast = _NO_FORECAST
         self._forecast_s = 0.0
 
@@ -124,7 +123,6 @@ class RunDisplay:
         """
         if math.isnan(self._initial) and not math.isnan(now.amplitude):
             self._initial = now.amplitude
-        self._rates.take(now)
         now_s = time.monotonic()
         is_due = now_s - self._forecast_s >= _FORECAST_INTERVAL_S
         if is_due and len(self._swings) >= 8 and not math.isnan(self._final):
@@ -179,7 +177,7 @@ class RunDisplay:
             "u_remaining_s": u_s,
             "at_most_s": self._time_to_limit_s(now),
             "no_swing_s": now.no_swing_s,
-            **self._numbers(now.balance),
+            **self._numbers(now),
         }
         fields = asdict(replace(now, balance=None))
         del fields["balance"]
@@ -190,7 +188,8 @@ class RunDisplay:
         unit, balance = self.unit.shown, now.balance
         reasons = f" ({now.losses})" if now.losses.total else ""
         losses = f"{now.dropped_frames} frames dropped{reasons}, {now.lost_spots} spots lost"
-        camera = f"{self._rates.frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"
+        frames_hz, bytes_per_s = _rates(now)
+        camera = f"{frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"
         if now.before_record:
             losses = camera = "counted from the record on"
         rows = [
@@ -205,7 +204,7 @@ class RunDisplay:
             ("clock", now.clock.text or "-"),
             ("beam", now.beam or "-"),
             ("losses", f"{losses}, {now.queue_frames} waiting"),
-            ("record", f"{self._rates.bytes_per_s / 1e6:.2f} MB/s, {now.record_bytes / 1e6:.1f} MB"),
+            ("record", f"{bytes_per_s / 1e6:.2f} MB/s, {now.record_bytes / 1e6:.1f} MB"),
             ("disk", _number(now.disk_free_bytes / 1e9, ".1f", "GB free")),
             ("environment", _air(now)),
         ]
@@ -274,13 +273,14 @@ class RunDisplay:
             math.hypot(crossing.u_remaining_s, half_period_s / math.sqrt(12.0)),
         )
 
-    def _numbers(self, balance: Balance | None) -> dict[str, Any]:
+    def _numbers(self, now: RunNow) -> dict[str, Any]:
+        frames_hz, bytes_per_s = _rates(now)
         numbers: dict[str, Any] = {
             "amplitude_unit": self.unit.shown,
-            "frames_hz": self._rates.frames_hz,
-            "record_bytes_per_s": self._rates.bytes_per_s,
+            "frames_hz": frames_hz,
+            "record_bytes_per_s": bytes_per_s,
         }
-        if balance is not None:
+        if (balance := now.balance) is not None:
             numbers["transverse_ratio"] = balance.transverse_ratio
             numbers["line_angle_rad"] = balance.line_angle_rad
             numbers["rest_x"] = balance.rest_x / balance.unit.shown_size
@@ -307,6 +307,12 @@ class RunDisplay:
         tail = f"  {now.reason}" if now.reason else ""
         phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
         return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{counted}{tail}".rstrip()
+
+
+def _rates(now: RunNow) -> tuple[float, float]:
+    """Frames and bytes per second since the record began."""
+    elapsed_s = math.inf if now.before_record else max(now.elapsed_s, 1e-3)
+    return now.frames / elapsed_s, now.record_bytes / elapsed_s
 
 
 def _clock(seconds: float) -> str:

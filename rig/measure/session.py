@@ -1,9 +1,9 @@
 """Measures a session: records one or more runs of one contact pair, then fits each of them."""
 
 import datetime
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from copy import deepcopy
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,12 +21,13 @@ from rig.analysis import (
 from rig.devices import Devices, OrderSocket, SessionNews, safety_values
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
-from rig.measure.notices import Notices, PreflightWait, announced, check_notices, check_waiting
+from rig.measure.notices import Notices, PreflightWait, check_notices, check_waiting
 from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
-from rig.measure.run import measure_run, ready_for_frames
-from rig.measure.run_parts import RunPlan
+from rig.measure.run import measure_run
+from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.measure.session_file import (
+    STATE_NAME,
     RunState,
     SessionFile,
     close_earlier_runs,
@@ -34,8 +35,15 @@ from rig.measure.session_file import (
     withdraw_unrecorded,
 )
 from rig.measure.session_orders import Notes, await_acknowledgement, orders
-from rig.settings import Configuration, stored_configuration
-from rig.terminal import answer, failures, print_json_line, say
+from rig.settings import (
+    Configuration,
+    apply_overrides,
+    load_configuration,
+    stored_configuration,
+    unnumbered,
+    validate_configuration,
+)
+from rig.terminal import failures, print_json_line, say
 
 _SEED_STEP_OF_RUNS = 1_000_003
 
@@ -66,6 +74,41 @@ def measure_session(
             return finish_session(file, config, "rig run", waiting, force=force, json_lines=json_lines)
     finally:
         withdraw_unrecorded(folder, made)
+
+
+def resume_session(
+    folder: Path,
+    replacement: Path | None = None,
+    overrides: Sequence[str] = (),
+    *,
+    force: bool = False,
+    json_lines: bool = False,
+) -> int:
+    """Continue an interrupted session: complete runs stay, the missing runs are made.
+
+    The missing runs get the configuration with which the session was begun, or that of the file
+    `replacement`, either with `overrides`; from then on it is the configuration of the session. A truncated
+    record is left unchanged and a recovered copy is made next to it. New runs get new numbers. Returns the
+    exit status like `measure_session`.
+    """
+    with closing(SessionFile.opened(folder)) as file:
+        source = replacement or Path(file.state.source)
+        if replacement is None:
+            tree = unnumbered(deepcopy(file.state.configuration), f"{folder / STATE_NAME}: its configuration")
+            apply_overrides(tree, overrides)
+            config = validate_configuration(tree, str(folder / STATE_NAME), overrides)
+            config = config.remember_file(source, overrides)
+        else:
+            config = load_configuration(replacement, overrides)
+        if replacement is None and not overrides:
+            say(f"{folder}: continues as begun, with {source} (--set changes it, --config takes another)")
+        else:
+            config = checked(config)
+            changed = file.reconfigure(source, stored_configuration(config))
+            if any(text.partition("=")[0].strip() == "session.runs" for text in overrides):
+                file.save(file.state.model_copy(update={"runs_wanted": config.session.runs}))
+            say(f"{folder}: continues with {source}, which states {changed}")
+        return finish_session(file, config, "rig run --resume", force=force, json_lines=json_lines)
 
 
 def checked(config: Configuration) -> Configuration:
@@ -105,11 +148,10 @@ def finish_session(
     Returns the exit status like `measure_session`.
     """
     waiting = waiting or PreflightWait(file.folder.name, config.preflight)
-
-    def finish(notices: Notices) -> int:
-        return _finish(file, config, task, SessionOptions(notices, force, json_lines, waiting))
-
-    return announced(config.session, file, finish)
+    with Notices(config.session, file.folder) as notices:
+        status = _finish(file, config, task, SessionOptions(notices, force, json_lines, waiting))
+        notices.tell_end(status)
+        return status
 
 
 def _finish(file: SessionFile, config: Configuration, task: str, options: SessionOptions) -> int:
@@ -121,7 +163,7 @@ def _finish(file: SessionFile, config: Configuration, task: str, options: Sessio
         if (results := _whole_results(file)) is None:
             # complete records are fitted without the rig, which may not even exist any more
             records = [folder / entry.record for entry in file.state.complete]
-            return report(config, folder, SessionOutcome(records, failed=False, stopped=False), options)
+            return report(config, folder, SessionOutcome(records, failed=False), options)
         faults = result_faults(results, config)
         for why in faults:
             say(why)
@@ -133,11 +175,10 @@ def _finish(file: SessionFile, config: Configuration, task: str, options: Sessio
 
 
 class SessionOutcome(NamedTuple):
-    """The complete records of a session, whether a run failed, and whether an interrupt ended it."""
+    """The complete records of a session, and whether a run failed."""
 
     records: list[Path]
     failed: bool
-    stopped: bool
 
 
 @contextmanager
@@ -247,7 +288,7 @@ def make_runs(
                 failed = True
             if isinstance(interrupt, Terminated):
                 raise interrupt
-        return SessionOutcome(records, failed, stopped)
+        return SessionOutcome(records, failed)
 
 
 def _has_record(file: SessionFile) -> bool:
@@ -260,17 +301,13 @@ def report(config: Configuration, folder: Path, outcome: SessionOutcome, options
     # importing matplotlib takes a second, which must not delay the first frame
     from rig.report import make_report
 
-    records, failed = outcome.records, outcome.failed
-    if outcome.stopped and records and not _wants_fit():
-        say(f"record {records[-1]}; rig fit {records[-1]} fits it later")
-        records = records[:-1]
-    runs = [analyse_record(record) for record in records]
+    runs = [analyse_record(record) for record in outcome.records]
     if not runs:
         return 1
     path = free_path(folder)
     results = session_results(runs, folder)
     faults = result_faults(results, config)
-    failed = failed or bool(faults)
+    failed = outcome.failed or bool(faults)
     options.notices.failures.extend(faults)
     write_results(path, results)
     paths = []
@@ -326,30 +363,6 @@ def _whole_results(file: SessionFile) -> SessionResults | None:
     return results
 
 
-def simulate_record(config: Configuration, source: Path, record: Path) -> int:
-    """Record one run of the simulated rig, without viewer and fits; returns the exit status."""
-    if not config.simulated:
-        raise ConfigurationError(
-            f"camera.driver = {config.camera.driver!r}: --record-only needs the simulated camera; "
-            "rig camera record records a real one"
-        )
-    quiet = config.view.model_copy(update={"mode": "none", "file": False})
-    record.parent.mkdir(parents=True, exist_ok=True)
-    config = complete(config.model_copy(update={"view": quiet}))
-    with ready_for_frames(live=not config.on_demand), Devices(config, task="rig run") as devices:
-        outcome = measure_run(
-            RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
-        )
-    if outcome.failure is not None:
-        say(f"simulation failed: {outcome.failure}", error=True)
-        return 1
-    if outcome.interrupt is not None:
-        raise outcome.interrupt
-    answer(written=[record])
-    print(record)
-    return 0
-
-
 def session_folder(config: Configuration, source: Path, output: Path | None) -> tuple[Path, list[Path]]:
     """Make the folder of a session; returns it, and all folders that were created, the innermost first.
 
@@ -384,14 +397,3 @@ def with_other_seed(config: Configuration, more: int) -> Configuration:
     simulation = config.simulation
     seed = (simulation.seed + more) % 2**63
     return config.model_copy(update={"simulation": simulation.model_copy(update={"seed": seed})})
-
-
-def _wants_fit() -> bool:
-    """Ask after Ctrl-C whether to fit the record; True without a terminal."""
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        return True
-    try:
-        answer = input("The record is closed. Fit it now? [Y/n] ")
-    except (EOFError, KeyboardInterrupt):
-        return False
-    return answer.strip().lower() in {"", "y", "yes"}

@@ -2,9 +2,7 @@
 
 import datetime
 import json
-import math
 import os
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from enum import StrEnum
@@ -67,8 +65,6 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     configuration: dict[str, Any]
     """The complete configuration, so that the session can be resumed without other files."""
     entries: tuple[RunEntry, ...] = ()
-    end_notice_sent: str = ""
-    """The last notice sent of the session's end; empty if a run was made since."""
 
     @property
     def complete(self) -> list[RunEntry]:
@@ -83,7 +79,7 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
     def with_entry(self, entry: RunEntry) -> Self:
         """A copy in which this entry replaces the one of the same record, or is added."""
         kept = [old for old in self.entries if old.record != entry.record]
-        return self.model_copy(update={"entries": (*kept, entry), "end_notice_sent": ""})
+        return self.model_copy(update={"entries": (*kept, entry)})
 
 
 def read_session(folder: Path) -> SessionState:
@@ -140,7 +136,6 @@ class SessionFile:
         self.folder = folder
         self.state = state
         self._lock: IO[bytes] | None = None
-        self._begun_s: dict[str, float] = {}
 
     @classmethod
     def create(cls, folder: Path, source: Path, runs: int, configuration: dict[str, Any]) -> Self:
@@ -167,12 +162,8 @@ class SessionFile:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         before = next((entry for entry in self.state.entries if entry.record == record), None)
         begun = before.begun_utc if before is not None else now
-        self._begun_s.setdefault(record, time.monotonic() if before is None else math.nan)
-        lasted_s = time.monotonic() - self._begun_s[record]
-        ended = ""
-        if state != RunState.RECORDING:
-            # the time of day may have been set meanwhile; for a run of an earlier program only it is known
-            ended = _later(begun, lasted_s) if math.isfinite(lasted_s) else max(now, begun)
+        # the time of day may have been set back meanwhile
+        ended = "" if state == RunState.RECORDING else max(now, begun)
         self.save(
             self.state.with_entry(
                 RunEntry(
@@ -191,10 +182,6 @@ class SessionFile:
         """Remove the entry of a run that did not begin."""
         kept = tuple(entry for entry in self.state.entries if entry.record != record)
         self.save(self.state.model_copy(update={"entries": kept}))
-
-    def note_end_notice(self, words: str) -> None:
-        """Save the notice that was sent of the session's end."""
-        self.save(self.state.model_copy(update={"end_notice_sent": words}))
 
     def reconfigure(self, source: Path, configuration: dict[str, Any]) -> str:
         """Give the missing runs another configuration; returns what it changes, in words.
@@ -243,11 +230,6 @@ class SessionFile:
                 "session: name a folder on another disk"
             ) from None
         self._lock = lock
-
-
-def _later(utc: str, seconds: float) -> str:
-    then = datetime.datetime.fromisoformat(utc) + datetime.timedelta(seconds=seconds)
-    return then.isoformat(timespec="seconds")
 
 
 def _changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

@@ -32,8 +32,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.noise_models import robust_scatter
 from processing.spot import SpotFlag
 from processing.units import S_PER_NS, seconds
-from rig.devices import ntp_state
-from rig.instrument import U_QUARTZ, frame_shape, recorded_configuration
+from rig.instrument import U_QUARTZ, frame_shape, recorded_configuration, u_of_host_rate
 from rig.prepare.calibration_inputs import (
     Filing,
     TransferFile,
@@ -241,24 +240,24 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
             raise DataError(f"{record}: its camera has no clock of its own to compare")
         table = reader.spots()
         began = reader.utc(int(table["time_ns"][0]) if len(table) else 0)
+        u_host_rate, synchronised = u_of_host_rate(reader)
     device = table["device_time_ns"].astype(np.int64)
     if counter_bits is not None:
         device = unwrap_counter(device, counter_bits)
     relation = relate_clocks(
         device, table["host_time_ns"].astype(np.int64), table["sequence"].astype(np.int64)
     )
-    ntp = ntp_state()
     notes = [f"clock jump of {jump.step_s:.3g} s at frame {jump.frame}" for jump in relation.jumps]
     if relation.frame_jitter_s > FRAME_JITTER_LIMIT_S:
         notes.append(
             f"frame times jitter by {relation.frame_jitter_s * 1e6:.3g} µs, swings need "
             f"{FRAME_JITTER_LIMIT_S * 1e6:g} µs"
         )
-    if not ntp.synchronised:
-        notes.append(f"the host's clock is not known to be synchronised with UTC ({ntp.text})")
+    if not synchronised:
+        notes.append("the host's clock was not known to be synchronised with UTC")
     values = {
         "camera_rate": relation.rate,
-        "u_camera_rate": u_camera_rate(relation, ntp.u_rate),
+        "u_camera_rate": u_camera_rate(relation, u_host_rate),
     }
     details = {
         "drift_ppm": relation.drift_ppm,
@@ -267,8 +266,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
         **arrival_residuals(relation, device, table["host_time_ns"].astype(np.int64), table["sequence"]),
     }
     details["frame_jitter_limit_s"] = FRAME_JITTER_LIMIT_S
-    details["ntp"] = ntp.text
-    details["ntp_synchronised"] = ntp.synchronised
+    details["host_synchronised"] = synchronised
     return file_calibration(
         "clock", filing, "camera against host, robust line", values, details, [record], notes, began
     )

@@ -24,7 +24,6 @@ from acquisition.record.topics import (
 )
 from processing.arrays import Floats
 from processing.balance import Balance
-from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
@@ -34,7 +33,7 @@ from rig.instrument import Phase, RecordContents, RunNow, advice_for, piece_cont
 from rig.settings import Configuration
 from rig.terminal import balance_numbers
 from rig.view import layout
-from rig.view.drawing import Drawing, is_drawn
+from rig.view.drawing import Drawing
 
 _STATE_INTERVAL_NS, _LOSSES_INTERVAL_NS = 1_000_000_000, 10_000_000_000
 """Intervals of run time at which state and losses are drawn, even without a change."""
@@ -64,7 +63,7 @@ class RecordDrawer:
         self._state_due_ns = self._losses_due_ns = 0
         self._shown_losses = (-1, -1)
         self._now = RunNow()
-        self._advised = self._has_session_messages = self._ended = False
+        self._advised = self._ended = False
         self.frames = self.missing = self.lost = 0
 
     def take(self) -> None:
@@ -176,7 +175,6 @@ class RecordDrawer:
         """Draw messages on the session: phase, clock, estimates."""
         clock, drawing, run = self._now.clock, self._drawing, self._run
         for health in contents.messages_of_kind(RecordedHealth):
-            self._has_session_messages = True
             if clock.known and clock != before.clock:
                 drawing.clock(run, self._run_s(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
         rows = contents.messages_of_kind(RecordedEstimate)
@@ -221,7 +219,7 @@ class RecordDrawer:
             self._drawing.text(self._run, layout.STATE, self._run_s(self._last_ns), self._state())
 
     def _state(self) -> str:
-        """Phase, amplitude, frames and losses, and why a panel is empty, in Markdown.
+        """Phase, amplitude, frames and losses, in Markdown.
 
         It begins with the time of day, which shows how far a page lags behind.
         """
@@ -240,7 +238,6 @@ class RecordDrawer:
         if state.losses.total:
             lines.append(f"lost: {state.losses}")
         lines.append(f"{state.half_cycles} half-cycles")
-        lines += self._empty_panels()
         alarm = f"# {state.alarm.upper()}\n\n" if state.alarm else ""
         doing = "recorded"
         if self._ended:
@@ -252,30 +249,6 @@ class RecordDrawer:
         return (
             f"{alarm}**{doing}**{reason}\n\n{instruction}" + "\n".join(f"- {line}" for line in lines) + "\n"
         )
-
-    def _empty_panels(self) -> list[str]:
-        """Why panels of the measuring layout are empty, one line for each kind of panel."""
-        reasons = []
-        parameters = self._drawing.setup.parameters
-        if not self._now.half_cycles:
-            reasons.append("amplitude and period are empty until a half-cycle has been measured")
-        if self._has_session_messages and not self._now.clock.known:
-            reasons.append(
-                "the clock is empty until the rate of the camera's is known; frames on demand have none"
-            )
-        if self._now.balance is None:
-            reasons.append("the balance is empty until some periods of swing have been seen")
-        if parameters and not self._now.estimates:
-            reasons.append("the parameters are empty until there are enough half-cycles for a first fit")
-        elif unknown := [
-            label.split(" /")[0]
-            for key, label in parameters.items()
-            if not is_drawn(*self._now.estimates.get(key, Estimate(math.nan, math.nan)))
-        ]:
-            reasons.append(f"not known to a half of their values yet, hence not drawn: {', '.join(unknown)}")
-        if self._reader.deflection_unit is DeflectionUnit.PX:
-            reasons.append("no parameters are fitted: without [lever] pixels are not angles")
-        return reasons
 
     def _times_s(self, times_ns: NDArray[np.int64]) -> Floats:
         return np.asarray(seconds(times_ns - (self._start_ns or 0)), dtype=np.float64)

@@ -1,13 +1,17 @@
 """`rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
 
 import math
+import tempfile
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from acquisition.record.events import Event
+from rich.console import Console
+from rich.progress import Progress
+
 from acquisition.record.reader import RecordReader
+from acquisition.record.writer import RecordWriter
 from processing.errors import ConfigurationError
 from rig.analysis import (
     RESULTS_NAME,
@@ -20,11 +24,8 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import configuration_attachments, recorded_configuration
-from rig.interruption import Terminated
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import (
-    Keys,
-    QuantityDisplay,
     Table,
     TableRow,
     answer,
@@ -37,16 +38,11 @@ from rig.terminal import (
 )
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
-from rig.view.replay_player import HELP, MAX_FRAMES, Player, ReplayLine
-from rig.view.scratch import Mode, ScratchView
-
-_MAX_ROUNDING_U = 0.01
-"""Largest change, in standard uncertainties, that is attributed to rounding."""
-_KEY_INTERVAL_S = 0.2
-_EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
+from rig.view.scratch import Mode, no_window
+from rig.view.show import show_records
 
 
-def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
+def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
     spots, half_cycles = comparison.spots, comparison.half_cycles
     if comparison.identical:
@@ -66,12 +62,6 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
     ]
     head = ("", "recorded", "replayed", "changed", "largest change")
     print_tables([Table("comparison", "", head, head, [TableRow(row, row) for row in rows])])
-    if retracked and not spots.once and 0 < spots.largest_u < _MAX_ROUNDING_U:
-        # each fit starts at the spot of the previous frame, which passes rounding errors on
-        print_line(
-            "the spots agree: pixels of a window are counted from another corner than those of the whole "
-            "frame, so that sums are rounded differently"
-        )
     if partial:
         say(
             "half-cycles of a part differ in any case: they are numbered from its beginning, "
@@ -80,33 +70,19 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
 
 
 def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
-    """Print the changes of the recorded fitted parameters; one line if nothing changed.
-
-    The exact fit of the contact law is shown with values and changes, the asymptotic fit with changes only.
-    """
+    """Print the changes of the quantities of the results; one line if nothing changed."""
     if not changes:
         return
     if all(change.change_u == 0.0 for change in changes):
-        text = f"{len(changes)} fitted numbers, equal to those of {source}"
-        print_line(text)
+        print_line(f"{len(changes)} fitted numbers, equal to those of {source}")
         return
-    by_name = {change.name: change for change in changes}
-    asymptotic = [change for name, change in by_name.items() if name.startswith(_ASYMPTOTIC)]
-    head = ("", f"{source}, u: swings", "change / u", *(["of the asymptotic fit"] if asymptotic else []))
-    rows: list[list[str]] = []
-    for name, change in by_name.items():
-        if name.startswith(_ASYMPTOTIC):
-            continue
-        asymptotic_fit = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
-        parameter = name.removeprefix(_EXACT)
-        shown = quantity(parameter) if parameter != name else QuantityDisplay(name, "", name)
-        asymptotic_change = [_in_u(asymptotic_fit) if asymptotic_fit else ""] if asymptotic else []
-        rows.append([shown.label, shown.text(*change.recorded), _in_u(change), *asymptotic_change])
+    head = ("", "", f"{source}, u: swings", "change / u")
+    rows = []
+    for change in changes:
+        shown, by_u = quantity(change.quantity), change.change_u
+        size = "?" if math.isnan(by_u) else signed(by_u)
+        rows.append([shown.label, change.fit, shown.text(*change.recorded), size])
     print_tables([Table("changes", "", head, head, [TableRow(row, row) for row in rows])])
-
-
-def _in_u(change: ParameterDifference) -> str:
-    return "?" if math.isnan(change.change_u) else signed(change.change_u)
 
 
 def _largest(differences: Differences, place: str) -> str:
@@ -116,30 +92,12 @@ def _largest(differences: Differences, place: str) -> str:
     return "; ".join(texts or ["only in uncertainties or flags"]) if differences.changed else ""
 
 
-def _events(reader: RecordReader) -> list[Event]:
-    """Events and notes in order of time."""
-    notes = (note.event for note in reader.notes())
-    return sorted([*reader.events(), *notes], key=lambda event: event.time_ns)
-
-
-def speed_of(text: str) -> float:
-    """Speed from a positive number or ``max`` (infinite); raises ConfigurationError for anything else."""
-    try:
-        speed = math.inf if text == "max" else float(text)
-    except ValueError:
-        speed = math.nan
-    if not speed > 0:
-        raise ConfigurationError(f"--speed {text}: must be a number above 0, or max")
-    return speed
-
-
 def replay_record(
     record: Path,
     output: Path | None,
     *,
     retrack: bool,
     overrides: Sequence[str],
-    speed: str = "max",
     from_s: float = 0.0,
     to_s: float = math.inf,
     mode: Mode = "none",
@@ -147,83 +105,82 @@ def replay_record(
 ) -> int:
     """Replay, compare and fit a record; writes results.json into `output` if given. Returns the exit status.
 
-    Raises ConfigurationError for an invalid speed or invalid times, and RecordError for a file that cannot be
-    replayed, before anything is written; RecordError at the end if the Rerun file is not whole.
+    The view, or the Rerun file, comes last: it shows a record of the replay that lasts as long as the view.
+    Raises ConfigurationError for invalid times, and RecordError for a file that cannot be replayed, before
+    anything is written; RecordError at the end if the Rerun file is not whole.
     """
-    speed_factor = speed_of(speed)
     if not 0 <= from_s < to_s:
         raise ConfigurationError(
             f"--from {from_s:g} --to {to_s:g}: the part must begin before it ends, from 0 on"
         )
-    with RecordReader(record) as reader:
+    if mode == "spawn" and (missing := no_window()):
+        raise ConfigurationError(missing)
+    with RecordReader(record) as reader, tempfile.TemporaryDirectory(prefix="rig-replay-") as folder:
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
         key_monitor = KeyUseMonitor(recorded_configuration(reader, overrides), overrides, remedy)
         config = key_monitor.config
         if reader.truncated:
             say(reader.cut_notice)
-        wants_view = mode != "none" or rrd is not None
-        replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s, pictures=wants_view)
-        with ExitStack() as stack:
-            view = None
-            if wants_view:
-                name = f"replay of {record.stem}"
-                unit = config.deflection_unit
-                view = stack.enter_context(ScratchView(name, mode, rrd, "measuring", unit, math.inf))
-                attachments = {**reader.attachments, **configuration_attachments(config, Path())}
-                metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
-                view.begin(
-                    replay.start_ns,
-                    epoch_offset_ns=reader.epoch_offset_ns,
-                    metadata=metadata,
-                    attachments=attachments,
-                )
-            keys = stack.enter_context(Keys())
-            line = stack.enter_context(
-                ReplayLine(config.deflection_unit.shown, HELP if keys.available else "")
-            )
-            player = Player(
-                replay,
-                speed_factor,
-                keys,
-                line,
-                retrack=retrack,
-                view=view,
-                events=_events(reader) if wants_view else [],
-            )
-            player.play()
-            result = player.finish()
-            if mode == "web" and not player.ended_by_user:
-                say("the page has all of it and stays until q or Ctrl-C; the results follow then")
-                _wait_for_quit(keys)
-        partial = replay.partial or replay.was_restarted or player.ended_by_user
+        replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s)
+        again = Path(folder) / f"replay of {record.stem}.mcap" if mode != "none" or rrd is not None else None
+        result = _replayed(reader, replay, config, again)
         run = _analyse(reader, config, result, key_monitor)
-        if partial:
-            part = f"replayed from {replay.pipeline_start_s:.2f} s to {replay.position_s:.2f} s of the record"
+        if replay.partial:
+            part = f"replayed from {replay.from_s:.2f} s to {replay.to_s:.2f} s of the record"
             # a part has another end than the record
             run = replace(run, ended=None, warnings=(part, *run.warnings))
-    results = session_results([run], output or record.parent)
-    _say_differences(record, replay, result, run, partial=partial, retracked=retrack)
-    print_results(results, [])
-    if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        write_results(output / RESULTS_NAME, results)
-        answer(written=[output / RESULTS_NAME])
-        print(f"results      {output / RESULTS_NAME}")
-    if rrd is not None:
-        answer(written=[rrd])
-        print(f"Rerun file   {rrd}")
-    return 1 if run.problem and config.lever is not None and not partial else 0
+        results = session_results([run], output or record.parent)
+        _say_differences(record, replay, result, run)
+        print_results(results, [])
+        if output is not None:
+            output.mkdir(parents=True, exist_ok=True)
+            write_results(output / RESULTS_NAME, results)
+            answer(written=[output / RESULTS_NAME])
+            print(f"results      {output / RESULTS_NAME}")
+        if again is not None and mode != "none":
+            show_records([again], mode=mode)
+        if again is not None and rrd is not None:
+            show_records([again], rrd=rrd)
+            answer(written=[rrd])
+            print(f"Rerun file   {rrd}")
+    return 1 if run.problem and config.lever is not None and not replay.partial else 0
 
 
-def _wait_for_quit(keys: Keys) -> None:
-    """Wait for the key q, or Ctrl-C, which then ends only the page."""
-    try:
-        while "q" not in keys.pressed(_KEY_INTERVAL_S):
-            pass
-    except Terminated:
-        raise
-    except KeyboardInterrupt:
-        pass
+def _replayed(
+    reader: RecordReader, replay: Replay, config: Configuration, again: Path | None
+) -> ReplayResult:
+    """Replay to the end, with a bar of the progress; the results are also recorded in the file `again`."""
+    console, recorded = Console(stderr=True), 0
+    with (
+        nullcontext() if again is None else closing(_writer(again, reader, config)) as writer,
+        Progress(console=console, transient=True, disable=not console.is_terminal) as progress,
+    ):
+        task = progress.add_task("replaying", total=replay.to_s - replay.from_s)
+        for sequences, block in replay.blocks():
+            times_ns = block.deflections.times_ns.tolist()
+            if writer is not None:
+                block.write(writer, sequences.tolist(), times_ns, times_ns)
+                recorded += len(block.swings)
+            progress.update(task, completed=replay.elapsed_s(times_ns[-1]) - replay.from_s)
+        result = replay.finish()
+        if writer is not None:
+            for swing in result.swings[recorded:]:
+                writer.write_swing(swing)
+            for event in (*reader.events(), *(note.event for note in reader.notes())):
+                if not replay.partial or replay.from_s <= replay.elapsed_s(event.time_ns) <= replay.to_s:
+                    writer.write_event(*event)
+    return result
+
+
+def _writer(again: Path, reader: RecordReader, config: Configuration) -> RecordWriter:
+    """A new record with the head of another, but for the configuration."""
+    return RecordWriter(
+        again,
+        reader.epoch_offset_ns,
+        metadata={name: texts for name, texts in reader.metadata.items() if name != "record"},
+        attachments={**reader.attachments, **configuration_attachments(config, Path())},
+        deflection_unit=config.deflection_unit,
+    )
 
 
 def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:
@@ -234,7 +191,7 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
     with RecordReader(record) as reader:
         config = recorded_configuration(reader, overrides)
         replay = Replay(reader, config, retrack=retrack)
-        while replay.advance(math.inf, MAX_FRAMES[retrack]) is not None:
+        for _ in replay.blocks():
             pass
         return _analyse(reader, config, replay.finish())
 
@@ -254,19 +211,11 @@ def _analyse(
     )
 
 
-def _say_differences(
-    record: Path, replay: Replay, result: ReplayResult, run: AnalysedRun, *, partial: bool, retracked: bool
-) -> None:
+def _say_differences(record: Path, replay: Replay, result: ReplayResult, run: AnalysedRun) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
-    if replay.was_restarted:
-        print_line(
-            f"restarted at {replay.pipeline_start_s:.2f} s by going back: "
-            "the results are not compared with the recorded ones"
-        )
-        return
     answer(comparison=result.comparison)
-    print_comparison(result.comparison, partial=partial, retracked=retracked)
-    if partial:
+    print_comparison(result.comparison, partial=replay.partial)
+    if replay.partial:
         return
     source, recorded = recorded_results(record, run.sha256)
     if recorded is None and not result.comparison.identical:

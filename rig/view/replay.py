@@ -1,4 +1,4 @@
-"""The replay of a record through the pipeline of a run, at any speed and from any position."""
+"""The replay of a record through the pipeline of a run, of all of it or of a part."""
 
 import math
 from collections.abc import Iterator
@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import Frame
 from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
@@ -21,17 +20,6 @@ from rig.settings import Configuration
 from rig.view.replay_comparison import ReplayComparison, ReplayDifferences
 
 _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
-
-
-class ReplayStep(NamedTuple):
-    """Results of some frames: the pipeline's block, and the recorded whole frames.
-
-    `sequences` are the frame numbers (n,), in the order of the times of the block.
-    """
-
-    sequences: NDArray[np.int64]
-    block: Block
-    pictures: list[Frame]
 
 
 class ReplayResult(NamedTuple):
@@ -48,15 +36,11 @@ class ReplayResult(NamedTuple):
 
 
 class Replay:
-    """The replay of a record.
+    """The replay of a record: take all `blocks`, then `finish`.
 
     Without `retrack` the recorded spots are used, and their deflections as they were recorded
     unless lever or axes have been changed; with it the spots are tracked again in the recorded
     windows. A frame whose spot was lost has no window and stays lost.
-
-    The state of the pipeline depends on all frames before. Going forwards therefore processes every
-    frame; going backwards starts a new pipeline (`restart`), whose results are not compared with the
-    record.
 
     Parameters
     ----------
@@ -66,8 +50,6 @@ class Replay:
         The recorded or a changed configuration.
     from_s, to_s
         The part to be replayed, in seconds from the first frame.
-    pictures
-        Whether to return whole frames.
 
     Raises
     ------
@@ -85,14 +67,12 @@ class Replay:
         retrack: bool,
         from_s: float = 0.0,
         to_s: float = math.inf,
-        pictures: bool = False,
     ) -> None:
         self._reader = reader
         self._retrack = retrack
-        self._pictures = pictures
         recorded = recorded_configuration(reader)
         # only the tracker uses the sensor's noise, and without --retrack it has nothing to do
-        self._config = config if retrack else config.model_copy(update={"sensor": recorded.sensor})
+        config = config if retrack else config.model_copy(update={"sensor": recorded.sensor})
         if retrack and not reader.counts.get(WINDOW.topic):
             why = "" if recorded.record.windows else " (it was made with record.windows = false)"
             if recorded.record.windows and len(reader.files) == 1:
@@ -111,111 +91,66 @@ class Replay:
         if head is None:
             raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
         self.start_ns = int(head["time_ns"][0])
-        self._last_ns = max(reader.numbers.end_ns - reader.epoch_offset_ns, self.start_ns)
-        if from_s > seconds(self._last_ns - self.start_ns):
-            length_s = seconds(self._last_ns - self.start_ns)
+        last_ns = max(reader.numbers.end_ns - reader.epoch_offset_ns, self.start_ns)
+        self.length_s = self.elapsed_s(last_ns)
+        if from_s > self.length_s:
             raise ConfigurationError(
-                f"--from {from_s:g}: beyond the end of {reader.path}, which goes from 0 to {length_s:.1f} s"
+                f"--from {from_s:g}: beyond the end of {reader.path}, "
+                f"which goes from 0 to {self.length_s:.1f} s"
             )
-        self._from_ns = self.start_ns + nanoseconds(from_s)
-        self._to_ns = self._last_ns if math.isinf(to_s) else self.start_ns + nanoseconds(to_s)
-        self.partial = from_s > 0 or self._to_ns < self._last_ns
-        self.was_restarted = False
-        self._table: NDArray[Any] = head[:0]
-        self._row = 0
-        self._begin(self._from_ns)
-
-    @property
-    def length_s(self) -> float:
-        """Time at which the replay ends, in seconds from the record's first frame."""
-        return seconds(min(self._to_ns, self._last_ns) - self.start_ns)
-
-    @property
-    def position_s(self) -> float:
-        """Time of the last processed frame, in seconds from the record's first frame."""
-        return seconds(self._position_ns - self.start_ns)
-
-    @property
-    def pipeline_start_s(self) -> float:
-        """Time at which the pipeline was started, in seconds from the record's first frame."""
-        return seconds(self._pipeline_start_ns - self.start_ns)
-
-    @property
-    def next_s(self) -> float:
-        """Time of the next frame; infinite at the end."""
-        if self._row >= len(self._table):
-            table = next(self._tables, None)
-            if table is None:
-                return math.inf
-            self._table, self._row = table, 0
-        next_ns = int(self._table["time_ns"][self._row])
-        return math.inf if next_ns > self._to_ns else seconds(next_ns - self.start_ns)
-
-    @property
-    def next_sequence(self) -> int:
-        """Number of the next frame; 0 at the end."""
-        return 0 if math.isinf(self.next_s) else int(self._table["sequence"][self._row])
-
-    def restart(self, time_s: float) -> None:
-        """Start again at a time; the results so far are discarded."""
-        self.was_restarted = True
-        self._begin(self.start_ns + nanoseconds(max(time_s, 0.0)))
-
-    def advance(self, until_s: float, most: int) -> ReplayStep | None:
-        """Process the next frames up to and including a time, at most `most` of them.
-
-        Returns None if no frame is due or none is left (`next_s` distinguishes the two).
-        """
-        next_s = self.next_s
-        if next_s > until_s or math.isinf(next_s):
-            return None
-        limit_ns = self._to_ns
-        if until_s < self.length_s:
-            limit_ns = min(limit_ns, self.start_ns + nanoseconds(until_s))
-        rows = self._table[self._row : self._row + most]
-        rows = rows[: max(1, int(np.searchsorted(rows["time_ns"], limit_ns, side="right")))]
-        self._row += len(rows)
-        self._position_ns = int(rows["time_ns"][-1])
-        spots = self._track_again(rows) if self._retrack else _spots(rows)
-        block = self._block(rows, spots)
-        self._collect(rows, block)
-        self._comparison.spots(rows, spots)
-        return ReplayStep(rows["sequence"].astype(np.int64), block, self._pictures_in(rows))
-
-    def finish(self) -> ReplayResult:
-        """Complete the last half-cycles; returns all results since the start."""
-        swings = self._pipeline.finish()
-        whole_end = math.isinf(self.next_s) and self._to_ns >= self._last_ns
-        self._swings += swings
-        first = self._first_sequence if self.partial or self.was_restarted else 0
-        dropped = self._last_sequence + 1 - first - sum(map(len, self._deflections))
-        # at the end of a part the last half-cycle lacks samples that the recorded one had
-        compared = self._swings if whole_end else self._swings[: len(self._swings) - len(swings)]
-        comparison = self._comparison.finish(
-            self._reader.swings(),
-            compared,
-            from_start=self._pipeline_start_ns == self.start_ns,
-            to_end=whole_end,
-        )
-        return ReplayResult(self._swings, self._deflections, dropped, comparison, self._beam)
-
-    def _begin(self, time_ns: int) -> None:
-        shape = self._shape
-        self._pipeline = Pipeline(optics_of(self._config, self._reader.full_scale_dn), shape)
-        from_ns = None if time_ns <= self.start_ns else time_ns
-        self._tables = self._reader.spot_blocks(from_ns)
-        self._table, self._row = self._table[:0], 0
-        self._windows: Iterator[RecordedWindow] = self._reader.windows(from_ns)
+        self.from_s, self.to_s = from_s, min(to_s, self.length_s)
+        self._pipeline = Pipeline(optics_of(config, reader.full_scale_dn), self._shape)
         self._window: RecordedWindow | None = None
-        self._images = self._reader.images(from_ns)
-        self._image: Frame | None = None
-        self._pipeline_start_ns = self._position_ns = max(time_ns, self.start_ns)
         self._swings: list[HalfCycle] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
-        self._first_sequence, self._last_sequence = -1, -1
-        is_one_unit = self._config.deflection_unit is self._reader.deflection_unit
+        self._first_sequence = self._last_sequence = -1
+        is_one_unit = config.deflection_unit is reader.deflection_unit
         self._comparison = ReplayComparison(self.start_ns, is_one_unit=is_one_unit)
+
+    @property
+    def partial(self) -> bool:
+        """Whether only a part of the record is replayed."""
+        return self.from_s > 0 or self.to_s < self.length_s
+
+    def elapsed_s(self, time_ns: int) -> float:
+        """Time from the first frame of the record."""
+        return seconds(time_ns - self.start_ns)
+
+    def blocks(self) -> Iterator[tuple[NDArray[np.int64], Block]]:
+        """The numbers of some frames and the pipeline's block of them, one after the other."""
+        from_ns = None if self.from_s <= 0 else self.start_ns + nanoseconds(self.from_s)
+        to_ns = self.start_ns + nanoseconds(self.to_s)
+        windows = self._reader.windows(from_ns)
+        for table in self._reader.spot_blocks(from_ns):
+            rows = table[: int(np.searchsorted(table["time_ns"], to_ns, side="right"))]
+            if not len(rows):
+                return
+            spots = self._track_again(rows, windows) if self._retrack else _spots(rows)
+            block = self._block(rows, spots)
+            sequences = rows["sequence"].astype(np.int64)
+            self._swings += block.swings
+            self._deflections.append(block.deflections)
+            self._beam.take(sequences, [spot.flags for spot in spots])
+            self._comparison.spots(rows, spots)
+            if self._first_sequence < 0:
+                self._first_sequence = int(sequences[0])
+            self._last_sequence = int(sequences[-1])
+            yield sequences, block
+
+    def finish(self) -> ReplayResult:
+        """Complete the last half-cycles; returns all results."""
+        swings = self._pipeline.finish()
+        to_end = self.to_s >= self.length_s
+        self._swings += swings
+        first = self._first_sequence if self.partial else 0
+        dropped = self._last_sequence + 1 - first - sum(map(len, self._deflections))
+        # at the end of a part the last half-cycle lacks samples that the recorded one had
+        compared = self._swings if to_end else self._swings[: len(self._swings) - len(swings)]
+        comparison = self._comparison.finish(
+            self._reader.swings(), compared, from_start=self.from_s <= 0, to_end=to_end
+        )
+        return ReplayResult(self._swings, self._deflections, dropped, comparison, self._beam)
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:
@@ -225,45 +160,22 @@ class Replay:
             return self._pipeline.measure(frame_times_ns.astype(np.int64), spots)
         return self._pipeline.detect(spots, self._reader.deflections(rows))
 
-    def _collect(self, rows: NDArray[Any], block: Block) -> None:
-        self._swings += block.swings
-        self._deflections.append(block.deflections)
-        self._beam.take(rows["sequence"], [spot.flags for spot in block.spots])
-        if self._first_sequence < 0:
-            self._first_sequence = int(rows["sequence"][0])
-        self._last_sequence = int(rows["sequence"][-1])
-
-    def _track_again(self, rows: NDArray[Any]) -> list[Spot]:
+    def _track_again(self, rows: NDArray[Any], windows: Iterator[RecordedWindow]) -> list[Spot]:
         """Track the spots again; windows and rows are both in the order of the frames."""
+        tracker, shape = self._pipeline.tracker, self._pipeline.spots.pendulum_shape(self._shape)
         spots: list[Spot] = []
         for sequence in rows["sequence"].tolist():
             # skip windows whose spots were in a damaged chunk
             while self._window is None or self._window.sequence < sequence:
-                self._window = next(self._windows, None)
+                self._window = next(windows, None)
                 if self._window is None:
                     break
             window = self._window
             if window is not None and window.sequence == sequence:
-                spots.append(
-                    self._pipeline.tracker.track(
-                        window.image, window.origin_px, self._pipeline.spots.pendulum_shape(self._shape)
-                    )
-                )
+                spots.append(tracker.track(window.image, window.origin_px, shape))
             else:
                 spots.append(_LOST)
         return spots
-
-    def _pictures_in(self, rows: NDArray[Any]) -> list[Frame]:
-        found: list[Frame] = []
-        while self._pictures:
-            self._image = self._image or next(self._images, None)
-            if self._image is None or self._image.sequence > int(rows["sequence"][-1]):
-                break
-            row = int(np.searchsorted(rows["sequence"], self._image.sequence))
-            if row < len(rows) and rows["sequence"][row] == self._image.sequence:
-                found.append(self._image)
-            self._image = None
-        return found
 
 
 def _spots(table: NDArray[Any]) -> list[Spot]:

@@ -8,13 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import Estimate
-from processing.fit import FitMethod
 from processing.spot import Spot
 from processing.swing import HalfCycle
 from processing.units import NS_PER_S, seconds
-from rig.analysis import DECAY, INSTRUMENT, ResultRow, RunResults
+from rig.analysis import RunResults
 
 _MAX_TIME_DIFFERENCE = 0.25
 """Largest time difference of two turning points that count as the same, as a fraction of a half-period."""
@@ -51,9 +49,10 @@ class ReplayDifferences(NamedTuple):
 
 
 class ParameterDifference(NamedTuple):
-    """One fitted parameter, recorded and replayed."""
+    """One quantity of the table of results, recorded and replayed, with the uncertainty of the swings."""
 
-    name: str
+    quantity: str
+    fit: str
     recorded: Estimate
     replayed: Estimate
 
@@ -138,35 +137,12 @@ class ReplayComparison:
 
 
 def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[ParameterDifference]:
-    """Fitted parameters that two results of a run have in common, in the order of the replayed one.
-
-    Contact parameters are named ``fits.exact.b`` and so on, quantities of other pendulums as in the table,
-    with their part of the decay; those of any decay ``decay.log_decrement`` and so on.
-    """
-    old, new = ({**_contact(run), **_instrument(run)} for run in (recorded, replayed))
-    return [ParameterDifference(name, old[name], new[name]) for name in new if name in old]
-
-
-def _contact(run: RunResults) -> dict[str, Estimate]:
-    return {
-        f"fits.{method}.{name}": fit.parameters[name]
-        for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC)
-        if (fit := run.fits.get(method)) is not None
-        for name in DEFAULT_LAW.names(drag=True)
-        if name in fit.parameters and all(map(math.isfinite, fit.parameters[name]))
-    }
-
-
-def _instrument(run: RunResults) -> dict[str, Estimate]:
-    rows = [] if run.instrument is None else [row for row in run.table if math.isfinite(row.u_total)]
-    return {_name(row): Estimate(*row) for row in rows}
-
-
-def _name(row: ResultRow) -> str:
-    """Name of a row with the part of the decay; a number of any decay is another than the instrument's."""
-    if row.fit == DECAY:
-        return f"{DECAY}.{row.quantity}"
-    return row.quantity + (row.fit.removeprefix(INSTRUMENT) if row.fit.startswith(INSTRUMENT) else "")
+    """Quantities with uncertainty that two results of a run have in common, in the order of the replayed."""
+    old, new = (
+        {(row.quantity, row.fit): Estimate(row.value, row.u) for row in run.table if math.isfinite(row.u)}
+        for run in (recorded, replayed)
+    )
+    return [ParameterDifference(*key, old[key], new[key]) for key in new if key in old]
 
 
 def _max_time_difference_ns(swings: Sequence[HalfCycle]) -> float:

@@ -15,7 +15,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -124,15 +123,15 @@ class _PageRequest(BaseHTTPRequestHandler):
 
 
 class ViewerProgram:
-    """The running viewer, with files or as the server of a stream: a window, or a page on the loopback."""
+    """The running viewer, the server of a stream: a window, or a page on the loopback."""
 
-    def __init__(self, mode: ShowMode, ports: tuple[int, int] | None, files: Sequence[str] = ()) -> None:
+    def __init__(self, mode: ShowMode, ports: tuple[int, int] | None) -> None:
         if mode == "spawn" and (missing := no_window()):
             raise ConfigurationError(missing)
         self._is_page = mode == "web"
         port, web_port = ports or ports_of_view()
         self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        words = ["--port", str(port), "--hide-welcome-screen", *files]
+        words = ["--port", str(port), "--hide-welcome-screen"]
         if self._is_page:
             inner_port = free_port(web_port + 1)
             words += ["--serve-web", "--web-viewer-port", str(inner_port)]

@@ -22,7 +22,6 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
-from processing.swing import HalfCycle
 from rig.instrument import Block
 from rig.interruption import LOOPBACK, free_port, start_python
 from rig.terminal import say
@@ -168,11 +167,6 @@ class ScratchView:
         if problem and kind is None:
             raise RecordError(problem)
 
-    @property
-    def begun(self) -> bool:
-        """Whether the record has begun."""
-        return self._writer is not None
-
     def begin(self, time_ns: int, **header: Any) -> None:
         """Begin the record; `header` holds `epoch_offset_ns`, `metadata` and `attachments` of `RecordWriter`.
 
@@ -182,53 +176,32 @@ class ScratchView:
         self._last_ns = self._picture_due_ns = time_ns
         self._writer = RecordWriter(self._path, deflection_unit=self._unit, **header)
 
-    def block(
-        self,
-        block: Block,
-        frames: Sequence[Frame] = (),
-        shift_ns: int = 0,
-        sequences: Sequence[int] | None = None,
-    ) -> None:
-        """Write spots, half-cycles and balances, and a picture at intervals; `shift_ns` is subtracted from
-        times.
-
-        Frames are numbered in their order unless `sequences` are given.
-        """
+    def block(self, block: Block, frames: Sequence[Frame], shift_ns: int) -> None:
+        """Write the results of frames, and a picture at intervals; `shift_ns` is subtracted from times."""
         deflections = replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns)
-        times_ns = deflections.times_ns.tolist()
-        numbers = sequences or range(self._sequence, self._sequence + len(times_ns))
-        self._sequence = numbers[-1] + 1 if times_ns else self._sequence
+        moved = block._replace(
+            deflections=deflections,
+            swings=[replace(one, turn_time_ns=one.turn_time_ns - shift_ns) for one in block.swings],
+            balances=[replace(one, time_ns=one.time_ns - shift_ns) for one in block.balances],
+        )
+        self._write_block(
+            moved, [frame._replace(device_time_ns=frame.time_ns - shift_ns) for frame in frames]
+        )
+
+    def _write_block(self, block: Block, frames: Sequence[Frame] = ()) -> None:
+        times_ns = block.deflections.times_ns.tolist()
+        numbers = range(self._sequence, self._sequence + len(times_ns))
+        self._sequence += len(times_ns)
         self._last_ns = times_ns[-1] if times_ns else self._last_ns
 
         def write(writer: RecordWriter) -> None:
-            if times_ns:
-                writer.write_spots(numbers, times_ns, times_ns, block.spots, deflections, block.references)
-            for swing in block.swings:
-                writer.write_swing(replace(swing, turn_time_ns=swing.turn_time_ns - shift_ns))
-            for balance in block.balances:
-                writer.write_balance(replace(balance, time_ns=balance.time_ns - shift_ns))
+            block.write(writer, numbers, times_ns, times_ns)
+            if frames and frames[-1].time_ns >= self._picture_due_ns:
+                self._picture_due_ns = frames[-1].time_ns + _PICTURE_INTERVAL_NS
+                writer.write_preview(frames[-1]._replace(sequence=numbers[-1]))
             writer.flush_if_due()
 
         self._write(write)
-        for frame in frames if sequences else frames[-1:]:
-            number = frame.sequence if sequences else self._sequence - 1
-            self._picture(Frame(frame.image, number, frame.time_ns - shift_ns, 0))
-
-    def _picture(self, frame: Frame) -> None:
-        if frame.time_ns >= self._picture_due_ns:
-            self._picture_due_ns = frame.time_ns + _PICTURE_INTERVAL_NS
-            self._write(lambda writer: writer.write_preview(frame))
-
-    def half_cycles(self, half_cycles: list[HalfCycle]) -> None:
-        """Write half-cycles that are completed only at the end."""
-        empty = np.empty(0)
-        no_deflections = Deflections(np.empty(0, dtype=np.int64), empty, empty, empty, empty, self._unit)
-        self.block(Block([], no_deflections, half_cycles, []))
-
-    def look(self, frame: Frame, spot: Spot) -> None:
-        """Write a frame and the spot in it, without a deflection."""
-        self._picture_due_ns = frame.time_ns
-        self.block(self._single_spot(frame.time_ns, spot), [frame])
 
     def event(self, event: Event) -> None:
         """Write an event: a line of the log, or the advice on the last balance."""
@@ -236,22 +209,10 @@ class ScratchView:
 
     def jump(self, time_ns: int, text: str) -> None:
         """Continue at a later time; curves are interrupted there, and `text` is logged."""
-        self.block(self._single_spot(time_ns, _LOST))
+        unknown = np.full(1, math.nan)
+        nowhere = Deflections(np.array([time_ns]), unknown, unknown, unknown, unknown, self._unit)
+        self._write_block(Block([_LOST], nowhere, [], []))
         self.event(Event(time_ns, EventKind.START, text))
-
-    def restart(self, time_ns: int) -> None:
-        """Begin a new record, which the view shows from now on."""
-        self._last_ns = time_ns
-        self._write(self._replace_record)
-
-    def flush(self) -> None:
-        """Flush the record, so that all of it is shown."""
-        self._write(lambda writer: writer.flush())
-
-    def _single_spot(self, time_ns: int, spot: Spot) -> Block:
-        unknown, unit = np.full(1, math.nan), self._unit
-        deflection = Deflections(np.array([time_ns]), unknown, unknown, unknown, unknown, unit)
-        return Block([spot], deflection, [], [])
 
     def _write(self, write: Callable[[RecordWriter], None]) -> None:
         """Write into the record, unless it has not begun or writing has failed."""

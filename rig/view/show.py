@@ -46,14 +46,14 @@ def show_records(
     follow: bool = False,
     ports: tuple[int, int] | None = None,
 ) -> None:
-    """Show records (.mcap) or Rerun files (.rrd); returns when the viewer is closed.
+    """Show records; returns when the viewer is closed.
 
     A record that is being written is followed to its end.
 
     Parameters
     ----------
     paths
-        Records or Rerun files; several are overlaid in different colours, each from time 0 on.
+        Records; several are overlaid in different colours, each from time 0 on.
     mode
         A window, or a page for a browser on this machine.
     rrd
@@ -74,13 +74,6 @@ def show_records(
     processing.errors.ConfigurationError
         No screen for a window, or `rrd` exists already.
     """
-    if paths and all(path.suffix == ".rrd" for path in paths):
-        for path in paths:
-            if not path.is_file():
-                raise RecordError(f"{path}: no such Rerun file")
-        with _viewer(mode, ports, [str(path) for path in paths]) as program:
-            program.wait()
-        return
     if follow:
         # the measuring program has precedence
         with suppress(AttributeError, OSError):
@@ -103,11 +96,11 @@ def show_records(
             viewer.wait()
 
 
-def _viewer(mode: ShowMode, ports: tuple[int, int] | None, files: Sequence[str] = ()) -> "ViewerProgram":
+def _viewer(mode: ShowMode, ports: tuple[int, int] | None) -> "ViewerProgram":
     # it imports what a Rerun file does not need
     from rig.view.rerun_program import ViewerProgram
 
-    return ViewerProgram(mode, ports, files)
+    return ViewerProgram(mode, ports)
 
 
 @contextmanager

@@ -29,8 +29,8 @@ from rig.instrument.pipeline import Optics
 from rig.instrument.provenance import prepare_kernels
 from rig.instrument.run_now import RunNow
 from rig.measure.recorder import RecordEntry, Recorder
-from rig.measure.run import MeasurementRun, ready_for_frames
-from rig.measure.run_parts import RunParts, RunPlan
+from rig.measure.run import MeasurementRun
+from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
 from rig.settings import load_configuration, validate_configuration
@@ -128,20 +128,18 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
         )
         config = config.model_copy(update={"lever": lever})
         run = MeasurementRun(
-            RunParts(
-                plan=RunPlan(
-                    config,
-                    Path(),
-                    Path(folder) / "run.mcap",
-                    "run 1",
-                    session_news=company.news or SessionNews(),
-                ),
-                camera=opened,
-                optics=optics,
-                stream=FrameStream(camera, CameraSettings()),
-                devices=Devices(config),
-                watchers=company.watchers,
-            )
+            plan=RunPlan(
+                config,
+                Path(),
+                Path(folder) / "run.mcap",
+                "run 1",
+                session_news=company.news or SessionNews(),
+            ),
+            camera=opened,
+            optics=optics,
+            stream=FrameStream(camera, CameraSettings()),
+            devices=Devices(config),
+            watchers=company.watchers,
         )
         Recorder._write = timed  # type: ignore[assignment, method-assign]
         before = resource.getrusage(resource.RUSAGE_SELF)

@@ -31,10 +31,6 @@ OFTEN = (
 )
 TRIALS = [
     *(("run", fault) for fault in (*EVERYTHING, *PLACES)),
-    *(
-        ("list", fault)
-        for fault in (*OFTEN, "interlock opened for 20 ms", "relay stuck closed, then told to end")
-    ),
     *(("align", fault) for fault in (*OFTEN, "camera stalls", "control thread hangs", "Ctrl-C")),
     *(("calibration", fault) for fault in (*OFTEN, "disk hangs", "processing hangs", "Ctrl-C")),
     *(("balance", fault) for fault in (*OFTEN, "processing hangs")),

@@ -115,8 +115,6 @@ class Trial:
             demo=(CONFIGS / "demo.toml").as_posix(), folder=folder, port=self.board.port, when_dark=when_dark
         )
         self.config.write_text(text, encoding="utf-8")
-        for name in ("one", "two"):
-            (folder / f"{name}.toml").write_text(f'extends = "{self.config}"\n', encoding="utf-8")
         self.out = folder / "out"
         self.log = folder / "said"
         self.says_on_s = 0.0
@@ -164,7 +162,7 @@ class Trial:
             thread.join()
 
     def _listen(self) -> None:
-        folder = {"list": self.out / "one", "align": self.folder}.get(self.path, self.out)
+        folder = self.folder if self.path == "align" else self.out
         while not self._listening.wait(0.05):
             with suppress(NoSession, RigError, OSError), OrderConnection(folder) as line:
                 while not self._listening.wait(0.05):
@@ -196,8 +194,8 @@ def _measured(trial: Trial, process: "subprocess.Popen[bytes]") -> Row:
         return Row("doctor", fault, None, "", None, relit, "–", "lit" * bool(relit))
     if not trial.wait(lambda: trial.lit or process.poll() is not None, LIT_WITHIN_S) or not trial.lit:
         return Row(trial.path, fault, None, _last(trial, 0), None, 0, "", "was not lit at all")
-    record = trial.out / "one" / "run-1.mcap" if trial.path == "list" else trial.out / "run-1.mcap"
-    if trial.path in ("run", "list"):
+    record = trial.out / "run-1.mcap"
+    if trial.path == "run":
         trial.wait(lambda: record.exists() and record.stat().st_size > 60_000, 30.0)
     time.sleep(1.0)
     heard = trial.log.stat().st_size
@@ -222,7 +220,7 @@ def _measured(trial: Trial, process: "subprocess.Popen[bytes]") -> Row:
             process.wait(20.0)
         process.kill()
         process.wait()
-    talks = trial.path in ("run", "list", "align") and fault not in SIGNALS
+    talks = trial.path in ("run", "align") and fault not in SIGNALS
     says_on_s = max(trial.says_on_s - dark_at_s, 0.0) if talks else None
     needed, violation = _asked(trial)
     violation = violation or "lit again by itself" * bool(relit)

@@ -114,12 +114,6 @@ def begin(path: str, config: Path, folder: Path, fault: str) -> None:
     _light_as_the_board_says(config.with_name("outputs.log"))
     words = {
         "run": ["run", str(config), "-o", str(folder)],
-        "list": [
-            "run",
-            *(str(config.with_name(f"{name}.toml")) for name in ("one", "two")),
-            "-o",
-            str(folder),
-        ],
         "resume": ["run", "--resume", str(folder)],
         "balance": ["balance", str(config), "--follow", "3"],
         "preflight": ["doctor", str(config), "--preflight"],

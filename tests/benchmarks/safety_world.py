@@ -31,7 +31,7 @@ from tests.rig.control.lasers.pairs import FAMILIES
 from tests.rig.control.stepped import Clock, InstrumentLine, SpoiledLine, SteppedBoard, stepped_clock, turn
 from tests.rig.known_rig import known
 
-PATHS = ("run", "list", "balance", "align", "calibration", "preflight", "doctor", "resume")
+PATHS = ("run", "balance", "align", "calibration", "preflight", "doctor", "resume")
 WATCHDOG_S, STALL_S = 1.5, 5.0
 DARK_WITHIN_S = {"off": 0.6, "cut": WATCHDOG_S + 0.6, "stall": STALL_S + 1.0}
 """What the light may take to go, by what took the leave away."""

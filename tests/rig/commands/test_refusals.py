@@ -103,7 +103,7 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
             "--set exposure: unknown key; did you mean camera.exposure_us?",
         ),
         (
-            ("run", DEMO, "--set", "set", "exposure=50"),
+            ("run", "exposure=50"),
             "exposure=50: no such file; a key of the configuration is changed by --set exposure=50",
         ),
         (("record", "info", "."), ".: holds no record (run-1.mcap, ...)"),

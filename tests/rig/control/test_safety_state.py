@@ -279,14 +279,11 @@ def test_each_rig_has_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_what_is_written_is_what_is_read(path: Path) -> None:
     with SafetyState(path) as state:
         state.lit(True)
-        state.note_log(Path("audit.jsonl"), 3, "digest")
         state.latch(TripCause.WATCHDOG, "lost", lit=True)
     stored = json.loads(path.read_text())
     assert (stored["schema_number"], stored["number"], stored["lit"]) == (1, 1, True)
     with SafetyState(path) as state:
         assert state.left_lit
-        assert state.end_of_log(Path("audit.jsonl")) == (3, "digest")
-        assert state.end_of_log(Path("another")) is None
 
 
 def test_a_disk_without_locks_is_not_called_another_program(

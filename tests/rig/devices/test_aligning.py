@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -16,9 +16,10 @@ from rig.devices import Devices
 from rig.devices.aligning import AlignmentTerminal, LivePicture, half_blocks, histogram_line
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
+from rig.instrument import DualSpotTracker
 from rig.settings import load_configuration
 from rig.terminal import palette
-from rig.terminal.quantities import Keys
+from rig.terminal.quantities import KeyParser, Keys
 from tests.rig.command_line import CONFIGS
 
 FULL_SCALE_DN = 255
@@ -88,8 +89,7 @@ def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, 
     """The pendulum's spot is found although the reference's is the brighter one."""
     image = np.maximum(spot_at(100.0, 200.0, 60.0), spot_at(210.0, 320.0, below_dn))
     model = SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN)
-    reference = (SpotTracker(model), 260)
-    look = take_look(image, FULL_SCALE_DN, SpotTracker(model), None, CameraSettings(), reference)
+    look = take_look(image, FULL_SCALE_DN, DualSpotTracker(model, 260), None, CameraSettings())
     assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 200.0), abs=0.5)
     lamps = {one.name: one for one in look.lamps()}
     # what is wrong with the reference is none of the pendulum's spot
@@ -191,3 +191,17 @@ def test_keys_set_the_camera_and_save_pictures(
     assert ("▀" in said) is terminal
     assert "exposure 156.25 µs" in said
     assert "align-1.png saved" in said
+
+
+@pytest.mark.parametrize("pieces", [lambda data: [data], lambda data: [bytes([byte]) for byte in data]])
+def test_keys_are_the_same_in_one_piece_and_in_many(pieces: Callable[[bytes], list[bytes]]) -> None:
+    parser = KeyParser()
+    keys = [key for piece in pieces(b"n \x1b[C\x1b[1;5C\x1bOCg1\r\x7f\x1bq") for key in parser.feed(piece)]
+    assert keys == ["n", "space", "right", "right", "g", "1", "enter", "backspace", "escape", "q"]
+
+
+def test_an_escape_that_stands_alone_is_a_key() -> None:
+    parser = KeyParser()
+    assert parser.feed(b"\x1b") == []
+    assert parser.flush() == ["escape"]
+    assert parser.flush() == []

@@ -10,7 +10,8 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame
 from processing.errors import DeviceError
-from rig.devices import find_exposure, watch_latest
+from rig.devices import find_exposure
+from rig.devices.picture import watch_latest
 
 INFO = CameraInfo("own", "Somebody", "Their own", "1", 10, 12, 255, has_clock=False)
 EXPOSED = CameraSettings(exposure_us=100.0)
@@ -72,7 +73,7 @@ STRANGE = [
 
 
 def watched(camera: Strange) -> None:
-    for _ in watch_latest(camera, math.inf, interval_s=0.0):
+    for _ in watch_latest(camera, math.inf, 0.0):
         pass
 
 
@@ -93,5 +94,4 @@ def test_a_machine_that_was_slow_to_start_shows_one_picture_all_the_same() -> No
     def sound(number: int) -> Frame:
         return Frame(np.zeros((12, 10), np.uint8), number, number, time.monotonic_ns())
 
-    found = list(watch_latest(Strange(sound), end_s=0.0))
-    assert len(found) == 1
+    assert len(list(watch_latest(Strange(sound), 0.0, 0.0))) == 1

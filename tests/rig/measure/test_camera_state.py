@@ -1,4 +1,4 @@
-"""The record says how the camera was set at the start and at the end, and how warm it was."""
+"""The record says how the camera was set, and how warm it was, at the start and at the end."""
 
 import json
 import struct
@@ -13,7 +13,7 @@ from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import Devices, OpenCamera
 from rig.instrument import optics_of
 from rig.measure.run import MeasurementRun
-from rig.measure.run_parts import RunOutcome, RunParts, RunPlan
+from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.settings import Configuration
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
@@ -37,13 +37,11 @@ def recorded(camera: Usb3VisionCamera, record: Path) -> RunOutcome:
     asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
     opened = OpenCamera(camera, camera.open(), (), camera.configure(asked), 100_000)
     outcome = MeasurementRun(
-        RunParts(
-            plan=RunPlan(ONE_SECOND, Path(), record, "run 1"),
-            camera=opened,
-            optics=optics_of(ONE_SECOND, 255),
-            stream=FrameStream(camera, asked, time_shift_ns=opened.time_shift_ns),
-            devices=Devices(ONE_SECOND),
-        )
+        plan=RunPlan(ONE_SECOND, Path(), record, "run 1"),
+        camera=opened,
+        optics=optics_of(ONE_SECOND, 255),
+        stream=FrameStream(camera, asked, time_shift_ns=opened.time_shift_ns),
+        devices=Devices(ONE_SECOND),
     ).execute()
     assert outcome.failure is None
     return outcome
@@ -60,7 +58,7 @@ def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
+def test_features_with_the_temperature_are_in_the_record(tmp_path: Path) -> None:
     device = VisionDevice(frames_inside=100_000)
     device.poke(layout.TEMPERATURE, struct.pack("<f", 41.5))
     camera, record = Usb3VisionCamera(backend=InProcessBackend(device)), tmp_path / "run.mcap"
@@ -70,11 +68,10 @@ def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
         at = {
             when: json.loads(reader.attachments[f"camera-features-{when}.json"]) for when in ("start", "end")
         }
-        table = reader.table("/camera_temperature")
         applied = reader.metadata["camera_settings"]
     assert at["start"]["Gain"] == at["end"]["Gain"] == -6.0
     assert at["start"]["ExposureAuto"] == "Off"
     assert len(at["end"]) > 15
-    assert set(table["temperature_c"].tolist()) == {41.5}
+    assert {features["DeviceTemperature"] for features in at.values()} == {41.5}
     assert (applied["gain_db"], applied["exposure_us"]) == ("-6.0", "200.0")
     assert (applied["stamped"], applied["time_shift_ns"]) == ("start", "100000")

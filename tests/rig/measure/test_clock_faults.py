@@ -10,9 +10,8 @@ from acquisition.record.events import EventKind
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ClockAnchor, RecordedClockStep
 from rig.analysis import analyse_record
-from rig.measure import measure_session
+from rig.measure import measure_session, simulate_record
 from rig.measure.phases import PhasesBeforeRecord
-from rig.measure.session import simulate_record
 from tests.rig.command_line import CONFIGS, QUICK, configured
 
 pytestmark = pytest.mark.slow

@@ -18,10 +18,9 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import RigError
-from rig.control import SafetyState, Stage, light_permit
+from rig.control import Stage, light_permit
 from rig.control.simulated import SimulatedBoard
 from rig.devices import NoSession, OrderConnection, lit_devices
-from rig.devices.audit import check_log
 from rig.measure import recording
 from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, rig, set_words
 
@@ -112,7 +111,6 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     assert re.search(r"it was last confirmed on at \d\d:\d\d:\d\d; ", said)
     (run,) = json.loads((tmp_path / "out" / "results.json").read_text())["runs"]
     assert [one["ok"] for one in run["conditions"] if one["name"] == "light"] == [False]
-    assert check_log(tmp_path / "out", SafetyState()) == []
     lit, dark = map(json.loads, (tmp_path / "out" / "audit.jsonl").read_text().splitlines())
     assert (lit["what"], lit["laser"], lit["user"]) == ("lit", "controller", getpass.getuser())
     assert (lit["task"], lit["why"]) == ("rig run", "asked for by rig run")
@@ -147,7 +145,6 @@ def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
     assert ("laser lit" in kinds) == asked
     said = [json.loads(line)["what"] for line in (out / "audit.jsonl").read_text().splitlines()]
     assert said.count("lit") == 1 + asked
-    assert check_log(out, SafetyState()) == []
     assert entry_of(out)["state"] == "complete"
 
 

@@ -11,9 +11,9 @@ import pytest
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from rig.archive.session_rows import session_rows
+from rig.measure import simulate_record
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run import MeasurementRun
-from rig.measure.session import simulate_record
 from rig.measure.session_file import RunState, SessionFile, read_session
 from rig.settings import load_configuration, stored_configuration
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words

@@ -8,7 +8,7 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.measure import session
-from rig.measure.run import ready_for_frames
+from rig.measure.run_parts import ready_for_frames
 from tests.rig.command_line import CONFIGS, rig
 
 

@@ -11,27 +11,22 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE, SPOT
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.errors import ConfigurationError
-from processing.spot import Spot, SpotFlag
+from processing.spot import Spot
 from processing.swing import HalfCycle, swings_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record, read_results
 from rig.analysis.passing_deflections import without_beam_motion
 from rig.devices import FrameStream
 from rig.instrument import (
-    BEAM_CORRECTED,
-    BeamCorrection,
-    Block,
     camera_settings,
     complete,
     make_camera,
     optics_of,
     recorded_configuration,
 )
-from rig.measure import measure_session
-from rig.measure.posterior_worker import FollowedMotion
+from rig.measure import measure_session, simulate_record
 from rig.measure.recent_frames import RecentFrames
-from rig.measure.session import simulate_record
-from rig.settings import Configuration, ReferenceSettings, load_configuration
+from rig.settings import ReferenceSettings, load_configuration
 from rig.view import analyse_replayed
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
@@ -66,20 +61,16 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_every_frame_has_both_spots_as_they_were_seen_and_a_session_says_what_is_taken_off(
-    recorded: Path,
-) -> None:
+def test_every_frame_has_both_spots_as_they_were_seen(recorded: Path) -> None:
     with RecordReader(recorded) as reader:
         reference, spots = reader.table(REFERENCE.topic), reader.table(SPOT.topic)
         config = recorded_configuration(reader)
-        said = [event.text for event in reader.events()]
         first = reader.deflections(next(reader.spot_blocks()))
     assert np.array_equal(reference["sequence"], spots["sequence"])
     assert np.array_equal(reference["time_ns"], spots["time_ns"])
     assert np.all(np.abs(reference["y_px"] - 684.0) < 3.0)
     assert np.all(spots["y_px"] < ROW)
     assert np.all(reference["u_y_px"] < 0.05)
-    assert said.count(BEAM_CORRECTED) == 1
     deflector, count = optics_of(config, full_scale_dn=255.0).deflector((720, 160)), len(first.times_ns)
     rows = [
         Spot(*row, *[0] * (len(Spot._fields) - 4)) for row in spots[list(Spot._fields[:4])][:count].tolist()
@@ -126,83 +117,6 @@ def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
     assert tracked.fits["exact"].estimate("b").value == pytest.approx(
         found.value, abs=1e-3 * found.standard_uncertainty
     )
-
-
-def blocks_of(reader: RecordReader, config: Configuration, lost: range = range(0)) -> list[Block]:
-    """Blocks of 50 frames as a pipeline made them, the reference lost in some frames."""
-    spots, references = reader.table(SPOT.topic), reader.table(REFERENCE.topic)
-    deflector = optics_of(config, full_scale_dn=255.0).deflector((720, 160))
-
-    def rows(table: np.ndarray) -> list[Spot]:
-        names = [name for name in Spot._fields if name in (table.dtype.names or ())]
-        blank = Spot(*[0] * len(Spot._fields))
-        return [blank._replace(**dict(zip(names, row, strict=True))) for row in table[names].tolist()]
-
-    own = rows(spots)
-    other = [
-        one._replace(flags=one.flags | SpotFlag.LOST) if k in lost else one
-        for k, one in enumerate(rows(references))
-    ]
-    found = []
-    for k in range(0, len(own), 50):
-        times_ns = spots["time_ns"][k : k + 50]
-        found.append(Block(own[k : k + 50], deflector(times_ns, own[k : k + 50]), [], [], other[k : k + 50]))
-    return found
-
-
-def corrected(
-    blocks: Sequence[Block], config: Configuration, *, threaded: bool = False
-) -> tuple[list[Block], BeamCorrection]:
-    """The blocks less the beam's motion so far."""
-    optics = optics_of(config, full_scale_dn=255.0)
-    assert optics.reference_gain is not None
-    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=threaded)
-    return [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks], less
-
-
-@pytest.mark.parametrize("threaded", [False, True])
-def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, threaded: bool) -> None:
-    with RecordReader(recorded) as reader:
-        config, raw = recorded_configuration(reader), scatter(reader.swings())
-        blocks = blocks_of(reader, config)
-    shown, less = corrected(blocks, config, threaded=threaded)
-    swings = [swing for block in shown for swing in block.swings] + less.finish()
-    assert scatter(swings)[0] < 0.5 * raw[0]
-    # the picture's spot is where it is seen
-    assert all(one.spots is block.spots for one, block in zip(shown, blocks, strict=True))
-    assert less.take_news() == [BEAM_CORRECTED]
-
-
-def test_a_live_fit_reads_the_record_less_the_beams_motion_as_a_run_shows_it(recorded: Path) -> None:
-    with RecordReader(recorded) as reader:
-        config = recorded_configuration(reader)
-        blocks = blocks_of(reader, config)
-        read = list(FollowedMotion(reader, config).unread())
-    shown, _ = corrected(blocks, config)
-    y, u_y = (np.concatenate([getattr(one.deflections, name) for one in shown]) for name in ("y", "u_y"))
-    assert np.array_equal(np.concatenate([deflections.y for _, deflections in read]), y)
-    assert np.array_equal(np.concatenate([deflections.u_y for _, deflections in read]), u_y)
-    swings = [swing for found, _ in read for swing in found]
-    assert len(swings) > 20
-    # texts, since NaN equals nothing
-    assert list(map(str, swings)) == [str(swing) for block in shown for swing in block.swings]
-
-
-def test_a_reference_that_is_lost_is_said_and_moves_nothing_at_once(recorded: Path) -> None:
-    with RecordReader(recorded) as reader:
-        config = recorded_configuration(reader)
-        blocks = blocks_of(reader, config, lost=range(1000, 1200))
-    shown, less = corrected(blocks, config)
-    assert [one.split(":")[0] for one in less.take_news()[1:]] == [
-        "reference spot lost",
-        "reference spot found",
-    ]
-    taken = np.concatenate(
-        [one.deflections.y - block.deflections.y for one, block in zip(shown, blocks, strict=True)]
-    )
-    assert np.ptp(taken[1000:1200]) < 1e-3 * np.std(taken)
-    u = np.concatenate([one.deflections.u_y for one in shown])
-    assert u[1199] > 2 * u[999]
 
 
 def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None:

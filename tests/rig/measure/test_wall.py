@@ -22,7 +22,6 @@ WATCHERS = {
     "the live fit": (LivePosterior, "take"),
     "the estimate of the balance": (BalanceEstimator, "update"),
     "the watch for steps": (readings.StepEvents, "take"),
-    "the camera's temperature": (readings.TemperatureWatch, "take"),
 }
 
 

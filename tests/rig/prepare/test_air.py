@@ -14,7 +14,7 @@ from processing.fit import drag_verdict
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.analysis.ambient import expected_drag
 from rig.instrument import complete, pendulum_on_ball
-from rig.measure.session import simulate_record
+from rig.measure import simulate_record
 from rig.prepare import Filing, calibrate_air
 from rig.settings import validate_configuration
 

@@ -17,7 +17,7 @@ from rig.analysis import analyse_record
 from rig.instrument import complete
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
 from rig.instrument.provenance import recorded_configuration
-from rig.measure.session import simulate_record
+from rig.measure import simulate_record
 from rig.prepare import (
     calibrate_axes,
     calibrate_clock,
@@ -295,7 +295,9 @@ def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -
     timebase = fill_from_files(in_use(clock=path)).timebase
     assert timebase is not None
     assert timebase.camera_rate == pytest.approx(1 / (1 + 30e-6), abs=4 * timebase.u_camera_rate)
-    assert found.details["ntp"]
+    with RecordReader(record) as reader:
+        stated = [anchor["synchronised"] for anchor in reader.table("/clock")]
+    assert found.details["host_synchronised"] is all(stated)
     assert found.details["frame_jitter_limit_s"] == 15e-6
     by_command = rig("calibrate", "clock", str(record), cwd=tmp_path)
     assert by_command.returncode == 0, by_command.stderr

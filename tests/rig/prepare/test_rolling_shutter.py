@@ -36,7 +36,7 @@ from rig.instrument import (
     recorded_configuration,
     session_metadata,
 )
-from rig.measure.session import simulate_record
+from rig.measure import simulate_record
 from rig.prepare import Filing, calibrate_shutter, read_calibration_report
 from rig.settings import Configuration, FitSettings, load_configuration, validate_configuration
 from rig.view.replay import Replay

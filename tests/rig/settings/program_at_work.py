@@ -36,7 +36,7 @@ from rig.instrument import camera_settings, complete, make_camera, optics_of
 from rig.instrument.configured_camera import shift_to_light_ns
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run import MeasurementRun
-from rig.measure.run_parts import RunParts, RunPlan
+from rig.measure.run_parts import RunPlan
 from rig.measure.session import measure_session, session_folder
 from rig.prepare.balancing import BalanceView, measure
 from rig.settings import Configuration, load_configuration
@@ -131,14 +131,12 @@ def go_through_the_phases(folder: Path) -> None:
     devices: Any = _Stubs()
     phases = PhasesBeforeRecord(config, devices, opened, optics, folder, force=True)
     outcome = MeasurementRun(
-        RunParts(
-            plan=RunPlan(config, DEMO, folder / "phases.mcap", "run 1"),
-            camera=opened,
-            stream=FrameStream(camera, asked, policy="wait"),
-            optics=optics,
-            phases=phases,
-            devices=devices,
-        )
+        plan=RunPlan(config, DEMO, folder / "phases.mcap", "run 1"),
+        camera=opened,
+        stream=FrameStream(camera, asked, policy="wait"),
+        optics=optics,
+        phases=phases,
+        devices=devices,
     ).execute()
     assert outcome.failure is None, outcome.failure
     phases.correct_starter(1e-4)

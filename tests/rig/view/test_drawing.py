@@ -9,10 +9,11 @@ import rerun as rr
 
 from acquisition.record.events import Event, EventKind
 from acquisition.record.reader import RecordReader
-from processing.deflections import DeflectionUnit
+from processing.deflections import DeflectionUnit, no_deflections
 from processing.spot import SpotFlag
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
+from rig.instrument import Block
 from rig.view import ScratchView, layout
 from rig.view.drawing import RunLanes
 from rig.view.graticule import PLANE_REACH
@@ -178,8 +179,9 @@ def test_a_turning_point_before_the_first_frame_is_shown() -> None:
     turn = HalfCycle(1, -3_000_000, 1e-6, 4e-4, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
     with ScratchView("looking", "none", None, "balancing", DeflectionUnit.RAD) as view:
         view.begin(0, epoch_offset_ns=EPOCH_NS)
-        view.half_cycles([turn])
-        view.flush()
+        view.block(Block([], no_deflections(DeflectionUnit.RAD), [turn], []), [], 0)
+        assert view._writer is not None
+        view._writer.flush()
         with RecordReader(view._path) as record:
             assert [swing.turn_time_ns for swing in record.swings()] == [turn.turn_time_ns]
             assert record.utc(0).year == 2023

@@ -12,7 +12,6 @@ from acquisition.record.events import EventKind, Severity
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import (
     RecordedClockStep,
-    RecordedEstimate,
     RecordedHealth,
     RecordedLosses,
     RecordedPhase,
@@ -24,6 +23,7 @@ from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.instrument import complete, configuration_attachments
 from rig.settings import load_configuration
+from rig.view.drawing import is_drawn
 from rig.view.show import run_names, setup_of, show_records
 from tests.rig.view import scene as view_scene
 from tests.rig.view.replay_record import CONFIG, EPOCH_NS, WITHOUT_FIT, make_record
@@ -194,50 +194,27 @@ def test_names_of_runs() -> None:
 HEALTHY = RecordedHealth(0, 1000, 4, 0, 0, 0, 10**6, 0.0123, 1e9, 0.0, 31.204, 0.052, "", "one Gaussian")
 
 
-def state_of(
-    folder: Path, *, calibrated: bool = True, estimates: dict[str, tuple[float, float]] | None = None
-) -> str:
+def test_the_state_says_how_the_session_keeps_up(tmp_path: Path) -> None:
     """The last text but that of the end of a run of one spot, whose session says something of itself."""
-    config = complete(load_configuration(CONFIG))
-    if not calibrated:
-        config = config.model_copy(update={"lever": None})
-    unit, one = config.deflection_unit, np.zeros(1)
+    config, one = complete(load_configuration(CONFIG)), np.zeros(1)
     attachments = configuration_attachments(config, CONFIG)
-    with RecordWriter(folder / "run.mcap", EPOCH_NS, attachments=attachments, deflection_unit=unit) as writer:
+    with RecordWriter(tmp_path / "run.mcap", EPOCH_NS, attachments=attachments) as writer:
         spot = Spot(320.0, 160.0, 0.01, 0.01, 12.0, 12.0, 0.0, 200.0, 8.0, 1.0, 0)
-        writer.write_spots(
-            [0], [0], [0], [spot], Deflections(np.zeros(1, np.int64), one, one, one, one, unit)
-        )
+        deflections = Deflections(np.zeros(1, np.int64), one, one, one, one, config.deflection_unit)
+        writer.write_spots([0], [0], [0], [spot], deflections)
         writer.write(RecordedPhase(0, 0.0, "measuring", instruction="look at the laser"))
         writer.write(RecordedClockStep(0, 130_000_000, 1000))
         writer.write(RecordedLosses(0, 0, 3, 1, 0, 0))
         writer.write(HEALTHY)
-        for name, (value, u) in (estimates or {}).items():
-            writer.write(RecordedEstimate(0, 80, value, u, name))
-    show_records([folder / "run.mcap"], rrd=folder / "run.rrd")
-    ((text,),) = column(folder / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
-    return str(text)
-
-
-def test_the_state_says_how_the_session_keeps_up_and_why_panels_are_empty(tmp_path: Path) -> None:
-    text = state_of(tmp_path)
+    show_records([tmp_path / "run.mcap"], rrd=tmp_path / "run.rrd")
+    ((text,),) = column(tmp_path / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
     assert text.startswith("**measuring**\n\nlook at the laser\n\n- state of ")
     assert "- frames were 12 ms old when they were processed\n" in text
     assert "- camera's clock +31.204 ± 0.052 ppm against the computer's, stepped once by +0.13 s\n" in text
     assert "- lost: 3 by the bus, 1 by this computer\n" in text
     assert "- beam: one Gaussian\n" in text
-    # every empty panel has a reason
-    assert "amplitude and period are empty until a half-cycle" in text
-    assert "the balance is empty until" in text
-    assert "enough half-cycles for a first fit" in text
 
 
-def test_without_a_lever_nothing_is_fitted(tmp_path: Path) -> None:
-    assert "without [lever]" in state_of(tmp_path, calibrated=False)
-
-
-@pytest.mark.parametrize(("u", "vague"), [(0.4, False), (0.6, True), (math.nan, True)])
-def test_a_parameter_that_is_not_drawn_is_named(tmp_path: Path, u: float, vague: bool) -> None:
-    names = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
-    text = state_of(tmp_path, estimates=dict.fromkeys(names, (1.0, 0.01)) | {"gamma_pa": (1.0, u)})
-    assert ("not known to a half of their values yet, hence not drawn: γ\n" in text) == vague
+@pytest.mark.parametrize(("u", "drawn"), [(0.4, True), (0.6, False), (math.nan, False)])
+def test_a_parameter_is_drawn_once_it_is_known_to_a_half_of_its_value(u: float, drawn: bool) -> None:
+    assert is_drawn(-1.0, u) is drawn
