@@ -35,7 +35,7 @@ from processing.fit.law_waveform import (
     predictions,
     waveform_chances,
 )
-from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
+from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.refinement import (
     DecayFit,
     Refinement,
