@@ -28,13 +28,6 @@ from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_st
 from processing.fit.knocks import fit_with_knocks
 from processing.fit.known_drive import LEAST_UNEXPLAINED, Signals
 from processing.fit.law_comparison import LawComparison, compare_laws, fit_model_free
-from processing.fit.law_waveform import (
-    CONTRADICTED,
-    Predicted,
-    predicted_harmonics,
-    predictions,
-    waveform_chances,
-)
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.refinement import (
     DecayFit,

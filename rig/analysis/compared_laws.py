@@ -4,11 +4,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from math import nan
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from processing.arrays import Floats, Ints
 from processing.contact import (
@@ -24,29 +22,21 @@ from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.decay_summary import Periods, full_periods
 from processing.errors import ConfigurationError, DataError
 from processing.fit import (
-    CONTRADICTED,
     FitMethod,
     FitResult,
     LawComparison,
-    Predicted,
     compare_laws,
     fit_model_free,
-    predicted_harmonics,
-    predictions,
-    waveform_chances,
 )
-from processing.number_text import with_uncertainty
-from processing.swing import ORDERS, HarmonicClass, TurningPoints, harmonic_classes
+from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis.results import (
     ComparedLaws,
     Fit,
-    Harmonics,
     LawFit,
     LawMoments,
     ModelFreeMoments,
     RunResults,
-    WaveformClass,
 )
 from rig.analysis.series import AnalysedRun
 
@@ -81,27 +71,7 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     verdict = compared.text()
     if free is not None and len(remaining) > 1 and set(remaining[:2]) <= set(free.laws):
         verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
-    classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
-    predicted, within = dict[str, Sequence[NDArray[np.complex128]]](), dict[str, tuple[int, Predicted]]()
-    for trial in compared.trials if classes else ():
-        if trial.fit is not None:
-            # with the values of a law that does not fit, friction may hold the pendulum in a class
-            with suppress(DataError):
-                predicted[trial.law.name] = predicted_harmonics(classes, trial.fit, pendulum)
-                within[trial.law.name] = predictions(classes, run.points, trial.fit, pendulum)
-    chances = waveform_chances(classes, within)
-    if classes:
-        verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
-    waveform = tuple(
-        WaveformClass(
-            amplitude_rad=one.amplitude,
-            measured=_harmonics(one.harmonics),
-            u_rad=one.u,
-            laws={name: _harmonics(laws[place]) for name, laws in predicted.items()},
-        )
-        for place, one in enumerate(classes)
-    )
-    return replace(run, laws=ComparedLaws(_law_fits(compared, chances), verdict, free, waveform))
+    return replace(run, laws=ComparedLaws(_law_fits(compared), verdict, free))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
@@ -146,8 +116,8 @@ def _model_free_moments(
     )
 
 
-def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str, LawFit]:
-    """The best fit of every law; `chances` are those of its waveform, empty without one."""
+def _law_fits(compared: LawComparison) -> dict[str, LawFit]:
+    """The best fit of every law."""
     found = {}
     for trial in compared.trials:
         fit, law = trial.fit, trial.law
@@ -157,36 +127,12 @@ def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str
                 one,
                 parameters={name: fit.estimate(name) for name in fit.names},
                 bic_above_best=compared.above_best(trial),
-                aic_above_best=trial.aic - min(one.aic for one in compared.trials),
-                log_odds_against=compared.odds_against(trial),
                 ground_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz.value,
-                waveform_chance=chances.get(law.name, nan),
                 residuals_are_noise=not fit.whiteness.correlated,
                 excluded=trial not in compared.remaining,
             )
         found[law.name] = one
     return found
-
-
-_THIRD = ORDERS.index(3)
-
-
-def _waveform_verdict(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str:
-    """Verdict of the third harmonic on the laws, in words."""
-    first = classes[0]
-    third_mas, u_mas = np.array([abs(first.harmonics[_THIRD]), first.u[_THIRD]]) / ARCSEC_RAD * 1e3
-    measured = f"the waveform (third harmonic {with_uncertainty(third_mas, u_mas)} mas at "
-    measured += f"{first.amplitude / ARCSEC_RAD:.0f} arcsec)"
-    against = [name for name, chance in chances.items() if chance < CONTRADICTED]
-    if not against:
-        return f"{measured} contradicts none"
-    if len(against) == len(chances):
-        return f"{measured} contradicts them all: sensor or beam distort it, or none is right"
-    return f"{measured} contradicts {', '.join(against)}"
-
-
-def _harmonics(values: NDArray[np.complex128]) -> Harmonics:
-    return Harmonics(values.real.copy(), -values.imag)
 
 
 _MIN_PERIODS = 8

@@ -1,18 +1,16 @@
 """Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
 
 from collections.abc import Mapping, Sequence
-from math import hypot, isnan, nan
+from math import isnan, nan
 
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import FitMethod, FitQuality
 from processing.quantity import quantities_of
-from processing.swing import ORDERS
-from processing.units import ARCSEC_RAD
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
 from rig.analysis.run_remarks import limits_of, main_sources
-from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity, with_uncertainty
+from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
@@ -134,9 +132,7 @@ def _list_text(items: Sequence[int]) -> str:
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
 
 
-_LAW_NUMBERS = (
-    "bic_above_best", "aic_above_best", "log_odds_against", "ground_rad_per_s2_rthz", "waveform_chance",
-)  # fmt: skip
+_LAW_NUMBERS = ("bic_above_best", "ground_rad_per_s2_rthz")
 
 
 def law_table(compared: ComparedLaws) -> Table:
@@ -146,9 +142,9 @@ def law_table(compared: ComparedLaws) -> Table:
         numbers = [getattr(law, key) for key in _LAW_NUMBERS]
         cells: list[Cell] = [name, *numbers, law.problem]
         if law.problem:
-            lines.append(TableRow(cells, [name, law.title, *[""] * 5, law.problem.partition(";")[0]]))
+            lines.append(TableRow(cells, [name, law.title, *[""] * 2, law.problem.partition(";")[0]]))
             continue
-        texts = [*(decimals(one, 1) for one in numbers[:3]), *(plain(one, 2) for one in numbers[3:])]
+        texts = [decimals(law.bic_above_best, 1), plain(law.ground_rad_per_s2_rthz, 2)]
         residuals = "as noise" if law.residuals_are_noise else "more than noise"
         verdict = f"{residuals}; {'excluded' if law.excluded else 'remains'}"
         lines.append(TableRow(cells, [name, law.title, *texts, verdict]))
@@ -156,12 +152,11 @@ def law_table(compared: ComparedLaws) -> Table:
         "laws",
         "Laws of the contact",
         ("law", *_LAW_NUMBERS, "problem"),
-        ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
+        ("law", "", "BIC", "drive", "residuals; verdict"),
         lines,
-        "BIC and AIC: distance from the best law; ln odds against the law, by the evidence. BIC above 10 "
-        "with ln odds above 5 excludes a law. Drive of the ground that the law needs, in rad/s²/√Hz; what a "
-        "law fails to describe appears as a stronger drive. Waveform: probability of a third harmonic this "
-        "far from the law's. Residuals: whether they exceed the noise.",
+        "BIC: distance from the best law; above 10 it excludes a law. Drive of the ground that the law "
+        "needs, in rad/s²/√Hz; what a law fails to describe appears as a stronger drive. Residuals: whether "
+        "they exceed the noise.",
     )
 
 
@@ -177,26 +172,3 @@ def moments_table(compared: ComparedLaws) -> Table:
             parts += [law.friction_n_m, law.elastic_n_m]
         lines = [TableRow(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
     return Table("moments", "Moments of the contact without a law", columns, (), lines)
-
-
-def waveform_table(compared: ComparedLaws) -> Table:
-    """Harmonics of the classes of amplitude, measured and by law; only the third is shown."""
-    names = list(compared.waveform[0].laws) if compared.waveform else []
-    lines = []
-    for one in compared.waveform:
-        for place, order in enumerate(ORDERS):
-            values = [one.measured, *(one.laws[name] for name in names)]
-            parts = [float(part[place]) for each in values for part in (each.cosine_rad, each.sine_rad)]
-            u = float(one.u_rad[place])
-            sizes = [hypot(*part) for part in zip(parts[::2], parts[1::2], strict=True)]
-            texts = [f"{1e3 * size / ARCSEC_RAD:.2f}" for size in sizes]
-            texts[0] = with_uncertainty(*(1e3 * each / ARCSEC_RAD for each in (sizes[0], u)))
-            shown = [f"{one.amplitude_rad / ARCSEC_RAD:.1f}", *texts] if order == 3 else ()
-            lines.append(TableRow([one.amplitude_rad, order, u, *parts], shown))
-    columns = [f"{name}_{part}_rad" for name in ("measured", *names) for part in ("cosine", "sine")]
-    return Table(
-        "waveform", "Third harmonic of the swing, mas",
-        ("amplitude_rad", "order", "u_rad", *columns), ("arcsec", "measured", *names), lines,
-        "Deflections stacked by phase. A law with a different third harmonic does not describe "
-        "the motion within the swing, however well it describes the decay.",
-    )  # fmt: skip

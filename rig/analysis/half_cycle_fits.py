@@ -113,7 +113,6 @@ def analyse_swings(
         notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
         fitted=fits,
         rig=rig_quantities(config, ratio, rest_rad, u_clock, **inputs),
-        harmonics=refined.harmonics,
     )
     if not fits or pendulum is None:
         return run

@@ -11,7 +11,7 @@ from processing.decay_summary import DecayMean, summarise_decay
 from processing.swing import HalfCycleFlag, turning_points
 from processing.units import seconds
 from rig.analysis.decay_values import DECAY
-from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
+from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import encoded
 from rig.analysis.run_remarks import RemarkLevel, decay_lines, remark_rows
@@ -67,7 +67,7 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
         parameters = parameter_table(run, full=full)
         print_tables([parameters, quality_table(run)] if full else [parameters])
     if run.laws is not None:
-        print_tables([law_table(run.laws), waveform_table(run.laws)])
+        print_tables([law_table(run.laws)])
         print_line(f"  {run.laws.verdict}")
     wanted = [RemarkLevel.RESULT, RemarkLevel.DETAIL if full else RemarkLevel.ADVICE] if not short else []
     lines = [*(run.instrument.text if run.instrument else ())]

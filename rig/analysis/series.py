@@ -37,7 +37,7 @@ from processing.instruments import (
     ratio,
 )
 from processing.series import CombinedValue, SeriesResult, average_curves, combine_runs
-from processing.swing import HalfCycle, SwingHarmonics
+from processing.swing import HalfCycle
 from rig.analysis.decay_values import InstrumentSeries
 from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import ResultRow, series_rows, withheld
@@ -63,7 +63,6 @@ class AnalysedRun(RunResults):
     fitted: Mapping[str, FitResult] = field(default_factory=dict)
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
-    harmonics: SwingHarmonics | None = None
     key_monitor: KeyUseMonitor | None = None
 
 

@@ -113,7 +113,7 @@ _ORDER = (
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
     "fig13-period", "residuals", "position-errors",
-    "spectrum", "seismometer", "table4-loops", "work", "losses", "laws", "waveform", "moments",
+    "spectrum", "seismometer", "table4-loops", "work", "losses", "laws", "moments",
  "correlation", "budget",
 )  # fmt: skip
 """Order of the tables and figures of a run; small tables in a tuple stand side by side."""

@@ -24,7 +24,6 @@ from rig.analysis import (
     parameter_table,
     plain_row,
     quality_table,
-    waveform_table,
 )
 from rig.report.source import RunData
 from rig.terminal import (
@@ -147,7 +146,7 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
             *tables,
         ]
     if results.laws is not None:
-        tables += [law_table(results.laws), waveform_table(results.laws), moments_table(results.laws)]
+        tables += [law_table(results.laws), moments_table(results.laws)]
     return [table for table in tables if table.rows]
 
 
