@@ -64,7 +64,6 @@ from processing.fit.result import (
     FitResult,
 )
 from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismometer
-from processing.fit.seismometer_spectra import SeismometerSpectra
 from processing.fit.seismometer_terms import Seismogram, plain_signals
 from processing.fit.terms import LinearisedFit, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties

@@ -19,7 +19,6 @@ from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.exact_model import ExactModel
-from processing.fit.ground import Noise
 from processing.fit.known_drive import (
     FREE_REST_WEIGHT,
     U_FREE_REST_WEIGHT,
@@ -201,17 +200,12 @@ def model_of(
     return ExactModel(points, pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
 
 
-def fitted_state(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
-    """Columns and noise of a model at the end of a fit."""
-    assert fit.ground is not None
-    columns = model.columns.from_physical(fit.named_values)
-    return columns, replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
-
-
 def residuals_at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
     """Whitened residuals at a fit, their Jacobians of the gains of the drive and of the other columns."""
     assert model.known_drive is not None
-    found = model.filtered(*fitted_state(model, fit))
+    assert fit.ground is not None
+    noise = replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
+    found = model.filtered(model.columns.from_physical(fit.named_values), noise)
     by_gains = found.jacobian[:, : model.known_drive.terms] / model.known_drive.unit
     return found.residuals, by_gains, found.jacobian[:, model.known_drive.terms :]
 

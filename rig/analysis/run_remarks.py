@@ -327,11 +327,6 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
         f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
         f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
     )
-    if use.spectra is not None and isfinite(use.spectra.coherence_near):
-        explained += (
-            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
-            f"{use.spectra.stretches} stretches)"
-        )
     responses = "; ".join(map(_response_text, use.responses))
     lines = [f"Auxiliary seismometer: {explained}. Its response: {responses}."]
     saved = ", ".join(

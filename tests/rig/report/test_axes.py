@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from processing.estimate import Estimate
-from processing.fit import BaseMotion, Ground, SeismometerSpectra
+from processing.fit import BaseMotion, Ground
 from processing.noise_models import density_of_db, nlnm_db
 from processing.swing import ResidualSpectrum, TurningPoints
 from processing.units import ARCSEC_RAD
@@ -17,7 +17,7 @@ from rig.analysis import Curves, ModelCurve, ResultRow, RunResults
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled
 from rig.report.figures_contact import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure, residual_figure
-from rig.report.figures_motion import seismometer_figure, spectrum_figure
+from rig.report.figures_motion import spectrum_figure
 from rig.report.source import ShownUnit
 
 ARCSEC = np.pi / 648000
@@ -173,29 +173,3 @@ def test_the_acceleration_is_that_which_would_leave_the_deflection(seen: bool) -
         line.get_xdata()[0] == PENDULUM_HZ and line.get_ydata()[0] == pytest.approx(600.0 if seen else 720.0)
         for line in marked
     )
-
-
-NEAR_HZ = (0.20, 0.22, 0.24, 0.26, 0.28)
-SPECTRA = SeismometerSpectra(
-    frequency_hz=NEAR_HZ,
-    pendulum_rad_per_s2_rthz=(5e-8, 4e-8, 3e-8, 4e-8, 6e-8),
-    seismometer_rad_per_s2_rthz=(4e-8, 3.9e-8, 3e-8, 3.9e-8, 5e-8),
-    left_rad_per_s2_rthz=(1e-8, 5e-9, 1e-9, 6e-9, 1.1e-8),
-    measurement_rad_per_s2_rthz=(8e-9, 4e-9, 0.0, 4e-9, 8e-9),
-    coherence=(0.9, 0.97, 0.999, 0.96, 0.91),
-    stretches=8,
-    coherence_near=0.99,
-)
-
-
-def test_every_spectrum_is_drawn_over_its_frequencies() -> None:
-    drive, coherence = seismometer_figure(SPECTRA).figure.axes
-    drawn = {line.get_label(): line for line in drive.lines}
-    assert drawn["pendulum"].get_ydata() == pytest.approx(SPECTRA.pendulum_rad_per_s2_rthz)
-    assert drawn["seismometer"].get_ydata() == pytest.approx(SPECTRA.seismometer_rad_per_s2_rthz)
-    assert drawn["remainder"].get_ydata() == pytest.approx(SPECTRA.left_rad_per_s2_rthz)
-    # none at the pendulum's frequency, where a logarithm has no place for it
-    assert drawn["measurement alone"].get_xdata() == pytest.approx(np.delete(NEAR_HZ, 2))
-    assert coherence.lines[0].get_ydata() == pytest.approx(SPECTRA.coherence)
-    assert coherence.lines[1].get_ydata()[0] == pytest.approx(1 / 8)
-    assert drive.get_xlim() == pytest.approx((0.20, 0.28))
