@@ -42,11 +42,9 @@ from processing.fit.refinement import (
     up_to_rest_step,
 )
 from processing.fit.reported import (
-    FittedContact,
     InputQuantity,
     RigQuantities,
     Work,
-    fitted_contact,
     reported_quantities,
     rolling_moment_nm,
     work_per_cycle_j,

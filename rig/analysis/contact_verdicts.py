@@ -24,7 +24,6 @@ from processing.fit import (
     FitMethod,
     FitQuality,
     FitResult,
-    FittedContact,
     InputQuantity,
     LinearisedFit,
     RigQuantities,
@@ -33,7 +32,6 @@ from processing.fit import (
     budgets,
     drag_verdict,
     drift_effects,
-    fitted_contact,
     identifiability,
     reported_quantities,
     rolling_moment_nm,
@@ -158,7 +156,7 @@ def with_contact(
     except DataError as error:
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
-    contact: FittedContact | None = None
+    contact: FitResult | None = None
     if rig is not None:
         at = LinearisedFit.of(points, pendulum, exact)
         drifts = drift_effects(at)
@@ -166,7 +164,7 @@ def with_contact(
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
             by_plane = amplitude_error_effects(at, plane_errors)
             by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
-        contact = replace(fitted_contact(exact), by_inputs=by_inputs)
+        contact = replace(exact, by_inputs=by_inputs)
         notes += filter(None, [drift_note(drifts, {name: rig.inputs()[name].u for name in drifts}, exact)])
         tables = budgets(contact, rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
@@ -256,7 +254,7 @@ def _work(
     amplitude_arcsec: float,
     exact: FitResult,
     pendulum: PendulumOnBall,
-    contact: FittedContact | None,
+    contact: FitResult | None,
     rig: RigQuantities | None,
     *,
     sees_c: bool,

