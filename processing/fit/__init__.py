@@ -24,7 +24,7 @@ from processing.fit.effects import (
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.exact_result import domain_warnings
-from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
+from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
 from processing.fit.knocks import fit_with_knocks
 from processing.fit.known_drive import LEAST_UNEXPLAINED, Signals
 from processing.fit.law_comparison import LawComparison, compare_laws, fit_model_free

@@ -116,7 +116,7 @@ def analyse_swings(
     )
     if not fits or pendulum is None:
         return run
-    return with_contact(run, pendulum, followed.amplitude_errors(points), of_air, stated=config.pendulum)
+    return with_contact(run, pendulum, followed.amplitude_errors(points), of_air)
 
 
 def _reduce_run(

@@ -1,4 +1,4 @@
-"""Figures of the motion: frame, trajectory, damping, fixed-pattern position errors, and the ground."""
+"""Figures of the motion: frame, trajectory, damping, fixed-pattern position errors, and what remains."""
 
 from typing import Any
 
@@ -9,8 +9,6 @@ from matplotlib.patches import Circle
 
 from processing.arrays import Floats
 from processing.damping import amplitude_at
-from processing.fit import BaseMotion, Ground
-from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.swing import ResidualSpectrum
 from rig.analysis import PositionErrors, RunResults
 from rig.report.drawing import (
@@ -240,85 +238,24 @@ _NANO = 1e9
 _BINS_PER_DECADE = 40
 
 
-def spectrum_figure(
-    spectrum: ResidualSpectrum, shown_unit: str, shown_size: float, ground: Ground | None
-) -> ReportFigure:
-    """Spectrum of the deflection minus the swing, also as acceleration of the base if its height is known.
+def spectrum_figure(spectrum: ResidualSpectrum, shown_unit: str, shown_size: float) -> ReportFigure:
+    """Spectrum of the deflection minus the swing.
 
-    Parameters
-    ----------
-    shown_unit, shown_size
-        Unit of deflections for display and its size in the spectrum's unit.
-    ground
-        Motion of the ground by the exact fit; its drive is a point at the pendulum's frequency.
+    `shown_unit` is the unit of deflections for display, `shown_size` its size in the spectrum's unit.
     """
-    base = None if ground is None else ground.base
-    figure = canvas(2.7 if base is None else 2.9)
-    left = figure.add_subplot(1, 1 if base is None else 2, 1)
+    figure = canvas(2.7)
+    axes = figure.subplots()
     frequency_hz, density = _bin_spectrum(spectrum)
-    left.loglog(frequency_hz, np.sqrt(density) / shown_size, color=DATA, lw=0.9)
-    left.set_ylabel(f"deflection / {shown_unit}/√Hz")
-    _frequency_axis(left, spectrum)
+    axes.loglog(frequency_hz, np.sqrt(density) / shown_size, color=DATA, lw=0.9)
+    axes.axvline(spectrum.pendulum_hz, color=INK, lw=0.7, ls=":")
+    axes.set(xlim=(0.5 * spectrum.pendulum_hz, float(spectrum.frequency_hz[-1])), xlabel="frequency / Hz")
+    axes.set_ylabel(f"deflection / {shown_unit}/√Hz")
     words = (
         "Deflections of the slow mode after subtracting the swing, from 2.2 times the pendulum's frequency "
         "(dotted) on, without its odd harmonics: sensor, air and ground."
     )
-    if base is not None and ground is not None:
-        right = figure.add_subplot(1, 2, 2)
-        _as_acceleration(right, spectrum, frequency_hz, density, ground, base)
-        words += (
-            " Right: the acceleration of the base that alone would cause this, for a centre of mass "
-            f"{1e3 * base.mass_centre_height_m:.3g} mm above the contact: an upper limit for the ground. "
-            "The point is the drive that the fit finds at the pendulum's frequency (an arrow: its bound of "
-            "95 %); NLNM and NHNM are Peterson's noise models of 1993."
-        )
-    figure.subplots_adjust(left=0.12, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
+    figure.subplots_adjust(left=0.12, right=0.985, bottom=0.17, top=0.96)
     return ReportFigure("spectrum", "What remains after subtracting the swing", words, figure)
-
-
-def _as_acceleration(
-    axes: Axes,
-    spectrum: ResidualSpectrum,
-    frequency_hz: Floats,
-    density: Floats,
-    ground: Ground,
-    base: BaseMotion,
-) -> None:
-    drive, bound = ground.density_rad_per_s2_rthz, ground.upper_95
-    # both are bounds of the same drive: their ratio is the acceleration of the base per drive
-    per_drive = base.upper_95 / bound
-    rad_per_acceleration = 1 / (per_drive * (2 * np.pi * spectrum.pendulum_hz) ** 2)
-    response = spectrum.pendulum_hz**2 / (frequency_hz**2 - spectrum.pendulum_hz**2)
-    axes.loglog(
-        frequency_hz, _NANO * np.sqrt(density) / (rad_per_acceleration * response), color=DATA, lw=0.9
-    )
-    span = np.geomspace(0.5 * spectrum.pendulum_hz, frequency_hz[-1], 200)
-    for model, name in ((nlnm_db, "NLNM"), (nhnm_db, "NHNM")):
-        level = _NANO * density_of_db(model(span))
-        axes.loglog(span, level, color=palette.GREY, lw=0.9)
-        axes.annotate(
-            name,
-            (span[-1], level[-1]),
-            (-2, 3),
-            textcoords="offset points",
-            ha="right",
-            color=INK,
-            fontsize=7.5,
-        )
-    at = [spectrum.pendulum_hz]
-    if ground.seen:
-        u = [_NANO * drive.standard_uncertainty * per_drive]
-        axes.errorbar(at, [_NANO * drive.value * per_drive], yerr=u, fmt="o", color=EXACT, ms=4, capsize=2)
-    else:
-        top = _NANO * bound * per_drive
-        axes.errorbar(at, [top], yerr=[0.6 * top], uplims=True, fmt="_", color=EXACT, ms=7)
-    axes.set_ylabel("acceleration of the base / nm/s²/√Hz")
-    _frequency_axis(axes, spectrum)
-
-
-def _frequency_axis(axes: Axes, spectrum: ResidualSpectrum) -> None:
-    axes.axvline(spectrum.pendulum_hz, color=INK, lw=0.7, ls=":")
-    axes.set(xlim=(0.5 * spectrum.pendulum_hz, float(spectrum.frequency_hz[-1])), xlabel="frequency / Hz")
 
 
 def _bin_spectrum(

@@ -185,9 +185,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, has_c=known))
         if run.spectrum is not None:
             unit = motion.unit
-            drawings.append(
-                figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
-            )
+            drawings.append(figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size))
     return drawings
 
 

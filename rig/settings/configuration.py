@@ -89,13 +89,6 @@ class PendulumSettings(Section, frozen=True):
         default=None, gt=0, lt=1e-2, description="if left out, Hertz's radius is taken"
     )
     u_contact_radius_m: float = Field(default=0.0, ge=0)
-    mass_centre_height_m: float | None = Field(
-        default=None,
-        gt=-1,
-        lt=1,
-        description="of the pendulum above the point of contact (below it: negative); if stated, the results "
-        "give the ground acceleration that drives it",
-    )
     length_m: float | None = Field(
         default=None, gt=0, lt=10, description="across its axis of swing; for the estimate of the air's drag"
     )
