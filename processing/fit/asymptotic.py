@@ -39,7 +39,7 @@ from processing.swing import TurningPoints
 
 def fit_asymptotic(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     *,
     drag: bool = False,
     loss: Loss = "linear",
@@ -53,8 +53,6 @@ def fit_asymptotic(
     ----------
     points
         Turning points in rad; at least ten, gaps allowed.
-    pendulum
-        None if the amplitudes are not calibrated, see `fit_exact`.
     drag
         Adds a linear term to the decay (moment ``-m g R drag_s phi'``).
     loss
@@ -102,8 +100,8 @@ def fit_asymptotic(
                 "decay that it describes; fit a longer run, or see which are disturbed"
             )
 
-    per_kappa = 1.0 if pendulum is None else 1 / stiffness_ratio(1.0, pendulum)
-    names = (*PAPER.names(calibrated=pendulum is not None, drag=drag), AMPLITUDE.key)
+    per_kappa = 1 / stiffness_ratio(1.0, pendulum)
+    names = (*PAPER.names(drag=drag), AMPLITUDE.key)
     k = len(decay.values)
 
     def physical(fitted: Floats) -> Floats:
@@ -152,7 +150,6 @@ def fit_asymptotic(
         warnings=tuple(
             data_warnings(
                 points,
-                pendulum,
                 {
                     "the amplitudes (Eq. 5)": decay.chi2 / decay.dof,
                     "the periods (Eq. 6)": period.chi2 / period.dof,
@@ -165,7 +162,7 @@ def fit_asymptotic(
 
 
 def _bias(
-    exact: FitResult, points: TurningPoints, pendulum: PendulumOnBall | None, printed_curvature: bool
+    exact: FitResult, points: TurningPoints, pendulum: PendulumOnBall, printed_curvature: bool
 ) -> dict[str, float] | None:
     """Bias of both equations: their parameters for the exact fit's free decay, less those of the exact fit.
 
@@ -267,7 +264,7 @@ def driven_covariance(
     by_amplitude: Floats,
     by_time: Floats,
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     exact: FitResult,
 ) -> Floats:
     """Covariance of values that depend linearly on the turning points.

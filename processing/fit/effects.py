@@ -94,7 +94,7 @@ def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -
 
     of_waveform = np.zeros((len(model.evidence_rows(columns)[0]), len(DRIFTS)))
     waveform = model.evidence.waveform
-    if waveform is not None and model.pendulum is not None:
+    if waveform is not None:
         amplitude, values = waveform.amplitude_rad / model.reference, model.values(columns)
         passed_s = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
         since = _since_middle(passed_s - model.points.time_s[0], lasting_s)[:, None]

@@ -110,7 +110,7 @@ class PlannedRun:
 
 def planned_run(
     values: Mapping[str, float],
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     conditions: Conditions,
     first_rad: float,
     last_rad: float,
@@ -125,7 +125,7 @@ def planned_run(
         The pendulum makes too few half-cycles between the two amplitudes.
     """
     drag = DRAG.key in values
-    names = law.fit_names(calibrated=pendulum is not None, drag=drag)
+    names = law.fit_names(drag=drag)
     known = {**values, AMPLITUDE.key: first_rad, TIME.key: 0.0}
     amplitude, time, complete = _decay(law, known, names, pendulum, first_rad, last_rad, conditions)
     if len(amplitude) < FEWEST_HALF_CYCLES:
@@ -186,7 +186,7 @@ def _decay(
     law: Law,
     known: Mapping[str, float],
     names: tuple[str, ...],
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     first_rad: float,
     last_rad: float,
     conditions: Conditions,

@@ -10,7 +10,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
 from processing.contact.laws import DRAG, PAPER
-from processing.errors import ConfigurationError, DataError
+from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from processing.fit.result import FitResult
 from processing.quantity import DerivedQuantity, Quantity, quantities_of
@@ -176,10 +176,6 @@ def reported_quantities(
     second. The period determines gamma only in the combination ``2 gamma a^2/(m g)``. The small additional
     effect of R/a in Eq. 3 is taken from the fit's derivative with respect to ln(R/a).
     """
-    if not fit.calibrated:
-        raise DataError(
-            "the amplitudes were not calibrated: nothing can be reported in SI units; calibrate the record"
-        )
     nominal = rig.pendulum()
     mass = inputs["mass_kg"] / rig.balls
     radius, gravity = inputs["ball_radius_m"], inputs["gravity_m_per_s2"]

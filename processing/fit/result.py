@@ -327,11 +327,6 @@ class FitResult(FitQuality):
         return matrix
 
     @property
-    def calibrated(self) -> bool:
-        """Whether the amplitudes are angles; if not, b and c refer to the amplitudes' unit."""
-        return all(key in self.names for key in self.law.uncalibrated)
-
-    @property
     def contact_names(self) -> tuple[str, ...]:
         """`names` without the initial amplitude and time, which describe the run."""
         return tuple(name for name in self.names if name not in (AMPLITUDE.key, TIME.key))

@@ -175,7 +175,7 @@ class SeismometerFit:
 
 def fit_with_seismometer(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     seismometer: Seismogram,
     alone: FitResult,
     *,
@@ -221,7 +221,7 @@ class _Selection(NamedTuple):
 @dataclass(frozen=True)
 class _Search:
     points: TurningPoints
-    pendulum: PendulumOnBall | None
+    pendulum: PendulumOnBall
     alone: FitResult
     averaged: bool
 

@@ -193,7 +193,7 @@ def with_start_gains(drives: SignalDrives, near: FitResult, chosen: Sequence[int
 
 
 def model_of(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, drive: KnownDrive
+    points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult, drive: KnownDrive
 ) -> ExactModel:
     """The model of a fit with another known drive."""
     evidence = replace(fit.evidence, drive=drive)
@@ -212,7 +212,7 @@ def residuals_at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats,
 
 def gain_of_prediction(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     fit: FitResult,
     drives: SignalDrives,
     chosen: Sequence[int],
@@ -253,7 +253,7 @@ class ClockCorrection(NamedTuple):
 
 def clock_correction(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     fit: FitResult,
     drives: SignalDrives,
     chosen: Sequence[int],
@@ -292,7 +292,7 @@ def clock_correction(
 
 def best_offset(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     seismometer: Seismogram,
     alone: FitResult,
     *,

@@ -10,7 +10,7 @@ from calibration import Axes
 from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
-from processing.errors import ConfigurationError, DataError
+from processing.errors import ConfigurationError
 from processing.fit import (
     MEASUREMENT,
     FitResult,
@@ -241,13 +241,6 @@ def test_what_the_data_do_not_determine_has_no_finite_budget(exact: FitResult) -
     assert np.isinf(u["c"])
     assert u["p"] == pytest.approx(float(np.sqrt(lost.covariance[1, 1])))
     assert np.isfinite(budgets(lost, rig())["n"].standard_uncertainty)
-
-
-def test_pixels_have_no_budget() -> None:
-    parameters, pendulum = paper_pair("silicon")
-    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=2, last_arcsec=20)
-    with pytest.raises(DataError, match="not calibrated"):
-        budgets(fit_exact(points, None), rig())
 
 
 def test_two_balls_share_the_weight(exact: FitResult) -> None:
