@@ -204,14 +204,13 @@ def curves_of(run: RunResults) -> Curves | None:
     at = periods.where
     asymptotic = fits[FitMethod.ASYMPTOTIC].contact()
     amplitude = points.amplitude[at]
-    printed = bool(run.settings.get("printed_055"))
     return Curves(
         asymptotic=ModelCurve.of(points, _asymptotic(points, fits[FitMethod.ASYMPTOTIC]), unknown),
         exact=exact,
         period_rad=amplitude,
         period_s=periods.period_s,
         u_period_s=periods.u_period_s,
-        asymptotic_period_s=period(amplitude, asymptotic, pendulum, printed_curvature=printed),
+        asymptotic_period_s=period(amplitude, asymptotic, pendulum),
         exact_period_s=exact.model_time_s[at + 1] - exact.model_time_s[at - 1],
         smooth_s=_smooth(amplitude, periods),
     )

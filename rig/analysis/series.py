@@ -147,7 +147,6 @@ def _averaged_curves(
         average_curves([run.points for run in runs]),
         pendulum,
         drag=drag is not None,
-        printed_curvature=bool(runs[0].settings.get("printed_055")),
         known_drag=None if drag is None else drag.estimate,
     )
     parameters = {

@@ -153,9 +153,6 @@ class ViewSettings(Section, frozen=True):
 class FitSettings(Section, frozen=True):
     """Options of the fits."""
 
-    printed_055: bool = Field(
-        default=False, description="use the factor 0.55 printed in Eq. 6, not the computed one"
-    )
     robust: bool = Field(
         default=False, description="use a loss function that is robust to outlying half-cycles"
     )

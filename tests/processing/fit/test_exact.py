@@ -180,13 +180,6 @@ def test_mean_period_is_known_where_period0_is_not() -> None:
         )
 
 
-def test_printed_curvature_is_an_option() -> None:
-    parameters, pendulum = paper_pair("glass_k8")
-    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=0, noise_free=True)
-    printed = fit_asymptotic(points, pendulum, printed_curvature=True).estimate("n").value
-    assert printed != fit_asymptotic(points, pendulum).estimate("n").value
-
-
 @pytest.mark.slow
 def test_stated_uncertainties_of_eqs_5_and_6_are_the_scatter() -> None:
     """Ten seeded runs; those of the exact fit and of its intervals are a row of docs/validation.md."""
