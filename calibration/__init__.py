@@ -20,11 +20,9 @@ from calibration.pointing import Stability, stability
 from calibration.sensor import photon_transfer
 from calibration.shutter import (
     GLOBAL,
-    PulsedShutterFit,
     Shutter,
     ShutterFit,
     fit_row_time,
-    fit_row_time_of_pulses,
 )
 from calibration.store import (
     CalibrationFile,

@@ -1,4 +1,4 @@
-"""Rolling shutter, which exposes the rows of an image one after the other, and fits of its row time.
+"""Rolling shutter, which exposes the rows of an image one after the other, and the fit of its row time.
 
 A spot that is centred on row y was exposed ``y * row_time_s`` after the first row. If it swings across the
 rows, its times are modulated by its own position, and a swing ``A cos(w t)`` gets a second harmonic
@@ -82,17 +82,6 @@ class ShutterFit:
     u_of_stretches_s: tuple[float, ...]
 
 
-def path_across_rows_px(y_px: Floats) -> float:
-    """Number of rows that the spot crosses; DataError where they are too few for a row time."""
-    path_px = float(np.ptp(y_px)) if len(y_px) else 0.0
-    if path_px < _MIN_PATH_PX:
-        raise DataError(
-            f"row time: the spot moves over {path_px:.3g} rows, at least {_MIN_PATH_PX:g} are needed: "
-            "let it swing further, with the slow axis along the columns"
-        )
-    return path_px
-
-
 def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     """Row time from the swing of a spot across the rows.
 
@@ -114,7 +103,12 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     """
     good = np.isfinite(y_px)
     times_s, y_px = times_s[good] - times_s[good][:1].sum(), y_px[good]
-    path_across_rows_px(y_px)
+    path_px = float(np.ptp(y_px)) if len(y_px) else 0.0
+    if path_px < _MIN_PATH_PX:
+        raise DataError(
+            f"row time: the spot moves over {path_px:.3g} rows, at least {_MIN_PATH_PX:g} are needed: "
+            "let it swing further, with the slow axis along the columns"
+        )
     period_s = _period(times_s, y_px)
     length_s = _STRETCH_PERIODS * period_s
     stretches = int((times_s[-1] - times_s[0]) / length_s)
@@ -194,134 +188,3 @@ def _harmonics(times_s: Floats, y_px: Floats, period_s: float) -> tuple[float, f
     u2_second = variance * np.linalg.inv(design.T @ design)[of_second, of_second].mean()
     amplitude = float(abs(first))
     return row_time_s, 2.0 * float(np.sqrt(u2_second)) / amplitude**2 / rate, ratio.real, amplitude
-
-
-_U_RESPONSE = 0.01
-"""Relative standard uncertainty of response and light between the ends of the spot's path."""
-_SEARCH_STEPS = 24
-"""Steps of the first search, up to the row time at which all rows together take a whole exposure."""
-_PATH_PARTS = 12
-"""Number of parts of the path for which mean residuals are reported."""
-_MIN_RAMP = 0.03
-"""Smallest part of the light that must be missing at one end; a smaller one could be dust."""
-
-
-@dataclass(frozen=True, slots=True)
-class PulsedShutterFit:
-    """Row time from pulses of light; it is negative if the bottom row is exposed first.
-
-    `u_row_time_s` includes a response of the sensor that varies by one per cent along the path. `ramp` is the
-    part of the light that the last row on the path misses compared with the first one, `scatter` the relative
-    standard deviation of the brightness about the fit, `path_px` the number of rows that the spot crosses. In
-    equal parts of the path with the middles `rows_px`, `off` is the mean relative residual of the brightness,
-    and `u_off` its standard uncertainty from the scatter.
-    """
-
-    row_time_s: float
-    u_row_time_s: float
-    path_px: float
-    ramp: float
-    scatter: float
-    rows_px: tuple[float, ...]
-    off: tuple[float, ...]
-    u_off: tuple[float, ...]
-
-
-def fit_row_time_of_pulses(
-    times_s: Floats,
-    y_px: Floats,
-    light: Floats,
-    rows: int,
-    exposure_s: float,
-    pulse_s: float,
-    delay_s: float = 0.0,
-) -> PulsedShutterFit:
-    """Row time from the brightness of a spot that swings across the rows, lit by one pulse in each exposure.
-
-    Parameters
-    ----------
-    times_s, y_px, light : (n,)
-        Times of the frames, row of the spot, and its light in any unit; rows with NaN are left out.
-    rows
-        Rows of the image.
-    exposure_s, pulse_s, delay_s
-        Exposure of each row, length of the pulse, and its beginning after that of the first row's exposure.
-
-    Raises
-    ------
-    DataError
-        The spot moves over fewer than 20 rows, or the brightness does not depend on the row.
-    """
-    from scipy.optimize import minimize_scalar
-
-    good = np.isfinite(y_px) & np.isfinite(light)
-    times_s, y_px, light = times_s[good], y_px[good], light[good]
-    path_px = path_across_rows_px(y_px)
-    since = (times_s - times_s.mean()) / max(float(np.ptp(times_s)), 1e-9)
-    drift = np.column_stack([np.ones_like(since), since, since**2])
-
-    def lit_fraction(row_time_s: float) -> Floats:
-        opens_s = row_time_s * (y_px if row_time_s >= 0 else y_px - (rows - 1))
-        ends_s = np.minimum(delay_s + pulse_s, opens_s + exposure_s)
-        part: Floats = np.maximum(ends_s - np.maximum(delay_s, opens_s), 0.0) / pulse_s
-        return part
-
-    def fitted(row_time_s: float) -> Floats:
-        design = drift * lit_fraction(row_time_s)[:, None]
-        values, *_ = np.linalg.lstsq(design, light, rcond=None)
-        return np.asarray(design @ values, dtype=np.float64)
-
-    def sum_of_squares(row_time_s: float) -> float:
-        return float(np.mean((light - fitted(row_time_s)) ** 2))
-
-    step_s = max(exposure_s, delay_s + pulse_s) / rows / _SEARCH_STEPS
-    nearest_s = step_s * min(
-        np.arange(-2 * _SEARCH_STEPS, 2 * _SEARCH_STEPS + 1), key=lambda step: sum_of_squares(step_s * step)
-    )
-    best = minimize_scalar(
-        sum_of_squares,
-        bounds=(nearest_s - step_s, nearest_s + step_s),
-        method="bounded",
-        options={"xatol": 1e-6 * step_s},
-    )
-    row_time_s, least = float(best.x), float(best.fun)
-    part = lit_fraction(row_time_s)
-    ramp = 1.0 - float(part.min() / part.max())
-    if ramp < _MIN_RAMP:
-        raise DataError(
-            f"row time: the spot is equally bright in all rows (to {100 * ramp:.2g} %): the shutter is "
-            "global, or the pulse lies where all rows are exposed; set laser.pulse_us to the exposure, "
-            "laser.pulse_delay_us to 0"
-        )
-    near_s = 1e-3 * abs(row_time_s)
-    curvature = (
-        sum_of_squares(row_time_s + near_s) + sum_of_squares(row_time_s - near_s) - 2.0 * least
-    ) / near_s**2
-    u_scatter_s = float(np.sqrt(2.0 * least / (len(light) * curvature)))
-    rows_px, off, u_off = _along_path(y_px, light - fitted(row_time_s), float(np.mean(light)))
-    return PulsedShutterFit(
-        row_time_s=row_time_s,
-        u_row_time_s=float(np.hypot(u_scatter_s, _U_RESPONSE * abs(row_time_s) / ramp)),
-        path_px=path_px,
-        ramp=ramp,
-        scatter=float(np.sqrt(least)) / float(np.mean(light)),
-        rows_px=rows_px,
-        off=off,
-        u_off=u_off,
-    )
-
-
-def _along_path(
-    y_px: Floats, off: Floats, whole: float
-) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Means of `off` over `whole` in equal parts of the path, with their standard uncertainties."""
-    edges = np.linspace(y_px.min(), y_px.max(), _PATH_PARTS + 1)
-    part = np.clip(np.searchsorted(edges, y_px, side="right") - 1, 0, _PATH_PARTS - 1)
-    rows = []
-    for number, middle_px in enumerate(0.5 * (edges[:-1] + edges[1:])):
-        inside = off[part == number] / whole
-        if len(inside) > 1:
-            u_mean = inside.std(ddof=1) / len(inside) ** 0.5
-            rows.append((float(middle_px), float(inside.mean()), float(u_mean)))
-    middles_px, means, u_means = zip(*rows, strict=True)
-    return middles_px, means, u_means

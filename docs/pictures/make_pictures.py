@@ -35,7 +35,6 @@ from tests.rig.drawn_pictures import (  # noqa: E402
     PLANNED_FROM_ARCSEC,
     PLANNED_RUNS,
     RESULT_FIGURES,
-    VAULT,
     drawn_now,
 )
 from tests.rig.view.headless_viewer import headless_viewer, software_vulkan  # noqa: E402
@@ -57,7 +56,6 @@ def main(session: Path) -> None:
             photograph(rrd, HERE / f"rerun-{layout}.png", MOMENT_S[layout])
     gather_figures(session, HERE / "result.png")
     draw_plan(HERE / "plan.png")
-    draw_vault(HERE / "vault.png")
     DRAWN.write_text(json.dumps(drawn_now(), indent=2) + "\n", encoding="utf-8")
 
 
@@ -79,15 +77,6 @@ def draw_plan(picture: Path) -> None:
     plan = make_plan(expected, PLANNED_FROM_ARCSEC, lasts, counts=PLANNED_RUNS)
     with styled():
         picture.write_bytes(png(plan_figure(plan)))
-    print(f"{picture.name}: {picture.stat().st_size / 1000:.0f} kB")
-
-
-def draw_vault(picture: Path) -> None:
-    """Measure in the vault, and save what its seismometer explains."""
-    with tempfile.TemporaryDirectory() as made:
-        run = [sys.executable, "-m", "rig", "run", str(VAULT), "-o", f"{made}/session"]
-        subprocess.run(run, check=True)
-        picture.write_bytes(figures_of(Path(made) / "session")["seismometer"])
     print(f"{picture.name}: {picture.stat().st_size / 1000:.0f} kB")
 
 

@@ -27,9 +27,6 @@ _PIECE, _PIECES = 0.1, 400
 _NEWTON_TOLERANCE = 1e-9
 """Change of ln x at which Newton's iteration ends; the next change would be its square."""
 
-PRINTED_CURVATURE = 0.55
-"""The number printed in Eq. 6; averaging Eq. 3 gives `curvature(n)` instead."""
-
 
 def decay_path(
     rate_time: Floats, start: float, b: float, p: float, c: float, d: float
@@ -102,41 +99,28 @@ def cosine_moment(exponent: Any) -> Any:
 
 
 def curvature(n: float) -> float:
-    """Factor for which Eq. 6 prints 0.55: 0.540 at n = 0, 0.583 at n = 1."""
+    """Factor for which Eq. 6 prints 0.55; averaging Eq. 3 gives 0.540 at n = 0, 0.583 at n = 1."""
     return float(2 / pi * cosine_moment(n + 3) / cosine_moment(n + 2))
 
 
-def frequency_drop(
-    amplitude: ArrayLike, n: float, kappa: float, rho: float, *, printed_curvature: bool = False
-) -> Floats:
+def frequency_drop(amplitude: ArrayLike, n: float, kappa: float, rho: float) -> Floats:
     """Relative decrease of the frequency with the amplitude, which Eq. 6 subtracts from 1.
 
     `amplitude` has any shape; `kappa` is 2 gamma a^2/(m g) and `rho` is R/a, both for the unit of
     `amplitude`.
     """
     alpha = np.asarray(amplitude, dtype=np.float64)
-    factor = PRINTED_CURVATURE if printed_curvature else curvature(n)
-    drop = kappa * cosine_moment(n + 2) * alpha**n * (1 - factor * rho * alpha)
+    drop = kappa * cosine_moment(n + 2) * alpha**n * (1 - curvature(n) * rho * alpha)
     return np.asarray(drop, dtype=np.float64)
 
 
-def period(
-    amplitude_rad: ArrayLike,
-    parameters: ContactParameters,
-    pendulum: PendulumOnBall,
-    *,
-    printed_curvature: bool = False,
-) -> Floats:
-    """T(alpha) of Eq. 6 in seconds; the period rises with the amplitude.
-
-    `printed_curvature` uses 0.55 as printed instead of `curvature(n)`.
-    """
+def period(amplitude_rad: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall) -> Floats:
+    """T(alpha) of Eq. 6 in seconds; the period rises with the amplitude."""
     drop = frequency_drop(
         amplitude_rad,
         parameters.n,
         stiffness_ratio(parameters.gamma_pa, pendulum),
         pendulum.ball_radius_m / pendulum.contact_radius_m,
-        printed_curvature=printed_curvature,
     )
     return parameters.period0_s / (1 - drop)
 

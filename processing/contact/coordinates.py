@@ -20,7 +20,6 @@ from processing.contact.law import (
     relative_curvature,
 )
 from processing.decay_summary import reference_amplitude
-from processing.errors import DataError
 from processing.swing import TurningPoints
 
 ComplexOrReal = NDArray[Any]
@@ -37,8 +36,8 @@ class Scaling(NamedTuple):
     """The unit in which a parameter is fitted.
 
     ``value = scaled * reference^(power + per_exponent * exponent) / unit``; `exponent` is the key of another
-    parameter, `unit` a function of the pendulum, which is 1 without a calibration. `loses` is whether a decay
-    is slower where the value is smaller.
+    parameter, `unit` a function of the pendulum. `loses` is whether a decay is slower where the value is
+    smaller.
     """
 
     power: float = 0.0
@@ -51,7 +50,7 @@ class Scaling(NamedTuple):
 def scaled_values(
     scalings: Mapping[str, Scaling],
     values: Mapping[str, float],
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     reference: float,
 ) -> dict[str, float]:
     """SI values in the units of a fit, by key."""
@@ -60,7 +59,7 @@ def scaled_values(
         power = scaling.power
         if scaling.exponent:
             power += scaling.per_exponent * values[scaling.exponent]
-        unit = 1.0 if scaling.unit is None or pendulum is None else scaling.unit(pendulum)
+        unit = 1.0 if scaling.unit is None else scaling.unit(pendulum)
         found[key] = values[key] * unit * reference**-power
     return found
 
@@ -105,30 +104,25 @@ class Coordinates:
     drag, first amplitude, coordinate of T0, first time.
 
     `propose_starts` proposes scaled start values, from those of a decay of the paper's form and the reference
-    amplitude. A parameter that replaces another without a calibration has its scaling by place.
+    amplitude.
     """
 
     def __init__(
         self,
         points: TurningPoints,
-        pendulum: PendulumOnBall | None,
+        pendulum: PendulumOnBall,
         names: tuple[str, ...],
         parameters: Sequence[Parameter],
         scalings: Mapping[str, Scaling],
         valley_coordinates: Callable[[bool], ValleyCoordinates],
         propose_starts: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
-        *,
-        in_angles: bool = False,
     ) -> None:
-        if in_angles and pendulum is None:
-            raise DataError("a law with yield angles needs deflections in angles: calibrate the lever")
         self.reference = reference_amplitude(points)
         self._names = names
         self._pendulum = pendulum
         self._parameters = [p for p in parameters if p.key not in (PERIOD, DRAG.key)]
-        places = [k for k, p in enumerate(parameters) if p.key not in (PERIOD, DRAG.key)]
-        self._own = tuple(names[place] for place in places)
-        self._scalings = dict(zip(self._own, scalings.values(), strict=True))
+        self._own = tuple(parameter.key for parameter in self._parameters)
+        self._scalings = scalings
         self._drag = DRAG.key in names
         self._found: dict[bytes, tuple[Floats, Floats]] = {}
         self._valley_coordinates, self._propose_starts = valley_coordinates(self._drag), propose_starts
@@ -193,7 +187,7 @@ class Coordinates:
                     power += scaling.per_exponent * scaled[j]
                     row += scaled[k] * scaling.per_exponent * log_r * by[j]
                 factor = np.exp(power * log_r)
-                if scaling.unit is not None and self._pendulum is not None:
+                if scaling.unit is not None:
                     factor /= scaling.unit(self._pendulum)
                 out[key], rows[key] = scaled[k] * factor, row * factor
         count, per_rate = len(self._own), period0_s / (2 * np.pi)
@@ -225,11 +219,7 @@ class Coordinates:
         loses = {key: scaling.loses for key, scaling in self._scalings.items()} | {DRAG.key: True}
         exponents = {scaling.exponent for scaling in self._scalings.values()}
         groups = []
-        for start in self._propose_starts(found, self.reference):
-            # a parameter that replaces another is proposed under the other's key
-            own = [key for key in start if key not in (PERIOD, DRAG.key)]
-            renamed = dict(zip(own, self._own, strict=True))
-            scaled = {renamed.get(key, key): value for key, value in start.items()}
+        for scaled in self._propose_starts(found, self.reference):
             attempts = []
             for slower in _DECAY_RATE_FACTORS:
                 weaker = {

@@ -1,7 +1,7 @@
 """The pendulum on its ball, and the interface of a contact law: parameters, moments, solver's coordinates."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple, Protocol
 
@@ -46,9 +46,9 @@ def stiffness_ratio(gamma_pa: float, pendulum: PendulumOnBall) -> float:
     return 2 * gamma_pa * pendulum.contact_radius_m**2 / (pendulum.mass_kg * pendulum.gravity_m_per_s2)
 
 
-def relative_curvature(pendulum: PendulumOnBall | None) -> float:
-    """R/a of Eq. 3 in rad^-1; 0 without a calibration (None), because angles are not known in rad then."""
-    return 0.0 if pendulum is None else pendulum.ball_radius_m / pendulum.contact_radius_m
+def relative_curvature(pendulum: PendulumOnBall) -> float:
+    """R/a of Eq. 3 in rad^-1."""
+    return pendulum.ball_radius_m / pendulum.contact_radius_m
 
 
 def weight_moment(pendulum: PendulumOnBall) -> float:
@@ -203,10 +203,8 @@ class Law:
         Function of the map's parameters without the first amplitude, and of a range of amplitudes, which
         returns the half-swings in that range.
     columns
-        Function of the turning points, the pendulum (None: amplitudes not calibrated) and the keys of the
-        fit (`fit_names`), which returns the solver's coordinates.
-    uncalibrated
-        Parameters that replace others if amplitudes are not known as angles (px, V).
+        Function of the turning points, the pendulum and the keys of the fit (`fit_names`), which returns the
+        solver's coordinates.
     """
 
     name: str
@@ -215,8 +213,7 @@ class Law:
     parameters: tuple[Parameter, ...]
     branch_moments: Callable[[Floats, Floats, Mapping[str, float], PendulumOnBall], BranchMoments]
     table: TableMaker
-    columns: Callable[[TurningPoints, PendulumOnBall | None, tuple[str, ...]], SolverCoordinates]
-    uncalibrated: dict[str, Parameter] = field(default_factory=dict)
+    columns: Callable[[TurningPoints, PendulumOnBall, tuple[str, ...]], SolverCoordinates]
 
     def half_swing_map(self, parameters: Floats, index: Ints) -> HalfSwings:
         """Turning points of a free decay, for the map's parameters and rising half-cycle numbers, from 0."""
@@ -229,19 +226,14 @@ class Law:
         )
         return swings.turning_points(first, index)
 
-    def fit_parameters(self, *, calibrated: bool = True, drag: bool = False) -> tuple[Parameter, ...]:
-        """The parameters of a fit, without the initial amplitude and time."""
-        replaced = {} if calibrated else self.uncalibrated
-        own = tuple(replaced.get(parameter.key, parameter) for parameter in self.parameters)
-        return (*own, DRAG) if drag and DRAG not in own else own
+    def names(self, *, drag: bool = False) -> tuple[str, ...]:
+        """Keys of the parameters of a fit, without the initial amplitude and time."""
+        own = tuple(parameter.key for parameter in self.parameters)
+        return (*own, DRAG.key) if drag and DRAG.key not in own else own
 
-    def names(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
-        """Keys of `fit_parameters`."""
-        return tuple(parameter.key for parameter in self.fit_parameters(calibrated=calibrated, drag=drag))
-
-    def fit_names(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
+    def fit_names(self, *, drag: bool = False) -> tuple[str, ...]:
         """Keys of all parameters that a fit varies: `names`, then the initial amplitude and time."""
-        return (*self.names(calibrated=calibrated, drag=drag), AMPLITUDE.key, TIME.key)
+        return (*self.names(drag=drag), AMPLITUDE.key, TIME.key)
 
     def parameter(self, key: str) -> Parameter:
         """Any parameter of a fit of this law by its key.
@@ -251,5 +243,5 @@ class Law:
         KeyError
             The law has no such parameter.
         """
-        known = (*self.parameters, *self.uncalibrated.values(), DRAG, AMPLITUDE, TIME)
+        known = (*self.parameters, DRAG, AMPLITUDE, TIME)
         return {parameter.key: parameter for parameter in known}[key]

@@ -236,8 +236,6 @@ def branch_law(
     scalings: Mapping[str, Scaling],
     valley_coordinates: ValleyCoordinates,
     propose_starts: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
-    *,
-    in_angles: bool = False,
 ) -> Law:
     """The law with memory of a branch; see `Coordinates` for `scalings`, `valley_coordinates` and
     `propose_starts`. The linear
@@ -263,6 +261,5 @@ def branch_law(
             scalings=scalings,
             valley_coordinates=lambda _: valley_coordinates,
             propose_starts=propose_starts,
-            in_angles=in_angles,
         ),
     )

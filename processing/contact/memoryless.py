@@ -20,7 +20,6 @@ half-swing follow. Angles and the moments over m g R are in units of a reference
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from math import ceil, log
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -267,7 +266,6 @@ def memoryless_law(
     scalings: Mapping[str, Scaling],
     valley_coordinates: Callable[[bool], ValleyCoordinates],
     propose_starts: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
-    uncalibrated: Mapping[str, Parameter] = MappingProxyType({}),
 ) -> Law:
     """A law of friction and elastic moment; see `Coordinates` for the last arguments."""
 
@@ -299,5 +297,4 @@ def memoryless_law(
             valley_coordinates=valley_coordinates,
             propose_starts=propose_starts,
         ),
-        uncalibrated=dict(uncalibrated),
     )

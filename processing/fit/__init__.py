@@ -24,17 +24,11 @@ from processing.fit.effects import (
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.exact_result import domain_warnings
-from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
+from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
 from processing.fit.knocks import fit_with_knocks
 from processing.fit.known_drive import LEAST_UNEXPLAINED, Signals
 from processing.fit.law_comparison import LawComparison, compare_laws, fit_model_free
-from processing.fit.law_waveform import (
-    CONTRADICTED,
-    Predicted,
-    predictions,
-    waveform_chances,
-)
-from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
+from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.refinement import (
     DecayFit,
     Refinement,
@@ -48,11 +42,9 @@ from processing.fit.refinement import (
     up_to_rest_step,
 )
 from processing.fit.reported import (
-    FittedContact,
     InputQuantity,
     RigQuantities,
     Work,
-    fitted_contact,
     reported_quantities,
     rolling_moment_nm,
     work_per_cycle_j,
@@ -70,7 +62,6 @@ from processing.fit.result import (
     FitResult,
 )
 from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismometer
-from processing.fit.seismometer_spectra import SeismometerSpectra
 from processing.fit.seismometer_terms import Seismogram, plain_signals
 from processing.fit.terms import LinearisedFit, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties

@@ -39,11 +39,10 @@ from processing.swing import TurningPoints
 
 def fit_asymptotic(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     *,
     drag: bool = False,
     loss: Loss = "linear",
-    printed_curvature: bool = False,
     exact: FitResult | None = None,
     known_drag: Estimate | None = None,
 ) -> FitResult:
@@ -53,14 +52,10 @@ def fit_asymptotic(
     ----------
     points
         Turning points in rad; at least ten, gaps allowed.
-    pendulum
-        None if the amplitudes are not calibrated, see `fit_exact`.
     drag
         Adds a linear term to the decay (moment ``-m g R drag_s phi'``).
     loss
         ``linear``, or a robust loss that reduces the influence of outliers.
-    printed_curvature
-        Use 0.55 in Eq. 6 as printed, instead of the value for the fitted n.
     exact
         The exact fit of the same points. Its turning points are fitted, the bias is stated by it and, if it
         found a drive of the ground, the uncertainties contain that (`driven_covariance`).
@@ -95,9 +90,9 @@ def fit_asymptotic(
             f"{len(periods.where)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
         )
     decay, amplitude_model = fit_decay(points, reference, mean, drag, loss, known)
-    period, period_model = fit_period(points, periods, reference, rho, printed_curvature, loss)
-    per_kappa = 1.0 if pendulum is None else 1 / stiffness_ratio(1.0, pendulum)
-    names = (*PAPER.names(calibrated=pendulum is not None, drag=drag), AMPLITUDE.key)
+    period, period_model = fit_period(points, periods, reference, rho, loss)
+    per_kappa = 1 / stiffness_ratio(1.0, pendulum)
+    names = (*PAPER.names(drag=drag), AMPLITUDE.key)
     k = len(decay.values)
 
     def physical(fitted: Floats) -> Floats:
@@ -120,7 +115,7 @@ def fit_asymptotic(
             of_known = decay.covariance[:, 3] / known.standard_uncertainty
             scatter[:k, :k] += np.outer(of_known, of_known)
 
-    moved = period_by_log_rho(period, points, periods, reference, rho, printed_curvature)
+    moved = period_by_log_rho(period, points, periods, reference, rho)
     by_log_rho = to_physical @ np.concatenate([np.zeros(k), moved])
 
     unsettled = []
@@ -153,7 +148,6 @@ def fit_asymptotic(
             *unsettled,
             *data_warnings(
                 points,
-                pendulum,
                 {
                     "the amplitudes (Eq. 5)": decay.chi2 / decay.dof,
                     "the periods (Eq. 6)": period.chi2 / period.dof,
@@ -161,13 +155,11 @@ def fit_asymptotic(
             ),
         ),
         half_cycles=len(points),
-        bias=None if exact is None else _bias(exact, points, pendulum, printed_curvature),
+        bias=None if exact is None else _bias(exact, points, pendulum),
     )
 
 
-def _bias(
-    exact: FitResult, points: TurningPoints, pendulum: PendulumOnBall | None, printed_curvature: bool
-) -> dict[str, float] | None:
+def _bias(exact: FitResult, points: TurningPoints, pendulum: PendulumOnBall) -> dict[str, float] | None:
     """Bias of both equations: their parameters for the exact fit's free decay, less those of the exact fit.
 
     The decay is taken at the half-cycles of `points`, with their uncertainties as weights. None if the
@@ -183,7 +175,6 @@ def _bias(
             free,
             pendulum,
             drag=exact.has_drag,
-            printed_curvature=printed_curvature,
             known_drag=exact.estimate(DRAG.key) if exact.has_drag else None,
         )
     except DataError:
@@ -196,12 +187,11 @@ def fit_period(
     periods: Periods,
     reference: float,
     rho: float,
-    printed_curvature: bool,
     loss: Loss,
 ) -> tuple[Solution, Floats]:
     """Solution of Eq. 6 (T0 in s, n, kappa for amplitudes in units of the reference), and its periods (s)."""
     x = points.amplitude[periods.where] / reference
-    drop_of = partial(frequency_drop, x, rho=rho, printed_curvature=printed_curvature)
+    drop_of = partial(frequency_drop, x, rho=rho)
 
     def model(values: Floats) -> tuple[Floats, Floats]:
         t0, n, kappa = values
@@ -247,13 +237,12 @@ def period_by_log_rho(
     periods: Periods,
     reference: float,
     rho: float,
-    printed_curvature: bool,
 ) -> Floats:
     """Derivatives of T0, n and kappa with respect to ln(R/a), by linearised least squares."""
     x = points.amplitude[periods.where] / reference
     t0, n, kappa = solution.values
-    drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
-    by_rho = drop - frequency_drop(x, n, kappa, 0.0, printed_curvature=printed_curvature)
+    drop = frequency_drop(x, n, kappa, rho)
+    by_rho = drop - frequency_drop(x, n, kappa, 0.0)
     change = t0 / (1 - drop) ** 2 * by_rho / periods.u_period_s
     return -FactoredJacobian(solution.jacobian).coefficients(change)
 
@@ -268,7 +257,7 @@ def driven_covariance(
     by_amplitude: Floats,
     by_time: Floats,
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     exact: FitResult,
 ) -> Floats:
     """Covariance of values that depend linearly on the turning points.

@@ -135,7 +135,7 @@ class Profile:
 
 def profile_likelihood(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     result: FitResult,
     name: str,
     *,
@@ -295,7 +295,7 @@ def _refit(
 
 
 def identifiability(
-    points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
+    points: TurningPoints, pendulum: PendulumOnBall, result: FitResult
 ) -> tuple[Determination, ...]:
     """Verdict on every parameter of an exact fit; for poorly determined ones by the profile likelihood.
 
@@ -342,7 +342,7 @@ def identifiability(
 
 def _with_other_valleys(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     result: FitResult,
     name: str,
     profile: Profile,

@@ -149,7 +149,7 @@ def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
     """The evidence's derivatives with respect to relative errors of losses, durations (0) and harmonics."""
     model, waveform = at.model, at.model.evidence.waveform
     out = np.zeros((len(model.evidence_residuals(at.coordinates)), 3 * nodes.count))
-    if waveform is None or model.pendulum is None:
+    if waveform is None:
         return out
     predicted = waveform.predicted_rad(model.law, model.values(at.coordinates), model.pendulum)
     for column, shape in enumerate(nodes(waveform.amplitude_rad / model.reference).T, 2 * nodes.count):

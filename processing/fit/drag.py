@@ -111,7 +111,7 @@ class ContradictedDrag(NamedTuple):
 
 def contradicted_drag(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     evidence: Evidence,
     *,
     loss: Loss,
@@ -148,7 +148,7 @@ def contradicted_drag(
     return ContradictedDrag(known_s, fit) if contradicts else None
 
 
-def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Drag:
+def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> Drag:
     """The linear drag by the data of an exact fit; a fit without drag is repeated with one.
 
     Where a drag could be all of the friction, no such fit is made: it would end anywhere along a valley.
@@ -185,7 +185,7 @@ def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
     )
 
 
-def _inseparable(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Drag | None:
+def _inseparable(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> Drag | None:
     """The verdict on a decay that cannot tell a drag from friction at all; None where fits must decide.
 
     By one linear step from the fit without a drag: F is likely by chance, and with a drag b is as uncertain
@@ -221,9 +221,7 @@ class _Test(NamedTuple):
     parabolic: bool
 
 
-def _test(
-    points: TurningPoints, pendulum: PendulumOnBall | None, alone: FitResult, without: FitResult
-) -> _Test:
+def _test(points: TurningPoints, pendulum: PendulumOnBall, alone: FitResult, without: FitResult) -> _Test:
     """The test by the rise of chi2 where the drag is left out, and an uncertainty that agrees with it.
 
     Friction and drag can replace each other along a curved valley, whose length does not follow from the

@@ -30,7 +30,6 @@ from processing.arrays import Floats
 from processing.contact import BOUNDARY_LAYER_DRAG, DRAG
 from processing.estimate import Estimate
 from processing.fit.exact_model import DiscrepancyColumns, ExactModel
-from processing.fit.ground import Noise
 from processing.fit.reported import RigQuantities
 from processing.fit.result import (
     BOUNDARY_LAYER,
@@ -81,13 +80,7 @@ def drift_effects(at: LinearisedFit) -> dict[str, Floats]:
 
 def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -> Term:
     """The term of `DRIFTS` about zero; without `u_drifts` they have no prior."""
-    rows = rows_with_drifts(at.model, at.coordinates, at.noise)
-    prior = np.inf if u_drifts is None else np.array([u_drifts.get(name, 0.0) for name in DRIFTS])
-    return Term(FITTED_DRIFTS, rows.in_scatter(at.scale).by_errors, prior)
-
-
-def rows_with_drifts(model: ExactModel, columns: Floats, noise: Noise) -> DrivenRows:
-    """The rows of a model for a drive, with their derivatives with respect to `DRIFTS`."""
+    model, columns = at.model, at.coordinates
     shares = loss_shares(model, columns)
     lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
 
@@ -101,7 +94,7 @@ def rows_with_drifts(model: ExactModel, columns: Floats, noise: Noise) -> Driven
 
     of_waveform = np.zeros((len(model.evidence_rows(columns)[0]), len(DRIFTS)))
     waveform = model.evidence.waveform
-    if waveform is not None and model.pendulum is not None:
+    if waveform is not None:
         amplitude, values = waveform.amplitude_rad / model.reference, model.values(columns)
         passed_s = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
         since = _since_middle(passed_s - model.points.time_s[0], lasting_s)[:, None]
@@ -111,7 +104,10 @@ def rows_with_drifts(model: ExactModel, columns: Floats, noise: Noise) -> Driven
             moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWTH_STEP
             reduced = waveform.reduced(since * moved)
             of_waveform[: len(reduced), column] = reduced
-    return DrivenRows.of(model, columns, noise, DiscrepancyColumns(loss_errors, duration_errors), of_waveform)
+    errors = DiscrepancyColumns(loss_errors, duration_errors)
+    rows = DrivenRows.of(model, columns, at.noise, errors, of_waveform)
+    prior = np.inf if u_drifts is None else np.array([u_drifts.get(name, 0.0) for name in DRIFTS])
+    return Term(FITTED_DRIFTS, rows.in_scatter(at.scale).by_errors, prior)
 
 
 def _since_middle(time_s: Floats, lasting_s: float) -> Floats:

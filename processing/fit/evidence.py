@@ -185,10 +185,10 @@ class Evidence:
     drive: KnownDrive | None = None
     knocks: tuple[int, ...] = ()
 
-    def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall | None) -> Floats:
+    def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
         """Distances of the law's waveform and drag from the evidence, in standard uncertainties."""
         parts = []
-        if self.waveform is not None and pendulum is not None:
+        if self.waveform is not None:
             parts.append(self.waveform.residuals(law, values, pendulum))
         if self.drag_s is not None and DRAG.key in values:
             value, u = self.drag_s

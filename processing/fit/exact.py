@@ -180,7 +180,7 @@ def _agrees_with_evidence(found: _Minimum) -> bool:
 
 def fit_exact(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     *,
     law: Law = DEFAULT_LAW,
     drag: bool = False,
@@ -196,9 +196,6 @@ def fit_exact(
     points
         Turning points in rad; at least ten. Half-cycles may be missing (gaps in `index`); the map is applied
         to them as well.
-    pendulum
-        None if the amplitudes are not calibrated (pixels, volts). R/a, whose effect is a few per mille, is
-        then set to zero, ``kappa`` replaces ``gamma_pa``, and the result contains a warning.
     law
         A law of the registry, or another one.
     drag
@@ -268,7 +265,7 @@ def fit_exact(
 
 def fit_exact_with(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     like: FitResult,
     *,
     drag: bool,

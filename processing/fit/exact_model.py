@@ -97,7 +97,7 @@ class ExactModel:
     def __init__(
         self,
         points: TurningPoints,
-        pendulum: PendulumOnBall | None,
+        pendulum: PendulumOnBall,
         *,
         law: Law = DEFAULT_LAW,
         drag: bool = False,
@@ -107,7 +107,7 @@ class ExactModel:
         self.pendulum = pendulum
         self.law = law
         self.evidence = evidence
-        self.names = law.fit_names(calibrated=pendulum is not None, drag=drag)
+        self.names = law.fit_names(drag=drag)
         self.columns = law.columns(points, pendulum, self.names)
         self.known_drive: DrivenCoordinates | None = None
         if evidence.drive is not None:
@@ -341,7 +341,7 @@ class ExactModel:
 
     @classmethod
     def of(
-        cls, points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
+        cls, points: TurningPoints, pendulum: PendulumOnBall, result: FitResult
     ) -> tuple["ExactModel", Floats]:
         """The model of a finished exact fit of these points with its noise, and the fitted columns."""
         model = cls(

@@ -92,7 +92,6 @@ def check_turning_points(points: TurningPoints) -> None:
 
 def data_warnings(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
     chi2_per_dof: Mapping[str, float],
     drive_step: float = 0.0,
 ) -> Iterator[str]:
@@ -101,11 +100,6 @@ def data_warnings(
     `chi2_per_dof` is that of every part of the fit, by the name of its data. `drive_step` is the standard
     deviation by which the ground moves an amplitude in a half-swing.
     """
-    if pendulum is None:
-        yield (
-            "no calibration: b, c and kappa are in the unit of the amplitudes; neither gamma nor a surface "
-            "energy follows from them"
-        )
     step = np.diff(points.amplitude)
     noise = np.hypot(np.hypot(points.u_amplitude[1:], points.u_amplitude[:-1]), drive_step)
     kicked = points.index[1:][(step > 6 * noise) & (step > 0.01 * points.amplitude[:-1])]
@@ -133,7 +127,7 @@ def result_of(
     `likeliest` and `averaged` are covariances of the columns, with the likeliest noise and averaged over the
     noise that the data allow; their ratio enlarges the uncertainties.
     """
-    points, pendulum = model.points, model.pendulum
+    points = model.points
     amplitude, time, _, _ = model.curve(solution.values)
     deviation = np.abs(points.amplitude - amplitude * model.reference) / points.amplitude
     values, to_physical = model.columns.physical(solution.values)
@@ -180,7 +174,7 @@ def result_of(
         cost=solution.cost,
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=(
-            *data_warnings(points, pendulum, {"amplitudes and times": chi2_per_dof}, ground.noise.step),
+            *data_warnings(points, {"amplitudes and times": chi2_per_dof}, ground.noise.step),
             *_remarks(points, ground, solution, white),
             *map(_AT_LIMIT.format, model.columns.at_limit(solution.values)),
         ),
@@ -364,14 +358,12 @@ def neighbours_covariance(found: Whiteness, jacobian: Floats, covariance: Floats
     return _widened(covariance, both)
 
 
-def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Iterator[str]:
+def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> Iterator[str]:
     """Warnings of a fit outside of the range in which its law has a meaning.
 
     A ball that rolls by more than the radius of its contact has left the spot on which it stood, which Eqs. 1
     and 3 describe; beyond pi/2 radii the moment of Eq. 3 has the other sign.
     """
-    if pendulum is None:
-        return
     first_rad = float(points.amplitude[0])
     contact_rad = pendulum.contact_radius_m / pendulum.ball_radius_m
     if first_rad > contact_rad:

@@ -61,20 +61,6 @@ AT_REST = Noise()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BaseMotion:
-    """Horizontal acceleration of the ground that the drive of a pendulum corresponds to.
-
-    One-sided spectral density at the pendulum's frequency, for the stated height of the mass centre over the
-    point of contact, its bound of 95 %, and its level over Peterson's new low noise model of 1993.
-    """
-
-    mass_centre_height_m: float
-    acceleration_m_per_s2_rthz: Estimate
-    upper_95: Annotated[float, Quantity("", "bound of 95 %", unit="m/s^2/sqrt(Hz)")] = nan
-    above_low_noise_model_db: float = nan
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
     """How strongly the ground drove the pendulum during a run, as the turning points show it.
 
@@ -84,7 +70,7 @@ class Ground:
     turning points scatter more than their stated uncertainties. `left_out_half_cycles` at the end were not
     fitted: the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there, and
     amplitude and phase do not describe its motion. `widening` says for each parameter how many times larger
-    its uncertainty is than on ground at rest. `base` is there where the height of the mass centre is stated.
+    its uncertainty is than on ground at rest.
     """
 
     density_rad_per_s2_rthz: Estimate = NOT_DETERMINED
@@ -93,7 +79,6 @@ class Ground:
     measurement_scale: float = 1.0
     left_out_half_cycles: int = 0
     widening: Annotated[Mapping[str, float], PLAIN] = field(default_factory=dict)
-    base: BaseMotion | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

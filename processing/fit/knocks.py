@@ -33,7 +33,7 @@ _CLEAR_GAIN = 20.0
 
 def fit_with_knocks(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     *,
     drag: bool = False,
     evidence: Evidence = NO_EVIDENCE,
@@ -91,7 +91,7 @@ def fit_with_knocks(
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings))
 
 
-def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> int:
+def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> int:
     """Number of the half-cycle farthest from its prediction."""
     model, columns = ExactModel.of(points, pendulum, fit)
     residuals = model(columns)[0][: 2 * len(model.points)].reshape(2, -1)
@@ -99,7 +99,7 @@ def _worst_half_cycle(points: TurningPoints, pendulum: PendulumOnBall | None, fi
 
 
 def _gain(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, knock: int, *, averaged: bool
+    points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult, knock: int, *, averaged: bool
 ) -> float:
     """Gain in -2 ln L by one of the knocks of a fit, by the model that is linear about this fit."""
     assert fit.ground is not None
@@ -114,7 +114,7 @@ def _without(fit: FitResult, knock: int) -> FitResult:
 
 
 def _change(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, knock: int, gain: float
+    points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult, knock: int, gain: float
 ) -> Change:
     """The knock before a half-cycle: how far that lies from its prediction without it, over the amplitude."""
     model, columns = ExactModel.of(points, pendulum, _without(fit, knock))

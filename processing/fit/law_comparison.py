@@ -1,8 +1,8 @@
 """Comparison of laws fitted to one decay, each with the drive of the ground that it needs.
 
 A law that lacks an effect needs a stronger drive of the ground, which makes its likelihood smaller. Laws are
-compared by the likelihood, with Schwarz's penalty for each parameter, and by the evidence with stated priors.
-An effect that no drive can take up leaves the residuals correlated.
+compared by the likelihood of turning points and waveform, with Schwarz's penalty for each parameter. An
+effect that no drive can take up leaves the residuals correlated.
 
 Where no law is to be assumed, splines describe the contact's moments.
 """
@@ -11,20 +11,12 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
-from math import inf, isfinite, log, pi, sqrt
+from math import inf, log
 
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import (
-    AMPLITUDE,
-    DRAG,
-    TIME,
-    MomentSplines,
-    PendulumOnBall,
-    spline_law,
-    weight_moment,
-)
+from processing.contact import DRAG, MomentSplines, PendulumOnBall, spline_law, weight_moment
 from processing.contact.laws import Law
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -32,70 +24,10 @@ from processing.fit.discrepancy import with_discrepancy
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact, start_near, starts_of
 from processing.fit.exact_model import ExactModel
-from processing.fit.result import DISCREPANCY, FitResult
+from processing.fit.result import FitResult
 from processing.fit.terms import LinearisedFit
 from processing.least_squares import solve
 from processing.swing import TurningPoints
-
-# How probable a law makes a decay: Laplace's approximation, with normal priors stated alike for every law.
-#
-# Exponents lie about the middle of their law's range, with the standard deviation of a uniform distribution
-# over it. Every other parameter of a moment lies about zero; one standard deviation adds a tenth of gravity's
-# moment at the decay's reference amplitude. Period, first amplitude and its time (over the period) lie about
-# their fitted values, within a tenth. The noise is taken as known.
-
-_PRIOR_SHARE = 0.1
-"""Prior standard deviation of a parameter's effect, on times over the period and on moments over the
-weight's."""
-_LEAST_SHARE = 1e-15
-"""Rounding of the eigenvalues of a matrix with ones in its diagonal: smaller ones are not known."""
-_PERIOD = "period0_s"
-
-
-def prior(fit: FitResult, pendulum: PendulumOnBall, name: str) -> tuple[float, float]:
-    """Mean and standard deviation of the prior of one parameter, in its unit."""
-    parameter, value = fit.law.parameter(name), fit.estimate(name).value
-    if isfinite(parameter.lower) and isfinite(parameter.upper):
-        return 0.5 * (parameter.lower + parameter.upper), (parameter.upper - parameter.lower) / sqrt(12)
-    if name in (TIME.key, _PERIOD):
-        return value, _PRIOR_SHARE * fit.mean_period_s.value
-    if name == AMPLITUDE.key:
-        return value, _PRIOR_SHARE * fit.reference_rad
-    if name == DRAG.key:
-        return 0.0, _PRIOR_SHARE * fit.mean_period_s.value / (2 * pi)
-    values, u = fit.named_values, fit.estimate(name).standard_uncertainty
-    step = 1e-3 * max(abs(value), u if isfinite(u) else 0.0, 1e-300)
-    phi = np.linspace(-1, 1, 40) * fit.reference_rad
-    before, after = (
-        fit.law.branch_moments(phi, np.ones_like(phi), {**values, name: value + change}, pendulum)
-        for change in (-step, step)
-    )
-    added = np.abs(np.subtract(after, before)).max() / (2 * step) / weight_moment(pendulum)
-    return 0.0, float(_PRIOR_SHARE * fit.reference_rad / added) if added > 0 else 1.0
-
-
-def log_evidence(fit: FitResult, pendulum: PendulumOnBall) -> float:
-    """ln of the evidence of a fitted law, up to a constant of the data.
-
-    With the posterior's covariance over the priors' standard deviations, R, and the distance d of the values
-    from the priors' means: ``ln L + (ln det R - ln det(1 + R) - d^T (1 + R)^-1 d) / 2``. A parameter that the
-    data do not determine, or that is at a limit, keeps its prior.
-    """
-    assert fit.ground is not None  # of every exact fit
-    u = fit.standard_uncertainty
-    known = np.isfinite(u) & (u > 0)
-    mean, sd = np.array([prior(fit, pendulum, name) for name in fit.names])[known].T
-    # the model discrepancy is in the likelihood, and must not enlarge the posterior's volume
-    covariance = fit.covariance - fit.part(DISCREPANCY)
-    posterior = covariance[np.ix_(known, known)] / np.outer(sd, sd)
-    distance = (fit.values[known] - mean) / sd
-    size = np.sqrt(np.diag(posterior))
-    shares = np.maximum(np.linalg.eigvalsh(posterior / np.outer(size, size)), _LEAST_SHARE)
-    both = np.eye(len(sd)) + posterior
-    log_volume = sum(map(log, shares.tolist())) + 2 * sum(map(log, size.tolist()))
-    log_volume -= float(np.linalg.slogdet(both)[1])
-    return 0.5 * (log_volume - float(distance @ np.linalg.solve(both, distance)) - fit.ground.unrestricted)
-
 
 EXCLUDED_BIC = 10.0
 """Distance in BIC above which a law is excluded: odds of 150 to 1 (Kass & Raftery 1995)."""
@@ -105,15 +37,13 @@ EXCLUDED_BIC = 10.0
 class LawTrial:
     """The best fit of one law; `fit` is None where it failed, and `problem` is the reason.
 
-    `bic` is ``-2 ln L + k ln N`` for k parameters and N numbers (an amplitude and a time a half-cycle),
-    `aic` is ``-2 ln L + 2 k``; both are infinite without a fit. `log_evidence` is that of `evidence`.
+    `bic` is ``-2 ln L + k ln N`` for k parameters and N numbers (an amplitude and a time a half-cycle); it is
+    infinite without a fit.
     """
 
     law: Law
     fit: FitResult | None
     bic: float = inf
-    aic: float = inf
-    log_evidence: float = -inf
     problem: str = ""
 
 
@@ -127,18 +57,10 @@ class LawComparison:
         """A law's BIC minus the best one's; infinite for a law without a fit."""
         return trial.bic - self.trials[0].bic if trial.fit is not None else inf
 
-    def odds_against(self, trial: LawTrial) -> float:
-        """ln of the odds of the likeliest law's evidence against this one's; infinite where it has no fit."""
-        return max(one.log_evidence for one in self.trials) - trial.log_evidence if trial.fit else inf
-
     @property
     def remaining(self) -> tuple[LawTrial, ...]:
-        """The laws that the data do not exclude: both BIC and evidence have to."""
-        return tuple(
-            trial
-            for trial in self.trials
-            if min(self.above_best(trial), 2 * self.odds_against(trial)) <= EXCLUDED_BIC
-        )
+        """The laws that the data do not exclude."""
+        return tuple(trial for trial in self.trials if self.above_best(trial) <= EXCLUDED_BIC)
 
     @property
     def describes(self) -> bool:
@@ -195,9 +117,8 @@ def compare_laws(
             trials.append(LawTrial(law, None, problem=problem))
             continue
         assert fit.ground is not None  # of every exact fit
-        deviance, count = fit.ground.unrestricted, len(fit.names)
-        bic, aic = deviance + count * log(2 * len(points)), deviance + 2 * count
-        trials.append(LawTrial(law, fit, bic, aic, log_evidence(fit, pendulum)))
+        bic = fit.ground.unrestricted + len(fit.names) * log(2 * len(points))
+        trials.append(LawTrial(law, fit, bic))
     first, *others = sorted(trials, key=lambda trial: trial.bic)
     if first.fit is not None and first.fit.discrepancy is None:
         discrepancy = with_discrepancy(LinearisedFit.of(points, pendulum, first.fit)).discrepancy

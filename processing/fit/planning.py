@@ -5,7 +5,7 @@ The information that they hold (Fisher's matrix of the driven model) bounds ever
 the fit comes near to this bound.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import hypot, inf, sqrt
 
@@ -15,20 +15,16 @@ from processing.arrays import Floats
 from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.effects import rows_with_drifts
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import FEWEST_HALF_CYCLES
 from processing.fit.ground import Noise, step_of_density
 from processing.fit.known_drive import LEAST_UNEXPLAINED
 from processing.fit.result import FitResult
+from processing.fit.terms import DrivenRows
 from processing.least_squares import covariance_of
 from processing.swing import PIECE_HALF_CYCLES, TurningPoints
 
-_RUN_PARAMETERS = ("period0_s", AMPLITUDE.key, TIME.key)
-"""Parameters of which each run has its own."""
-_UNKNOWN_U = 1e6
-"""Minimum relative uncertainty of what counts as unknown: rounding gives such values of a singular matrix."""
 _HIDDEN_RATIO = 10.0
 """A run ends where the amplitude is this many times the ground's step in a half-swing."""
 
@@ -94,9 +90,8 @@ class PlannedRun:
     """One run between two amplitudes: how long it lasts, and the uncertainty of every parameter after it.
 
     `complete` is False where the drive ends the run above the amplitude `last_rad`. `values` are those of the
-    k parameters of the fit. `root` (k, k + 1) is a square root of Fisher's information, without the prior of
-    the drag: on relative changes of the values (absolute ones for a value of 0), and on a relative growth of
-    the friction over the run.
+    k parameters of the fit. `root` (k, k) is a square root of Fisher's information, without the prior of the
+    drag, on relative changes of the values (absolute ones for a value of 0).
     """
 
     first_rad: float
@@ -106,7 +101,7 @@ class PlannedRun:
     u: Mapping[str, float]
     complete: bool = True
     values: Mapping[str, float] = field(default_factory=dict, repr=False)
-    root: Floats = field(default_factory=lambda: np.zeros((0, 1)), repr=False, compare=False)
+    root: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False, compare=False)
 
     def u_after(self, count: int, known_drag_s: Estimate | None) -> Mapping[str, float]:
         """Standard uncertainties after `count` such runs; they share what is known of the drag before."""
@@ -115,7 +110,7 @@ class PlannedRun:
 
 def planned_run(
     values: Mapping[str, float],
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     conditions: Conditions,
     first_rad: float,
     last_rad: float,
@@ -130,7 +125,7 @@ def planned_run(
         The pendulum makes too few half-cycles between the two amplitudes.
     """
     drag = DRAG.key in values
-    names = law.fit_names(calibrated=pendulum is not None, drag=drag)
+    names = law.fit_names(drag=drag)
     known = {**values, AMPLITUDE.key: first_rad, TIME.key: 0.0}
     amplitude, time, complete = _decay(law, known, names, pendulum, first_rad, last_rad, conditions)
     if len(amplitude) < FEWEST_HALF_CYCLES:
@@ -149,7 +144,7 @@ def planned_run(
     step = step_of_density(conditions.unknown_rad_per_s2_rthz, float(np.diff(time).mean())) / model.reference
     noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
     all_known = {name: known[name] for name in model.names}
-    root = np.linalg.qr(relative_jacobian(model, columns, all_known, noise)).R
+    root = np.linalg.qr(_relative_jacobian(model, columns, all_known, noise)).R
     u_of = _uncertainties(root, all_known, conditions.known_drag_s)
     return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), u_of, complete, all_known, root)
 
@@ -158,22 +153,20 @@ def _uncertainties(
     root: Floats, values: Mapping[str, float], known_drag_s: Estimate | None, count: int = 1
 ) -> dict[str, float]:
     """Standard uncertainties of the shared parameters after `count` runs, with the prior of the drag once."""
-    rows = np.vstack([sqrt(count) * root[:, :-1], *_drag_prior_row(known_drag_s, values)])
+    rows = np.vstack([sqrt(count) * root, *_drag_prior_row(known_drag_s, values)])
     u = np.sqrt(np.diag(covariance_of(rows))) * _sizes(values)
     return dict(zip(list(values)[:-2], u.tolist(), strict=False))
 
 
-def relative_jacobian(
+def _relative_jacobian(
     model: ExactModel, columns: Floats, values: Mapping[str, float], noise: Noise
 ) -> Floats:
-    """Derivatives (n, k + 1) of a run's residuals with respect to relative changes of the parameters, whose
-    `values` are at `columns` (absolute changes of a value of 0), and with respect to the growth of the
-    friction from its first turning point to its last."""
-    rows = rows_with_drifts(model.linearised_at(columns), columns, noise)
+    """Derivatives (n, k) of a run's residuals with respect to relative changes of the parameters, whose
+    `values` are at `columns` (absolute changes of a value of 0)."""
+    rows = DrivenRows.of(model.linearised_at(columns), columns, noise)
     # sizes by the stated values: by those of the columns a value of 0 is 1e-19, whose column would vanish
     _, to_physical = model.columns.physical(columns)
-    by_value = rows.jacobian @ np.linalg.inv(to_physical / _sizes(values)[:, None])
-    return np.column_stack([by_value, rows.by_errors[:, :2].sum(axis=1)])
+    return np.asarray(rows.jacobian @ np.linalg.inv(to_physical / _sizes(values)[:, None]))
 
 
 def _sizes(values: Mapping[str, float]) -> Floats:
@@ -189,95 +182,11 @@ def _drag_prior_row(known_drag_s: Estimate | None, values: Mapping[str, float]) 
     return [row * _sizes(values) / known_drag_s.standard_uncertainty]
 
 
-@dataclass(frozen=True, slots=True)
-class PlannedSeries:
-    """Runs of one contact, whose friction grows evenly during the runs and between them.
-
-    In one decay the amplitude falls with time, so that the exponent p absorbs the effect of ageing. Runs that
-    pass the same amplitudes at other ages separate the two: from other first amplitudes, or after waiting.
-
-    Attributes
-    ----------
-    runs, waiting_s
-        The runs in order, and the time between the end of one and the beginning of the next.
-    u
-        Standard uncertainties of the shared parameters at the middle of the series, with the ageing unknown.
-    u_steady
-        The same for a contact that is known not to age.
-    u_ageing_per_s
-        Standard uncertainty of the friction's relative growth; infinite where the runs do not determine it.
-    """
-
-    runs: tuple[PlannedRun, ...]
-    waiting_s: float
-    u: Mapping[str, float]
-    u_steady: Mapping[str, float]
-    u_ageing_per_s: float
-
-    @property
-    def duration_s(self) -> float:
-        """Duration of all runs with the waiting between them."""
-        return sum(run.duration_s for run in self.runs) + self.waiting_s * (len(self.runs) - 1)
-
-
-def planned_series(
-    runs: Sequence[PlannedRun], waiting_s: float = 0.0, known_drag_s: Estimate | None = None
-) -> PlannedSeries:
-    """The series of planned runs, one after the other.
-
-    Every run has its own period, first amplitude and time; the prior of the drag counts once.
-    """
-    names = list(runs[0].values)
-    shared = [name for name in names if name not in _RUN_PARAMETERS]
-    stacked = series_jacobian(names, [(run.root, run.duration_s) for run in runs], waiting_s)
-    prior_rows = np.zeros((0, stacked.shape[1]))
-    for row in _drag_prior_row(known_drag_s, runs[0].values):
-        prior_rows = np.zeros((1, stacked.shape[1]))
-        prior_rows[0, : len(shared)] = row[[names.index(name) for name in shared]]
-    stacked = np.vstack([stacked, prior_rows])
-    u = np.sqrt(np.diag(covariance_of(stacked)))
-    steady = np.sqrt(np.diag(covariance_of(np.delete(stacked, len(shared), axis=1))))
-    size = _sizes({name: runs[0].values[name] for name in shared})
-    u_growth = float(u[len(shared)]) if u[len(shared)] < _UNKNOWN_U else inf
-    found = PlannedSeries(
-        tuple(runs), waiting_s,
-        {name: u[k] * size[k] for k, name in enumerate(shared)},
-        {name: steady[k] * size[k] for k, name in enumerate(shared)}, u_growth,
-    )  # fmt: skip
-    return replace(found, u_ageing_per_s=u_growth / found.duration_s)
-
-
-def series_jacobian(names: Sequence[str], runs: Sequence[tuple[Floats, float]], waiting_s: float) -> Floats:
-    """Derivatives of the residuals of consecutive runs with respect to shared parameters, ageing and their
-    own parameters.
-
-    `runs` gives for each run the derivatives of `relative_jacobian` and the duration in s.
-
-    The first columns are relative changes of the shared parameters, then the relative growth of the friction
-    from the first turning point of all to the last, then each run's own parameters.
-    """
-    shared = [k for k, name in enumerate(names) if name not in _RUN_PARAMETERS]
-    own = [k for k, name in enumerate(names) if name in _RUN_PARAMETERS]
-    friction = [names.index(name) for name in ("b", "c")]
-    ends_s = np.cumsum([duration_s + waiting_s for _, duration_s in runs]) - waiting_s
-    whole_s, rows = float(ends_s[-1]), []
-    for place, ((root, duration_s), end_s) in enumerate(zip(runs, ends_s.tolist(), strict=True)):
-        row = np.zeros((len(root), len(shared) + 1 + len(own) * len(runs)))
-        row[:, : len(shared)] = root[:, shared]
-        # the age at the run's middle makes all of its friction larger, and the drift within it is added
-        later_s = end_s - 0.5 * duration_s - 0.5 * whole_s
-        row[:, len(shared)] = (duration_s * root[:, -1] + later_s * root[:, friction].sum(axis=1)) / whole_s
-        begin = len(shared) + 1 + len(own) * place
-        row[:, begin : begin + len(own)] = root[:, own]
-        rows.append(row)
-    return np.concatenate(rows)
-
-
 def _decay(
     law: Law,
     known: Mapping[str, float],
     names: tuple[str, ...],
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     first_rad: float,
     last_rad: float,
     conditions: Conditions,

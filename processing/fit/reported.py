@@ -1,7 +1,7 @@
 """Reported quantities, computed from the fitted parameters and the rig's input quantities (GUM type B)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from math import inf, pi
 from typing import Annotated
 
@@ -10,9 +10,9 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
 from processing.contact.laws import DRAG, PAPER
-from processing.errors import ConfigurationError, DataError
+from processing.errors import ConfigurationError
 from processing.estimate import Estimate
-from processing.fit.result import FitResult, part_of
+from processing.fit.result import FitResult
 from processing.quantity import DerivedQuantity, Quantity, quantities_of
 from processing.units import in_ascii
 
@@ -159,51 +159,8 @@ class Work:
     drag_j: float = 0.0
 
 
-@dataclass(frozen=True)
-class FittedContact:
-    """Fitted contact parameters with their type A covariance, from one fit or from a series.
-
-    `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
-    freedom of the covariance, and `terms` are its parts, as those of `FitResult`. `by_log_rho` are the
-    derivatives with respect to ln(R/a), and `by_inputs` those with respect to other inputs that the fit takes
-    as known, by the names of `RigQuantities`: the row time of a shutter, an error of all amplitudes, drifts
-    over a run.
-    """
-
-    names: tuple[str, ...]
-    values: Floats
-    covariance: Floats
-    dof: float
-    by_log_rho: Floats
-    terms: Mapping[str, Floats] = field(default_factory=dict)
-    by_inputs: Mapping[str, Floats] = field(default_factory=dict)
-
-    def part(self, *names: str) -> Floats:
-        """Covariance of the values by some terms."""
-        return part_of(self.terms, len(self.names), *names)
-
-
-def fitted_contact(result: FitResult) -> FittedContact:
-    """The contact parameters of one fit, without the initial amplitude and time."""
-    if not result.calibrated:
-        raise DataError(
-            "the amplitudes were not calibrated: nothing can be reported in SI units; calibrate the record"
-        )
-    names = result.contact_names
-    at = [result.names.index(name) for name in names]
-    within = np.ix_(at, at)
-    return FittedContact(
-        names,
-        result.values[at],
-        result.covariance[within],
-        float(result.dof),
-        result.by_log_rho[at],
-        {name: by[at] for name, by in result.terms.items()},
-    )
-
-
 def reported_quantities(
-    contact: FittedContact, inputs: Mapping[str, Floats], rig: RigQuantities
+    fit: FitResult, inputs: Mapping[str, Floats], rig: RigQuantities
 ) -> dict[str, Floats]:
     """The reported quantities for given fitted values and inputs.
 
@@ -219,8 +176,6 @@ def reported_quantities(
     second. The period determines gamma only in the combination ``2 gamma a^2/(m g)``. The small additional
     effect of R/a in Eq. 3 is taken from the fit's derivative with respect to ln(R/a).
     """
-    if contact.names[:6] != PAPER.names():
-        raise DataError(f"expected the parameters {PAPER.names()} first, got {contact.names}")
     nominal = rig.pendulum()
     mass = inputs["mass_kg"] / rig.balls
     radius, gravity = inputs["ball_radius_m"], inputs["gravity_m_per_s2"]
@@ -240,10 +195,10 @@ def reported_quantities(
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
     log_rho_shift = np.log(radius / a / nominal_rho * scale)
-    moved = np.array([inputs[name] for name in contact.names]) + contact.by_log_rho[:, None] * log_rho_shift
+    moved = np.array([inputs[name] for name in fit.names]) + fit.by_log_rho[:, None] * log_rho_shift
     assumed = rig.inputs()
-    for name, slope in contact.by_inputs.items():
-        moved = moved + slope[:, None] * (inputs[name] - assumed[name].value)
+    for name, slope in fit.by_inputs.items():
+        moved[: len(slope)] += slope[:, None] * (inputs[name] - assumed[name].value)
     b, p, c, n, period0, gamma = moved[:6]
     nominal_force = nominal.mass_kg * nominal.gravity_m_per_s2
     out = {
@@ -255,8 +210,8 @@ def reported_quantities(
         "gamma_pa": gamma * (nominal.contact_radius_m / a) ** 2 * (force / nominal_force) * scale**-n,
         **derived_quantities(c, scale, force, radius, a),
     }
-    if DRAG.key in contact.names:
-        out[DRAG.key] = moved[contact.names.index(DRAG.key)] * second
+    if fit.has_drag:
+        out[DRAG.key] = moved[fit.names.index(DRAG.key)] * second
     return out
 
 

@@ -225,6 +225,10 @@ class FitResult(FitQuality):
         distributed even if b and gamma are not.
     by_log_rho
         Derivative of `values` with respect to ln(R/a), which the fit takes as known.
+    by_inputs
+        Derivatives of the contact parameters, which come first, with respect to other inputs that the fit
+        takes as known, by the names of `RigQuantities`: the row time of a shutter, an error of all
+        amplitudes, drifts over a run.
     loss, cost
         The loss function, and half of its sum at the minimum (half of chi2 if linear).
     half_cycles
@@ -255,6 +259,7 @@ class FitResult(FitQuality):
     u_inflation: Floats | None = None
     terms: Mapping[str, Floats] = field(default_factory=dict)
     evidence: Evidence = NO_EVIDENCE
+    by_inputs: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def dof(self) -> int:
@@ -271,7 +276,14 @@ class FitResult(FitQuality):
 
     def part(self, *names: str) -> Floats:
         """Covariance of the values by some terms; zeros where the fit has none of them."""
-        return part_of(self.terms, len(self.names), *names)
+        count = len(self.names)
+        out = np.zeros((count, count))
+        for by in (self.terms[name] for name in names if name in self.terms):
+            undetermined = ~np.isfinite(by.sum(axis=1))
+            known = np.where(undetermined[:, None], 0.0, by)
+            out += known @ known.T
+            out[undetermined, undetermined] = np.inf
+        return out
 
     def with_term(self, name: str, by: Floats, *warnings: str, **fields: Any) -> "FitResult":
         """The fit with one further term in covariance and `terms`; `fields` are those of `FitQuality` to set.
@@ -313,11 +325,6 @@ class FitResult(FitQuality):
             matrix = self.covariance / np.outer(u, u)
         matrix[np.diag_indices_from(matrix)] = 1.0
         return matrix
-
-    @property
-    def calibrated(self) -> bool:
-        """Whether the amplitudes are angles; if not, b and c refer to the amplitudes' unit."""
-        return all(key in self.names for key in self.law.uncalibrated)
 
     @property
     def contact_names(self) -> tuple[str, ...]:
@@ -362,14 +369,3 @@ class FitResult(FitQuality):
 
     def estimates(self) -> dict[str, Estimate]:
         return {name: self.estimate(name) for name in self.names}
-
-
-def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
-    """Covariance (count, count) of values by some of their terms."""
-    out = np.zeros((count, count))
-    for by in (terms[name] for name in names if name in terms):
-        undetermined = ~np.isfinite(by.sum(axis=1))
-        known = np.where(undetermined[:, None], 0.0, by)
-        out += known @ known.T
-        out[undetermined, undetermined] = np.inf
-    return out

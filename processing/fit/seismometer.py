@@ -18,7 +18,6 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
-from processing.fit.seismometer_spectra import SeismometerSpectra, seismometer_spectra
 from processing.fit.seismometer_terms import (
     PAIR,
     SIGNALS,
@@ -94,8 +93,6 @@ class SeismometerUse:
         shows it; it was applied if it exceeds four standard uncertainties.
     saved
         Factor by which the uncertainty of each parameter is smaller.
-    spectra
-        Spectra of the drive before and after, and its coherence with the seismometer's prediction.
     """
 
     source: str = ""
@@ -113,7 +110,6 @@ class SeismometerUse:
     delay_s: Estimate = NOT_DETERMINED
     clock_drift: Estimate = NOT_DETERMINED
     saved: Mapping[str, float] = field(default_factory=dict)
-    spectra: SeismometerSpectra | None = None
 
     @property
     def used(self) -> bool:
@@ -179,7 +175,7 @@ class SeismometerFit:
 
 def fit_with_seismometer(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     seismometer: Seismogram,
     alone: FitResult,
     *,
@@ -225,7 +221,7 @@ class _Selection(NamedTuple):
 @dataclass(frozen=True)
 class _Search:
     points: TurningPoints
-    pendulum: PendulumOnBall | None
+    pendulum: PendulumOnBall
     alone: FitResult
     averaged: bool
 
@@ -271,9 +267,7 @@ class _Search:
         delay = Estimate(correction.delay_s.value, u_delay_s)
         use = replace(use, gain_of_prediction=found.gain, delay_s=delay, clock_drift=correction.drift)
         use = accepted_use(use, self.alone, found.fit, drives.names, found.chosen)
-        return SeismometerFit(
-            found.fit, replace(use, spectra=seismometer_spectra(self.points, self.pendulum, found.fit))
-        )
+        return SeismometerFit(found.fit, use)
 
     def _with_signals(
         self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...], min_gain: float

@@ -19,7 +19,6 @@ from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.exact_model import ExactModel
-from processing.fit.ground import Noise
 from processing.fit.known_drive import (
     FREE_REST_WEIGHT,
     U_FREE_REST_WEIGHT,
@@ -194,31 +193,26 @@ def with_start_gains(drives: SignalDrives, near: FitResult, chosen: Sequence[int
 
 
 def model_of(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, drive: KnownDrive
+    points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult, drive: KnownDrive
 ) -> ExactModel:
     """The model of a fit with another known drive."""
     evidence = replace(fit.evidence, drive=drive)
     return ExactModel(points, pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
 
 
-def fitted_state(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
-    """Columns and noise of a model at the end of a fit."""
-    assert fit.ground is not None
-    columns = model.columns.from_physical(fit.named_values)
-    return columns, replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
-
-
 def residuals_at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
     """Whitened residuals at a fit, their Jacobians of the gains of the drive and of the other columns."""
     assert model.known_drive is not None
-    found = model.filtered(*fitted_state(model, fit))
+    assert fit.ground is not None
+    noise = replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
+    found = model.filtered(model.columns.from_physical(fit.named_values), noise)
     by_gains = found.jacobian[:, : model.known_drive.terms] / model.known_drive.unit
     return found.residuals, by_gains, found.jacobian[:, model.known_drive.terms :]
 
 
 def gain_of_prediction(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     fit: FitResult,
     drives: SignalDrives,
     chosen: Sequence[int],
@@ -259,7 +253,7 @@ class ClockCorrection(NamedTuple):
 
 def clock_correction(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     fit: FitResult,
     drives: SignalDrives,
     chosen: Sequence[int],
@@ -298,7 +292,7 @@ def clock_correction(
 
 def best_offset(
     points: TurningPoints,
-    pendulum: PendulumOnBall | None,
+    pendulum: PendulumOnBall,
     seismometer: Seismogram,
     alone: FitResult,
     *,

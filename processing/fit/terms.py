@@ -247,7 +247,7 @@ class LinearisedFit:
     to_physical: Floats
 
     @classmethod
-    def of(cls, points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> "LinearisedFit":
+    def of(cls, points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> "LinearisedFit":
         """The linearised fit of these points; raises DataError for another method than the exact one."""
         if fit.method is not FitMethod.EXACT or fit.ground is None:
             raise DataError(f"the {fit.method} fit has no residuals beside which a term can stand")

@@ -10,8 +10,8 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact.laws import DRAG
 from processing.fit.evidence import AIR
-from processing.fit.reported import OUTPUTS, FittedContact, InputQuantity, RigQuantities, reported_quantities
-from processing.fit.result import MEASUREMENT
+from processing.fit.reported import OUTPUTS, InputQuantity, RigQuantities, reported_quantities
+from processing.fit.result import MEASUREMENT, FitResult
 from processing.quantity import OF, OWN, PART, PER, Quantity
 
 GROUND = "ground"
@@ -125,11 +125,11 @@ def budget_of(
     )
 
 
-def _quantities(found: FittedContact) -> dict[str, str]:
-    return {**OUTPUTS, **({DRAG.key: "s"} if DRAG.key in found.names else {})}
+def _quantities(found: FitResult) -> dict[str, str]:
+    return {**OUTPUTS, **({DRAG.key: "s"} if found.has_drag else {})}
 
 
-def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
+def budgets(found: FitResult, rig: RigQuantities) -> dict[str, Budget]:
     """A budget for every reported quantity.
 
     Derivatives are central differences over a thousandth of each source's uncertainty, with a relative error
@@ -144,7 +144,7 @@ def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
     }
 
 
-def _fitted(found: FittedContact) -> dict[str, InputQuantity]:
+def _fitted(found: FitResult) -> dict[str, InputQuantity]:
     """The fitted values by name; a value that nothing determines has a small `u`, for its derivatives."""
     u = np.sqrt(np.diag(found.covariance)).tolist()
     return {
@@ -154,7 +154,7 @@ def _fitted(found: FittedContact) -> dict[str, InputQuantity]:
 
 
 def _slopes(
-    found: FittedContact, rig: RigQuantities, model: Model
+    found: FitResult, rig: RigQuantities, model: Model
 ) -> tuple[dict[str, Floats], dict[str, dict[str, float]]]:
     """Derivatives of each quantity with respect to the fitted values and each other uncertain input."""
     slopes = sensitivities(model, {**_fitted(found), **rig.inputs()})
@@ -162,7 +162,7 @@ def _slopes(
     return by_value, slopes
 
 
-def standard_uncertainties(found: FittedContact, rig: RigQuantities, model: Model) -> dict[str, float]:
+def standard_uncertainties(found: FitResult, rig: RigQuantities, model: Model) -> dict[str, float]:
     """Standard uncertainties of the quantities of a model by the fit and the other inputs, to first order."""
     by_value, by_input = _slopes(found, rig, model)
     inputs = rig.inputs()
@@ -179,7 +179,7 @@ def _budget(
     name: str,
     unit: str,
     value: float,
-    found: FittedContact,
+    found: FitResult,
     rig: RigQuantities,
     by_value: Floats,
     by_input: Mapping[str, float],
@@ -203,12 +203,12 @@ def _budget(
         u = inputs[source].u
         if slope != 0:
             parts.append((source, "B", u, slope, abs(slope) * u))
-    estimated = [(type_a, found.dof)] if 0 < type_a < inf else []
+    estimated = [(type_a, float(found.dof))] if 0 < type_a < inf else []
     estimated += [(part, inputs[source].dof) for source, _, _, _, part in parts if source in inputs]
     return budget_of(unit, value, parts, estimated)
 
 
-def _by_term(found: FittedContact, by_value: Floats, type_a: float) -> tuple[dict[str, float], float]:
+def _by_term(found: FitResult, by_value: Floats, type_a: float) -> tuple[dict[str, float], float]:
     """Type A uncertainty by the terms of the fit, and that by the air; the parts never exceed the whole."""
     if not isfinite(type_a):
         return {MEASUREMENT: type_a}, 0.0
@@ -226,7 +226,7 @@ def _by_term(found: FittedContact, by_value: Floats, type_a: float) -> tuple[dic
     return {MEASUREMENT: reading, GROUND: ground, **parts}, air
 
 
-def _type_a(found: FittedContact, by_value: Floats) -> float:
+def _type_a(found: FitResult, by_value: Floats) -> float:
     """Standard uncertainty by the fit; infinite where the quantity depends on an undetermined parameter."""
     blind = ~np.isfinite(np.diag(found.covariance))
     return inf if np.any(by_value[blind] != 0) else _u_by(found.covariance, by_value)

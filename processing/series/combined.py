@@ -9,7 +9,7 @@ import numpy as np
 
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import AIR, DISCREPANCY, FitResult, FittedContact, fitted_contact
+from processing.fit import AIR, DISCREPANCY, FitResult
 from processing.quantity import PART
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
@@ -87,7 +87,7 @@ class SeriesResult:
 
     parameters: Mapping[str, CombinedValue]
     disagreements: tuple[Disagreement, ...]
-    measured: FittedContact
+    measured: FitResult
 
 
 def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -> CombinedValue:
@@ -196,20 +196,26 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         raise DataError(f"{len(results)} run: a series needs at least 2 to show its scatter")
     names = [name for name in results[0].contact_names if all(name in result.names for result in results)]
     parameters = {name: _combined(name, results) for name in names}
-    runs = [fitted_contact(result) for result in results]
-    at = [list(runs[0].names).index(name) for name in names]
-    covariances = [run.covariance[np.ix_(at, at)] for run in runs]
+    first, places = results[0], [[result.names.index(name) for name in names] for result in results]
+    covariances = [result.covariance[np.ix_(at, at)] for result, at in zip(results, places, strict=True)]
     correlation = np.mean(
         [one / np.sqrt(np.outer(np.diag(one), np.diag(one))) for one in covariances], axis=0
     )
     u = np.array([parameters[name].standard_uncertainty for name in names])
-    together = FittedContact(
-        tuple(names),
-        np.array([parameters[name].value for name in names]),
-        correlation * np.outer(u, u),
-        float(len(results) - 1),
-        np.mean([run.by_log_rho[at] for run in runs], axis=0),
-        {AIR: np.array([[parameters[name].by_air] for name in names])},
+    together = FitResult(
+        method=first.method,
+        law=first.law,
+        names=tuple(names),
+        values=np.array([parameters[name].value for name in names]),
+        covariance=correlation * np.outer(u, u),
+        degrees_of_freedom=len(results) - 1,
+        reference_rad=first.reference_rad,
+        by_log_rho=np.mean(
+            [result.by_log_rho[at] for result, at in zip(results, places, strict=True)], axis=0
+        ),
+        loss=first.loss,
+        cost=nan,
+        terms={AIR: np.array([[parameters[name].by_air] for name in names])},
     )
     return SeriesResult(parameters, tuple(_disagreements(names, results)), together)
 

@@ -5,11 +5,9 @@ from processing.swing.detector import TurningPointDetector, compile_kernels, swi
 from processing.swing.half_cycle_harmonics import (
     ORDERS,
     PIECE_HALF_CYCLES,
-    HarmonicClass,
     HarmonicsMeasurement,
     HarmonicTerms,
     SwingHarmonics,
-    harmonic_classes,
 )
 from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import (

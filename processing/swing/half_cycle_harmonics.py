@@ -9,7 +9,7 @@ ones in phase come from elastic moments, the lever and errors of position on the
 quadrature from rows that are exposed in turn. A drag makes no harmonics.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,8 +31,6 @@ _OUTLIER_U = 6.0
 """Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
 _STORED_NS = 120_000_000_000
 """Length of the deflections that are stored while no half-cycle is known, since half-cycles follow later."""
-_MIN_PIECES = 4
-"""Fewest pieces of a class."""
 
 
 class HarmonicTerms:
@@ -166,45 +164,3 @@ class HarmonicsMeasurement:
         sign = float(first.side) ** np.array(ORDERS)
         self._values.append(values[: HarmonicTerms.COUNT])
         self._covariances.append(covariance[sine, sine] * np.outer(sign, sign))
-
-
-@dataclass(frozen=True, slots=True)
-class HarmonicClass:
-    """Mean harmonics of the pieces of like amplitude, by an operation (`mean`) that predictions share."""
-
-    amplitude: float
-    """Geometric mean of `amplitudes`."""
-    amplitudes: Floats
-    harmonics: Complexes
-    """Shape (orders,)."""
-    u: Floats
-    """Standard uncertainty of real and imaginary part each, shape (orders,)."""
-
-    def mean(self, predicted: Callable[[Floats], Complexes]) -> Complexes:
-        """A law's harmonics of the class, from its harmonics (n, orders) at amplitudes (n,)."""
-        return _at_middle(self.amplitudes, predicted(self.amplitudes))[0]
-
-
-def harmonic_classes(pieces: SwingHarmonics) -> list[HarmonicClass]:
-    """Classes of amplitudes that differ by up to a factor of two, the largest first."""
-    out = []
-    left = pieces.amplitude
-    top = float(left.max()) if len(left) else 0.0
-    while top > 0 and np.any(left <= top):
-        inside = (pieces.amplitude <= top) & (pieces.amplitude > top / 2)
-        if np.count_nonzero(inside) >= _MIN_PIECES:
-            amplitudes = pieces.amplitude[inside]
-            mean, u = _at_middle(amplitudes, pieces.harmonics[inside])
-            out.append(HarmonicClass(float(np.exp(np.mean(np.log(amplitudes)))), amplitudes, mean, u))
-        top /= 2
-    return out
-
-
-def _at_middle(amplitudes: Floats, harmonics: Complexes) -> tuple[Complexes, Floats]:
-    """Value and uncertainty at the geometric mean amplitude, by a straight line over ln A."""
-    x = np.log(amplitudes)
-    terms = np.column_stack([np.ones_like(x), x - np.mean(x)])
-    line = np.linalg.lstsq(terms, harmonics, rcond=None)[0]
-    left = harmonics - terms @ line
-    variance = np.sum(np.abs(left) ** 2, axis=0) / (2 * (len(x) - 2))
-    return line[0], np.sqrt(variance / len(x))

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
         with_laws,
     )
     from rig.analysis.contact_fits import loss_of, refined_half_cycles
-    from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, with_contact
+    from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, with_contact
     from rig.analysis.half_cycle_fits import clock_rate_of
     from rig.analysis.passing_deflections import PassingDeflections
     from rig.analysis.record_fit import analyse_record, analyse_run
@@ -86,7 +86,7 @@ else:
             "ambient": "HISTORY_KEYS evidence_of expected_drag drag_of_fit recorded_ambient stated_ambient",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
             "contact_fits": "loss_of refined_half_cycles",
-            "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC base_motion with_contact",
+            "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC with_contact",
             "half_cycle_fits": "clock_rate_of",
             "passing_deflections": "PassingDeflections",
             "record_fit": "analyse_record analyse_run",

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from math import nan
 from typing import Final, Self
 
 import numpy as np
@@ -23,17 +22,13 @@ from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.decay_summary import Periods, full_periods
 from processing.errors import ConfigurationError, DataError
 from processing.fit import (
-    CONTRADICTED,
     FitMethod,
     FitResult,
     LawComparison,
     compare_laws,
     fit_model_free,
-    predictions,
-    waveform_chances,
 )
-from processing.number_text import with_uncertainty
-from processing.swing import ORDERS, HarmonicClass, TurningPoints, harmonic_classes
+from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis.results import (
     ComparedLaws,
@@ -76,16 +71,7 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     verdict = compared.text()
     if free is not None and len(remaining) > 1 and set(remaining[:2]) <= set(free.laws):
         verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
-    classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
-    within = {
-        trial.law.name: predictions(classes, run.points, trial.fit, pendulum)
-        for trial in (compared.trials if classes else ())
-        if trial.fit is not None
-    }
-    chances = waveform_chances(classes, within)
-    if classes:
-        verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
-    return replace(run, laws=ComparedLaws(_law_fits(compared, chances), verdict, free))
+    return replace(run, laws=ComparedLaws(_law_fits(compared), verdict, free))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
@@ -130,8 +116,8 @@ def _model_free_moments(
     )
 
 
-def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str, LawFit]:
-    """The best fit of every law; `chances` are those of its waveform, empty without one."""
+def _law_fits(compared: LawComparison) -> dict[str, LawFit]:
+    """The best fit of every law."""
     found = {}
     for trial in compared.trials:
         fit, law = trial.fit, trial.law
@@ -141,32 +127,12 @@ def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str
                 one,
                 parameters={name: fit.estimate(name) for name in fit.names},
                 bic_above_best=compared.above_best(trial),
-                aic_above_best=trial.aic - min(one.aic for one in compared.trials),
-                log_odds_against=compared.odds_against(trial),
                 ground_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz.value,
-                waveform_chance=chances.get(law.name, nan),
                 residuals_are_noise=not fit.whiteness.correlated,
                 excluded=trial not in compared.remaining,
             )
         found[law.name] = one
     return found
-
-
-_THIRD = ORDERS.index(3)
-
-
-def _waveform_verdict(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str:
-    """Verdict of the third harmonic on the laws, in words."""
-    first = classes[0]
-    third_mas, u_mas = np.array([abs(first.harmonics[_THIRD]), first.u[_THIRD]]) / ARCSEC_RAD * 1e3
-    measured = f"the waveform (third harmonic {with_uncertainty(third_mas, u_mas)} mas at "
-    measured += f"{first.amplitude / ARCSEC_RAD:.0f} arcsec)"
-    against = [name for name, chance in chances.items() if chance < CONTRADICTED]
-    if not against:
-        return f"{measured} contradicts none"
-    if len(against) == len(chances):
-        return f"{measured} contradicts them all: sensor or beam distort it, or none is right"
-    return f"{measured} contradicts {', '.join(against)}"
 
 
 _MIN_PERIODS = 8
@@ -238,14 +204,13 @@ def curves_of(run: RunResults) -> Curves | None:
     at = periods.where
     asymptotic = fits[FitMethod.ASYMPTOTIC].contact()
     amplitude = points.amplitude[at]
-    printed = bool(run.settings.get("printed_055"))
     return Curves(
         asymptotic=ModelCurve.of(points, _asymptotic(points, fits[FitMethod.ASYMPTOTIC]), unknown),
         exact=exact,
         period_rad=amplitude,
         period_s=periods.period_s,
         u_period_s=periods.u_period_s,
-        asymptotic_period_s=period(amplitude, asymptotic, pendulum, printed_curvature=printed),
+        asymptotic_period_s=period(amplitude, asymptotic, pendulum),
         exact_period_s=exact.model_time_s[at + 1] - exact.model_time_s[at - 1],
         smooth_s=_smooth(amplitude, periods),
     )

@@ -221,7 +221,7 @@ def fit_decay(
         raise DataError(
             "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
         )
-    loss, printed_curvature = loss_of(settings), settings.printed_055
+    loss = loss_of(settings)
     if exact is None:
         exact = fit_with_knocks(points, pendulum, drag=drag, evidence=evidence, loss=loss)
     exact, points, alternation = _without_alternation(points, pendulum, exact)
@@ -233,7 +233,6 @@ def fit_decay(
         pendulum,
         drag=exact.has_drag,
         loss=loss,
-        printed_curvature=printed_curvature,
         exact=exact,
     )
 

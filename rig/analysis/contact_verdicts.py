@@ -17,14 +17,12 @@ from processing.fit import (
     FIXED_PATTERN,
     MEASUREMENT,
     REST_POSITION,
-    BaseMotion,
     Budget,
     Determination,
     Drag,
     FitMethod,
     FitQuality,
     FitResult,
-    FittedContact,
     InputQuantity,
     LinearisedFit,
     RigQuantities,
@@ -33,7 +31,6 @@ from processing.fit import (
     budgets,
     drag_verdict,
     drift_effects,
-    fitted_contact,
     identifiability,
     reported_quantities,
     rolling_moment_nm,
@@ -41,7 +38,6 @@ from processing.fit import (
     standard_uncertainties,
     work_per_cycle_j,
 )
-from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis.ambient import drift_note
@@ -56,7 +52,7 @@ from rig.analysis.result_rows import (
 from rig.analysis.results import Correlation, Fit
 from rig.analysis.series import AnalysedRun
 from rig.instrument import balls, material, shutter_of
-from rig.settings import Configuration, PendulumSettings, TimebaseSettings
+from rig.settings import Configuration, TimebaseSettings
 
 _UNUSED = Material(1e11, 0.3)
 """Any material, on which nothing depends where the contact's radius is stated."""
@@ -121,8 +117,6 @@ def with_contact(
     pendulum: PendulumOnBall,
     plane_errors: Floats | None = None,
     of_air: ExpectedDrag | None = None,
-    *,
-    stated: PendulumSettings | None = None,
 ) -> AnalysedRun:
     """A run with the results of its fits: their numbers and rows, and verdicts and budget of the exact one.
 
@@ -134,8 +128,6 @@ def with_contact(
         Independent errors of the amplitudes by the uncertain plane of swing; None: there are none.
     of_air
         The drag expected of the air; None: it is not known.
-    stated
-        States the height of the mass centre, if it is known.
 
     Notes
     -----
@@ -158,7 +150,7 @@ def with_contact(
     except DataError as error:
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
-    contact: FittedContact | None = None
+    contact: FitResult | None = None
     if rig is not None:
         at = LinearisedFit.of(points, pendulum, exact)
         drifts = drift_effects(at)
@@ -166,7 +158,7 @@ def with_contact(
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
             by_plane = amplitude_error_effects(at, plane_errors)
             by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
-        contact = replace(fitted_contact(exact), by_inputs=by_inputs)
+        contact = replace(exact, by_inputs=by_inputs)
         notes += filter(None, [drift_note(drifts, {name: rig.inputs()[name].u for name in drifts}, exact)])
         tables = budgets(contact, rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
@@ -181,7 +173,7 @@ def with_contact(
         adhesion, spots = _adhesion(name, exact.estimate("c").value, pendulum, rows)
     return replace(
         run,
-        fits={method: fit_results(fit, stated) for method, fit in fits.items()},
+        fits={method: fit_results(fit) for method, fit in fits.items()},
         pendulum=pendulum,
         adhesion=adhesion,
         drag=drag,
@@ -195,14 +187,11 @@ def with_contact(
     )
 
 
-def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit:
-    """The reported results of one fit; `pendulum` states the height of the mass centre, if it is known."""
+def fit_results(fit: FitResult) -> Fit:
+    """The reported results of one fit."""
     shared = {item.name: getattr(fit, item.name) for item in fields(FitQuality)}
     if fit.ground is not None:
-        base = base_motion(
-            fit.ground.density_rad_per_s2_rthz, fit.ground.upper_95, fit.mean_period_s.value, pendulum
-        )
-        shared["ground"] = replace(fit.ground, widening=_widening(fit), base=base)
+        shared["ground"] = replace(fit.ground, widening=_widening(fit))
     return Fit(
         law=fit.law.name,
         parameters=fit.estimates(),
@@ -256,7 +245,7 @@ def _work(
     amplitude_arcsec: float,
     exact: FitResult,
     pendulum: PendulumOnBall,
-    contact: FittedContact | None,
+    contact: FitResult | None,
     rig: RigQuantities | None,
     *,
     sees_c: bool,
@@ -287,30 +276,4 @@ def _work(
         Estimate(work.dissipated_j, u_dissipated),
         Estimate(work.adhesive_j, u_adhesive) if sees_c else NOT_DETERMINED,
         work.drag_j,
-    )
-
-
-def base_motion(
-    drive: Estimate, upper_95: float, period_s: float, pendulum: PendulumSettings | None
-) -> BaseMotion | None:
-    """Base acceleration for the stated height of the mass centre; None where none is stated.
-
-    A base acceleration a drives the pendulum with ``w^2 d/(g R) a``, d the height of its mass centre over the
-    point of contact. `drive` and its bound `upper_95` are in rad/s^2/sqrt(Hz).
-    """
-    if pendulum is None or not pendulum.mass_centre_height_m:
-        return None
-    per_drive = (
-        pendulum.gravity_m_per_s2
-        * pendulum.ball_radius_m
-        * (period_s / (2 * math.pi)) ** 2
-        / abs(pendulum.mass_centre_height_m)
-    )
-    found = Estimate(drive.value * per_drive, drive.standard_uncertainty * per_drive)
-    low_db = float(nlnm_db(np.array([1 / period_s]))[0])
-    return BaseMotion(
-        mass_centre_height_m=pendulum.mass_centre_height_m,
-        acceleration_m_per_s2_rthz=found,
-        upper_95=upper_95 * per_drive,
-        above_low_noise_model_db=20 * math.log10(found.value) - low_db if found.value > 0 else math.nan,
     )

@@ -132,9 +132,7 @@ def _list_text(items: Sequence[int]) -> str:
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
 
 
-_LAW_NUMBERS = (
-    "bic_above_best", "aic_above_best", "log_odds_against", "ground_rad_per_s2_rthz", "waveform_chance",
-)  # fmt: skip
+_LAW_NUMBERS = ("bic_above_best", "ground_rad_per_s2_rthz")
 
 
 def law_table(compared: ComparedLaws) -> Table:
@@ -144,9 +142,9 @@ def law_table(compared: ComparedLaws) -> Table:
         numbers = [getattr(law, key) for key in _LAW_NUMBERS]
         cells: list[Cell] = [name, *numbers, law.problem]
         if law.problem:
-            lines.append(TableRow(cells, [name, law.title, *[""] * 5, law.problem.partition(";")[0]]))
+            lines.append(TableRow(cells, [name, law.title, *[""] * 2, law.problem.partition(";")[0]]))
             continue
-        texts = [*(decimals(one, 1) for one in numbers[:3]), *(plain(one, 2) for one in numbers[3:])]
+        texts = [decimals(law.bic_above_best, 1), plain(law.ground_rad_per_s2_rthz, 2)]
         residuals = "as noise" if law.residuals_are_noise else "more than noise"
         verdict = f"{residuals}; {'excluded' if law.excluded else 'remains'}"
         lines.append(TableRow(cells, [name, law.title, *texts, verdict]))
@@ -154,12 +152,11 @@ def law_table(compared: ComparedLaws) -> Table:
         "laws",
         "Laws of the contact",
         ("law", *_LAW_NUMBERS, "problem"),
-        ("law", "", "BIC", "AIC", "ln odds", "drive", "waveform", "residuals; verdict"),
+        ("law", "", "BIC", "drive", "residuals; verdict"),
         lines,
-        "BIC and AIC: distance from the best law; ln odds against the law, by the evidence. BIC above 10 "
-        "with ln odds above 5 excludes a law. Drive of the ground that the law needs, in rad/s²/√Hz; what a "
-        "law fails to describe appears as a stronger drive. Waveform: probability of a third harmonic this "
-        "far from the law's. Residuals: whether they exceed the noise.",
+        "BIC: distance from the best law; above 10 it excludes a law. Drive of the ground that the law "
+        "needs, in rad/s²/√Hz; what a law fails to describe appears as a stronger drive. Residuals: whether "
+        "they exceed the noise.",
     )
 
 

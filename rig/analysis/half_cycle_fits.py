@@ -113,11 +113,10 @@ def analyse_swings(
         notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
         fitted=fits,
         rig=rig_quantities(config, ratio, rest_rad, u_clock, **inputs),
-        harmonics=refined.harmonics,
     )
     if not fits or pendulum is None:
         return run
-    return with_contact(run, pendulum, followed.amplitude_errors(points), of_air, stated=config.pendulum)
+    return with_contact(run, pendulum, followed.amplitude_errors(points), of_air)
 
 
 def _reduce_run(

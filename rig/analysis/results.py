@@ -82,21 +82,15 @@ class Fit(FitQuality):
 class LawFit:
     """The best fit of one law.
 
-    `bic_above_best` and `aic_above_best` are its distances from the best law in the criteria of Schwarz and
-    Akaike, `log_odds_against` is the natural logarithm of the odds against it from the evidence and
-    `waveform_chance` the chance of a third harmonic at least so far from the law's (see
-    `processing.fit.law_comparison`), `ground_rad_per_s2_rthz` the drive that the law needs; `problem` is the
-    reason where there is no fit.
+    `bic_above_best` is its distance from the best law in Schwarz's criterion, `ground_rad_per_s2_rthz` the
+    drive that the law needs; `problem` is the reason where there is no fit.
     """
 
     title: str
     source: str
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
     bic_above_best: float = inf
-    aic_above_best: float = inf
-    log_odds_against: float = inf
     ground_rad_per_s2_rthz: float = inf
-    waveform_chance: float = nan
     residuals_are_noise: bool = False
     excluded: bool = True
     problem: str = ""

@@ -10,7 +10,6 @@ from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import Determinacy, Estimate
 from processing.fit import (
     WAVEFORM,
-    BaseMotion,
     Budget,
     Drag,
     DragFinding,
@@ -266,25 +265,14 @@ def ground_sentence(ground: Ground) -> str:
         if ground.left_out_half_cycles
         else ""
     )
-    drive = drive_text(ground.density_rad_per_s2_rthz, ground.upper_95, ground.base, seen=ground.seen)
+    drive = drive_text(ground.density_rad_per_s2_rthz, ground.upper_95, "rad", seen=ground.seen)
     return f"Ground at the pendulum's frequency: {drive}{left_out}.{_ground_cost(ground)}"
 
 
-def drive_text(
-    density: Estimate, upper_95: float, base: BaseMotion | None, *, seen: bool, unit: str = "rad"
-) -> str:
-    """A drive as text, with the ground's acceleration where the mass centre's height is stated (`base`)."""
-    text = _density(density, upper_95, f"{unit}/s²/√Hz", seen)
-    if base is None:
-        return text
-    nano = Estimate(*(1e9 * number for number in base.acceleration_m_per_s2_rthz))
-    text += ", " + _density(nano, 1e9 * base.upper_95, "nm/s²/√Hz", seen)
-    text += f" of acceleration for a mass centre {plain(1e3 * base.mass_centre_height_m, 3)} mm high"
-    return text + (f", NLNM {base.above_low_noise_model_db:+.0f} dB" if seen else "")
-
-
-def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
-    return f"{with_uncertainty(*found)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
+def drive_text(density: Estimate, upper_95: float, unit: str, *, seen: bool) -> str:
+    """A drive as text; `unit` is that of the deflections."""
+    unit = f"{unit}/s²/√Hz"
+    return f"{with_uncertainty(*density)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
 
 
 def _ground_cost(ground: Ground) -> str:
@@ -327,11 +315,6 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
         f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
         f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
     )
-    if use.spectra is not None and isfinite(use.spectra.coherence_near):
-        explained += (
-            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
-            f"{use.spectra.stretches} stretches)"
-        )
     responses = "; ".join(map(_response_text, use.responses))
     lines = [f"Auxiliary seismometer: {explained}. Its response: {responses}."]
     saved = ", ".join(

@@ -19,7 +19,6 @@ from processing.fit import (
     BudgetSource,
     FitMethod,
     FitResult,
-    FittedContact,
     InputQuantity,
     LinearisedFit,
     RigQuantities,
@@ -37,7 +36,7 @@ from processing.instruments import (
     ratio,
 )
 from processing.series import CombinedValue, SeriesResult, average_curves, combine_runs
-from processing.swing import HalfCycle, SwingHarmonics
+from processing.swing import HalfCycle
 from rig.analysis.decay_values import InstrumentSeries
 from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import ResultRow, series_rows, withheld
@@ -63,7 +62,6 @@ class AnalysedRun(RunResults):
     fitted: Mapping[str, FitResult] = field(default_factory=dict)
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
-    harmonics: SwingHarmonics | None = None
     key_monitor: KeyUseMonitor | None = None
 
 
@@ -149,7 +147,6 @@ def _averaged_curves(
         average_curves([run.points for run in runs]),
         pendulum,
         drag=drag is not None,
-        printed_curvature=bool(runs[0].settings.get("printed_055")),
         known_drag=None if drag is None else drag.estimate,
     )
     parameters = {
@@ -160,8 +157,8 @@ def _averaged_curves(
 
 
 def _with_run_sources(
-    of_runs: Sequence[Mapping[str, Budget]], measured: FittedContact, rig: RigQuantities
-) -> tuple[FittedContact, RigQuantities]:
+    of_runs: Sequence[Mapping[str, Budget]], measured: FitResult, rig: RigQuantities
+) -> tuple[FitResult, RigQuantities]:
     """The series with sources of its runs' budgets: row time and film, which runs share, and plane of swing.
 
     The turning of a plane is each run's own and falls in the mean; the angle between the axes is common to

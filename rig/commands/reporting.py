@@ -202,18 +202,11 @@ def plan(
             "default: that of [seismometer].",
         ),
     ] = None,
-    wait: Annotated[
-        list[float] | None,
-        typer.Option(
-            min=0.0, help="Minutes between runs that reveal ageing; may be repeated; default: 0, 60."
-        ),
-    ] = None,
 ) -> None:
     """Predict how well further runs would determine the contact.
 
     Uncertainties against first and last amplitude, number of runs and rig time, from a run of this rig, a
-    fitted table or film, or a configuration; then which two successive runs reveal ageing of the contact,
-    which a single decay cannot.
+    fitted table or film, or a configuration.
 
     \b
     Examples:
@@ -231,7 +224,6 @@ def plan(
         )
 
     from rig.report import (
-        ageing_table,
         make_plan,
         plan_table,
         planned_contact_of_file,
@@ -262,8 +254,6 @@ def plan(
         expected = planned_contact_of_run(run)
         refuse_unread([run])
     planned = make_plan(expected, firsts, lasts, ground, counts, seismometer)
-    waits_s = [60.0 * minutes for minutes in ([0.0, 60.0] if wait is None else wait)]
-    ageing = ageing_table(planned, waits_s)
-    print_tables([plan_table(planned), ageing])
+    print_tables([plan_table(planned)])
     if output is not None:
-        save_plan(planned, output, ageing)
+        save_plan(planned, output)

@@ -219,7 +219,7 @@ def _axes(truth: SimulationSettings) -> Axes:
 
 
 def _pendulum(truth: SimulationSettings) -> PendulumSettings:
-    contact, ground, stated = truth.contact, truth.ground, truth.stated
+    contact, stated = truth.contact, truth.stated
     return PendulumSettings(
         mass_kg=contact.mass_kg,
         u_mass_kg=stated.u_mass_kg,
@@ -228,7 +228,6 @@ def _pendulum(truth: SimulationSettings) -> PendulumSettings:
         contact_radius_m=contact.contact_radius_m,
         ball_material=SIMULATED_BALL,
         flat_material=SIMULATED_FLAT,
-        mass_centre_height_m=None if ground.model == "none" else ground.mass_centre_height_m,
         gravity_m_per_s2=contact.gravity_m_per_s2,
         u_gravity_m_per_s2=stated.u_gravity_m_per_s2,
     )

@@ -109,7 +109,6 @@ _RESIDUALS: Final = (
         "areas_m2", "area of vanes, cm²", 1e4, "off_drags_s", "off the line, µs", 1e6,
     ),
     ("row time by stretch", "stretches_at_s", "at, s", 1.0, "off_stretches_s", "off the mean, µs", 1e6),
-    ("brightness by row", "rows_px", "row, px", 1.0, "off", "off the fit, %", 100.0),
 )  # fmt: skip
 """Residuals of axes, clock, air and shutter: title, then detail, heading and display factor of both columns.
 

@@ -14,13 +14,10 @@ from acquisition.record.reader import RecordReader
 from calibration import (
     FRAME_JITTER_LIMIT_S,
     ClockRelation,
-    PulsedShutterFit,
-    ShutterFit,
     Sign,
     Stability,
     fit_axes,
     fit_row_time,
-    fit_row_time_of_pulses,
     photon_transfer,
     relate_clocks,
     require_rest,
@@ -32,7 +29,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.noise_models import robust_scatter
 from processing.spot import SpotFlag
 from processing.units import S_PER_NS, seconds
-from rig.instrument import U_QUARTZ, frame_shape, recorded_configuration, u_of_host_rate
+from rig.instrument import U_QUARTZ, recorded_configuration, u_of_host_rate
 from rig.prepare.calibration_inputs import (
     Filing,
     TransferFile,
@@ -41,7 +38,6 @@ from rig.prepare.calibration_inputs import (
     frames_of,
     read_input,
 )
-from rig.settings import Configuration
 from rig.terminal import percent
 
 _SEGMENTS = 16  # the scatter of so many means is known to 18 %
@@ -310,7 +306,7 @@ _MIN_SIGNIFICANCE_U = 4.0
 def calibrate_shutter(record: Path, filing: Filing) -> Path:
     """Calibrate row time and first row from a run in which the spot swings across the rows.
 
-    They come from the brightness of the spot in a run with a pulsed laser, otherwise from its times.
+    Raises DataError for a run with a pulsed laser, which all rows see at the same time.
     """
     spots, began = whole_spots(record)
     # the times of frames, without the correction for a shutter in the record
@@ -319,33 +315,27 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
     times_s, y_px = seconds(frame_times_ns - frame_times_ns[0]), spots["y_px"].astype(np.float64)
     with RecordReader(record) as reader:
         config = recorded_configuration(reader)
-        stated = reader.metadata.get("camera_settings", {}).get("exposure_us", "")
-        rows = frame_shape(reader)[0]
         is_global = RecordedCamera.from_metadata(reader.metadata).shutter is ShutterKind.GLOBAL
-    found: ShutterFit | PulsedShutterFit
     if config.laser.pulse_us:
-        found, method = (
-            _pulsed_shutter_fit(record, spots, times_s, rows, stated, config),
-            "brightness of a pulsed spot",
+        raise DataError(
+            f"{record}: its laser was pulsed, so that all rows saw the light at the same time; measure the "
+            "row time in a run without laser.pulse_us"
         )
-        notes = [f"at one end of its path the spot was darker by {percent(found.ramp, 3)}"]
-        rolls = True
+    found = fit_row_time(times_s, y_px)
+    row_time_s = abs(found.row_time_s)
+    # the camera's report of a global shutter is believed only if the swing nearly confirms it
+    is_global = is_global and row_time_s < _MIN_ROW_TIME_S
+    rolls = row_time_s > _MIN_SIGNIFICANCE_U * found.u_row_time_s and not is_global
+    if rolls:
+        unequal = (
+            f"half-periods differed by {4e3 * abs(found.row_time_s) * found.amplitude_px:.3g} ms at "
+            f"{found.amplitude_px:.4g} px; with the slow axis along the rows they would not"
+        )
+        notes = [unequal]
+    elif is_global:
+        notes = ["the camera reports a global shutter: the fitted value is not a row time"]
     else:
-        found, method = fit_row_time(times_s, y_px), "second harmonic of a swing across the rows"
-        row_time_s = abs(found.row_time_s)
-        # the camera's report of a global shutter is believed only if the swing nearly confirms it
-        is_global = is_global and row_time_s < _MIN_ROW_TIME_S
-        rolls = row_time_s > _MIN_SIGNIFICANCE_U * found.u_row_time_s and not is_global
-        if rolls:
-            unequal = (
-                f"half-periods differed by {4e3 * abs(found.row_time_s) * found.amplitude_px:.3g} ms at "
-                f"{found.amplitude_px:.4g} px; with the slow axis along the rows they would not"
-            )
-            notes = [unequal]
-        elif is_global:
-            notes = ["the camera reports a global shutter: the fitted value is not a row time"]
-        else:
-            notes = ["all rows are exposed at once, as far as this run can tell (a global shutter)"]
+        notes = ["all rows are exposed at once, as far as this run can tell (a global shutter)"]
     values = {
         "row_time_s": abs(found.row_time_s) if rolls else 0.0,
         "u_row_time_s": found.u_row_time_s,
@@ -356,31 +346,10 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
     return file_calibration(
         "shutter",
         filing,
-        method,
+        "second harmonic of a swing across the rows",
         values,
         {"fitted_row_time_s": found.row_time_s, **details_of(found, "row_time_s", "u_row_time_s")},
         [record],
         notes,
         began,
-    )
-
-
-def _pulsed_shutter_fit(
-    record: Path,
-    spots: NDArray[Any],
-    times_s: NDArray[np.float64],
-    rows: int,
-    exposure_us: str,
-    config: Configuration,
-) -> PulsedShutterFit:
-    if not exposure_us:
-        raise DataError(f"{record}: does not say how long its frames were exposed; the pulses cannot be used")
-    return fit_row_time_of_pulses(
-        times_s,
-        spots["y_px"].astype(np.float64),
-        spots["amplitude_dn"] * spots["sigma_x_px"] * spots["sigma_y_px"],
-        rows,
-        1e-6 * float(exposure_us),
-        1e-6 * config.laser.pulse_us,
-        1e-6 * config.laser.pulse_delay_us,
     )

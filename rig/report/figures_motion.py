@@ -1,4 +1,4 @@
-"""Figures of the motion: frame, trajectory, damping, fixed-pattern position errors, and the ground."""
+"""Figures of the motion: frame, trajectory, damping, fixed-pattern position errors, and what remains."""
 
 from typing import Any
 
@@ -9,11 +9,9 @@ from matplotlib.patches import Circle
 
 from processing.arrays import Floats
 from processing.damping import amplitude_at
-from processing.fit import SeismometerSpectra
 from processing.swing import ResidualSpectrum
 from rig.analysis import PositionErrors, RunResults
 from rig.report.drawing import (
-    ASYMPTOTIC,
     DATA,
     EXACT,
     INK,
@@ -270,40 +268,4 @@ def _bin_spectrum(
     return (
         np.asarray(np.add.reduceat(spectrum.frequency_hz, start) / count),
         np.asarray(np.add.reduceat(spectrum.density, start) / count),
-    )
-
-
-def seismometer_figure(spectra: SeismometerSpectra) -> ReportFigure:
-    """Spectra near the pendulum's frequency, and the squared coherence of pendulum and seismometer."""
-    frequency_hz = spectra.frequency_hz
-    figure = canvas(2.9)
-    left, right = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
-    for density, colour, line, name in (
-        (spectra.pendulum_rad_per_s2_rthz, DATA, "-", "pendulum"),
-        (spectra.seismometer_rad_per_s2_rthz, ASYMPTOTIC, "-", "seismometer"),
-        (spectra.left_rad_per_s2_rthz, EXACT, "-", "remainder"),
-        (spectra.measurement_rad_per_s2_rthz, INK, ":", "measurement alone"),
-    ):
-        # zero density is left out: at the pendulum's own frequency turning points have no apparent drive
-        shown = [(f, d) for f, d in zip(frequency_hz, density, strict=True) if d > 0]
-        left.semilogy(*zip(*shown, strict=True), color=colour, ls=line, lw=1.0, label=name)
-    left.set_ylabel("drive / rad/s²/√Hz")
-    left.legend(loc="best")
-    right.plot(frequency_hz, spectra.coherence, color=DATA, lw=1.0)
-    right.axhline(1 / spectra.stretches, color=INK, lw=0.7, ls="--")
-    right.set(ylim=(0.0, 1.02), ylabel="squared coherence")
-    for axes in (left, right):
-        axes.set_xlim(frequency_hz[0], frequency_hz[-1])
-        axes.axvline(0.5 * (frequency_hz[0] + frequency_hz[-1]), color=INK, lw=0.7, ls=":")
-        axes.set_xlabel("frequency / Hz")
-    figure.subplots_adjust(left=0.1, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
-    return ReportFigure(
-        "seismometer",
-        "What the auxiliary seismometer explains",
-        "Left: the drive near the pendulum's frequency (dotted) as its turning points show it, as "
-        "the seismometer predicts it with the fitted response, and the remainder; also the apparent drive "
-        "from the uncertainties of the turning points alone, which grows away from that frequency. "
-        "Right: the squared coherence of pendulum and seismometer, over "
-        f"{spectra.stretches} stretches of the run (dashed: what unrelated records would show).",
-        figure,
     )

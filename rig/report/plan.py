@@ -1,4 +1,4 @@
-"""Tables and figure of `rig plan`: uncertainties of planned runs, and pairs of runs that reveal ageing."""
+"""Table and figure of `rig plan`: uncertainties of planned runs."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from acquisition import atomic_write
 from processing.contact import DRAG
 from processing.errors import DataError
-from processing.fit import PlannedRun, PlannedSeries, planned_run, planned_series
+from processing.fit import PlannedRun, planned_run
 from processing.units import ARCSEC_RAD
 from rig.report.planned_run import PlannedContact
 from rig.terminal import Table, TableRow, answer, palette, percent, plain, quantity
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from rig.report.drawing import ReportFigure
 
 _LINE_STYLES = ("-", "--", ":", "-.")
-_MAX_AGEING_FACTOR = 1.2
-"""Largest factor by which unknown ageing may enlarge u(b) in a proposed pair."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,10 @@ def make_plan(
 
 def _share(u: float, value: float, unit: str) -> str:
     """Relative uncertainty in per cent; the uncertainty with its unit if the value is 0."""
-    return _percent_or_unknown(u / abs(value)) if value else f"{plain(u, 2)} {unit}".rstrip()
+    if not value:
+        return f"{plain(u, 2)} {unit}".rstrip()
+    share = u / abs(value)
+    return percent(share) if share < 10 else "unknown"
 
 
 def plan_table(plan: Plan) -> Table:
@@ -128,66 +129,14 @@ def plan_table(plan: Plan) -> Table:
     )  # fmt: skip
 
 
-def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> tuple[tuple[PlannedSeries, ...], PlannedSeries]:
-    """The run with the smallest u(b), and its pairs with a second run to the same amplitude after each wait.
-
-    Also returns the proposed pair: the shortest in which unknown ageing enlarges u(b) by less than a fifth,
-    or else the pair with the smallest u(b).
-    """
-    best, prior = min(plan.runs, key=lambda run: run.u["b"]), plan.assumed.conditions.known_drag_s
-    second_runs = sorted(
-        (run for run in plan.runs if run.last_rad == best.last_rad), key=lambda run: -run.first_rad
-    )
-    pairs = [
-        planned_series([best, run], wait_s, prior) for run in second_runs for wait_s in sorted(set(waits_s))
-    ]
-    good = [one for one in pairs if one.u["b"] < _MAX_AGEING_FACTOR * one.u_steady["b"]]
-    proposed = min(good, key=lambda one: one.duration_s) if good else min(pairs, key=lambda one: one.u["b"])
-    return (planned_series([best], known_drag_s=prior), *pairs), proposed
-
-
-def _percent_or_unknown(share: float) -> str:
-    return percent(share) if share < 10 else "unknown"
-
-
-def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
-    """Table with a row for the single run and each pair: time, and uncertainties of b and the ageing."""
-    rows = []
-    series, proposed = plan_ageing(plan, waits_s)
-    for one in series:
-        amplitudes = [(run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD) for run in one.runs]
-        second, waiting = (
-            (amplitudes[1][0], f"{one.waiting_s / 60:g}") if len(amplitudes) > 1 else (math.nan, "")
-        )
-        u_b, per_h = (one.u_steady["b"], one.u["b"]), 3600.0 * one.u_ageing_per_s
-        cells = [*amplitudes[0], second, one.waiting_s, one.duration_s, *u_b, one.u_ageing_per_s]
-        text = ", then ".join(f"{first:g} to {last:g}" for first, last in amplitudes)
-        text += " <- proposed" if one is proposed else ""
-        relative = [_percent_or_unknown(u / abs(plan.assumed.values["b"])) for u in u_b]
-        rate = _percent_or_unknown(per_h) + (" per h" if per_h < 10 else "")
-        rows.append(TableRow(cells, [text, waiting, f"{one.duration_s / 60:.1f}", *relative, rate]))
-    symbol = quantity("b").symbol
-    return Table(
-        "plan_ageing", "Runs that reveal ageing of the contact",
-        ("first_arcsec", "last_arcsec", "second_first_arcsec", "waiting_s", "elapsed_s", "u_b_steady",
-         "u_b", "u_ageing_per_s"),
-        ("amplitudes, arcsec", "waiting, min", "elapsed, min", f"u({symbol}), no ageing",
-         f"u({symbol}), unknown ageing", "u(ageing)"),
-        rows,
-        "For friction that changes linearly with time at an unknown rate; the period of each run is free. "
-        f"{symbol} refers to the middle of the elapsed time. A change of the air looks like ageing.",
-    )  # fmt: skip
-
-
-def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
-    """Write plan.csv, .png, .svg and .ageing.csv to a folder, which is made if needed; none may exist."""
+def save_plan(plan: Plan, folder: Path) -> None:
+    """Write plan.csv, .png and .svg to a folder, which is made if needed; none may exist."""
     from rig.report.drawing import png, styled, svg
 
     folder.mkdir(parents=True, exist_ok=True)
     with styled():
         drawing = plan_figure(plan)
         contents = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}
-    contents[".ageing.csv"] = ageing.csv().encode()
     for suffix, content in contents.items():
         path = folder / f"plan{suffix}"
         atomic_write.write_new(path, content)

@@ -292,8 +292,5 @@ def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:
     if truth.model == "file":
         raise ConfigurationError("simulation.ground.model = 'file': state its drive with --ground")
     level = _ground_level(config)
-    height_m = truth.mass_centre_height_m
-    if config.pendulum is not None and config.pendulum.mass_centre_height_m is not None:
-        height_m = config.pendulum.mass_centre_height_m
-    tilt = level * height_m / (pendulum.gravity_m_per_s2 * pendulum.ball_radius_m)
+    tilt = level * truth.mass_centre_height_m / (pendulum.gravity_m_per_s2 * pendulum.ball_radius_m)
     return (2 * math.pi * at_hz) ** 2 * math.hypot(tilt, truth.tilt_rad_per_sqrt_hz)

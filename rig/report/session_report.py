@@ -32,7 +32,7 @@ from rig.intake import write_positions
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure
 from rig.report.figures_contact import instrument_figures
-from rig.report.figures_motion import damped_figure, position_error_figure, seismometer_figure
+from rig.report.figures_motion import damped_figure, position_error_figure
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.tables import headline, run_tables, series_tables
 from rig.terminal import latex_rows, plain, quantity, written
@@ -113,7 +113,7 @@ _ORDER = (
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
     "fig13-period", "residuals", "position-errors",
-    "spectrum", "seismometer", "table4-loops", "work", "losses", "laws", "moments",
+    "spectrum", "table4-loops", "work", "losses", "laws", "moments",
  "correlation", "budget",
 )  # fmt: skip
 """Order of the tables and figures of a run; small tables in a tuple stand side by side."""
@@ -186,9 +186,6 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         if run.spectrum is not None:
             unit = motion.unit
             drawings.append(figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size))
-        seismometer = run.results.seismometer
-        if seismometer is not None and seismometer.spectra is not None:
-            drawings.append(seismometer_figure(seismometer.spectra))
     return drawings
 
 

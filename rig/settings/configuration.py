@@ -89,13 +89,6 @@ class PendulumSettings(Section, frozen=True):
         default=None, gt=0, lt=1e-2, description="if left out, Hertz's radius is taken"
     )
     u_contact_radius_m: float = Field(default=0.0, ge=0)
-    mass_centre_height_m: float | None = Field(
-        default=None,
-        gt=-1,
-        lt=1,
-        description="of the pendulum above the point of contact (below it: negative); if stated, the results "
-        "give the ground acceleration that drives it",
-    )
     length_m: float | None = Field(
         default=None, gt=0, lt=10, description="across its axis of swing; for the estimate of the air's drag"
     )
@@ -160,9 +153,6 @@ class ViewSettings(Section, frozen=True):
 class FitSettings(Section, frozen=True):
     """Options of the fits."""
 
-    printed_055: bool = Field(
-        default=False, description="use the factor 0.55 printed in Eq. 6, not the computed one"
-    )
     robust: bool = Field(
         default=False, description="use a loss function that is robust to outlying half-cycles"
     )

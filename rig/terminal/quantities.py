@@ -99,7 +99,7 @@ def law_parameters() -> Mapping[str, "Parameter"]:
     """All parameters of all laws by their keys, and drag and start values, which every fit has."""
     from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
 
-    own = [p for law in LAWS.values() for p in (*law.parameters, *law.uncalibrated.values())]
+    own = [p for law in LAWS.values() for p in law.parameters]
     # a key of several laws has the description of the first law
     return {parameter.key: parameter for parameter in reversed((*own, DRAG, AMPLITUDE, TIME))}
 

@@ -247,7 +247,7 @@ def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -
     )
     if not fitted or (readers[0].numbers.whole and KIND_OF[RecordedHealth].topic not in readers[0].counts):
         return ()
-    return DEFAULT_LAW.fit_names(calibrated=True, drag=config.fit.fits_drag)[:-2]
+    return DEFAULT_LAW.fit_names(drag=config.fit.fits_drag)[:-2]
 
 
 def _check(paths: Sequence[Path]) -> None:

@@ -10,10 +10,8 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from processing.fit import SeismometerSpectra
 from rig.instrument import complete
 from rig.report import draw_run, make_plan, plan_figure, planned_contact, styled
-from rig.report.figures_motion import seismometer_figure
 from rig.settings import load_configuration
 from rig.view import LayoutName
 
@@ -24,7 +22,6 @@ DRAWN = PICTURES / "drawn.json"
 CONFIGURATION = ROOT / "configs" / "demo.toml"
 PLANNED = ROOT / "configs" / "basement.toml"
 PLANNED_FROM_ARCSEC, PLANNED_RUNS = (300.0, 124.0), (1, 3)
-VAULT = ROOT / "configs" / "vault.toml"
 RESULT_FIGURES = (("fig12-decay", "fig13-period"), ("table4-loops", "losses"))
 _REFERENCES = ROOT / "tests" / "rig" / "view" / "data"
 _RESULTS = ROOT / "tests" / "rig" / "data" / "samples" / "series"
@@ -46,7 +43,6 @@ def drawn_now() -> dict[str, str]:
         **views,
         "plan.png": _sha256_of(_described(_small_plan())),
         "result.png": _sha256_of([_described(figures[name]) for name in wanted]),
-        "vault.png": _sha256_of([_described(_small_spectra()), tomllib.loads(VAULT.read_text("utf-8"))]),
         CONFIGURATION.name: _sha256_of(tomllib.loads(CONFIGURATION.read_text(encoding="utf-8"))),
     }
 
@@ -57,19 +53,6 @@ def _small_plan() -> Figure:
     plan = make_plan(expected, PLANNED_FROM_ARCSEC, [60.0, 30.0], counts=PLANNED_RUNS)
     with styled():
         return plan_figure(plan).figure
-
-
-def _small_spectra() -> Figure:
-    """As many curves as the picture of the vault has, of three frequencies."""
-    three = (1e-8, 2e-8, 1e-8)
-    densities = {
-        f"{name}_rad_per_s2_rthz": three for name in ("pendulum", "seismometer", "left", "measurement")
-    }
-    found = SeismometerSpectra(
-        frequency_hz=(0.2, 0.24, 0.28), coherence=(0.5, 1.0, 0.5), stretches=10, **densities
-    )
-    with styled():
-        return seismometer_figure(found).figure
 
 
 def _described(figure: Figure) -> list[Any]:

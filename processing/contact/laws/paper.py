@@ -181,10 +181,6 @@ PAPER = memoryless_law(
     },
     _valley_coordinates,
     _propose_starts,
-    {
-        "gamma_pa": Parameter("kappa", "κ", "1", "2 gamma a²/(m g), per unit of amplitude to the power n",
-                              "Eq. 3", lower=0.0, logarithmic=True)
-    },
 )  # fmt: skip
 
 

@@ -236,5 +236,4 @@ MAXWELL_SLIP = branch_law(
     {**{key: Scaling() for key in _KEYS}, "c": Scaling(1.0)},
     logarithms_of(),
     _propose_slip_starts,
-    in_angles=True,
 )  # fmt: skip

@@ -166,7 +166,7 @@ def check_trial_frames(
         *stillness(look, limits),
         rest_position(look, limits),
         *plane_of_swing(look, config.balance),
-        ground(look, config.pendulum, limits),
+        ground(look, limits),
         frame_rate(look.frames, config.camera.frame_rate_hz, limits),
         clock(look.frames, limits, on_demand=config.on_demand),
         disk(free_bytes, bytes_per_frame, rate_hz, longest_s, windows=config.record.windows),

@@ -31,10 +31,10 @@ from processing.reference_gain import ReferenceAtRest, gain_while_swinging, refe
 from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag, SpotModel
 from processing.units import seconds
-from rig.analysis import base_motion, drive_text
+from rig.analysis import drive_text
 from rig.control import SeismometerSettings
 from rig.instrument import PLANE_OF_SWING, balance_verdicts
-from rig.settings import PendulumSettings, PreflightSettings, ReferenceSettings
+from rig.settings import PreflightSettings, ReferenceSettings
 from rig.terminal import Verdict, decimals, percent, plain, with_uncertainty
 
 _MIN_LONG_PREFLIGHT_S = 50.0
@@ -88,9 +88,7 @@ def noise_and_vibration(
     return [_against_arcsec(verdict, unit) for verdict in verdicts]
 
 
-def ground(
-    look: TrialFrames, pendulum: PendulumSettings | None, limits: PreflightSettings | None = None
-) -> Verdict:
+def ground(look: TrialFrames, limits: PreflightSettings | None = None) -> Verdict:
     """The verdict on the motion of the ground at the pendulum's frequency.
 
     It limits results, and forbids a run only if a limit is stated. Needs eight periods at rest.
@@ -108,9 +106,7 @@ def ground(
             return Verdict("ground", True, reason, measured="not measured", made=False)
         wrong = str(error), longer_look(at).removeprefix("; ")
         return judged("ground", False, wrong, "not measured", limit)
-    of_angle = pendulum if at.unit is DeflectionUnit.RAD else None
-    base = base_motion(found.density, found.upper_95, found.period_s, of_angle)
-    words = drive_text(found.density, found.upper_95, base, seen=found.density.value > 0, unit=at.unit)
+    words = drive_text(found.density, found.upper_95, at.unit, seen=found.density.value > 0)
     words = f"{words}, in {at.times_s[-1]:.0f} s"
     if most is None:
         return Verdict("ground", True, measured=words)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from processing.contact import SolverCoordinates
-from processing.contact.law import PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
@@ -18,7 +17,6 @@ VALUES = {
     "n": 0.461,
     "period0_s": 4.049,
     "gamma_pa": 95.46e6,
-    "kappa": 0.02,
     "drag_s": 3e-5,
     "initial_amplitude_rad": 124 * ARCSEC,
     "start_time_s": 0.3,
@@ -30,25 +28,24 @@ def points() -> TurningPoints:
     return decay(*paper_pair("steel"), noise_arcsec=0.005, seed=1)
 
 
-def columns_of(points: TurningPoints, drag: bool, calibrated: bool = True) -> SolverCoordinates:
-    pendulum: PendulumOnBall | None = paper_pair("steel")[1] if calibrated else None
-    return PAPER.columns(points, pendulum, PAPER.fit_names(calibrated=calibrated, drag=drag))
+def columns_of(points: TurningPoints, drag: bool) -> SolverCoordinates:
+    return PAPER.columns(points, paper_pair("steel")[1], PAPER.fit_names(drag=drag))
 
 
-EVERY = pytest.mark.parametrize(("drag", "calibrated"), [(False, True), (True, True), (True, False)])
+EVERY = pytest.mark.parametrize("drag", [False, True])
 
 
 @EVERY
-def test_parameters_come_back(points: TurningPoints, drag: bool, calibrated: bool) -> None:
-    columns = columns_of(points, drag, calibrated)
-    names = PAPER.fit_names(calibrated=calibrated, drag=drag)
+def test_parameters_come_back(points: TurningPoints, drag: bool) -> None:
+    columns = columns_of(points, drag)
+    names = PAPER.fit_names(drag=drag)
     values, _ = columns.physical(columns.from_physical(VALUES))
     assert values.tolist() == pytest.approx([VALUES[name] for name in names], rel=1e-9)
 
 
 @EVERY
-def test_derivatives_are_those_of_differences(points: TurningPoints, drag: bool, calibrated: bool) -> None:
-    columns = columns_of(points, drag, calibrated)
+def test_derivatives_are_those_of_differences(points: TurningPoints, drag: bool) -> None:
+    columns = columns_of(points, drag)
     at = columns.from_physical(VALUES)
     for conversion in (columns.physical, columns.map_parameters):
         values, by = conversion(at)

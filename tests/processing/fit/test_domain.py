@@ -15,8 +15,6 @@ PARAMETERS, PENDULUM = paper_pair("glass_k8")
 def test_a_fit_within_its_domain_needs_no_word() -> None:
     points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
     assert not list(domain_warnings(points, PENDULUM, fit_exact(points, PENDULUM, averaged=False)))
-    uncalibrated = fit_exact(points, None, averaged=False)
-    assert not list(domain_warnings(points, None, uncalibrated))
 
 
 def test_angles_beyond_the_contact_and_beyond_small_ones_are_named() -> None:

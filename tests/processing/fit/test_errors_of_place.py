@@ -12,7 +12,6 @@ from processing.fit import (
     budgets,
     fit_exact,
     fit_position_errors,
-    fitted_contact,
 )
 from processing.fit.uncertainty import GROUND
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
@@ -54,8 +53,8 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
     np.testing.assert_allclose(
         wider.part(FIXED_PATTERN), of_scale.of_parameters @ of_scale.of_parameters.T, rtol=1e-9
     )
-    lines = {line.source: line.contribution for line in budgets(fitted_contact(wider), rig())["c"].sources}
-    before = {line.source: line.contribution for line in budgets(fitted_contact(again), rig())["c"].sources}
+    lines = {line.source: line.contribution for line in budgets(wider, rig())["c"].sources}
+    before = {line.source: line.contribution for line in budgets(again, rig())["c"].sources}
     assert lines[FIXED_PATTERN] == pytest.approx(np.sqrt(added))
     assert lines[MEASUREMENT] == pytest.approx(before[MEASUREMENT])
     assert lines[GROUND] == pytest.approx(before[GROUND])

@@ -9,7 +9,6 @@ from processing.contact.law import ContactParameters
 from processing.contact.laws import DRAG, PAPER
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.exact import fit_exact
-from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, first_of, paper_pair, truth, without
 
 # What Eqs. 5 and 6 are known to return on noise-free turning points of the exact equation, in per
@@ -132,42 +131,15 @@ def test_a_decay_counted_from_any_half_cycle_and_second_is_the_same() -> None:
     )
 
 
-def in_pixels(points: TurningPoints, px_per_rad: float) -> TurningPoints:
-    return replace(
-        points, amplitude=points.amplitude * px_per_rad, u_amplitude=points.u_amplitude * px_per_rad
-    )
-
-
-def test_without_calibration_the_decay_is_fitted_in_its_own_unit() -> None:
-    parameters, pendulum = paper_pair("silicon")
-    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=3)
-    scale = 5e4
-    for fit in (fit_exact, fit_asymptotic):
-        known, found = fit(points, pendulum), fit(in_pixels(points, scale), None)
-        assert not found.calibrated
-        assert any("no calibration" in warning for warning in found.warnings)
-        assert "kappa" in found.names
-        assert np.isnan(found.parameters.gamma_pa)
-        # R/a, 3 % of the elastic moment at the start, is left out; the moment is 0.6 % of gravity's,
-        # and c, 4 % of the loss, feels it most
-        assert found.estimate("p").value == pytest.approx(known.estimate("p").value, rel=2e-3)
-        assert found.estimate("c").value / scale == pytest.approx(known.estimate("c").value, rel=0.2)
-        assert found.estimate("period0_s").value == pytest.approx(parameters.period0_s, rel=1e-3)
-    first = fit_exact(in_pixels(points, scale), None)
-    second = fit_exact(in_pixels(points, 7 * scale), None)
-    for name in ("p", "n", "period0_s"):
-        assert second.estimate(name).value == pytest.approx(first.estimate(name).value, rel=1e-5)
-    assert second.estimate("c").value == pytest.approx(7 * first.estimate("c").value, rel=1e-3)
-
-
 def test_where_the_model_does_not_describe_the_decay_it_says_so() -> None:
     """Glass without R/a, at a noise that shows the difference: no n fits, and the search ends.
 
     What the law lacks looks like a drive, but its steps are alike.
     """
     parameters, pendulum = paper_pair("glass_k8")
-    points = in_pixels(decay(parameters, pendulum, noise_arcsec=0.005, seed=3), 5e4)
-    result = fit_exact(points, None)
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=3)
+    flat = replace(pendulum, contact_radius_m=1e6 * pendulum.contact_radius_m)
+    result = fit_exact(points, flat)
     assert result.whiteness is not None
     assert result.whiteness.p_time < 1e-30
     assert result.whiteness.u_inflation > 2
@@ -206,13 +178,6 @@ def test_mean_period_is_known_where_period0_is_not() -> None:
         assert (
             result.estimate("period0_s").standard_uncertainty > 20 * result.mean_period_s.standard_uncertainty
         )
-
-
-def test_printed_curvature_is_an_option() -> None:
-    parameters, pendulum = paper_pair("glass_k8")
-    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=0, noise_free=True)
-    printed = fit_asymptotic(points, pendulum, printed_curvature=True).estimate("n").value
-    assert printed != fit_asymptotic(points, pendulum).estimate("n").value
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """The exact fit on ground that moves: an independent integration drives the pendulum."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -185,15 +183,3 @@ def test_a_ground_as_strong_as_the_swing_is_refused_in_one_line() -> None:
     ) as error:
         fit_exact(points, pendulum, averaged=False)
     assert "\n" not in str(error.value)
-
-
-def test_amplitudes_in_another_unit_state_the_drive_in_it() -> None:
-    parameters, pendulum = paper_pair("glass_k8")
-    points = driven_decay(parameters, pendulum, q=1e-7, noise_arcsec=0.005, seed=1, last_arcsec=20)
-    scaled = replace(points, amplitude=points.amplitude * 5e4, u_amplitude=points.u_amplitude * 5e4)
-    known, found = fit_exact(points, pendulum).ground, fit_exact(scaled, None).ground
-    assert known is not None
-    assert found is not None
-    assert found.density_rad_per_s2_rthz.value == pytest.approx(
-        5e4 * known.density_rad_per_s2_rthz.value, rel=0.02
-    )

@@ -10,7 +10,7 @@ from calibration import Axes
 from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
-from processing.errors import ConfigurationError, DataError
+from processing.errors import ConfigurationError
 from processing.fit import (
     MEASUREMENT,
     FitResult,
@@ -21,8 +21,6 @@ from processing.fit import (
 )
 from processing.fit.exact import fit_exact
 from processing.fit.reported import (
-    FittedContact,
-    fitted_contact,
     reported_quantities,
     rolling_moment_nm,
     work_per_cycle_j,
@@ -62,15 +60,10 @@ def exact(points: TurningPoints) -> FitResult:
     return fit_exact(points, rig().pendulum())
 
 
-@pytest.fixture(scope="module")
-def found(exact: FitResult) -> FittedContact:
-    return fitted_contact(exact)
-
-
-def at(found: FittedContact, **changed: float) -> dict[str, np.ndarray]:
+def at(exact: FitResult, **changed: float) -> dict[str, np.ndarray]:
     """Fitted values and inputs by name, some of them changed."""
     known = {name: quantity.value for name, quantity in rig().inputs().items()}
-    known |= dict(zip(found.names, found.values.tolist(), strict=True))
+    known |= dict(zip(exact.names, exact.values.tolist(), strict=True))
     return {name: np.array([value]) for name, value in {**known, **changed}.items()}
 
 
@@ -78,11 +71,11 @@ def at(found: FittedContact, **changed: float) -> dict[str, np.ndarray]:
     ("source", "factor"), [("arm_m", 1.003), ("pitch_m", 0.997), ("clock", 1.001), ("mass_kg", 1.02)]
 )
 def test_another_input_gives_what_fitting_again_gives(
-    points: TurningPoints, found: FittedContact, source: str, factor: float
+    points: TurningPoints, exact: FitResult, source: str, factor: float
 ) -> None:
     """Some per mille off in arm, pitch, clock or mass: the shortcut against the whole analysis."""
     nominal = rig().inputs()[source].value
-    reported = reported_quantities(found, at(found, **{source: nominal * factor}), rig())
+    reported = reported_quantities(exact, at(exact, **{source: nominal * factor}), rig())
     scale = {"arm_m": 1 / factor, "pitch_m": factor}.get(source, 1.0)
     second = factor if source == "clock" else 1.0
     again = TurningPoints(
@@ -94,11 +87,11 @@ def test_another_input_gives_what_fitting_again_gives(
     )
     changed = rig(mass_kg=InputQuantity(0.406 * factor)) if source == "mass_kg" else rig()
     fit = fit_exact(again, changed.pendulum())
-    u = np.sqrt(np.diag(found.covariance))
-    for k, name in enumerate(found.names):
+    u = np.sqrt(np.diag(exact.covariance))
+    for k, name in enumerate(exact.contact_names):
         value, expected = float(reported[name][0]), fit.estimate(name).value
         # linear in R/a to 1 % of its own effect, and never worth a fifth of the fit's uncertainty
-        effect = abs(expected - found.values[k])
+        effect = abs(expected - exact.values[k])
         assert abs(value - expected) < 0.02 * effect + 0.2 * u[k], name
     energy = surface_energy(fit.estimate("c"), changed.pendulum())
     assert float(reported["surface_energy_table2_j_per_m2"][0]) == pytest.approx(
@@ -107,26 +100,26 @@ def test_another_input_gives_what_fitting_again_gives(
     assert float(reported["surface_energy_eq2_j_per_m2"][0]) == pytest.approx(energy.eq2.value, rel=2e-4)
 
 
-def test_an_uncertainty_from_a_few_readings_has_their_degrees_of_freedom(found: FittedContact) -> None:
-    few = budgets(found, rig(arm_m=InputQuantity(1.0, 0.05, dof=6.0)))["c"]
+def test_an_uncertainty_from_a_few_readings_has_their_degrees_of_freedom(exact: FitResult) -> None:
+    few = budgets(exact, rig(arm_m=InputQuantity(1.0, 0.05, dof=6.0)))["c"]
     assert few.sources[0].source == "arm_m"
     assert few.degrees_of_freedom == pytest.approx(6.0, rel=0.1)
     assert few.coverage_factor_95 == pytest.approx(2.4, rel=0.02)
 
 
-def test_a_stated_contact_radius_has_its_budget(found: FittedContact) -> None:
+def test_a_stated_contact_radius_has_its_budget(exact: FitResult) -> None:
     """The energy goes as m g c R/(2 a^2): twice the radius's uncertainty, and a little through R/a."""
     radius = rig().pendulum().contact_radius_m
-    table = budgets(found, replace(rig(), contact_radius_m=InputQuantity(radius, 0.03 * radius)))
+    table = budgets(exact, replace(rig(), contact_radius_m=InputQuantity(radius, 0.03 * radius)))
     energy = table["surface_energy_table2_j_per_m2"]
-    assert energy.value == pytest.approx(budgets(found, rig())["surface_energy_table2_j_per_m2"].value)
+    assert energy.value == pytest.approx(budgets(exact, rig())["surface_energy_table2_j_per_m2"].value)
     assert energy.sources[0].source == "contact_radius_m"
     assert energy.sources[0].contribution == pytest.approx(0.06 * energy.value, rel=0.1)
     assert not any("modulus" in line.source for line in energy.sources)
     assert table["contact_radius_m"].standard_uncertainty == pytest.approx(0.03 * radius)
 
 
-def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(found: FittedContact) -> None:
+def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(exact: FitResult) -> None:
     """Against the lever itself: a swing about 500 arcsec, read with another skew than is there."""
     rest, stated, skew, swing = 500 * ARCSEC, -0.3, 0.2, 20 * ARCSEC
     true = Lever(arm_m=1.0, pixel_pitch_m=3.45e-6, skew=skew)
@@ -137,15 +130,15 @@ def test_a_skew_matters_where_the_pendulum_rests_beside_the_reference(found: Fit
     assert float(quantities.skewed_scale(np.array([skew]))[0]) == pytest.approx(
         2 * swing / float(ends[0] - ends[1]), rel=2e-5
     )
-    parts = {line.source: line.contribution for line in budgets(found, quantities)["c"].sources}
+    parts = {line.source: line.contribution for line in budgets(exact, quantities)["c"].sources}
     assert parts["skew"] == pytest.approx(
-        found.values[2] * 2 * (skew - stated) * np.tan(2 * rest), rel=0.15
+        exact.values[2] * 2 * (skew - stated) * np.tan(2 * rest), rel=0.15
     ), "and a little through R/a"
-    centred = budgets(found, rig(skew=wrong))["c"]
+    centred = budgets(exact, rig(skew=wrong))["c"]
     assert "skew" not in {line.source for line in centred.sources}
 
 
-def test_wrong_axes_scale_the_tilt_as_on_the_sensor(found: FittedContact) -> None:
+def test_wrong_axes_scale_the_tilt_as_on_the_sensor(exact: FitResult) -> None:
     """A motion along true axes, read along the assumed ones."""
     assumed = Axes(slow_angle_rad=0.10, non_orthogonality_rad=0.08)
     true = Axes(slow_angle_rad=0.13, non_orthogonality_rad=0.03)
@@ -155,13 +148,13 @@ def test_wrong_axes_scale_the_tilt_as_on_the_sensor(found: FittedContact) -> Non
     )
     seen = quantities.seen_slow_tilt(np.array([0.13]), np.array([0.03]))
     assert float(seen[0]) == pytest.approx(slow, rel=1e-12)
-    changed = at(found, slow_angle_rad=0.13, non_orthogonality_rad=0.03)
-    c = float(reported_quantities(found, changed, quantities)["c"][0])
-    assert c == pytest.approx(found.values[found.names.index("c")] / slow, rel=2e-3, abs=0)
+    changed = at(exact, slow_angle_rad=0.13, non_orthogonality_rad=0.03)
+    c = float(reported_quantities(exact, changed, quantities)["c"][0])
+    assert c == pytest.approx(exact.values[exact.names.index("c")] / slow, rel=2e-3, abs=0)
 
 
-def test_the_budget_adds_up_and_puts_the_largest_first(found: FittedContact) -> None:
-    table = budgets(found, rig())
+def test_the_budget_adds_up_and_puts_the_largest_first(exact: FitResult) -> None:
+    table = budgets(exact, rig())
     for budget in table.values():
         parts = np.array([line.contribution for line in budget.sources])
         assert budget.standard_uncertainty == pytest.approx(np.sqrt(np.sum(parts**2)), rel=1e-12)
@@ -185,70 +178,64 @@ def test_the_ground_has_a_line_of_its_own_beside_the_reading() -> None:
     points = driven_decay(parameters, pendulum, q=1e-8, noise_arcsec=0.005, seed=3, last_arcsec=10)
     result = fit_exact(points, pendulum, averaged=False)
     at_rest = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=3, last_arcsec=10), pendulum)
-    lines = {line.source: line for line in budgets(fitted_contact(result), rig())["c"].sources}
+    lines = {line.source: line for line in budgets(result, rig())["c"].sources}
     assert lines[GROUND].type == "A"
     assert lines[GROUND].contribution > 3 * lines[MEASUREMENT].contribution
     assert np.hypot(lines[GROUND].contribution, lines[MEASUREMENT].contribution) == pytest.approx(
         result.estimate("c").standard_uncertainty, rel=1e-6
     )
-    of_rest = {line.source: line for line in budgets(fitted_contact(at_rest), rig())["c"].sources}
+    of_rest = {line.source: line for line in budgets(at_rest, rig())["c"].sources}
     assert lines[MEASUREMENT].contribution == pytest.approx(of_rest[MEASUREMENT].contribution, rel=0.2)
 
 
-def test_few_runs_widen_the_coverage_factor(found: FittedContact) -> None:
+def test_few_runs_widen_the_coverage_factor(exact: FitResult) -> None:
     quiet = rig(arm_m=InputQuantity(1.0), clock=InputQuantity(1.0))
-    c = budgets(replace(found, dof=2.0), quiet)["c"]
+    c = budgets(replace(exact, degrees_of_freedom=2), quiet)["c"]
     assert c.degrees_of_freedom < 5
     assert c.coverage_factor_95 > 2.5
 
 
-def test_the_uncertainty_of_what_follows_is_that_of_its_parts(found: FittedContact) -> None:
+def test_the_uncertainty_of_what_follows_is_that_of_its_parts(exact: FitResult) -> None:
     """Of c itself that of its budget; of the work of a cycle less than of b alone, as p makes up."""
-    u = standard_uncertainties(found, rig(), lambda inputs: reported_quantities(found, inputs, rig()))
-    table = budgets(found, rig())
+    u = standard_uncertainties(exact, rig(), lambda inputs: reported_quantities(exact, inputs, rig()))
+    table = budgets(exact, rig())
     for name, budget in table.items():
         assert u[name] == pytest.approx(budget.standard_uncertainty, rel=1e-9), name
 
     def work(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        reported = reported_quantities(found, inputs, rig())
+        reported = reported_quantities(exact, inputs, rig())
         return {"4A": work_per_cycle_j(60 * ARCSEC, reported, rolling_moment_nm(inputs, rig()))}
 
-    size = float(work(at(found))["4A"][0])
+    size = float(work(at(exact))["4A"][0])
     relative_b = table["b"].standard_uncertainty / table["b"].value
-    assert 0 < standard_uncertainties(found, rig(), work)["4A"] / size < relative_b
+    assert 0 < standard_uncertainties(exact, rig(), work)["4A"] / size < relative_b
 
 
 @pytest.mark.parametrize("balls", [1, 2])
-def test_work_of_a_cycle_is_that_of_its_parameters(found: FittedContact, balls: int) -> None:
+def test_work_of_a_cycle_is_that_of_its_parameters(exact: FitResult, balls: int) -> None:
     """With two balls its uncertainty was that of twice the weight on each."""
-    names, drag_s = (*found.names, "drag_s"), 2e-3
+    names, drag_s = (*exact.names, "drag_s"), 2e-3
     damped = replace(
-        found,
+        exact,
         names=names,
-        values=np.append(found.values, drag_s),
-        by_log_rho=np.append(found.by_log_rho, 0.0),
+        values=np.append(exact.values, drag_s),
+        by_log_rho=np.append(exact.by_log_rho, 0.0),
     )
     inputs, stated = at(damped), replace(rig(), balls=balls)
     reported = reported_quantities(damped, inputs, stated)
-    expected = cycle_work(3.1 * ARCSEC, fit_parameters(damped), stated.pendulum())
+    expected = cycle_work(3.1 * ARCSEC, damped.parameters, stated.pendulum())
     work_j = work_per_cycle_j(3.1 * ARCSEC, reported, rolling_moment_nm(inputs, stated))
     assert expected.drag_j > 0.1 * expected.dissipated_j
-    # R/a of two balls is not the one that `found` was fitted with
+    # R/a of two balls is not the one that `exact` was fitted with
     rel = 1e-12 if balls == 1 else 1e-2
     assert float(work_j[0]) == pytest.approx(expected.dissipated_j + expected.drag_j, rel=rel, abs=0)
 
 
-def fit_parameters(found: FittedContact):
-    from processing.contact.law import ContactParameters
-
-    return ContactParameters(**dict(zip(found.names, found.values.tolist(), strict=True)))
-
-
-def test_what_the_data_do_not_determine_has_no_finite_budget(found: FittedContact) -> None:
-    blind = found.covariance.copy()
+def test_what_the_data_do_not_determine_has_no_finite_budget(exact: FitResult) -> None:
+    blind = exact.covariance.copy()
     blind[2, :] = blind[:, 2] = 0.0
     blind[2, 2] = np.inf
-    lost = replace(found, covariance=blind)
+    lost = replace(exact, covariance=blind)
     assert np.isinf(budgets(lost, rig())["c"].standard_uncertainty)
     u = standard_uncertainties(lost, rig(), lambda inputs: {"c": inputs["c"], "p": inputs["p"]})
     assert np.isinf(u["c"])
@@ -256,21 +243,14 @@ def test_what_the_data_do_not_determine_has_no_finite_budget(found: FittedContac
     assert np.isfinite(budgets(lost, rig())["n"].standard_uncertainty)
 
 
-def test_pixels_have_no_budget() -> None:
-    parameters, pendulum = paper_pair("silicon")
-    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=2, last_arcsec=20)
-    with pytest.raises(DataError, match="not calibrated"):
-        fitted_contact(fit_exact(points, None))
-
-
-def test_two_balls_share_the_weight(found: FittedContact) -> None:
+def test_two_balls_share_the_weight(exact: FitResult) -> None:
     two = replace(rig(), balls=2)
     assert two.pendulum().mass_kg == pytest.approx(0.203)
     assert two.pendulum().contact_radius_m / rig().pendulum().contact_radius_m == pytest.approx(2 ** (-1 / 3))
-    reported = reported_quantities(found, at(found), two)
+    reported = reported_quantities(exact, at(exact), two)
     radius_m, half_n = two.pendulum().contact_radius_m, 0.203 * 9.80665
     assert float(reported["contact_radius_m"][0]) == pytest.approx(radius_m)
-    c, gamma_pa = found.values[found.names.index("c")], found.values[found.names.index("gamma_pa")]
+    c, gamma_pa = exact.values[exact.names.index("c")], exact.values[exact.names.index("gamma_pa")]
     assert float(reported["gamma_pa"][0]) == pytest.approx(gamma_pa)
     energy = float(reported["surface_energy_table2_j_per_m2"][0])
     assert energy == pytest.approx(half_n * 6.05e-3 * c / (2 * radius_m**2))
@@ -301,7 +281,7 @@ def test_an_error_of_the_sensor_moves_the_parameters_by_what_the_budget_says(
     """The row time, or all amplitudes, are wrong by three times what is allowed for: the analysis again."""
     uncertain = rig(**{source: InputQuantity(value, u)})
     near = LinearisedFit.of(points, uncertain.pendulum(), exact)
-    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, uncertain)), uncertain)
+    tables = budgets(replace(exact, by_inputs=sensor_derivatives(near, uncertain)), uncertain)
     rows = np.tan(2 * points.amplitude) / 3.45e-6 * (1 - 2 * (points.index % 2))
     wrong = (
         replace(points, time_s=points.time_s + 3 * u * rows)
@@ -314,7 +294,7 @@ def test_an_error_of_the_sensor_moves_the_parameters_by_what_the_budget_says(
         moved = again.estimate(name).value - exact.estimate(name).value
         assert moved == pytest.approx(line.sensitivity * 3 * u, rel=0.3), name
         assert line.contribution == pytest.approx(abs(line.sensitivity) * u, abs=0)
-    shifted = replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, uncertain))
+    shifted = replace(exact, by_inputs=sensor_derivatives(near, uncertain))
     inputs = {name: np.array([one.value]) for name, one in uncertain.inputs().items()}
     inputs |= dict(zip(shifted.names, shifted.values[:, None], strict=True)) | {source: np.array([value + u])}
     moved = {name: one[0] for name, one in reported_quantities(shifted, inputs, uncertain).items()}
@@ -323,4 +303,4 @@ def test_an_error_of_the_sensor_moves_the_parameters_by_what_the_budget_says(
         expected = exact.estimate(name).value + line.sensitivity * u
         assert moved[name] == pytest.approx(expected, rel=1e-6, abs=0)
     assert sensor_derivatives(near, rig()) == {}
-    assert source not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].sources}
+    assert source not in {line.source for line in budgets(exact, rig())["b"].sources}

@@ -13,7 +13,6 @@ from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact
-from processing.fit.reported import fitted_contact
 from processing.fit.result import FitResult
 from processing.fit.uncertainty import budgets
 from processing.series import average_curves, combine_runs, combined_limits
@@ -128,7 +127,7 @@ def test_the_doubt_of_the_air_is_in_a_series_as_in_each_run() -> None:
     lines = {line.source: line for line in budgets(series.measured, rig())["b"].sources}
     assert lines["air"].type == "B"
     assert lines["air"].share > 0.5
-    alone = {line.source: line for line in budgets(fitted_contact(results[0]), rig())["b"].sources}
+    alone = {line.source: line for line in budgets(results[0], rig())["b"].sources}
     assert sum(line.share for line in alone.values()) == pytest.approx(1.0)
     assert alone["air"].share > 0.5
     # without what is known of the air the drag would be open

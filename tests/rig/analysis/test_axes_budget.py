@@ -16,19 +16,18 @@ from processing.ambient import AmbientConditions
 from processing.arrays import Floats
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError
-from processing.fit import InputQuantity
-from processing.fit.reported import FittedContact
+from processing.fit import FitResult, InputQuantity
 from processing.fit.uncertainty import budgets
 from rig.analysis.ambient import ambient_warnings, recorded_ambient
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.instrument import complete, recorded_configuration
 from rig.settings import load_configuration
-from tests.processing.fit.test_uncertainty import exact, found, points, rig
+from tests.processing.fit.test_uncertainty import exact, points, rig
 from tests.rig.command_line import CONFIGS
 from tests.rig.view.replay_record import CONFIG
 
-__all__ = ["exact", "found", "points"]
+__all__ = ["exact", "points"]
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -53,24 +52,24 @@ def test_the_slow_tilt_that_wrong_axes_show(
     assert shown[0] == pytest.approx(seen[1], rel=1e-12)
 
 
-def test_known_axes_change_no_number(found: FittedContact) -> None:
+def test_known_axes_change_no_number(exact: FitResult) -> None:
     inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
     assert rig().seen_slow_tilt(inputs["slow_angle_rad"], inputs["non_orthogonality_rad"])[0] == 1.0
 
 
-def test_uncertain_axes_stand_in_the_budget(found: FittedContact) -> None:
+def test_uncertain_axes_stand_in_the_budget(exact: FitResult) -> None:
     u_rad, ratio, apart = 2e-3, 0.05, 0.01
     uncertain = replace(
         rig(slow_angle_rad=InputQuantity(0.2, u_rad), non_orthogonality_rad=InputQuantity(apart, u_rad)),
         fast_ratio=ratio,
     )
-    budget = budgets(found, uncertain)["c"]
+    budget = budgets(exact, uncertain)["c"]
     parts = {line.source: line.contribution for line in budget.sources}
     # c is in proportion to the assumed angles, and changes a little through R/a
-    per_scale = budget.value + found.by_log_rho[found.names.index("c")]
+    per_scale = budget.value + exact.by_log_rho[exact.names.index("c")]
     assert parts["non_orthogonality_rad"] == pytest.approx(abs(per_scale) * ratio * u_rad, rel=1e-3)
     assert parts["slow_angle_rad"] == pytest.approx(abs(per_scale) * (ratio - apart) * u_rad, rel=1e-3)
-    assert "slow_angle_rad" not in {line.source for line in budgets(found, rig())["c"].sources}
+    assert "slow_angle_rad" not in {line.source for line in budgets(exact, rig())["c"].sources}
 
 
 def test_the_configuration_states_them() -> None:
@@ -102,9 +101,9 @@ def fast_ratio(x: Floats, y: Floats) -> float:
     every = Deflections(np.arange(len(x)), x, y, np.ones(len(x)), np.ones(len(x)), DeflectionUnit.RAD)
     passing = PassingDeflections([every[:700], every[:0], every[700:]], every.unit)
     assert len(next(iter(passing))) == 700
-    found = passing.fast_ratio()
+    exact = passing.fast_ratio()
     assert (passing.frames, passing.first_ns, passing.last_ns) == (len(x), 0, len(x) - 1)
-    return found
+    return exact
 
 
 def test_dwell_and_age_are_counted_to_the_first_frame(measured_series: Path) -> None:
@@ -119,12 +118,12 @@ def test_dwell_and_age_are_counted_to_the_first_frame(measured_series: Path) -> 
             "environment.humidity_percent=43",
             "environment.pressure_pa=98500",
         ]
-        found = recorded_ambient(reader, recorded_configuration(reader, stated))
-        assert found.dwell_s == pytest.approx(7200.0)
-        assert found.age_s == pytest.approx(86400.0)
-        assert (found.humidity_percent, found.pressure_pa) == (43.0, 98500.0)
-        assert isnan(found.temperature_c)
-        assert ambient_warnings(found) == []
+        exact = recorded_ambient(reader, recorded_configuration(reader, stated))
+        assert exact.dwell_s == pytest.approx(7200.0)
+        assert exact.age_s == pytest.approx(86400.0)
+        assert (exact.humidity_percent, exact.pressure_pa) == (43.0, 98500.0)
+        assert isnan(exact.temperature_c)
+        assert ambient_warnings(exact) == []
         later = [f"session.contact_made={(began + timedelta(minutes=10)).isoformat()}"]
         (doubt,) = ambient_warnings(recorded_ambient(reader, recorded_configuration(reader, later)))
         assert doubt == "session.contact_made lies 600 s after the run began: correct its date or offset"
@@ -146,11 +145,11 @@ def test_a_time_without_its_offset_is_refused() -> None:
 def test_results_have_the_drag_of_air_beside_the_fitted_one(measured_series: Path) -> None:
     """About 2 ms for the paper's pendulum; nothing of the air or the bar was stated."""
     run = json.loads((measured_series / "results.json").read_text())["runs"][0]
-    found = run["drag"]["of_air"]
-    assert 1e-3 < found["drag_s"] < 3e-3
-    assert found["air_density_kg_per_m3"] == pytest.approx(1.199, rel=0.01)
+    exact = run["drag"]["of_air"]
+    assert 1e-3 < exact["drag_s"] < 3e-3
+    assert exact["air_density_kg_per_m3"] == pytest.approx(1.199, rel=0.01)
     assumed = ["temperature_c", "humidity_percent", "pressure_pa", "length_m", "width_m"]
-    assert found["assumed"] == assumed
+    assert exact["assumed"] == assumed
     assert set(run["ambient"]) == {
         "temperature_c",
         "humidity_percent",
@@ -185,6 +184,6 @@ def test_the_temperature_changes_by_the_times_of_its_readings(
         lasted_ns = reader.numbers.end_ns - reader.numbers.start_ns
         readings = np.array([(lasted_ns * x, 23.46 + slope_k * x, 41.3, 99870.0) for x in read_at], kind)
         monkeypatch.setattr(RecordReader, "table", lambda *_: readings)
-        found = recorded_ambient(reader)
-    assert found.temperature_change_k == pytest.approx(change_k, nan_ok=True, rel=1e-6)
-    assert found.temperature_c == pytest.approx(float(np.mean(readings["temperature_c"])))
+        exact = recorded_ambient(reader)
+    assert exact.temperature_change_k == pytest.approx(change_k, nan_ok=True, rel=1e-6)
+    assert exact.temperature_c == pytest.approx(float(np.mean(readings["temperature_c"])))

@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.simulation.settings import GroundTruth
 from processing.contact import MATERIALS
 from processing.damping import fit_damping
 from processing.estimate import Determinacy, Estimate
 from processing.fit import (
-    BaseMotion,
     Budget,
     Drag,
     DragFinding,
@@ -25,7 +23,7 @@ from processing.fit import (
 )
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
-from rig.analysis.contact_verdicts import base_motion, fit_results, with_contact
+from rig.analysis.contact_verdicts import fit_results, with_contact
 from rig.analysis.decay_values import amplitude_damping
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 from rig.analysis.results import Correlation, Fit
@@ -39,7 +37,6 @@ from rig.analysis.run_remarks import (
 )
 from rig.analysis.run_values import StoredTurningPoints
 from rig.analysis.series import AnalysedRun
-from rig.settings import PendulumSettings
 from rig.terminal import Verdict
 from tests.processing.fit.decays import decay, paper_pair
 from tests.processing.fit.driven import driven_decay
@@ -75,12 +72,6 @@ _DRIVEN = Ground(
     seen=True,
     widening={"b": 1.4, "c": 1.6, "n": 7.0},
 )
-_BASE = BaseMotion(
-    mass_centre_height_m=1.5e-3,
-    acceleration_m_per_s2_rthz=Estimate(2e-9, 1e-10),
-    upper_95=3e-9,
-    above_low_noise_model_db=-3.0,
-)
 
 
 def test_the_ground_is_a_value_where_it_is_seen_a_bound_elsewhere_and_says_what_it_costs() -> None:
@@ -92,12 +83,7 @@ def test_the_ground_is_a_value_where_it_is_seen_a_bound_elsewhere_and_says_what_
     assert "factors" not in ground_sentence(replace(_DRIVEN, widening={"b": 1.4}))
     left_out = ground_sentence(replace(_DRIVEN, left_out_half_cycles=12))
     assert "; the last 12 half-cycles are its motion and were not fitted." in left_out
-    # the base's acceleration needs the height of the mass centre
-    with_base = ground_sentence(replace(_DRIVEN, base=_BASE))
-    assert "2.00 ± 0.10 nm/s²/√Hz of acceleration for a mass centre 1.50 mm high, NLNM -3 dB" in with_base
-    bound = ground_sentence(replace(_DRIVEN, base=_BASE, seen=False))
-    assert "below 3.0 nm/s²/√Hz (95 %) of acceleration for a mass centre 1.50 mm high." in bound
-    assert not any(word in seen for word in ("(95 %)", "half-cycles", "NLNM"))
+    assert not any(word in seen for word in ("(95 %)", "half-cycles"))
 
 
 def test_of_what_is_not_determined_no_change_in_per_cent_is_told() -> None:
@@ -230,49 +216,28 @@ def test_nobody_is_sent_to_quieter_ground_by_ground_that_is_not_seen_to_move() -
     assert "quieter" in " ".join(whole_result(driven).next_steps)
 
 
-RIG = PendulumSettings(mass_kg=0.406, ball_radius_m=6.05e-3, mass_centre_height_m=-2e-4)
-
-
-def test_the_base_of_a_known_drive() -> None:
-    """A basement half way between the noise models drives a pendulum balanced to 0.2 mm with 8e-9."""
-    truth = GroundTruth(model="peterson", between_noise_models=0.5, mass_centre_height_m=-2e-4)
-    assert truth.mass_centre_height_m == RIG.mass_centre_height_m
-    moved = base_motion(Estimate(8.04e-9, 8e-10), 1e-8, 4.071, RIG)
-    assert moved is not None
-    value, u = moved.acceleration_m_per_s2_rthz
-    assert value == pytest.approx(1.0e-6, rel=0.02)
-    assert u == pytest.approx(0.1 * value, rel=0.01)
-    # half way: 22 dB over the low model, whose level at 4 s is -141 dB
-    assert moved.above_low_noise_model_db == pytest.approx(22.0, abs=1.0)
-    assert (
-        base_motion(Estimate(8e-9, 8e-10), 1e-8, 4.071, RIG.model_copy(update={"mass_centre_height_m": None}))
-        is None
-    )
-
-
 def test_a_driven_run_says_what_drives_it_and_what_that_costs() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = driven_decay(parameters, pendulum, q=1e-8, noise_arcsec=0.005, seed=2, last_arcsec=10)
-    found = fit_results(fit_exact(points, pendulum, averaged=False), RIG).ground
+    found = fit_results(fit_exact(points, pendulum, averaged=False)).ground
     assert found is not None
     assert found.seen
     assert min(found.widening.values()) > 3
     text = ground_sentence(found)
     assert "rad/s²/√Hz" in text
-    assert "nm/s²/√Hz of acceleration for a mass centre −0.200 mm high, NLNM +24 dB" in text
     assert "Finer balancing, a quieter hour, a larger first amplitude or more runs would help." in text
 
 
 def test_a_run_at_rest_sets_a_bound_and_asks_for_nothing() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=10)
-    found = fit_results(fit_exact(points, pendulum), RIG).ground
+    found = fit_results(fit_exact(points, pendulum)).ground
     assert found is not None
     assert not found.seen
     assert np.isfinite(found.upper_95)
     text = ground_sentence(found)
-    assert text.count("below") == 2
-    assert text.count("(95 %)") == 2
+    assert text.count("below") == 1
+    assert text.count("(95 %)") == 1
     assert "dB" not in text
     assert "help" not in text
 

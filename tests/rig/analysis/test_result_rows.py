@@ -18,7 +18,6 @@ from processing.fit import (
     FitResult,
     budgets,
     fit_exact,
-    fitted_contact,
     identifiability,
 )
 from processing.fit.uncertainty import BudgetSource
@@ -61,7 +60,7 @@ def long_fit() -> FitResult:
 
 
 def rows_of(fit: FitResult, determinations: tuple[Determination, ...] = ()) -> dict[str, ResultRow]:
-    table = budgets(fitted_contact(fit), rig())
+    table = budgets(fit, rig())
     return {row.quantity: row for row in result_rows("run-1", fit, determinations, table, _PENDULUM)}
 
 
@@ -72,7 +71,7 @@ def test_a_short_run_has_the_profile_s_interval_in_every_output() -> None:
     points = decay(parameters, pendulum, noise_arcsec=0.5, seed=3, last_arcsec=105)
     fit = fit_exact(points, pendulum)
     determinations = identifiability(points, pendulum, fit)
-    budget = budgets(fitted_contact(fit), rig())
+    budget = budgets(fit, rig())
     table = result_rows("run-1", fit, determinations, budget, pendulum)
     run = RunResults(record="run-1.mcap", table=table, budget=withheld(budget, table))
     open_ones = [one for one in determinations if one.verdict is not Determinacy.DETERMINED]
@@ -100,7 +99,7 @@ def test_a_short_run_has_the_profile_s_interval_in_every_output() -> None:
 def test_the_whole_uncertainty_comes_first(long_fit: FitResult) -> None:
     """gamma was 29.072 +- 0.093 in LaTeX and 29.07 +- 0.19 on the terminal."""
     rows = rows_of(long_fit)
-    budget = budgets(fitted_contact(long_fit), rig())
+    budget = budgets(long_fit, rig())
     gamma = rows["gamma_pa"]
     assert gamma.u == long_fit.estimate("gamma_pa").standard_uncertainty
     assert gamma.u_total == pytest.approx(budget["gamma_pa"].standard_uncertainty)
@@ -124,8 +123,7 @@ def test_a_bound_stays_one_and_so_does_that_of_what_follows(long_fit: FitResult)
     assert (c.lower, energy.lower) == (0.0, 0.0)
     assert energy.verdict is Determinacy.UPPER_BOUND
     assert energy.upper / c.upper == pytest.approx(
-        budgets(fitted_contact(long_fit), rig())["surface_energy_table2_j_per_m2"].value
-        / long_fit.estimate("c").value,
+        budgets(long_fit, rig())["surface_energy_table2_j_per_m2"].value / long_fit.estimate("c").value,
         rel=0.02,
     )
     assert rows["contact_radius_m"].determined

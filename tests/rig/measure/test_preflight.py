@@ -16,7 +16,6 @@ from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.control import ControlState, LaserReport, Light, SafetyNow
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
-from rig.settings import PendulumSettings
 from rig.settings.sections import PreflightSettings
 from rig.terminal import failures
 from rig.terminal.verdict import Verdict, print_verdicts
@@ -137,9 +136,9 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
 
 
 def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
-    """A swing of 1 arcsec that nothing drives: a bound, with the acceleration that it means."""
+    """A swing of 1 arcsec that nothing drives: a bound."""
     short = look(3e-8, 0.0, DeflectionUnit.RAD)
-    said = rest_checks.ground(short, None)
+    said = rest_checks.ground(short)
     assert said.ok
     assert not said.made
     assert "preflight.duration_s" in said.reason
@@ -148,16 +147,14 @@ def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
     noise = np.random.default_rng(2).normal(0.0, 3e-8, 1500)
     u = np.full(1500, 3e-8)
     at = Deflections(times_ns, noise, swing + noise, u, u, DeflectionUnit.RAD)
-    pendulum = PendulumSettings(mass_kg=0.4, ball_radius_m=3e-3, mass_centre_height_m=2e-4)
-    said = rest_checks.ground(replace(short, deflections=at), pendulum)
+    said = rest_checks.ground(replace(short, deflections=at))
     assert said.made
     assert said.measured.startswith("below ")
-    assert "mass centre 0.200 mm high" in said.measured
     assert said.measured.endswith("in 60 s")
-    assert not rest_checks.ground(SWINGING, pendulum).made
+    assert not rest_checks.ground(SWINGING).made
     # nothing drives it: it is quiet enough for any limit
-    assert_go(rest_checks.ground(replace(short, deflections=at), None, asking(1e-9)))
-    assert_no(rest_checks.ground(short, None, asking(1e-9)))
+    assert_go(rest_checks.ground(replace(short, deflections=at), asking(1e-9)))
+    assert_no(rest_checks.ground(short, asking(1e-9)))
 
 
 def asking(ground: float) -> PreflightSettings:
@@ -174,12 +171,12 @@ def test_a_ground_above_its_limit_is_a_no_go() -> None:
     times_ns, u = np.round(times_s * 1e9).astype(np.int64), np.full(1500, 1e-8)
     at = Deflections(times_ns, 0 * swing, swing, u, u, DeflectionUnit.RAD)
     shaken = replace(look(1e-8, 0.0, DeflectionUnit.RAD), deflections=at)
-    said = rest_checks.ground(shaken, None, asking(1e-9))
+    said = rest_checks.ground(shaken, asking(1e-9))
     assert not said.ok
     assert said.limit == "1e-09 rad/s²/√Hz"
     assert "quieter hour" in said.remedy
-    assert_go(rest_checks.ground(shaken, None, asking(1.0)))
-    in_px = rest_checks.ground(replace(shaken, deflections=replace_unit(at)), None, asking(1e-9))
+    assert_go(rest_checks.ground(shaken, asking(1.0)))
+    in_px = rest_checks.ground(replace(shaken, deflections=replace_unit(at)), asking(1e-9))
     assert in_px.ok
     assert in_px.reason == rest_checks.NO_LEVER
 

@@ -15,7 +15,6 @@ from calibration.store import CalibrationFile, Kind, write_calibration
 from processing.deflections import slow_deflections
 from processing.fit import points_in_true_time
 from processing.fit.exact import fit_exact
-from processing.fit.reported import fitted_contact
 from processing.fit.uncertainty import budgets
 from processing.swing import swings_of
 from processing.units import ARCSEC_RAD
@@ -114,7 +113,7 @@ def measure(seed: int, folder: Path, rate_hz: float = 25.0) -> dict[str, tuple[f
     slow, clock_rate = slow_deflections(stamps_ns, y_rad, u_y_rad), config.timebase.camera_rate
     refined = refined_half_cycles(swings, [slow], slow.unit, pendulum, config.fit, clock_rate)
     exact = refined.exact or fit_exact(points_in_true_time(refined.swings, clock_rate), pendulum)
-    table = budgets(fitted_contact(exact), quantities)
+    table = budgets(exact, quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}
     truth["surface_energy_table2_j_per_m2"] = _surface_energy(contact)
     return {

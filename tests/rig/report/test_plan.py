@@ -29,15 +29,7 @@ def test_a_run_is_planned_from_a_record(
     said = " ".join(capsys.readouterr().out.split())
     assert "124 to 15" in said
     assert "u(γ)" in said
-    assert "Runs that reveal ageing of the contact" in said
-    assert said.count("<- proposed") == 1
     assert "NOT RELIABLE: what this plan starts from does not determine" in said
-    names, *series = (line.split(",") for line in (folder / "plan.ageing.csv").read_text().splitlines())
-    alone, *pairs = (dict(zip(names, row, strict=True)) for row in series)
-    assert [float(pair["waiting_s"]) for pair in pairs] == [0.0, 3600.0]
-    for pair in pairs:
-        assert float(pair["u_ageing_per_s"]) < 0.2 * float(alone["u_ageing_per_s"])
-        assert float(pair["u_b"]) < float(alone["u_b"])
     head, longer, shorter = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
     assert head[:4] == ["first_arcsec", "last_arcsec", "duration_s", "half_cycles"]
     by_last = {float(row[1]): dict(zip(head, map(float, row), strict=True)) for row in (longer, shorter)}

@@ -10,13 +10,12 @@ from acquisition.camera import CameraInfo, Frame
 from processing.ambient import AmbientConditions
 from processing.balance import Balance, balance_checks
 from processing.deflections import DeflectionUnit
-from processing.estimate import Estimate
 from processing.instruments import DEGREE_RAD, SharedError
 from processing.spot import Spot
 from processing.swing import HalfCycle
 from rig.analysis import clock_rate_of, drag_of_fit
 from rig.analysis.ambient import assumed_drifts
-from rig.analysis.contact_verdicts import base_motion, rig_quantities
+from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.series import AnalysedRun, instrument_series
@@ -57,13 +56,12 @@ def shutter(config: Configuration) -> Any:
 
 
 def apparatus(config: Configuration) -> Any:
-    """The pendulum, every input of the uncertainty budget, the ground's motion, the air's drag, drifts."""
-    moved = base_motion(Estimate(1e-8, 1e-9), 2e-8, 4.0, config.pendulum)
+    """The pendulum, every input of the uncertainty budget, the air's drag, drifts."""
     pendulum = pendulum_on_ball(config)
     assert pendulum is not None
     drag = drag_of_fit(config, AmbientConditions(), pendulum, 4.0)
     drifts = assumed_drifts(config, AmbientConditions())
-    return repr((pendulum, rig_quantities(config), moved, drag, drifts))
+    return repr((pendulum, rig_quantities(config), drag, drifts))
 
 
 def stated_contact(config: Configuration) -> Any:

@@ -113,7 +113,6 @@ OTHER: dict[str, Any] = {
     "pendulum.ball_material": "steel",
     "pendulum.flat_material": "steel",
     "pendulum.contact_radius_m": 1e-4,
-    "pendulum.mass_centre_height_m": 1e-4,
     "instrument.kind": "persoz",
     "sensor.hot_pixels_xy": ((3, 4),),
     "shutter.first_row": "bottom",

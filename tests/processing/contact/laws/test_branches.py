@@ -143,9 +143,6 @@ def test_a_law_is_charged_for_its_parameters_and_no_more() -> None:
     best, sliders = compared.trials
     assert best.law.name == "constant"
     assert 0 < compared.above_best(sliders) <= 4 * np.log(2 * len(points))
-    # four stiffnesses that might have been anything, and are nothing
-    assert 5 < compared.odds_against(sliders) < 60
-    assert best.aic < sliders.aic
 
 
 @pytest.mark.slow
