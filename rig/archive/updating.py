@@ -1,4 +1,4 @@
-"""`rig archive add`, `update` and `refit`: the archive is brought up to date with its folders."""
+"""`rig archive add`, `update`, `check` and `refit`: the archive is brought up to date with its folders."""
 
 import datetime
 import hashlib
@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from itertools import groupby
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -26,6 +27,7 @@ from rig.archive.listing import (
     check_is_there,
     forget_sessions,
     named_runs,
+    reading,
     selected,
     write_sessions,
     writing,
@@ -37,6 +39,7 @@ from rig.view import analyse_replayed
 
 _WRITE_INTERVAL_S = 5.0
 """Interval of writes: a kill loses at most this much of what was read."""
+_COMPARED = ("folder", "record", "run", "sha256", "state", "results", "results_sha256")
 
 
 def add_folders(archive: Path, folders: Sequence[Path], *, read: bool = False) -> str:
@@ -146,6 +149,43 @@ def sessions_below(root: Path, hidden: list[Path]) -> Iterator[tuple[Path, str]]
         waiting += sorted(inner, reverse=True)
         if is_session:
             yield Path(folder), hashlib.sha256("\n".join(sorted(files)).encode()).hexdigest()
+
+
+def check_archive(archive: Path) -> int:
+    """Read every session again and compare hashes; prints differences, returns 1 if there are any, else 0."""
+    with reading(archive) as connection:
+        stored = connection.execute(f"select {', '.join(_COMPARED)} from every_run order by all").fetchall()
+    different, said_s = 0, time.monotonic()
+    for folder, rows in groupby(stored, key=lambda row: str(row[0])):
+        for line in _differences(Path(folder), [row[1:] for row in rows]):
+            print(line)
+            different += 1
+        if time.monotonic() - said_s > _WRITE_INTERVAL_S:
+            said_s = time.monotonic()
+            say(f"read up to {folder}")
+    print(f"{len(stored)} runs read, {different} differences")
+    return 1 if different else 0
+
+
+def _differences(folder: Path, rows: Sequence[tuple[Any, ...]]) -> Iterator[str]:
+    try:
+        now = {(row["record"], row["run"]): row for row in session_rows(folder)[0]}
+    except RecordError as error:
+        yield str(error)
+        return
+    changed = dict[str, None]()
+    for record, run, sha256, state, results, results_sha256 in rows:
+        path, found = folder / record, now.get((record, run))
+        if found is None or (found["state"] == "missing" and state != "missing"):
+            yield f"{path}: is not there any more"
+            continue
+        if found["state"] != state:
+            yield f"{path}: was {state} and is {found['state']}: {found['flaw']}"
+        elif found["sha256"] != sha256:
+            yield f"{path}: has other bytes than when it was read; rig archive update --read"
+        if results and (found["results"], found["results_sha256"]) != (results, results_sha256):
+            changed[results] = None
+    yield from (f"{folder / name}: has changed since it was read; rig archive update" for name in changed)
 
 
 Level = Literal["swings", "spots", "pixels"]

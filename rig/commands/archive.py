@@ -67,6 +67,13 @@ def show(
     show_runs(archive, names)
 
 
+def check(archive: Archive = PLACE) -> None:
+    """Read all records and results again and compare their hashes."""
+    from rig.archive import check_archive
+
+    raise typer.Exit(check_archive(archive))
+
+
 def refit(
     names: Names = None,
     where: Where = "",
@@ -102,4 +109,4 @@ def refit(
     )
 
 
-commands = group("archive", "The runs of many sessions in one list.", list_, add, update, show, refit)
+commands = group("archive", "The runs of many sessions in one list.", list_, add, update, show, check, refit)

@@ -51,12 +51,17 @@ def demo(
     """
     from rig.settings import shipped
 
-    run(shipped("demo"), output, set_=set_, view=view, json_lines=json_lines)
+    run([shipped("demo")], output, set_=set_, view=view, json_lines=json_lines)
 
 
 def run(
-    config: Annotated[
-        Path | None, input_argument("Configuration (TOML file).", configuration, metavar="CONFIG")
+    configs: Annotated[
+        list[Path] | None,
+        input_argument(
+            "Configuration (TOML file); of several, one session after the other.",
+            configuration,
+            metavar="CONFIG",
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -95,16 +100,21 @@ def run(
       rig run --resume runs/first
       rig run --resume runs/first --set camera.exposure_us=80
       rig run --resume runs/first --config corrected.toml
+      rig run steel.toml silicon.toml -o runs/night
       rig run configs/demo.toml --record-only -o one.mcap --set session.max_duration_s=60
     """
+    named = configs or []
     if record_only:
-        _refuse_all_but_a_record(config, output, runs, resume, view)
+        _refuse_all_but_a_record(named, output, runs, resume, view)
     elif output is not None and output.suffix.lower() == ".mcap":
         raise ConfigurationError(f"{output}: one record is written with --record-only; else name a folder")
     if instead is not None and resume is None:
         raise typer.BadParameter("--config goes with --resume DIR; else name the file as CONFIG")
+    if not named and resume is None:
+        raise typer.BadParameter("Missing argument 'CONFIG'.")
+
     if resume is not None:
-        if config is not None or output is not None or runs is not None or view:
+        if named or output is not None or runs is not None or view:
             raise typer.BadParameter(
                 "--resume takes its configuration from DIR: leave out CONFIG and options but --set, --force, "
                 "--json, --config FILE"
@@ -113,13 +123,17 @@ def run(
 
         raise typer.Exit(resume_session(resume, instead, set_ or [], force=force, json_lines=json_lines))
 
-    if config is None:
-        raise typer.BadParameter("Missing argument 'CONFIG'.")
     overrides = list(set_ or [])
     if runs is not None:
         overrides.append(f"session.runs={runs}")
     if view:
         overrides.append(f'view.mode="{MODES[view]}"')
+    if len(named) > 1:
+        from rig.measure import measure_sessions
+
+        raise typer.Exit(measure_sessions(named, overrides, output, force=force, json_lines=json_lines))
+
+    (config,) = named
     stated = loaded(config, overrides)
     # imported after the configuration is checked, because it takes a second
     from rig.measure import measure_session, simulate_record
@@ -131,10 +145,10 @@ def run(
 
 
 def _refuse_all_but_a_record(
-    config: Path | None, output: Path | None, runs: int | None, *others: object
+    configs: list[Path], output: Path | None, runs: int | None, *others: object
 ) -> None:
     """Raise ConfigurationError if `--record-only` is not with one configuration and one new record."""
-    if config is None or output is None or runs is not None or any(others):
+    if len(configs) != 1 or output is None or runs is not None or any(others):
         raise typer.BadParameter(
             "--record-only takes CONFIG, -o NAME.mcap and --set alone: it records one run"
         )

@@ -15,3 +15,4 @@ from rig.measure.run import LEAST_FREE_BYTES
 from rig.measure.run_status import estimate_texts
 from rig.measure.session import measure_session, resume_session, session_folder
 from rig.measure.session_file import STATE_NAME, RunState, is_in_use, read_session
+from rig.measure.session_list import measure_sessions

@@ -107,7 +107,7 @@ _MIN_GROUND_S = 60.0
 
 
 class PreflightWait:
-    """Waits after a no-go of the preflight as `[preflight]` states, until `wait_max_s` is used up."""
+    """Waits after a no-go of the preflight as `[preflight]` states; `over` once `wait_max_s` is used up."""
 
     def __init__(
         self,
@@ -121,11 +121,13 @@ class PreflightWait:
         self._waited_s = self._run_waited_s = 0.0
         self._since = self._last = ""
         self._refused = False
+        self.over = False
 
     def __call__(self, why: str) -> bool:
         """Wait before the next try of a run refused for the reason `why`; returns whether to try again."""
         left_s = self._max_s - self._waited_s
         if left_s <= 0:
+            self.over = True
             if self._max_s:
                 say(f"{self._name}: not ready within {self._max_s:g} s: {why}", error=True)
             return False

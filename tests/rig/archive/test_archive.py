@@ -14,7 +14,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_folders, find_runs, list_runs, selected, update_archive
+from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
 from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
 from tests.rig.command_line import SAMPLES, rig
@@ -180,22 +180,33 @@ def test_results_of_a_record_that_was_replaced_hide_nothing_of_the_new_one(
     assert not [row for row in rows(archive) if Path(row["folder"]).name == "fit"]
 
 
-def test_what_has_changed_without_looking_so_is_found(sessions: Path, archive: Path) -> None:
-    record = sessions / "series" / "run-1.mcap"
+def test_a_check_finds_what_is_not_as_it_was(
+    sessions: Path, archive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert check_archive(archive) == 0
+    assert capsys.readouterr().out == "3 runs read, 0 differences\n"
+    record, results = sessions / "series" / "run-1.mcap", sessions / "series" / "results.json"
     data, found = bytearray(record.read_bytes()), record.stat()
     data[len(data) // 2] ^= 1
     record.write_bytes(data)
     os.utime(record, ns=(found.st_atime_ns, found.st_mtime_ns))
     assert update_archive(archive).startswith("0 sessions read"), "it looks as it was"
-    before, after = rows(archive), []
+    results.write_bytes(results.read_bytes() + b"\n")
+    (sessions / "deeper" / "uncalibrated" / "run-1.mcap").unlink()
+    with (sessions / "series" / "run-2.mcap").open("ab") as file:
+        file.write(b"\0")
+    assert check_archive(archive) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 5
+    for path, why in (
+        (record, "was whole and is damaged"),
+        (results, "has changed since it was read"),
+        (sessions / "series" / "run-2.mcap", "has other bytes than when it was read"),
+        (sessions / "deeper" / "uncalibrated" / "run-1.mcap", "is not there any more"),
+    ):
+        assert any(line.startswith(f"{path}: {why}") for line in lines), lines
     update_archive(archive, read=True)
-    after = rows(archive)
-    changed = [
-        (was["run"], was["state"], now["state"])
-        for was, now in zip(before, after, strict=True)
-        if was["state"] != now["state"]
-    ]
-    assert changed == [("run-1", "whole", "damaged")]
+    assert check_archive(archive) == 0
 
 
 @pytest.mark.parametrize(
@@ -217,7 +228,7 @@ def test_a_condition_that_is_none_is_said(kept: Path, condition: str, columns: s
 
 
 def test_what_is_no_archive_is_said(sessions: Path, tmp_path: Path) -> None:
-    for words in (("list",), ("update",), ("refit",)):
+    for words in (("list",), ("update",), ("check",), ("refit",)):
         done = rig("archive", *words, "--archive", tmp_path / "none")
         assert (done.returncode, done.stdout) == (2, "")
         assert "none: no such archive; rig archive add FOLDER --archive FILE makes one" in done.stderr

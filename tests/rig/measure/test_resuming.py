@@ -1,4 +1,4 @@
-"""Sessions that wait and go on, measured with a clock of their own."""
+"""Sessions that wait, go on, and follow each other, measured with a clock of their own."""
 
 import contextlib
 import json
@@ -14,15 +14,15 @@ from typing import Any
 import pytest
 
 from acquisition.record.reader import RecordReader
+from processing.errors import ConfigurationError
 from rig.analysis import read_results
 from rig.devices import Devices
 from rig.interruption import Terminated
-from rig.measure import measure_session, resume_session
+from rig.measure import measure_session, measure_sessions, resume_session
 from rig.measure import session as session_module
-from rig.measure.notices import PreflightWait
 from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, QUICK, rig
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig
 from tests.rig.measure.test_preparation import BY_HAND
 
 
@@ -75,15 +75,8 @@ def entries(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
-def measured(source: Path, output: Path, night: Night) -> int:
-    """A session whose time is that of the night."""
-    config = load_configuration(source)
-    waiting = PreflightWait(output.name, config.preflight, lambda: night.now_s, night.sleep)
-    return measure_session(config, source, output, waiting=waiting)
-
-
 @pytest.mark.slow
-def test_a_session_waits_for_its_conditions_and_ends_without_them(
+def test_a_session_waits_for_its_conditions_and_is_left_out_without_them(
     tmp_path: Path, night: Night, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sensor = {"environment_sensor.kind": '"serial"', "environment_sensor.port": f'"{night.port}"'}
@@ -96,18 +89,32 @@ def test_a_session_waits_for_its_conditions_and_ends_without_them(
     written(
         tmp_path / "silicon.toml", {**BY_HAND, **quiet, "simulation.disturbances.microphonics": trembling}
     )
-    measured(tmp_path / "steel.toml", tmp_path / "steel", night)
-    # three times for the temperature, twice for quiet
-    assert night.waits_s == [600.0] * 3
-    assert measured(tmp_path / "silicon.toml", tmp_path / "silicon", night) == 1
-    assert night.waits_s == [600.0] * 3 + [1800.0] * 2
+    status = measure_sessions(
+        [tmp_path / "steel.toml", tmp_path / "silicon.toml"],
+        (),
+        tmp_path / "out",
+        now_s=lambda: night.now_s,
+        sleep=night.sleep,
+    )
+    assert status == 1
     said = capsys.readouterr().err
+    # three times for the temperature, twice for quiet
+    assert night.waits_s == [600.0, 600.0, 600.0, 1800.0, 1800.0]
     assert re.search(r"steel: waiting since \d\d:\d\d: environment: 23.0 °C", said)
-    with RecordReader(tmp_path / "steel" / "run-1.mcap") as reader:
+    with RecordReader(tmp_path / "out" / "steel" / "run-1.mcap") as reader:
         (told,) = [event.text for event in reader.events() if event.kind == "waited"]
     assert re.match(r"waited from \d\d:\d\d for 30 min: environment: 23.0 °C", told)
     assert re.search("silicon: not ready within 3600 s: .*vibration", said)
-    assert not list(tmp_path.glob("silicon/*.mcap"))
+    assert not list((tmp_path / "out").glob("silicon/*.mcap"))
+
+
+def test_a_failure_ends_the_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stalled = {"frames_stalled_at_s": "1", "frames_stalled_duration_s": "60"}
+    written(tmp_path / "one.toml", SMALL | {f"faults.{key}": value for key, value in stalled.items()})
+    written(tmp_path / "two.toml", SMALL)
+    assert measure_sessions([tmp_path / "one.toml", tmp_path / "two.toml"], (), tmp_path / "out") == 1
+    assert not (tmp_path / "out" / "two").exists()
+    assert "no frame within 5 s; the list ends here" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -129,13 +136,14 @@ def test_a_run_that_was_made_after_the_last_results_is_fitted(
     assert [run.record for run in read_results(out).runs] == ["run-1.mcap", "run-2.mcap", "run-3.mcap"]
 
 
-def test_runs_of_the_simulated_rig_are_different_runs(tmp_path: Path) -> None:
-    written(tmp_path / "one.toml", QUICK | {"session.max_duration_s": "3", "session.runs": "2"})
-    source, out = tmp_path / "one.toml", tmp_path / "out"
-    measure_session(load_configuration(source), source, out)
+def test_sessions_of_the_simulated_rig_are_different_runs(tmp_path: Path) -> None:
+    sources = [tmp_path / "one.toml", tmp_path / "two.toml"]
+    for source in sources:
+        written(source, QUICK | {"session.max_duration_s": "3"})
+    measure_sessions(sources, (), tmp_path / "out")
     seen = []
-    for number in (1, 2):
-        with RecordReader(out / f"run-{number}.mcap") as reader:
+    for name in ("one", "two"):
+        with RecordReader(tmp_path / "out" / name / "run-1.mcap") as reader:
             seen.append(reader.spots()["y_px"][:50])
     assert not (seen[0] == seen[1]).any()
 
@@ -158,23 +166,30 @@ def test_runs_of_the_simulated_rig_are_different_runs(tmp_path: Path) -> None:
         (["session.rnus=3"], "did you mean runs?"),
     ],
 )
+@pytest.mark.parametrize("sessions", [1, 2])
 def test_a_wait_that_cannot_be_is_refused_before_anything_begins(
-    tmp_path: Path, stated: list[str], message: str
+    tmp_path: Path, stated: list[str], message: str, sessions: int
 ) -> None:
     changes = [word for each in ("preflight.wait_max_s=60", *stated) for word in ("--set", each)]
-    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *changes)
+    sources = [CONFIGS / "demo.toml", CONFIGS / "silicon.toml"][:sessions]
+    done = rig("run", *sources, "-o", tmp_path / "out", *changes)
     assert done.returncode == 2
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 
-def test_a_session_that_is_ended_before_a_run_has_begun_says_so_of_that_run(
+def test_sessions_have_folders_of_their_own(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="one: named twice"):
+        measure_sessions([tmp_path / "one.toml", tmp_path / "b" / "one.toml"], (), None)
+
+
+def test_a_list_that_is_ended_before_a_run_has_begun_says_so_of_that_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The terminal is closed between two runs: nothing was killed, and the session goes on from there."""
+    """The terminal is closed between two runs: nothing was killed, and the list goes on from there."""
     written(tmp_path / "one.toml", QUICK | {"session.max_duration_s": "4", "session.runs": "2"})
-    source, out = tmp_path / "one.toml", tmp_path / "out"
+    sources, out = [tmp_path / "one.toml"], tmp_path / "out"
     measure_run = session_module.measure_run
 
     def ended(made: RunPlan, devices: Devices) -> RunOutcome:
@@ -185,8 +200,8 @@ def test_a_session_that_is_ended_before_a_run_has_begun_says_so_of_that_run(
     with monkeypatch.context() as closed:
         closed.setattr(session_module, "measure_run", ended)
         with pytest.raises(Terminated):
-            measure_session(load_configuration(source), source, out)
-    _, second = entries(out)
+            measure_sessions(sources, (), out)
+    _, second = entries(out / "one")
     assert (second["state"], second["reason"]) == ("stopped", "terminated: the terminal was closed")
-    resume_session(out)
-    assert [one["state"] for one in entries(out)] == ["complete", "stopped", "complete"]
+    measure_sessions(sources, (), out)
+    assert [one["state"] for one in entries(out / "one")] == ["complete", "stopped", "complete"]
