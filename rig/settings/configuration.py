@@ -119,8 +119,8 @@ class ReferenceSettings(Section, frozen=True):
         gt=0,
         lt=100,
         description="the beam's motion moves the pendulum's spot this many times as far as the reference (1 "
-        "for equal paths from the laser); if left out, it is found from each run along both axes of the "
-        "sensor, and live numbers are not corrected",
+        "for equal paths from the laser); if left out, it is found from each run, along both axes of the "
+        "sensor",
     )
     u_gain: float = Field(default=0.0, ge=0, lt=100)
 
