@@ -86,8 +86,6 @@ class EventKind(StrEnum):
     """The background has jumped: a lamp was switched."""
     PUSH = "push", Severity.WARNING
     """The pendulum was pushed within a half-cycle: a draught, a knock."""
-    WAITED = "waited"
-    """What the run waited for before it began, and how long."""
     LIVE_FIT = "posterior"
     """Parameters are no longer fitted while the run is measured."""
     CAMERA_CLOCK = "camera clock", Severity.WARNING

@@ -118,10 +118,7 @@ class PreflightWait:
     ) -> None:
         self._name, self._now_s, self._sleep = name, now_s, sleep
         self._interval_s, self._max_s = preflight.try_every_s, preflight.wait_max_s
-        self._waited_s = self._run_waited_s = 0.0
-        self._since = self._last = ""
-        self._refused = False
-        self.over = False
+        self._waited_s, self._since, self.over = 0.0, "", False
 
     def __call__(self, why: str) -> bool:
         """Wait before the next try of a run refused for the reason `why`; returns whether to try again."""
@@ -131,26 +128,12 @@ class PreflightWait:
             if self._max_s:
                 say(f"{self._name}: not ready within {self._max_s:g} s: {why}", error=True)
             return False
-        if not self._since:
-            self._since = f"{datetime.datetime.now().astimezone():%H:%M}"
-        self._last, self._refused = why, True
+        self._since = self._since or f"{datetime.datetime.now().astimezone():%H:%M}"
         say(f"{self._name}: waiting since {self._since}: {why}")
         begun_s = self._now_s()
         self._sleep(min(self._interval_s, left_s))
-        lasted_s = self._now_s() - begun_s
-        self._waited_s += lasted_s
-        self._run_waited_s += lasted_s
+        self._waited_s += self._now_s() - begun_s
         return True
-
-    def texts(self) -> list[str]:
-        """Texts on the waiting before the next try of a run, for its record; to be called at every try."""
-        if not self._refused:
-            # no try was refused since the last call: this is a new run
-            self._since, self._run_waited_s = "", 0.0
-        self._refused = False
-        if not self._since:
-            return []
-        return [f"waited from {self._since} for {self._run_waited_s / 60:.0f} min: {self._last}"]
 
 
 def check_notices(config: Configuration) -> None:

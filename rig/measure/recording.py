@@ -182,16 +182,11 @@ class Recording:
         return rejection
 
     def _begin(self, earlier: list[Event]) -> None:
-        run, first_ns = self._run, self._first.time_ns
         self._status.begin_record()
-        if run.posterior is not None:
-            self._guard.call(_LIVE_FIT, None, run.posterior.begin, run.plan.record)
-        events = [
-            *earlier,
-            *(Event(first_ns, EventKind.WAITED, text) for text in run.plan.waited),
-            Event(first_ns, EventKind.START, "first frame"),
-        ]
-        self._record(RecordEntry(events=events))
+        if self._run.posterior is not None:
+            self._guard.call(_LIVE_FIT, None, self._run.posterior.begin, self._run.plan.record)
+        start = Event(self._first.time_ns, EventKind.START, "first frame")
+        self._record(RecordEntry(events=[*earlier, start]))
 
     def _take_all(self, early: list[Frame]) -> str:
         """Take frames until the run ends; returns why the start was rejected, else an empty text."""

@@ -44,8 +44,6 @@ class RunPlan:
     """Serves programs that watch the session through its socket."""
     take_notes: Callable[[], Sequence[OperatorNote]] = list
     """Returns notes that operators have written during the run since the last call."""
-    waited: Sequence[str] = ()
-    """What the run has waited for, for the record."""
     checked: Callable[[Sequence[Verdict]], None] | None = None
     """Called with the preflight table of a run that ends there, without a record; None for other runs."""
 

@@ -244,7 +244,6 @@ def make_runs(
                 watchers=[options.notices],
                 session_news=session_news,
                 take_notes=notes.take,
-                waited=options.waiting.texts(),
             )
             try:
                 devices.lights_again = True

@@ -94,7 +94,7 @@ def _differences_table(results: CampaignResults) -> Table | None:
         "differences", "Differences of contacts",
         ["first", "second", "quantity", "difference", "u", "lower_95", "upper_95", "chance", "verdict"],
         ("", "", "difference", "chance"), rows,
-        f"{count} of {len(rows)} differ; the CSV that -o writes has all. The 5 % level is shared by all. What "
+        f"{count} of {len(rows)} differ (-o writes all as CSV); the 5 % level is shared by all. What "
         f"runs share cancels. b and γ at {results.reference_arcsec:g} arcsec.",
     )  # fmt: skip
 

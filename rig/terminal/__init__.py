@@ -29,7 +29,6 @@ from rig.terminal.printing import (
     print_tables,
     say,
     screen_width,
-    terminal_columns,
     written,
 )
 from rig.terminal.quantities import (
