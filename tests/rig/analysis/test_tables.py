@@ -127,6 +127,7 @@ def test_the_time_constant_of_an_envelope(decibel: bool) -> None:
         values = 10 * np.log10(power) + 0.2 * noise if decibel else np.sqrt(power) + 0.002 * noise
         found = fit_envelope(t, values, decibel=decibel)
         z.append((found.tau_s - 5.0) / found.u_tau_s)
+        assert found.initial == pytest.approx(10 * np.log10(4.0) if decibel else 2.0, rel=0.02)
         assert not found.changes
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=3 / np.sqrt(10))
 

@@ -66,7 +66,7 @@ class HeadlessViewer:
             if good(shown) or time.monotonic() > deadline:
                 return shown
             # a picture is drawn by the processors
-            time.sleep(3.0)
+            time.sleep(1.0)
 
     def picture(self, path: Path, view: str | None = None) -> NDArray[np.uint8]:
         """Photograph the window, or one view by its name, as (ny, nx, 3) RGB."""
