@@ -5,7 +5,7 @@ import pytest
 
 from tests.calibration.simulated_rig import deviations
 
-SEEDS = 10
+SEEDS = 5
 
 
 @pytest.mark.slow

@@ -3,11 +3,12 @@
 import math
 from functools import cache
 
+import numpy as np
 import pint
 import pytest
 
 from processing.errors import ConfigurationError
-from processing.units import conversion, size, unit_of_name, units_like
+from processing.units import conversion, nanoseconds, seconds, size, unit_of_name, units_like
 
 IN_PINT = {"px": "pixel", "DN": "count", "°C": "delta_degC", "%": "percent", "e": "elementary_charge"}
 
@@ -139,3 +140,17 @@ def test_units_of_the_same_thing() -> None:
 def test_the_unit_that_a_name_ends_in(name: str, unit: str) -> None:
     assert unit_of_name(name) == unit
     assert not unit or size(unit)
+
+
+def test_numbers_and_arrays_agree_in_every_bit() -> None:
+    ticks_ns = np.random.default_rng(1).integers(-(10**17), 10**17, 1000)
+    times_s = seconds(ticks_ns)
+    assert [seconds(int(tick)) for tick in ticks_ns] == times_s.tolist()
+    assert [nanoseconds(float(time)) for time in times_s] == nanoseconds(times_s).tolist()
+
+
+def test_a_time_becomes_the_nearest_tick() -> None:
+    assert [nanoseconds(time_s) for time_s in (0.1 + 0.2, -1.4e-9, 1.6e-9)] == [300_000_000, -1, 2]
+    assert nanoseconds(np.array([0.29, 1.6e-9])).tolist() == [290_000_000, 2]
+    assert isinstance(nanoseconds(np.float64(0.29)), int)
+    assert seconds(1_500_000_000) == 1.5

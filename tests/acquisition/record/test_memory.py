@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-MANY_SPOTS = 150_000
+MANY_SPOTS = 90_000
 """Of the 5 million of a day: a spot that stayed in memory would cost at least 8 bytes."""
 FLUSH_SPOTS = 35
 """Spots between two flushes, 0.6 s, when the 5 million of a day are spread over 24 h."""

@@ -1,10 +1,11 @@
-"""Other readers can read records: Foxglove's in TypeScript, Rerun's in Rust, the mcap package."""
+"""Other readers can read records: Foxglove's, with its layout in docs, Rerun's, the mcap package."""
 
 import base64
 import json
 import os
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,16 @@ from rerun.chunk import RrdReader
 
 from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import METADATA_COPY, PIXEL_TOPICS, PREVIEW_TOPIC, SPOT
+from acquisition.record.topics import (
+    ENVIRONMENT,
+    METADATA_COPY,
+    PIXEL_TOPICS,
+    PREVIEW_TOPIC,
+    SPOT,
+    SWING,
+    number_topics,
+)
+from processing.deflections import DeflectionUnit
 from processing.swing import HalfCycleFlag
 from processing.units import ARCSEC_RAD
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, write_sample
@@ -214,3 +224,28 @@ def test_the_mcap_package_sees_the_same(record: Path) -> None:
         middle = EPOCH_OFFSET_NS + FRAMES // 2 * FRAME_NS
         later = list(make_reader(pixels).iter_messages(topics=["/window"], starting_at=middle))
         assert len(later) == FRAMES // 2
+
+
+LAYOUT = Path(__file__).resolve().parents[3] / "docs" / "foxglove-layout.json"
+
+
+def panels(place: Any) -> Iterator[str]:
+    if isinstance(place, str):
+        yield place
+    else:
+        yield from panels(place["first"])
+        yield from panels(place["second"])
+
+
+def test_everything_it_names_exists() -> None:
+    layout = json.loads(LAYOUT.read_text(encoding="utf-8"))
+    known = {f"{kind.topic}.{name}" for kind in (SPOT, SWING, ENVIRONMENT) for name in kind.names}
+    topics = {*number_topics(DeflectionUnit.RAD), *PIXEL_TOPICS}
+    assert "/losses" in topics
+    shown = layout["configById"]
+    assert set(panels(layout["layout"])) == set(shown)
+    for panel in shown.values():
+        assert {path["value"] for path in panel.get("paths", ())} <= known
+        named = {panel.get("topicToRender"), panel.get("topicPath"), *panel.get("imageMode", {}).values()}
+        assert named - {None} <= topics
+    assert "/swing.amplitude_arcsec" in LAYOUT.read_text(encoding="utf-8")

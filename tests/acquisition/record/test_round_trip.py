@@ -2,6 +2,8 @@
 
 import math
 import struct
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +13,8 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from acquisition.camera import CameraInfo, ShutterKind
+from acquisition.record.digest import RecordedCamera, camera_metadata
 from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import MessageType, message_type_of
@@ -251,3 +255,28 @@ def test_any_events_in_any_order_come_back(
     with RecordReader(path) as reader:
         assert [event.time_ns for event in reader.events()] == times
         assert [event.kind for event in reader.events()] == [texts[i % len(texts)] for i in range(len(times))]
+
+
+INFO = CameraInfo("v4l2", "Maker", "Model", "7", 640, 480, 255, has_clock=True)
+
+
+WORDS = {
+    "Rolling": ShutterKind.ROLLING,
+    "RollingShutter": ShutterKind.ROLLING,
+    "Global": ShutterKind.GLOBAL,
+    "GlobalReset": ShutterKind.OTHER,
+    "": ShutterKind.UNKNOWN,
+}
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_what_is_written_is_read_as_the_same_values(word: str) -> None:
+    for driver, has_clock in product(("simulated", "v4l2"), (True, False)):
+        written = camera_metadata(replace(INFO, driver=driver, shutter=word, has_clock=has_clock))
+        expected = RecordedCamera(driver == "simulated", has_clock, WORDS[word])
+        assert RecordedCamera.from_metadata(written) == expected
+
+
+def test_a_record_that_says_nothing_is_no_camera_without_a_clock() -> None:
+    assert RecordedCamera.from_metadata({}) == RecordedCamera(False, None, ShutterKind.UNKNOWN)
+    assert RecordedCamera.from_metadata({"camera": {"has_clock": "perhaps"}}).has_clock is None

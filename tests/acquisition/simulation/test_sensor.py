@@ -73,8 +73,7 @@ def frames(
     return images
 
 
-@pytest.mark.parametrize("bits", [8, 12, 16])
-@pytest.mark.parametrize("read_noise_e", [7.0, 0.5, 60.0])
+@pytest.mark.parametrize(("read_noise_e", "bits"), [(7.0, 8), (7.0, 16), (0.5, 12), (60.0, 8), (60.0, 16)])
 def test_dark_pixels_follow_their_distribution(bits: int, read_noise_e: float) -> None:
     truth = SensorTruth(read_noise_e=read_noise_e)
     state = truth.at(bits)
@@ -98,9 +97,13 @@ def test_dark_pixels_are_independent_of_their_neighbours_and_of_the_frame_before
             assert abs(other) / variance < limit
 
 
-@pytest.mark.parametrize("bits", [8, 12])
-@pytest.mark.parametrize("read_noise_e", [7.0, 2.5, 0.5])
-@pytest.mark.parametrize("mean_e", [0.02, 1.0, 30.0, 300.0, 6800.0])
+@pytest.mark.parametrize(
+    ("mean_e", "read_noise_e", "bits"),
+    [
+        *((0.02, 7.0, 8), (0.02, 0.5, 12), (1.0, 2.5, 12), (30.0, 0.5, 8), (30.0, 7.0, 12)),
+        *((300.0, 2.5, 8), (300.0, 0.5, 12), (6800.0, 7.0, 8), (6800.0, 0.5, 12)),
+    ],
+)
 def test_lit_pixels_follow_their_distribution(mean_e: float, read_noise_e: float, bits: int) -> None:
     truth = SensorTruth(read_noise_e=read_noise_e)
     images = frames(truth, 3, ambient_e=mean_e, bits=bits)
@@ -116,7 +119,7 @@ def test_lit_pixels_follow_their_distribution(mean_e: float, read_noise_e: float
 def test_bent_normal_stays_true_with_many_samples() -> None:
     """The claim that the distribution function errs by less than 1e-4: 20 million pixels would see 2e-4."""
     truth = SensorTruth(read_noise_e=7.0)
-    for mean_e in (20.0, 100.0, 1000.0):
+    for mean_e in (20.0, 1000.0):
         images = frames(truth, 40, ambient_e=mean_e, bits=12)
         p = exact_probabilities(mean_e, truth.at(12), truth.full_well_e)
         found = np.cumsum(np.bincount(images.ravel(), minlength=len(p))) / images.size
@@ -196,10 +199,12 @@ def integrated(beam: GaussianBeam, ny: int, nx: int) -> NDArray[np.float64]:
     return beam.peak_e * np.einsum("yixj,i,j->yx", cells, weights / 2, weights / 2)
 
 
-@pytest.mark.parametrize("rotation_rad", [0.0, 0.3, -1.2, math.pi / 2, 2.5])
-@pytest.mark.parametrize(("sigma_x_px", "sigma_y_px"), [(6.0, 6.0), (3.0, 5.0), (12.0, 7.0), (2.0, 2.5)])
+@pytest.mark.parametrize(
+    ("sigma_x_px", "sigma_y_px", "rotation_rad"),
+    [(6.0, 6.0, 0.0), (3.0, 5.0, 0.3), (3.0, 5.0, math.pi / 2), (12.0, 7.0, -1.2), (2.0, 2.5, 2.5)],
+)
 def test_light_is_the_integral_over_each_pixel(
-    rotation_rad: float, sigma_x_px: float, sigma_y_px: float
+    sigma_x_px: float, sigma_y_px: float, rotation_rad: float
 ) -> None:
     beam = GaussianBeam(40.37, 29.81, sigma_x_px, sigma_y_px, rotation_rad, 7000.0)
     light_e = np.zeros((64, 80))

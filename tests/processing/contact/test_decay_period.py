@@ -25,7 +25,7 @@ def by_quadrature(low: float, high: float, b: float, p: float, c: float, period_
 @pytest.mark.parametrize(("b", "c"), [(4e-3, 1e-3), (4e-3, 1e-9), (1e-6, 1e-3), (4e-3, 0.0)])
 def test_a_path_without_drag_takes_the_time_of_the_integral(p: float, b: float, c: float) -> None:
     start = 3.0
-    s = np.linspace(0.0, 2.0 * start / (c + b * start**p), 40)
+    s = np.linspace(0.0, 2.0 * start / (c + b * start**p), 20)
     path, _ = decay_path(s, start, b / (p + 1), p, c, 0.0)
     late = path > 1e-3
     assert np.count_nonzero(late) > 5

@@ -77,11 +77,8 @@ def eight_times_the_friction() -> tuple[ContactParameters, PendulumOnBall]:
 @pytest.mark.parametrize(
     ("contact", "half_cycles", "rtol"),
     [
-        *((paper_pair(flat, drag_s), 10, 1e-10) for flat in PAIRS for drag_s in (0.0, 1e-3)),
-        *(
-            (other_exponents(p, n), 10, 1e-9)
-            for p, n in ((0.0, 0.0), (0.02, 0.3), (1.0, 1.0), (1.7, 0.01), (0.3, 1.5))
-        ),
+        *((paper_pair(flat, 1e-3 * (flat != PAIRS[0])), 10, 1e-10) for flat in PAIRS),
+        *((other_exponents(p, n), 10, 1e-9) for p, n in ((0.0, 0.0), (1.0, 1.0), (1.7, 0.01), (0.3, 1.5))),
         (eight_times_the_friction(), 100, 1e-9),
     ],
 )

@@ -1,7 +1,10 @@
-"""An error that is fixed on the sensor is found, and nothing else is taken for one."""
+"""An error that is fixed on the sensor is found, also of a bent scale, and nothing else is taken for one."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from processing.fit import fit_exact, known_motion
 from processing.position_map.fixed_pattern import Splines
@@ -88,3 +91,26 @@ def test_cycles_add_up() -> None:
     size = np.abs(single.sums().information).max()
     assert np.allclose(many.sums().information, 100 * single.sums().information, atol=1e-9 * size)
     np.testing.assert_allclose(many.sums().score, 100 * single.sums().score, rtol=1e-6)
+
+
+Floats = NDArray[np.float64]
+
+
+def bent(time_s: Floats, place: Floats) -> Floats:
+    """Of a position-sensitive diode whose scale is by 1 % another one at the end of the swing."""
+    return np.asarray(0.01 * place * (place / (124.0 * ARCSEC_RAD)) ** 2)
+
+
+def test_a_map_takes_its_errors_off_and_the_scale_it_leaves_open_is_as_uncertain_as_wrong() -> None:
+    one = run(bent, seed=1)
+    found = searched(one)
+    assert found is not None
+    true = np.linspace(*found.limits, 500)
+    few = one.deflections[:500]
+    measured = replace(few, y=true + found.error(true))
+    assert np.max(np.abs(found.corrected(measured).y - true)) < 1e-5 * ARCSEC_RAD
+    weight = true / (true @ true)
+    matrix = found.splines.matrix(true)
+    u_scale = float(np.sqrt(weight @ matrix @ found.covariance @ matrix.T @ weight))
+    wrong = float(weight @ (found.error(true) - bent(true, true)))
+    assert abs(wrong) < 2.5 * u_scale

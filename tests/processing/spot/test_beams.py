@@ -8,6 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from processing.spot import Spot, SpotFlag, SpotModel, SpotTracker
+from processing.spot.model_choice import ModelChoice
+from processing.spot.sensor_model import PixelNoise
 from tests.processing.spot.frames import EIGHT_BIT, LIT_EIGHT_BIT, errors_px, exposed, light
 from tests.processing.spot.moved_beams import MovedImage, RealBeam
 
@@ -113,3 +115,15 @@ def test_a_real_beam_moves_as_it_is_moved(shared_data: Path) -> None:
     assert np.all(scatter / real.bound_px() < 1.3)  # 1.15, and two standard deviations of 100 frames
     for axis in (0, 1):
         assert abs(np.polyfit(truth[:, axis], errors[:, axis], 1)[0]) < 0.01
+
+
+@pytest.mark.parametrize(("side_px", "windows"), [(20, 32), (200, 25), (400, 16)])
+def test_a_large_spot_is_judged_by_fewer_windows(side_px: int, windows: int) -> None:
+    choice = ModelChoice(PixelNoise(1.0, 0.0, 255.0, 0.0), lambda *_: None)
+    image = np.zeros((side_px, side_px), np.uint8)
+    seen = 0
+    while choice.model is None:
+        choice.add(0.5, 0, float(side_px**2), lambda: (image, (0, 0)))
+        seen += 1
+    assert choice.model is SpotModel.ONE
+    assert seen == 4 * windows

@@ -6,6 +6,8 @@ import scipy
 from numpy.typing import NDArray
 
 from processing.spot import SensorModel
+from processing.spot.fit_values import REACH
+from processing.spot.profile import MARGIN_PX, _to_spline
 from processing.spot.profile_fit import (
     CENTRE_X,
     CENTRE_Y,
@@ -115,3 +117,14 @@ def test_weights_of_the_spline_sum_to_one_and_turn_a_line_into_itself(phase: flo
     line = np.arange(-1.0, 3.0)
     assert weights @ line == pytest.approx(phase, abs=1e-6)
     assert slopes @ line == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("sigma_px", [2.0, 7.9, 8.1, *np.linspace(8.2, 9.6, 57), 8.47542047015753, 20.0])
+def test_the_spline_of_a_spot_is_the_spot(sigma_px: float) -> None:
+    """Also where two knots lie between the same grid points, as for 8.4754 px."""
+    half = int(np.ceil(REACH * sigma_px)) + MARGIN_PX
+    grid = np.arange(-half, half + 1, dtype=np.float64)
+    spot = np.exp(-0.5 * (grid / sigma_px) ** 2)
+    coefficients = _to_spline(len(grid), sigma_px) @ spot
+    again = (np.roll(coefficients, 1) + 4.0 * coefficients + np.roll(coefficients, -1)) / 6.0
+    assert again[1:-1] == pytest.approx(spot[1:-1], abs=2e-5)

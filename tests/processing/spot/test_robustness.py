@@ -15,7 +15,7 @@ from tests.processing.spot.frames import EIGHT_BIT, errors_px, exposed, light, r
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 Make = Callable[[float, float, np.random.Generator], Image]
 N = 96
-FRAMES = 250
+FRAMES = 100
 
 
 def run(
@@ -58,7 +58,7 @@ def test_three_hot_pixels(cold: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("cold", [False, True])
 def test_clipped_at_four_times_full_scale(cold: bool) -> None:
-    spots, errors = run(lambda x, y, rng: exposed(light((N, N), x, y, 6, 1000), rng), cold=cold, frames=600)
+    spots, errors = run(lambda x, y, rng: exposed(light((N, N), x, y, 6, 1000), rng), cold=cold, frames=200)
     assert all(spot.flags & SpotFlag.SATURATED for spot in spots)
     assert not any(spot.flags & SpotFlag.LOST for spot in spots)
     assert rms_mpx(errors) < 3.2 * (1 + rms_tolerance(errors.size))
@@ -128,12 +128,12 @@ def test_tilted_ellipse(angle: float, cold: bool) -> None:
     assert claimed_over_actual(spots, errors) == pytest.approx(1, abs=0.03 + rms_tolerance(errors.size))
 
 
-@pytest.mark.parametrize(("sigma", "peak"), [(3, 20), (3, 200), (6, 20), (12, 80)])
+@pytest.mark.parametrize(("sigma", "peak"), [(3, 20), (6, 20), (12, 80)])
 def test_two_hundred_hot_pixels_do_not_fool_the_search(sigma: float, peak: float) -> None:
     rng = np.random.default_rng(int(10 * sigma + peak))
     base = exposed(np.zeros(SHAPE), rng)
     tracker = SpotTracker(EIGHT_BIT)
-    for _ in range(12):
+    for _ in range(6):
         x, y = rng.uniform(100, 1150), rng.uniform(100, 900)
         frame = near_light(x, y, sigma, peak, base, rng)
         frame[rng.integers(0, 1024, 200), rng.integers(0, 1280, 200)] = rng.integers(50, 255, 200)
@@ -183,12 +183,12 @@ def near_light(x: float, y: float, sigma: float, peak: float, base: Image, rng: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sigma", "peak"), [(3, 20), (3, 600), (6, 180), (12, 20), (12, 600)])
+@pytest.mark.parametrize(("sigma", "peak"), [(3, 20), (6, 180), (12, 600)])
 def test_knocked_the_spot_is_found_in_the_same_frame(sigma: float, peak: float) -> None:
     """Steps of 8 px a frame, each in another direction: the expected place is up to 16 px wrong."""
     rng = np.random.default_rng([int(sigma), int(peak)])
     base = exposed(np.zeros(SHAPE), rng)
-    angle = rng.uniform(0, 2 * math.pi, 40)
+    angle = rng.uniform(0, 2 * math.pi, 25)
     truth = np.array([640.3, 512.6]) + 8 * np.cumsum(np.column_stack((np.cos(angle), np.sin(angle))), axis=0)
     tracker = SpotTracker(EIGHT_BIT)
     spots = []
@@ -200,7 +200,7 @@ def test_knocked_the_spot_is_found_in_the_same_frame(sigma: float, peak: float) 
     assert {spot.flags & ~SpotFlag.OUTLIERS for spot in spots} == {expected}
 
 
-@pytest.mark.parametrize("way", [(1, 0), (0, 1), (-0.6, 0.8)])
+@pytest.mark.parametrize("way", [(1, 0), (-0.6, 0.8)])
 def test_knocked_and_moving_on_it_is_followed_again(way: tuple[float, float]) -> None:
     rng = np.random.default_rng(3)
     base = exposed(np.zeros(SHAPE), rng)

@@ -215,12 +215,8 @@ def fitted(folder: Path, table: str, config: str, *positions: str) -> Any:
     return json.loads((folder / "out" / "results.json").read_text())
 
 
-def table_of_places(names: Sequence[str]) -> str:
-    rows = [
-        row
-        for name, tau_s in zip(names, (90.0, 40.0, 42.0), strict=True)
-        for row in decaying(tau_s, name=name)
-    ]
+def table_of_places(names: Sequence[str], times_s: Sequence[float] = (90.0, 40.0, 42.0)) -> str:
+    rows = [row for name, tau_s in zip(names, times_s, strict=True) for row in decaying(tau_s, name=name)]
     return "\n".join(["run,time_s,phi_deg", *rows])
 
 
@@ -287,7 +283,8 @@ def test_the_scale_that_places_share_is_in_their_mean_and_not_in_their_ratio(tmp
 def test_a_ratio_that_cannot_be_had_is_said(
     tmp_path: Path, stated: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = fitted(tmp_path, table_of_places(("1", "2", "3")), f'kind = "koenig"\n{stated}')
+    table = table_of_places(("1", "2", "3"), (20.0, 12.0, 13.0))
+    found = fitted(tmp_path, table, f'kind = "koenig"\n{stated}')
     assert words in found["series"]["instrument"]["problem"]
     assert words in " ".join(capsys.readouterr().out.split())
 

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from rig.analysis import AnalysedRun, analyse_record, session_results
+from rig.analysis import AnalysedRun, analyse_record, read_results, session_results
+
+
+def test_a_record_alone_gives_the_results_of_its_session(
+    analysed_series: Sequence[AnalysedRun], measured_series: Path
+) -> None:
+    for alone, run in zip(analysed_series, read_results(measured_series).runs, strict=True):
+        assert alone.sha256 == run.sha256
+        assert alone.fits["exact"].parameters == run.fits["exact"].parameters
 
 
 def test_results_say_what_the_record_holds(analysed_series: Sequence[AnalysedRun]) -> None:

@@ -19,7 +19,7 @@ SCREENS = {
     "info": "record info SERIES/run-1.mcap",
     "check": "record check SERIES",
     "fit": "-v fit SERIES -o fitted",
-    "fit of laws": "fit SERIES/run-1.mcap -o fitted --law masing --law viscous",
+    "fit of laws": "fit SERIES/run-1.mcap -o fitted --law viscous",
     "replay": "replay SERIES/run-1.mcap --retrack --set sensor.read_noise_e=40",
     "plan": f"plan {DEMO} --first 124 --last 30",
     "compare": "compare SERIES other",

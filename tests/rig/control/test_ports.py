@@ -1,6 +1,7 @@
 """Checks of what is plugged in, and the settings of the devices: each says what to do."""
 
 import math
+from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
@@ -11,6 +12,7 @@ from rig.control.lasers import LaserSettings, serial_laser
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings, EnvironmentSettings
+from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
 from rig.terminal import Verdict
 from tests.rig.control.instruments import FakeCobolt, Instrument
 from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard
@@ -158,3 +160,37 @@ def test_the_check_of_a_missing_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_settings_say_what_is_wrong(model: type, values: dict[str, object], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         model(**values)
+
+
+def plugged(folder: Path, number: int, vendor: str, serial: str) -> None:
+    """As the kernel shows an instrument: the class device of an interface below the USB device."""
+    usb = folder / f"usb{number}"
+    (usb / "1:1.0").mkdir(parents=True)
+    (usb / "idVendor").write_text(vendor + "\n")
+    (usb / "serial").write_text(serial + "\n")
+    node = folder / "class" / f"usbtmc{number}"
+    node.mkdir(parents=True)
+    (node / "device").symlink_to(usb / "1:1.0")
+
+
+def test_an_instrument_is_found_by_vendor_and_serial_number(tmp_path: Path) -> None:
+    devices = tmp_path / "class"
+    plugged(tmp_path, 0, "0957", "MY1")
+    plugged(tmp_path, 1, "1313", "M1")
+    assert find_usbtmc("usbtmc", 0x1313, devices) == "/dev/usbtmc1"
+    plugged(tmp_path, 2, "1313", "M2")
+    assert find_usbtmc("usbtmc:M2", 0x1313, devices) == "/dev/usbtmc2"
+    with pytest.raises(
+        PortLost, match="2 USBTMC instruments of vendor 1313 fit, there is usbtmc:M1, usbtmc:M2"
+    ):
+        find_usbtmc("usbtmc", 0x1313, devices)
+    with pytest.raises(PortLost, match="usbtmc:M3: 0 USBTMC instruments"):
+        find_usbtmc("usbtmc:M3", 0x1313, devices)
+    assert find_usbtmc("/dev/usbtmc7", 0x1313, devices) == "/dev/usbtmc7"
+
+
+def test_serial_ports_are_told_apart_and_a_missing_instrument_is_named() -> None:
+    ports = ("usbtmc", "usbtmc:M1", "/dev/usbtmc0", "/dev/ttyUSB0", "socket://box:7000")
+    assert [is_usbtmc(port) for port in ports] == [True, True, True, False, False]
+    with pytest.raises(PortLost, match="/dev/usbtmc99: cannot open the instrument: No such file"):
+        UsbTmcLine("/dev/usbtmc99", 0.5)

@@ -257,7 +257,7 @@ def decay_in_pictures() -> list[np.ndarray]:
     """The paper's decay on glass, as a camera of four pictures a second sees it."""
     rng = np.random.default_rng(3)
     y, x = np.mgrid[:NY, :NX]
-    _, _, path_rad = driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=40.0, frames_per_s=4.0)
+    _, _, path_rad = driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=60.0, frames_per_s=4.0)
     pictures = []
     for deflection_rad in path_rad:
         at = 80.3 + 0.5 * deflection_rad / ARCSEC

@@ -74,33 +74,19 @@ def test_a_session_leaves_records_and_results(measured_series: Path) -> None:
 
 
 @pytest.mark.slow
-def test_replay_is_equal_bit_for_bit(measured_series: Path) -> None:
-    done = rig("replay", measured_series / "run-1.mcap")
-    assert done.returncode == 0, done.stderr
-    assert "equal bit for bit" in done.stdout
-
-
-@pytest.mark.slow
-def test_retracking_stays_within_a_tenth_of_the_uncertainty(measured_series: Path) -> None:
-    with RecordReader(measured_series / "run-1.mcap") as reader:
-        replay = Replay(reader, recorded_configuration(reader), retrack=True)
-        while replay.advance(np.inf, 64) is not None:
-            pass
-        comparison = replay.finish().comparison
-    assert comparison.spots.largest_u < 0.1
-    assert comparison.half_cycles.replayed == comparison.half_cycles.recorded
-    assert comparison.half_cycles.largest_u < 0.1
-
-
-@pytest.mark.slow
-def test_fit_of_a_record_alone_gives_the_same_again(measured_series: Path, tmp_path: Path) -> None:
-    done = rig("fit", measured_series / "run-2.mcap", "-o", tmp_path / "fit")
-    assert "SIMULATED run 2: " in done.stdout
-    assert done.returncode == 0, done.stderr
-    (again,) = results_of(tmp_path / "fit")["runs"]
-    run = results_of(measured_series)["runs"][1]
-    assert again["sha256"] == run["sha256"]
-    assert again["fits"]["exact"]["b"] == run["fits"]["exact"]["b"]
+def test_replay_is_equal_bit_for_bit_and_retracking_within_a_tenth_of_the_uncertainty(
+    measured_series: Path,
+) -> None:
+    for retrack in (False, True):
+        with RecordReader(measured_series / "run-1.mcap") as reader:
+            replay = Replay(reader, recorded_configuration(reader), retrack=retrack)
+            while replay.advance(np.inf, 64) is not None:
+                pass
+            comparison = replay.finish().comparison
+        assert comparison.identical or retrack
+        assert comparison.spots.largest_u < 0.1
+        assert comparison.half_cycles.replayed == comparison.half_cycles.recorded > 0
+        assert comparison.half_cycles.largest_u < 0.1
 
 
 @pytest.mark.slow

@@ -127,7 +127,7 @@ def test_with_reads_under_way_damage_spreads_no_further_than_they_reach(
         Usb3VisionCamera, "_transfers", lambda self, link, ahead: EagerTransfers(device, 3, 0.0005)
     )
     with streaming(device) as camera:
-        frames = read_until(camera, device, 100)
+        frames = read_until(camera, device, 60)
         status = camera.status
     check_images(frames, device)
     numbers = [frame.sequence for frame in frames]
