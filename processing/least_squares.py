@@ -24,6 +24,8 @@ _ROUND_EVALUATIONS = 60
 _FLAT_COST = 0.01
 """The search ends if a round reduces the cost by less than this, in units of chi2/2 per residual; the
 remaining distance to the minimum is a small fraction of a standard uncertainty."""
+_FLAT_COST_AT_LAST = 0.2
+"""The same for the last round: what the data hardly determine has a valley without an end."""
 _STUCK_PART = 0.5
 """Part of the cost above which, if one linear step would still remove it, the search has found no minimum."""
 _LOSS_SCALE = 1.5
@@ -135,7 +137,9 @@ def solve(
             break
         if result.status > 0:
             converged = True
-        elif cost - float(result.cost) < _FLAT_COST * float(result.cost) / len(result.fun):
+        elif cost - float(result.cost) < (_FLAT_COST if left > 0 else _FLAT_COST_AT_LAST) * float(
+            result.cost
+        ) / len(result.fun):
             converged, message = True, "a valley too flat for further steps to matter"
         cost = float(result.cost)
     residuals, jacobian = evaluate(values)

@@ -63,11 +63,12 @@ def fit_asymptotic(
     Raises
     ------
     DataError
-        Turning points that cannot be fitted (see `check_turning_points`), fewer than five full
-        periods, or no convergence.
+        Turning points that cannot be fitted (see `check_turning_points`), or fewer than five full periods.
 
     Notes
     -----
+    The parameters of an equation whose search does not converge have infinite variances, with a warning.
+
     T of Eq. 5 is the mean period of the run. The elements of `covariance` between the parameters of the two
     fits are zero, because the fits are independent; a drive makes them dependent.
     """
@@ -90,13 +91,6 @@ def fit_asymptotic(
         )
     decay, amplitude_model = fit_decay(points, reference, mean, drag, loss, known)
     period, period_model = fit_period(points, periods, reference, rho, loss)
-    for name, solution in (("Eq. 5", decay), ("Eq. 6", period)):
-        if not solution.converged:
-            raise DataError(
-                f"the fit of {name} did not converge over {len(points)} half-cycles: they are too few, or no "
-                "decay that it describes; fit a longer run, or see which are disturbed"
-            )
-
     per_kappa = 1 / stiffness_ratio(1.0, pendulum)
     names = (*PAPER.names(drag=drag), AMPLITUDE.key)
     k = len(decay.values)
@@ -124,6 +118,12 @@ def fit_asymptotic(
     moved = period_by_log_rho(period, points, periods, reference, rho)
     by_log_rho = to_physical @ np.concatenate([np.zeros(k), moved])
 
+    unsettled = []
+    for name, solution, columns in (("Eq. 5", decay, slice(k)), ("Eq. 6", period, slice(k, None))):
+        if not solution.converged:
+            np.fill_diagonal(scatter[columns, columns], np.inf)
+            unsettled.append(f"the fit of {name} did not converge: its parameters are not determined")
+
     outlying = np.abs(decay.residuals) > OUTLIER
     outlying[periods.where] |= np.abs(period.residuals) > OUTLIER
     amplitude_residual = points.amplitude - amplitude_model
@@ -144,14 +144,15 @@ def fit_asymptotic(
         loss=loss,
         cost=decay.cost + period.cost,
         outliers=tuple(int(i) for i in points.index[outlying]),
-        warnings=tuple(
-            data_warnings(
+        warnings=(
+            *unsettled,
+            *data_warnings(
                 points,
                 {
                     "the amplitudes (Eq. 5)": decay.chi2 / decay.dof,
                     "the periods (Eq. 6)": period.chi2 / period.dof,
                 },
-            )
+            ),
         ),
         half_cycles=len(points),
         bias=None if exact is None else _bias(exact, points, pendulum),

@@ -167,7 +167,7 @@ def _likeliest_minimum(model: ExactModel, loss: Loss, kind: Noise, near: FitResu
     if best is None:
         raise DataError(
             f"the exact fit did not converge from {tried} starts: the law does not describe these "
-            "amplitudes; check for disturbed half-cycles, or start at a larger amplitude"
+            "amplitudes, or they hardly show it: check for disturbed half-cycles, start at a larger amplitude"
         )
     return best
 

@@ -215,10 +215,13 @@ class ExactModel:
         uncertainty would leave the range in which the evidence is linear, or in which the pendulum swings.
         """
         for part in _SHORTER ** np.arange(_SHORTENINGS):
-            with suppress(DataError):
-                change = self.evidence_residuals(columns + part * step) - here
-                if np.linalg.norm(change) <= _STEP:
-                    return np.asarray(change / (part * np.linalg.norm(step)))
+            for way in (part, -part):
+                # at the end of a parameter's range there is a value on one side alone
+                with suppress(DataError):
+                    change = self.evidence_residuals(columns + way * step) - here
+                    if np.linalg.norm(change) <= _STEP:
+                        return np.asarray(change / (way * np.linalg.norm(step)))
+                    break
         raise DataError("the waveform of the swing changes at once where the law's parameters change least")
 
     def with_drive(self, drive: KnownDrive) -> "ExactModel":

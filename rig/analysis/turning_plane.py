@@ -71,13 +71,14 @@ class FollowedPlane:
             return ""
         ends = np.array([self.plane.start_ns, self.plane.last_ns], dtype=np.int64)
         first, last = self.plane.direction_rad(ends) / DEGREE_RAD
+        u = float(np.linalg.norm(self.plane.u_turned_rad(ends[1:]))) / DEGREE_RAD
         rate = f"({_rate_text(self.plane)} deg/min in the mean)"
         text = (
             f"the swing lies {first:+.2f} degrees from the direction of all positions at first, and "
             f"{last:+.2f} at last {rate}: amplitudes are those along the swing"
             if self.along_line
-            else f"the plane of swing turned by {last - first:+.2f} degrees during the run "
-            f"{rate}: the deflections were turned back before the fit"
+            else f"the plane of swing turned by {with_uncertainty(last - first, u, signed=True)} degrees "
+            f"during the run {rate}: the deflections were turned back before the fit"
         )
         return text.replace("-", "−")
 

@@ -259,3 +259,18 @@ def test_a_drive_by_chance_costs_a_law_no_likelihood() -> None:
     assert best.fit.ground is not None
     assert not best.fit.ground.noise.at_rest
     assert compared.above_best(other) > 10.0
+
+
+def test_the_waveform_has_a_slope_at_the_end_of_a_parameters_range(
+    basement: tuple[TurningPoints, SwingHarmonics],
+) -> None:
+    """Beyond p = 6 the law has no value: the search may end there, and is linearised there."""
+    points, harmonics = basement
+    model = ExactModel(points, PENDULUM, drag=True, evidence=Evidence(waveform(harmonics)))
+    truth = {name: getattr(PARAMETERS, name) for name in ("b", "c", "n", "period0_s", "gamma_pa", "drag_s")}
+    at = {**truth, "p": 6.0 - 1e-10, "initial_amplitude_rad": points.amplitude[0], "start_time_s": 0.0}
+    columns = model.columns.from_physical({**at, "b": 1e-7 * model.reference**-5.0})
+    rows, slope = model.linearised_at(columns).evidence_rows(columns)
+    assert np.isfinite(rows).all()
+    assert np.isfinite(slope).all()
+    assert slope.any()

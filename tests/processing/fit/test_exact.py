@@ -217,3 +217,22 @@ def test_a_short_decay_with_drag_is_not_given_up_at_the_limit_of_p(
     parameters, pendulum = paper_pair("steel", drag_s)
     points = decay(parameters, pendulum, noise_arcsec=noise_arcsec, seed=seed, first_arcsec=first_arcsec)
     assert fit_exact(first_of(points, count), pendulum, drag=True).chi2_per_dof < 3.0
+
+
+def test_a_decay_that_hardly_shows_the_law_has_a_fit_that_determines_little() -> None:
+    """Where the valley of chi-square has no end, neither search may leave the run without a fit."""
+    parameters, pendulum = paper_pair("glass_k8", 3e-4)
+    weak = replace(parameters, b=0.05 * parameters.b, c=0.1 * parameters.c)
+    result = fit_exact(first_of(decay(weak, pendulum, noise_arcsec=0.5, seed=5), 100), pendulum, drag=True)
+    assert result.chi2_per_dof < 1.3
+    assert result.estimate("p").standard_uncertainty > 10
+
+    parameters, pendulum = paper_pair("silicon")
+    weak = replace(parameters, b=0.3 * parameters.b, c=0.1 * parameters.c)
+    short = first_of(decay(weak, pendulum, noise_arcsec=0.05, seed=3, last_arcsec=6.0), 40)
+    found = fit_asymptotic(short, pendulum)
+    assert found.warnings[0] == "the fit of Eq. 6 did not converge: its parameters are not determined"
+    assert np.isinf(
+        [found.estimate(name).standard_uncertainty for name in ("period0_s", "n", "gamma_pa")]
+    ).all()
+    assert np.isfinite(found.estimate("b").standard_uncertainty)
