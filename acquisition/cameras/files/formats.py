@@ -1,14 +1,13 @@
 """Readers that the libraries lack: raw pixels, images of PGM and PPM files, the footers of FFV1 video.
 
 Raw pixels in one file have a small TOML file beside it that states their layout and frame rate. OpenCV
-rescales some portable maps and reads only the first image of each.
+rescales some portable maps.
 """
 
 import re
 import tomllib
-from mmap import mmap
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,59 +177,28 @@ _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
 _HEADER: Final = re.compile(rb"\s*P([56])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
 
 
-class _PortableMapHeader(NamedTuple):
-    """Header of a binary PGM (1 channel) or PPM (3) image; `pixels_at` is the offset of its pixels."""
-
-    channels: int
-    nx: int
-    ny: int
-    largest: int
-    pixels_at: int
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        return np.dtype(np.uint8 if self.largest < 256 else ">u2")
-
-    @property
-    def end(self) -> int:
-        return self.pixels_at + self.channels * self.nx * self.ny * self.dtype.itemsize
-
-
-def _portable(data: bytes | mmap, begin: int) -> _PortableMapHeader | None:
-    header = _HEADER.match(data, begin)
-    if header is None:
-        return None
-    kind, nx, ny, largest = (int(one) for one in header.groups())
-    return _PortableMapHeader(3 if kind == 6 else 1, nx, ny, largest, header.end())
-
-
-def portable_images(data: bytes | mmap) -> list[tuple[int, int]]:
-    """First byte, and end, of each image of a portable map; the last may end beyond the file."""
-    found, begin = list[tuple[int, int]](), 0
-    while header := _portable(data, begin):
-        found.append((begin, header.end))
-        begin = header.end
-    return found
-
-
 def read_portable(data: bytes) -> tuple[NDArray[Any], int]:
     """Pixels (ny, nx), or (ny, nx, 3) with blue first, as uint8 or uint16, and the largest value stated.
 
-    Raises ValueError with the reason: no binary PGM or PPM, too short, or a pixel above the maximum.
+    Raises ValueError with the reason: no binary PGM or PPM, too short, several images, or a pixel above the
+    maximum.
     """
-    header = _portable(data, 0)
+    header = _HEADER.match(data)
     if header is None:
         raise ValueError("no header of a binary PGM or PPM file (P5, P6); save it as one, or as TIFF or PNG")
-    channels, nx, ny, largest, begin = header
+    kind, nx, ny, largest = (int(one) for one in header.groups())
     if not 0 < largest < 65536 or nx * ny == 0:
         raise ValueError(f"the header states {nx}x{ny} pixels up to {largest}")
-    raster = data[begin : header.end]
-    if len(raster) < header.end - begin:
-        raise ValueError(f"the file ends after {len(raster)} of {header.end - begin} bytes of pixels")
-    values: NDArray[Any] = np.frombuffer(raster, dtype=header.dtype)
+    channels, dtype = 3 if kind == 6 else 1, np.dtype(np.uint8 if largest < 256 else ">u2")
+    size, raster = channels * nx * ny * dtype.itemsize, data[header.end() :]
+    if len(raster) < size:
+        raise ValueError(f"the file ends after {len(raster)} of {size} bytes of pixels")
+    if _HEADER.match(raster, size):
+        raise ValueError("the file holds several images; give each a file of its own: pamsplit")
+    values: NDArray[Any] = np.frombuffer(raster, dtype, channels * nx * ny)
     if values.max() > largest:
         raise ValueError(f"a pixel of {values.max()} is above the stated largest value {largest}")
-    pixels = values.astype(header.dtype.newbyteorder("=")).reshape(ny, nx, channels)
+    pixels = values.astype(dtype.newbyteorder("=")).reshape(ny, nx, channels)
     return pixels[:, :, ::-1] if channels == 3 else pixels[:, :, 0], largest
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import mmap
 import re
 import warnings
 from collections import Counter
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import TiffImagePlugin as TIFF
 
 from acquisition.cameras.files.film import FilmSource
-from acquisition.cameras.files.formats import RawSource, is_raw, portable_images, read_portable
+from acquisition.cameras.files.formats import RawSource, is_raw, read_portable
 from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage, first_places_text
 from acquisition.cameras.files.frame_source import UnreadableFrame as UnreadableFrame
 from processing.errors import DeviceError
@@ -90,33 +89,8 @@ class _Images:
     def read(self, page: int) -> StoredImage:
         """Raises UnreadableFrame for a damaged image, OSError if the file is not accessible."""
         assert page == 0
-        return _stored(_decode(self._path.read_bytes()))
-
-
-class _PortableImages(_Images):
-    """Binary PGM or PPM, in which one image may follow another."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._places = [(0, 0)]
-        with contextlib.suppress(ValueError), path.open("rb") as file:
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                self._places = portable_images(data) or self._places
-                rest = len(data) - self._places[-1][1]
-            if rest >= self._places[0][1] - self._places[0][0] > 0:
-                self.warnings = [f"{path}: {rest} bytes after its last image are ignored: no image"]
-        self.count = len(self._places)
-
-    def read(self, page: int) -> StoredImage:
-        begin, end = self._places[page]
-        with self._path.open("rb") as file:
-            file.seek(begin)
-            try:
-                pixels, largest = read_portable(file.read(end - begin))
-            except ValueError as error:
-                raise UnreadableFrame(str(error)) from None
-        # some programs write the maximum of the image; the full scale is the next 2^bits - 1
-        return StoredImage(pixels, max(2 ** largest.bit_length() - 1, 255))
+        data = self._path.read_bytes()
+        return (_portable if self._path.suffix.lower() in _PORTABLE else _decoded)(data)
 
 
 class _TiffImages(_Images):
@@ -216,12 +190,9 @@ def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
 
 
 def _images_of(path: Path) -> _Images:
-    suffix = path.suffix.lower()
     # a file that cannot be opened counts as one image, which cannot be read
     with contextlib.suppress(OSError):
-        if suffix in _PORTABLE:
-            return _PortableImages(path)
-        if suffix in _STACKS:
+        if path.suffix.lower() in _STACKS:
             return _TiffImages(path)
     return _Images(path)
 
@@ -338,7 +309,16 @@ class StackSource(FrameSource):
         return _stored(np.array(self._stack[index]))
 
 
-def _decode(data: bytes) -> NDArray[Any]:
+def _portable(data: bytes) -> StoredImage:
+    try:
+        pixels, largest = read_portable(data)
+    except ValueError as error:
+        raise UnreadableFrame(str(error)) from None
+    # some programs write the maximum of the image; the full scale is the next 2^bits - 1
+    return StoredImage(pixels, max(2 ** largest.bit_length() - 1, 255))
+
+
+def _decoded(data: bytes) -> StoredImage:
     if not data:
         raise UnreadableFrame("the file is empty")
     with _quiet():
@@ -348,7 +328,7 @@ def _decode(data: bytes) -> NDArray[Any]:
             raise UnreadableFrame(f"the file is damaged or too large ({error.err})") from None
     if pixels is None:
         raise UnreadableFrame("the file is damaged or no image")
-    return pixels
+    return _stored(pixels)
 
 
 def _stored(pixels: NDArray[Any]) -> StoredImage:
