@@ -9,9 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from processing.arrays import Floats, Ints
 from processing.balance.balance import Balance
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import Deflections, DeflectionUnit, joined, no_deflections
 from processing.errors import DataError
 from processing.swing import TwoModes, separate_modes
 from processing.units import nanoseconds, seconds
@@ -32,7 +31,6 @@ _LOOK_GROWTH = 1.5
 minute is found soon after it has passed."""
 _REST_CHI2 = 4.0
 """Chi-square per sample below which the pendulum is at rest."""
-_FIRST_SIZE = 4096
 _MAX_HARMONIC_DISTANCE = 0.1
 """Distance from a whole multiple of the slow mode's frequency within which a weak line is a harmonic of its
 waveform: damping and noise under the line shift it by more than its uncertainty."""
@@ -52,10 +50,8 @@ class BalanceEstimator:
     """
 
     def __init__(self) -> None:
-        self._times = np.empty(_FIRST_SIZE, dtype=np.int64)
-        self._columns = np.empty((4, _FIRST_SIZE))
-        self._head = 0
-        self._tail = 0
+        self._blocks: list[Deflections] = []
+        self._kept = no_deflections(DeflectionUnit.RAD)
         self._period_s = math.nan
         self._fast_period_s = math.nan
         self._next_ns: int | None = None
@@ -71,40 +67,26 @@ class BalanceEstimator:
         columns = [deflections.x, deflections.y, deflections.u_x, deflections.u_y]
         if any(column.shape != times.shape for column in columns):
             raise DataError("times, deflections and uncertainties must be of one length")
-        self._append(times, columns)
+        if len(times):
+            self._blocks.append(deflections)
         found: list[Balance] = []
-        while self._tail > self._head:
+        while self._blocks:
             if self._next_ns is None:
-                self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
-            if self._times[self._tail - 1] < self._next_ns:
+                self._next_ns = int(self._blocks[0].times_ns[0]) + nanoseconds(self._look_s)
+            if self._blocks[-1].times_ns[-1] < self._next_ns:
                 break
-            balance = self._estimate(self._next_ns, deflections.unit)
+            if len(self._blocks) > 1:
+                self._kept = joined(self._blocks, deflections.unit)
+            else:
+                # no copy: a block may be a whole record
+                self._kept = self._blocks[0]
+            balance = self._estimate(self._next_ns)
+            self._blocks = [self._kept]
             if balance is not None:
                 found.append(balance)
         return found
 
-    def _append(self, times: Ints, columns: list[Floats]) -> None:
-        n = len(times)
-        if self._tail + n > len(self._times):
-            kept = self._tail - self._head
-            size = len(self._times)
-            while kept + n > size // 2:
-                size *= 2
-            moved_times, moved = np.empty(size, dtype=np.int64), np.empty((4, size))
-            moved_times[:kept] = self._times[self._head : self._tail]
-            moved[:, :kept] = self._columns[:, self._head : self._tail]
-            self._times, self._columns = moved_times, moved
-            self._head, self._tail = 0, kept
-        end = self._tail + n
-        self._times[self._tail : end] = times
-        for row, column in zip(self._columns, columns, strict=True):
-            row[self._tail : end] = column
-        self._tail = end
-
-    def _position(self, time_ns: int) -> int:
-        return self._head + int(np.searchsorted(self._times[self._head : self._tail], time_ns))
-
-    def _estimate(self, until_ns: int, unit: DeflectionUnit) -> Balance | None:
+    def _estimate(self, until_ns: int) -> Balance | None:
         """One estimate from the samples before `until_ns`; also sets the time of the next one."""
         known = not math.isnan(self._period_s)
         span_s = _WINDOW_PERIODS * self._period_s if known else self._look_s
@@ -119,39 +101,45 @@ class BalanceEstimator:
             later = self._modes(until_ns - nanoseconds(0.5 * span_s), until_ns, modes.slow.period_s)
             if later is None or not _is_same_motion(modes, later):
                 # the oscillation began within these samples: leave out the push, or the pendulum at rest
-                self._head = self._position(until_ns - nanoseconds(0.5 * span_s))
+                self._kept = self._kept.since(until_ns - nanoseconds(0.5 * span_s))
                 period_s = modes.slow.period_s if later is None else later.slow.period_s
                 self._look_s = max(self._look_s, _WINDOW_PERIODS * period_s)
-                self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
+                self._next_ns = self._first_ns + nanoseconds(self._look_s)
                 return None
         self._period_s = modes.slow.period_s
         self._fast_period_s = fast_period_s
         self._next_ns = until_ns + nanoseconds(self._period_s)
-        self._head = self._position(until_ns - nanoseconds(1.5 * span_s))
-        return self._balance(modes, unit)
+        self._kept = self._kept.since(until_ns - nanoseconds(1.5 * span_s))
+        return self._balance(modes)
+
+    @property
+    def _first_ns(self) -> int:
+        """Time of the first sample that is kept."""
+        return int(self._kept.times_ns[0])
 
     def _modes(self, from_ns: int, until_ns: int, period_s: float) -> TwoModes | None:
-        first, last = self._position(from_ns), self._position(until_ns)
+        first, last = (int(row) for row in np.searchsorted(self._kept.times_ns, [from_ns, until_ns]))
         # use a limited number of samples, which suffices at any frame rate
         stride = 1 + (last - first) // _MOST_SAMPLES
-        x, y, u_x, u_y = self._columns[:, first:last:stride]
-        if np.count_nonzero(np.isfinite(x) & np.isfinite(y)) < _FEWEST_SAMPLES:
+        some = self._kept[first:last:stride]
+        if np.count_nonzero(some.found) < _FEWEST_SAMPLES:
             return None
-        times = self._times[first:last:stride]
-        return separate_modes(times, x, y, u_x, u_y, period_s, self._fast_period_s)
+        return separate_modes(
+            some.times_ns, some.x, some.y, some.u_x, some.u_y, period_s, self._fast_period_s
+        )
 
     def _look_again(self, until_ns: int) -> None:
         """Without an oscillation, try a longer interval of up to a minute, then later intervals."""
         if math.isnan(self._period_s) and self._resting(until_ns - round(0.7e9 * self._look_s)):
             # samples from before a release would only mask the oscillation after it
-            self._head = self._position(until_ns - round(0.7e9 * self._look_s))
-            self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
+            self._kept = self._kept.since(until_ns - round(0.7e9 * self._look_s))
+            self._next_ns = self._first_ns + nanoseconds(self._look_s)
             return
         if self._look_s < _LONGEST_LOOK_S and math.isnan(self._period_s):
             self._look_s *= _LOOK_GROWTH
-            self._next_ns = int(self._times[self._head]) + nanoseconds(self._look_s)
+            self._next_ns = self._first_ns + nanoseconds(self._look_s)
             return
-        self._head = self._position(until_ns)
+        self._kept = self._kept.since(until_ns)
         self._period_s = self._fast_period_s = math.nan
         self._look_s = _FIRST_LOOK_S
         self._history.clear()
@@ -159,19 +147,18 @@ class BalanceEstimator:
 
     def _resting(self, until_ns: int) -> bool:
         """Whether the samples before a time contain only noise."""
-        last = self._position(until_ns)
-        x, y, u_x, u_y = self._columns[:, self._head : last]
-        good = np.isfinite(x) & np.isfinite(y)
+        kept = self._kept[: int(np.searchsorted(self._kept.times_ns, until_ns))]
+        good = kept.found
         if np.count_nonzero(good) < 3:
             # few good samples: many lost spots count as rest, few samples (a low frame rate) do not
-            return last - self._head >= 3
+            return len(kept) >= 3
         chi2 = 0.0
-        for value, u in ((x[good], u_x[good]), (y[good], u_y[good])):
+        for value, u in ((kept.x[good], kept.u_x[good]), (kept.y[good], kept.u_y[good])):
             weight = u**-2.0
             chi2 += float(weight @ (value - np.average(value, weights=weight)) ** 2)
         return bool(chi2 < _REST_CHI2 * 2 * np.count_nonzero(good))
 
-    def _balance(self, modes: TwoModes, unit: DeflectionUnit) -> Balance:
+    def _balance(self, modes: TwoModes) -> Balance:
         slow, fast = modes.slow, modes.fast
         angle, u_angle = slow.direction_rad, slow.u_direction_rad
         if self._history:
@@ -202,7 +189,7 @@ class BalanceEstimator:
         along = slow.y_amplitude
         return Balance(
             time_ns=modes.time_ns,
-            unit=unit,
+            unit=self._kept.unit,
             period_s=slow.period_s,
             u_period_s=slow.u_period_s,
             amplitude=along,

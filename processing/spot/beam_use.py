@@ -275,8 +275,6 @@ class BeamShape:
         Distance of that difference from the centre.
     extra_light
         Whether the beam has more light there than the Gaussian.
-    middle
-        Light at the centre relative to the brightest ring; 1 for a Gaussian, less for a hollow beam.
     lopsided
         Ratio of the steepest fall of the light on one side to that on the opposite side, the largest of
         several directions; 1 for a Gaussian. An obstacle in the beam makes one side steep.
@@ -286,7 +284,6 @@ class BeamShape:
     away_sigmas: float
     away_px: float
     extra_light: bool
-    middle: float
     lopsided: float
 
 
@@ -320,7 +317,6 @@ def beam_shape(images: Sequence[Image], spots: Sequence[Spot], full_scale_dn: fl
         away_sigmas=away_px / sigma_px,
         away_px=away_px,
         extra_light=bool(left_over[row, column] > 0),
-        middle=_middle(_blurred(light, smooth)),
         lopsided=_slope_asymmetry(light, smooth),
     )
 
@@ -367,15 +363,6 @@ def _blur(size: int, sigma: float) -> Picture:
 def _blurred(picture: Picture, sigma: float) -> Picture:
     blur = _blur(len(picture), sigma)
     return np.asarray(blur @ picture @ blur.T)
-
-
-def _middle(light: Picture) -> float:
-    """Light at the centre over that of the brightest ring."""
-    half = len(light) // 2
-    v, u = np.indices(light.shape) - half
-    radius = np.rint(np.hypot(u, v)).astype(np.int64)
-    rings = np.bincount(radius.ravel(), light.ravel()) / np.maximum(np.bincount(radius.ravel()), 1)
-    return float(rings[0] / max(rings[: half + 1].max(), 1e-9))
 
 
 def _slope_asymmetry(light: Picture, smooth: float) -> float:

@@ -119,8 +119,8 @@ class ModeFit(NamedTuple):
 
         The second condition rejects a record that is at rest for one part and swings for the other.
         """
-        part = self.chi2 / max(samples.variation, 1e-300)
-        return part < 0.5 and (self.chi2 < _MAX_NOISE_CHI2 * 2 * len(samples.t) or part < 0.05)
+        noise, variation = _MAX_NOISE_CHI2 * 2 * len(samples.t), samples.variation
+        return self.chi2 < 0.5 * variation and (self.chi2 < noise or self.chi2 < 0.05 * variation)
 
 
 def slow_fit(samples: ModeSamples, slow_period_s: float) -> ModeFit | None:
@@ -199,9 +199,7 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
         information, score, _, _, _ = _equations(p, *samples)
         information[_DIAGONAL] += ridge
         score -= ridge * p
-        change, covariance, determined = _step(information, score, places)
-        if not determined:
-            change, covariance = _step_in_determined_terms(information, score, places)
+        change, covariance = _step(information, score, places)
         for place in (SLOW_RATE, FAST_RATE):
             change[place] = min(max(change[place], -limit), limit)
         p += change
@@ -219,54 +217,26 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
     return ModeFit(p, covariance, active, chi2, residual_x, residual_y)
 
 
-def _step_in_determined_terms(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats]:
-    """Change and covariance as of `_step`, by eigenvectors, without undetermined combinations of terms."""
-    part = information[np.ix_(places, places)]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
-    small = np.linalg.pinv(part * np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    change, covariance = np.zeros(TERMS), np.zeros((TERMS, TERMS))
-    change[places] = scale * (small @ (scale * score[places]))
-    covariance[np.ix_(places, places)] = small * np.outer(scale, scale)
-    return change, covariance
+def _step(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats]:
+    """Change of the terms at `places` and their covariance.
 
-
-@kernel
-def _step(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats, bool]:
-    """Change of the terms at `places`, their covariance, and whether the samples determine all of them well.
-
-    Terms without any information do not change. The scaled information is decomposed after Cholesky.
+    Terms without any information do not change, nor do combinations of terms that nothing determines.
     """
+    known = places[information[places, places] > 0.0]
+    scale = information[known, known] ** -0.5
+    part = information[np.ix_(known, known)] * np.outer(scale, scale)
+    try:
+        inverse_root = np.linalg.inv(np.linalg.cholesky(part))
+        small = inverse_root.T @ inverse_root
+        determined = bool(inverse_root.diagonal().max() ** -2 > _MIN_INFORMATION)
+    except np.linalg.LinAlgError:
+        determined = False
+    if not determined:
+        small = np.linalg.pinv(part, rcond=1e-12, hermitian=True)
     change, covariance = np.zeros(TERMS), np.zeros((TERMS, TERMS))
-    known = places[np.array([information[place, place] > 0.0 for place in places])]
-    count = len(known)
-    scale = np.array([1.0 / math.sqrt(information[place, place]) for place in known])
-    # the inverse of the lower triangle is built up beside it, row by row
-    lower, inverse = np.zeros((count, count)), np.zeros((count, count))
-    for j in range(count):
-        for k in range(j + 1):
-            value = information[known[j], known[k]] * scale[j] * scale[k]
-            for m in range(k):
-                value -= lower[j, m] * lower[k, m]
-            if k < j:
-                lower[j, k] = value / lower[k, k]
-            elif value > _MIN_INFORMATION:
-                lower[j, j] = math.sqrt(value)
-            else:
-                return change, covariance, False
-        for m in range(j):
-            for k in range(m + 1):
-                inverse[j, k] -= lower[j, m] * inverse[m, k]
-        for k in range(j):
-            inverse[j, k] /= lower[j, j]
-        inverse[j, j] = 1.0 / lower[j, j]
-    for m in range(count):
-        for j in range(m + 1):
-            for k in range(m + 1):
-                covariance[known[j], known[k]] += inverse[m, j] * inverse[m, k] * scale[j] * scale[k]
-    for j in known:
-        for k in known:
-            change[j] += covariance[j, k] * score[k]
-    return change, covariance, True
+    covariance[np.ix_(known, known)] = small * np.outer(scale, scale)
+    change[known] = covariance[np.ix_(known, known)] @ score[known]
+    return change, covariance
 
 
 @kernel

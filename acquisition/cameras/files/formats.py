@@ -1,28 +1,23 @@
-"""Readers that the libraries lack: raw pixels, images of PGM, PPM and TIFF files, the footers of FFV1 video.
+"""Readers that the libraries lack: raw pixels, images of PGM and PPM files, the footers of FFV1 video.
 
-Raw pixels in one file have a small TOML file beside it that states their layout and times. OpenCV rescales
-some portable maps and reads only the first image of each. A TIFF file has a directory for each image, but
-ImageJ writes one for all.
+Raw pixels in one file have a small TOML file beside it that states their layout and frame rate. OpenCV
+rescales some portable maps.
 """
 
 import re
 import tomllib
-from itertools import pairwise
-from mmap import mmap
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Literal, NamedTuple, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from acquisition.cameras.files.frame_source import (
     FrameSource,
     FrameTimes,
     StoredImage,
     UnreadableFrame,
-    missing_frames,
-    numbers_by_steps,
 )
 from acquisition.cameras.pixel_formats import BY_NAME
 from processing.errors import DeviceError, place_in_words
@@ -43,8 +38,8 @@ def is_raw(path: Path) -> bool:
 class RawSidecar(BaseModel, frozen=True, extra="forbid", strict=True):
     """Layout of a file of raw pixels, one frame after another, rows from the top, without gaps.
 
-    `frames` is their number, needed where the file is cut off. Of `frame_rate_hz`, `times_s` and `times_ns`
-    (one a frame, rising) at most one is stated; without any the times come from elsewhere, as for images.
+    `frames` is their number, needed where the file is cut off. Without `frame_rate_hz` the times come from
+    elsewhere, as for images.
     """
 
     width_px: int = Field(gt=0, le=65536)
@@ -54,8 +49,6 @@ class RawSidecar(BaseModel, frozen=True, extra="forbid", strict=True):
     header_bytes: int = Field(default=0, ge=0)
     frames: int | None = Field(default=None, gt=0)
     frame_rate_hz: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False)
-    times_s: list[FiniteFloat] | None = Field(default=None, min_length=1)
-    times_ns: list[int] | None = Field(default=None, min_length=1)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -65,18 +58,6 @@ class RawSidecar(BaseModel, frozen=True, extra="forbid", strict=True):
             self.pixel_format in _COLOUR_FORMATS or BY_NAME[self.pixel_format].transport_bits != 16
         ):
             raise ValueError(f"byte_order: pixels of {self.pixel_format} have none; leave it out")
-        stated = [
-            name for name in ("frame_rate_hz", "times_s", "times_ns") if getattr(self, name) is not None
-        ]
-        if len(stated) > 1:
-            raise ValueError(f"{' and '.join(stated)}: state one of them")
-        times_ns = self.stated_times_ns
-        if times_ns is None:
-            return self
-        if self.frames is not None and len(times_ns) != self.frames:
-            raise ValueError(f"{stated[0]}: has {len(times_ns)} entries for frames = {self.frames}")
-        if later := next((k for k, (a, b) in enumerate(pairwise(times_ns), 1) if b <= a), 0):
-            raise ValueError(f"{stated[0]}: entry {later + 1} is not later than the one before it")
         return self
 
     @property
@@ -85,13 +66,6 @@ class RawSidecar(BaseModel, frozen=True, extra="forbid", strict=True):
         if self.pixel_format in _COLOUR_FORMATS:
             return 3 * self.width_px * self.height_px
         return BY_NAME[self.pixel_format].byte_count(self.width_px, self.height_px)
-
-    @property
-    def stated_times_ns(self) -> list[int] | None:
-        """The times that are listed, in ns; None where there are none."""
-        if self.times_s is None:
-            return self.times_ns
-        return [round(time_s * NS_PER_S) for time_s in self.times_s]
 
 
 class RawSource(FrameSource):
@@ -103,11 +77,14 @@ class RawSource(FrameSource):
         layout = self._layout
         self._complete, self.count = self._count_frames()
         missing = self.count - self._complete
-        message = [f"ends {missing} frames before the {self.count} that {self._sidecar.name} states"]
-        self.times = _times(layout, self.count)
-        gaps = [] if self.times is None else missing_frames(*self.times, f"the times in {self._sidecar.name}")
-        self.warnings = [*(message if missing else []), *gaps]
-        when = "" if layout.frame_rate_hz is None else f"{layout.frame_rate_hz:.9g} frames/s, "
+        if missing:
+            stated = f"ends {missing} frames before the {self.count} that {self._sidecar.name} states"
+            self.warnings = [stated]
+        when = ""
+        if layout.frame_rate_hz is not None:
+            when = f"{layout.frame_rate_hz:.9g} frames/s, "
+            times_ns = [round(k * NS_PER_S / layout.frame_rate_hz) for k in range(self.count)]
+            self.times = FrameTimes(times_ns, range(self.count))
         self.summary = (
             f"{self.count} frames, {when}raw {layout.pixel_format}, {layout.width_px}x{layout.height_px} px"
         )
@@ -143,8 +120,7 @@ class RawSource(FrameSource):
         layout = self._layout
         size = self._path.stat().st_size - layout.header_bytes
         whole, rest = divmod(max(size, 0), layout.frame_bytes)
-        listed = layout.stated_times_ns
-        stated = layout.frames or (None if listed is None else len(listed))
+        stated = layout.frames
         a_frame = f"{layout.width_px}x{layout.height_px} px in {layout.pixel_format}"
         if stated is None and (rest or not whole):
             raise DeviceError(
@@ -158,16 +134,6 @@ class RawSource(FrameSource):
                 f"frames of {a_frame} that {self._sidecar.name} states; correct it"
             )
         return whole, whole if stated is None else stated
-
-
-def _times(layout: RawSidecar, count: int) -> FrameTimes | None:
-    listed = layout.stated_times_ns
-    if listed is not None:
-        since_ns = [time_ns - listed[0] for time_ns in listed]
-        return FrameTimes(since_ns, numbers_by_steps(since_ns))
-    if layout.frame_rate_hz is None:
-        return None
-    return FrameTimes([round(k * NS_PER_S / layout.frame_rate_hz) for k in range(count)], range(count))
 
 
 def _sidecars(path: Path) -> list[Path]:
@@ -211,145 +177,29 @@ _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
 _HEADER: Final = re.compile(rb"\s*P([56])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
 
 
-class _PortableMapHeader(NamedTuple):
-    """Header of a binary PGM (1 channel) or PPM (3) image; `pixels_at` is the offset of its pixels."""
-
-    channels: int
-    nx: int
-    ny: int
-    largest: int
-    pixels_at: int
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        return np.dtype(np.uint8 if self.largest < 256 else ">u2")
-
-    @property
-    def end(self) -> int:
-        return self.pixels_at + self.channels * self.nx * self.ny * self.dtype.itemsize
-
-
-def _portable(data: bytes | mmap, begin: int) -> _PortableMapHeader | None:
-    header = _HEADER.match(data, begin)
-    if header is None:
-        return None
-    kind, nx, ny, largest = (int(one) for one in header.groups())
-    return _PortableMapHeader(3 if kind == 6 else 1, nx, ny, largest, header.end())
-
-
-def portable_images(data: bytes | mmap) -> list[tuple[int, int]]:
-    """First byte, and end, of each image of a portable map; the last may end beyond the file."""
-    found, begin = list[tuple[int, int]](), 0
-    while header := _portable(data, begin):
-        found.append((begin, header.end))
-        begin = header.end
-    return found
-
-
 def read_portable(data: bytes) -> tuple[NDArray[Any], int]:
     """Pixels (ny, nx), or (ny, nx, 3) with blue first, as uint8 or uint16, and the largest value stated.
 
-    Raises ValueError with the reason: no binary PGM or PPM, too short, or a pixel above the maximum.
+    Raises ValueError with the reason: no binary PGM or PPM, too short, several images, or a pixel above the
+    maximum.
     """
-    header = _portable(data, 0)
+    header = _HEADER.match(data)
     if header is None:
         raise ValueError("no header of a binary PGM or PPM file (P5, P6); save it as one, or as TIFF or PNG")
-    channels, nx, ny, largest, begin = header
+    kind, nx, ny, largest = (int(one) for one in header.groups())
     if not 0 < largest < 65536 or nx * ny == 0:
         raise ValueError(f"the header states {nx}x{ny} pixels up to {largest}")
-    raster = data[begin : header.end]
-    if len(raster) < header.end - begin:
-        raise ValueError(f"the file ends after {len(raster)} of {header.end - begin} bytes of pixels")
-    values: NDArray[Any] = np.frombuffer(raster, dtype=header.dtype)
+    channels, dtype = 3 if kind == 6 else 1, np.dtype(np.uint8 if largest < 256 else ">u2")
+    size, raster = channels * nx * ny * dtype.itemsize, data[header.end() :]
+    if len(raster) < size:
+        raise ValueError(f"the file ends after {len(raster)} of {size} bytes of pixels")
+    if _HEADER.match(raster, size):
+        raise ValueError("the file holds several images; give each a file of its own: pamsplit")
+    values: NDArray[Any] = np.frombuffer(raster, dtype, channels * nx * ny)
     if values.max() > largest:
         raise ValueError(f"a pixel of {values.max()} is above the stated largest value {largest}")
-    pixels = values.astype(header.dtype.newbyteorder("=")).reshape(ny, nx, channels)
+    pixels = values.astype(dtype.newbyteorder("=")).reshape(ny, nx, channels)
     return pixels[:, :, ::-1] if channels == 3 else pixels[:, :, 0], largest
-
-
-_Order = Literal["little", "big"]
-_ORDERS: Final[dict[bytes, _Order]] = {b"II": "little", b"MM": "big"}
-_MAX_PAGES = 10_000_000
-_SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 16: 8}
-"""Bytes of the types of a TIFF tag that are read here: byte, text, short, long, and long of BigTIFF."""
-_MAX_TEXT_BYTES = 1 << 20
-WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, STRIP_OFFSETS = 256, 257, 258, 259, 270, 273
-"""Numbers of TIFF tags; the last two are ImageDescription and StripOffsets."""
-
-
-class TiffHead(NamedTuple):
-    """Number of directories of a TIFF file; tags and note (ImageDescription) of the first one.
-
-    `cut_off` is True if a directory, to which the file or a page refers, lies beyond the end of the file.
-    """
-
-    directories: int
-    cut_off: bool
-    order: _Order
-    tags: dict[int, list[int]]
-    note: str
-
-
-def tiff_head(path: Path) -> TiffHead:
-    """Read the directories of a TIFF file; any other file has 0 of them, and is no error."""
-    size = path.stat().st_size
-    tags: dict[int, list[int]] = {}
-    count = 0
-    with path.open("rb") as file:
-        head = file.read(16)
-        order = _ORDERS.get(head[:2])
-        if order is None or len(head) < 8:
-            return TiffHead(0, False, "little", tags, "")
-        big = int.from_bytes(head[2:4], order) == 43
-        offset = int.from_bytes(head[8:16] if big else head[4:8], order)
-        while offset and count < _MAX_PAGES:
-            following = _next_directory(file, offset, size, order, big)
-            if following is None:
-                break
-            tags = tags or _tags(file, offset, order, big)
-            offset, count = following, count + 1
-    note = bytes(one & 0xFF for one in tags.pop(_NOTE, [])).decode("latin-1")
-    return TiffHead(count, offset > 0, order, tags, note)
-
-
-def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, list[int]]:
-    """Values of a directory by tag: integers, or the bytes of a text."""
-    count_bytes, entry_bytes, place_bytes = _directory(big)
-    file.seek(offset)
-    entries = file.read(count_bytes + entry_bytes * int.from_bytes(file.read(count_bytes), order))
-    found = {}
-    for at in range(0, len(entries) - entry_bytes + 1, entry_bytes):
-        tag, kind = (int.from_bytes(entries[at + k : at + k + 2], order) for k in (0, 2))
-        size = _SIZES.get(kind, 0)
-        length = size * int.from_bytes(entries[at + 4 : at + entry_bytes - place_bytes], order)
-        data = entries[at + entry_bytes - place_bytes : at + entry_bytes]
-        if length > place_bytes:
-            file.seek(int.from_bytes(data, order))
-            data = file.read(min(length, _MAX_TEXT_BYTES))
-        if size:
-            found[tag] = [
-                int.from_bytes(data[k : k + size], order) for k in range(0, min(length, len(data)), size)
-            ]
-    return found
-
-
-def _directory(big: bool) -> tuple[int, int, int]:
-    """Sizes in bytes of a directory's entry count, an entry, and a file offset."""
-    return (8, 20, 8) if big else (2, 12, 4)
-
-
-def _next_directory(file: BinaryIO, offset: int, size: int, order: _Order, big: bool) -> int | None:
-    """Offset of the directory after that at `offset`, 0 after the last; None if the file ends before it."""
-    count_bytes, entry_bytes, place_bytes = _directory(big)
-    if offset + count_bytes > size:
-        return None
-    file.seek(offset)
-    count = int.from_bytes(file.read(count_bytes), order)
-    end = offset + count_bytes + count * entry_bytes
-    if end + place_bytes > size:
-        return None
-    file.seek(end)
-    return int.from_bytes(file.read(place_bytes), order)
 
 
 # FFV1 video (RFC 9043): FFmpeg verifies the checksums of its frames, but does not say whether there are any.

@@ -2,8 +2,8 @@
 
 import contextlib
 import math
-import mmap
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -13,20 +13,10 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import TiffImagePlugin as TIFF
 
 from acquisition.cameras.files.film import FilmSource
-from acquisition.cameras.files.formats import (
-    BITS,
-    COMPRESSION,
-    HEIGHT,
-    STRIP_OFFSETS,
-    WIDTH,
-    RawSource,
-    is_raw,
-    portable_images,
-    read_portable,
-    tiff_head,
-)
+from acquisition.cameras.files.formats import RawSource, is_raw, read_portable
 from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage, first_places_text
 from acquisition.cameras.files.frame_source import UnreadableFrame as UnreadableFrame
 from processing.errors import DeviceError
@@ -99,33 +89,8 @@ class _Images:
     def read(self, page: int) -> StoredImage:
         """Raises UnreadableFrame for a damaged image, OSError if the file is not accessible."""
         assert page == 0
-        return _stored(_decode(self._path.read_bytes()))
-
-
-class _PortableImages(_Images):
-    """Binary PGM or PPM, in which one image may follow another."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._places = [(0, 0)]
-        with contextlib.suppress(ValueError), path.open("rb") as file:
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                self._places = portable_images(data) or self._places
-                rest = len(data) - self._places[-1][1]
-            if rest >= self._places[0][1] - self._places[0][0] > 0:
-                self.warnings = [f"{path}: {rest} bytes after its last image are ignored: no image"]
-        self.count = len(self._places)
-
-    def read(self, page: int) -> StoredImage:
-        begin, end = self._places[page]
-        with self._path.open("rb") as file:
-            file.seek(begin)
-            try:
-                pixels, largest = read_portable(file.read(end - begin))
-            except ValueError as error:
-                raise UnreadableFrame(str(error)) from None
-        # some programs write the maximum of the image; the full scale is the next 2^bits - 1
-        return StoredImage(pixels, max(2 ** largest.bit_length() - 1, 255))
+        data = self._path.read_bytes()
+        return (_portable if self._path.suffix.lower() in _PORTABLE else _decoded)(data)
 
 
 class _TiffImages(_Images):
@@ -137,29 +102,29 @@ class _TiffImages(_Images):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        head = tiff_head(path)
+        directories, tags, order = _tiff_directories(path)
         with _quiet():
             self._decoded = int(cv2.imcount(str(path), cv2.IMREAD_UNCHANGED))
-        self.count = max(self._decoded + head.cut_off, 1)
-        shape = [(head.tags.get(tag) or [0])[0] for tag in (HEIGHT, WIDTH)]
-        note_count = _images_by_note(path, head.note, shape)
+        self.count = max(self._decoded, directories, 1)
+        shape = [tags.get(tag, 0) for tag in (TIFF.IMAGELENGTH, TIFF.IMAGEWIDTH)]
+        note_count = _images_by_note(path, str(tags.get(TIFF.IMAGEDESCRIPTION, "")), shape)
         self._pixels_at, self._shape = -1, shape
         if note_count <= self.count:
             return
-        if head.cut_off:
+        if directories > self._decoded:
             self.count = note_count
-        elif head.directories > 1:
+        elif directories > 1:
             self.warnings = [f"{path}: its note states {note_count} images, of which it holds {self.count}"]
         else:
-            bits = head.tags.get(BITS, [1])
-            plain = head.tags.get(COMPRESSION, [1]) == [1] and len(bits) == 1 and bits[0] in (8, 16)
-            if not plain or not head.tags.get(STRIP_OFFSETS):
+            bits = tags.get(TIFF.BITSPERSAMPLE, (1,))
+            plain = tags.get(TIFF.COMPRESSION, 1) == 1 and bits in ((8,), (16,))
+            if not plain or TIFF.STRIPOFFSETS not in tags:
                 raise DeviceError(
                     f"{path}: its note states {note_count} images and it has one directory, whose pixels are "
                     "not plain grey values of 8 or 16 bits; save it as a sequence of images"
                 )
-            self.count, self._pixels_at = note_count, head.tags[STRIP_OFFSETS][0]
-            self._dtype = np.dtype(f"{'>' if head.order == 'big' else '<'}u{bits[0] // 8}")
+            self.count, self._pixels_at = note_count, tags[TIFF.STRIPOFFSETS][0]
+            self._dtype = np.dtype(f"{order}u{bits[0] // 8}")
 
     def read(self, page: int) -> StoredImage:
         if self._pixels_at >= 0:
@@ -185,6 +150,25 @@ class _TiffImages(_Images):
         return _stored(pages[0])
 
 
+def _tiff_directories(path: Path) -> tuple[int, dict[int, Any], str]:
+    """Number of directories of a TIFF file, tags of the first, numpy's order of bytes; 0 of them if unknown.
+
+    A directory beyond the end of a file that was cut off counts, too.
+    """
+    count, tags, order = 0, dict[int, Any](), "<"
+    try:
+        with warnings.catch_warnings(action="ignore"), TIFF.TiffImageFile(path) as image:
+            tags, order = dict(image.tag_v2), ">" if image.tag_v2.prefix == b"MM" else "<"
+            while True:
+                count += 1
+                image.seek(count)
+    except EOFError:
+        return count, tags, order
+    # Pillow has no error of its own for a directory that is damaged, or beyond the end
+    except Exception:
+        return (count + 1 if count else 0), tags, order
+
+
 def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
     """The number of images that a note in a TIFF states; 0 if it states none.
 
@@ -206,12 +190,9 @@ def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
 
 
 def _images_of(path: Path) -> _Images:
-    suffix = path.suffix.lower()
     # a file that cannot be opened counts as one image, which cannot be read
     with contextlib.suppress(OSError):
-        if suffix in _PORTABLE:
-            return _PortableImages(path)
-        if suffix in _STACKS:
+        if path.suffix.lower() in _STACKS:
             return _TiffImages(path)
     return _Images(path)
 
@@ -328,7 +309,16 @@ class StackSource(FrameSource):
         return _stored(np.array(self._stack[index]))
 
 
-def _decode(data: bytes) -> NDArray[Any]:
+def _portable(data: bytes) -> StoredImage:
+    try:
+        pixels, largest = read_portable(data)
+    except ValueError as error:
+        raise UnreadableFrame(str(error)) from None
+    # some programs write the maximum of the image; the full scale is the next 2^bits - 1
+    return StoredImage(pixels, max(2 ** largest.bit_length() - 1, 255))
+
+
+def _decoded(data: bytes) -> StoredImage:
     if not data:
         raise UnreadableFrame("the file is empty")
     with _quiet():
@@ -338,7 +328,7 @@ def _decode(data: bytes) -> NDArray[Any]:
             raise UnreadableFrame(f"the file is damaged or too large ({error.err})") from None
     if pixels is None:
         raise UnreadableFrame("the file is damaged or no image")
-    return pixels
+    return _stored(pixels)
 
 
 def _stored(pixels: NDArray[Any]) -> StoredImage:

@@ -245,20 +245,19 @@ def tiff(path: Path, images: NDArray[Any], note: str, directories: int = 1, **ta
     return path
 
 
-@pytest.mark.parametrize("in_folder", [True, False])
 @pytest.mark.parametrize(("kind", "bits"), [("P5", 8), ("P6", 8), ("P5", 12)])
-def test_every_image_of_a_portable_file_is_read(
-    tmp_path: Path, kind: str, bits: int, in_folder: bool
+def test_a_portable_map_is_read_and_several_in_one_file_are_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str, bits: int
 ) -> None:
-    wanted = frames_of(bits, 6)[:, :20, :30]
-    files = [wanted[:3], wanted[3:]] if in_folder else [wanted]
+    wanted = frames_of(bits, 3)[:, :20, :30]
     (tmp_path / "images").mkdir()
-    for number, inside in enumerate(files):
-        data = b"".join(netpbm(kind, one, 2**bits - 1, f"# P5 {k} 1\n") for k, one in enumerate(inside))
+    maps = [netpbm(kind, one, 2**bits - 1, f"# P5 {k} 1\n") for k, one in enumerate(wanted)]
+    for number, data in enumerate([*maps, b"".join(maps)]):
         (tmp_path / f"images/f{number}.pnm").write_bytes(data)
-    _, frames = play(tmp_path / "images" / ("" if in_folder else "f0.pnm"))
+    camera, frames = play(tmp_path / "images")
     assert np.array_equal([frame.image for frame in frames], wanted)
-    assert [frame.device_time_ns for frame in frames] == [10_000_000 * k for k in range(6)]
+    assert camera.status.incomplete == 1
+    assert "f3.pnm: skipped: the file holds several images" in caplog.text
 
 
 def test_images_of_a_missing_file_of_several_leave_a_gap(
@@ -267,12 +266,13 @@ def test_images_of_a_missing_file_of_several_leave_a_gap(
     images = frames_of(8, 10)
     (tmp_path / "images").mkdir()
     for number in (0, 2, 3, 4):
-        data = b"".join(netpbm("P5", one) for one in images[2 * number : 2 * number + 2])
-        (tmp_path / f"images/f{number}.pgm").write_bytes(data[:-5] if number == 4 else data)
+        path = tmp_path / f"images/f{number}.tif"
+        cv2.imwritemulti(str(path), list(images[2 * number : 2 * number + 2]))
+        path.write_bytes(path.read_bytes()[: -5 if number == 4 else None])
     camera, frames = play(tmp_path / "images")
     assert [frame.sequence for frame in frames] == [0, 1, 4, 5, 6, 7, 8]
     assert (camera.status.dropped_by_camera, camera.status.incomplete) == (2, 1)
-    assert "2 images are missing by the numbers in their names: between f0.pgm to f2.pgm" in caplog.text
+    assert "2 images are missing by the numbers in their names: between f0.tif to f2.tif" in caplog.text
 
 
 @pytest.mark.parametrize("bits", [8, 16])

@@ -68,15 +68,6 @@ def test_red_is_the_first_of_rgb_and_the_last_of_bgr(tmp_path: Path) -> None:
         assert np.array_equal([frame.image for frame in frames], pictures())
 
 
-def test_listed_times_hold_and_a_jump_of_them_is_counted_and_placed(tmp_path: Path) -> None:
-    times_ns = [10**15 + 40_000_000 * (k + 3 * (k > 4)) for k in range(COUNT)]
-    layout = {key: value for key, value in LAYOUT.items() if key != "frame_rate_hz"} | {"times_ns": times_ns}
-    camera, frames = play(written(tmp_path, pictures().tobytes(), layout), frame_rate_hz=None)
-    assert [frame.device_time_ns for frame in frames] == [time_ns - times_ns[0] for time_ns in times_ns]
-    assert camera.status.dropped_by_camera == 3
-    assert "3 frames are missing by the times in swing.raw.toml: 3 after 0.160 s" in camera.remarks[1]
-
-
 def test_without_times_they_come_from_elsewhere_or_are_asked_for(tmp_path: Path) -> None:
     layout = {key: value for key, value in LAYOUT.items() if key != "frame_rate_hz"}
     path = written(tmp_path, pictures().tobytes(), layout)
@@ -103,10 +94,6 @@ WHOLE = pictures().tobytes()
         ({"width_px": NX + 1}, WHOLE, "are not a whole number of frames of 161x96 px in Mono8 (15456 bytes)"),
         ({}, WHOLE[:-1], "state frames there if the file is cut off"),
         ({"frames": COUNT - 1}, WHOLE, "holds 15360 bytes more than the 11 frames"),
-        ({"times_s": [0.0]}, WHOLE, "frame_rate_hz and times_s: state one of them"),
-        ({"frame_rate_hz": None, "times_s": [0.0, 0.2, 0.1]}, WHOLE, "times_s: entry 3 is not later"),
-        ({"frame_rate_hz": None, "times_s": [0.0, "b"]}, WHOLE, "times_s 2 = 'b': should be a valid number"),
-        ({"frame_rate_hz": None, "times_s": [0.0, 1.0], "frames": 3}, WHOLE, "has 2 entries for frames = 3"),
         ({"width_px": None}, WHOLE, "width_px: is missing"),
         ({"width_px": "160"}, WHOLE, "width_px = '160': should be a valid integer"),
         ({"width_px": True}, WHOLE, "width_px = True: should be a valid integer"),
