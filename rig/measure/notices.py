@@ -107,7 +107,10 @@ _MIN_GROUND_S = 60.0
 
 
 class PreflightWait:
-    """Waits after a no-go of the preflight as `[preflight]` states; `over` once `wait_max_s` is used up."""
+    """Waits after a no-go of the preflight as `[preflight]` states; `over` once `wait_max_s` is used up.
+
+    `since` is the time of the day of the first no-go of a run; whoever has made the run empties it.
+    """
 
     def __init__(
         self,
@@ -118,7 +121,7 @@ class PreflightWait:
     ) -> None:
         self._name, self._now_s, self._sleep = name, now_s, sleep
         self._interval_s, self._max_s = preflight.try_every_s, preflight.wait_max_s
-        self._waited_s, self._since, self.over = 0.0, "", False
+        self._waited_s, self.since, self.over = 0.0, "", False
 
     def __call__(self, why: str) -> bool:
         """Wait before the next try of a run refused for the reason `why`; returns whether to try again."""
@@ -128,8 +131,8 @@ class PreflightWait:
             if self._max_s:
                 say(f"{self._name}: not ready within {self._max_s:g} s: {why}", error=True)
             return False
-        self._since = self._since or f"{datetime.datetime.now().astimezone():%H:%M}"
-        say(f"{self._name}: waiting since {self._since}: {why}")
+        self.since = self.since or f"{datetime.datetime.now().astimezone():%H:%M}"
+        say(f"{self._name}: waiting since {self.since}: {why}")
         begun_s = self._now_s()
         self._sleep(min(self._interval_s, left_s))
         self._waited_s += self._now_s() - begun_s
