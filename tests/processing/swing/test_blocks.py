@@ -3,6 +3,7 @@
 import tracemalloc
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -115,7 +116,7 @@ def test_memory_stays_flat_while_nothing_swings() -> None:
 
 def test_compiles_all_that_a_measurement_needs() -> None:
     compile_kernels()
-    kernels = (fit_half_cycle, propagate, zero_phases, _walk_kernel, _equations)
+    kernels: tuple[Any, ...] = (fit_half_cycle, propagate, zero_phases, _walk_kernel, _equations)
     before = [len(kernel.signatures) for kernel in kernels]
     assert min(before) > 0
     detect(damped_sinusoid(np.random.default_rng(25), 300.0, 100.0, 40))
