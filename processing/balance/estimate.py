@@ -104,18 +104,13 @@ class BalanceEstimator:
                 self._kept = self._kept.since(until_ns - nanoseconds(0.5 * span_s))
                 period_s = modes.slow.period_s if later is None else later.slow.period_s
                 self._look_s = max(self._look_s, _WINDOW_PERIODS * period_s)
-                self._next_ns = self._first_ns + nanoseconds(self._look_s)
+                self._next_ns = None
                 return None
         self._period_s = modes.slow.period_s
         self._fast_period_s = fast_period_s
         self._next_ns = until_ns + nanoseconds(self._period_s)
         self._kept = self._kept.since(until_ns - nanoseconds(1.5 * span_s))
         return self._balance(modes)
-
-    @property
-    def _first_ns(self) -> int:
-        """Time of the first sample that is kept."""
-        return int(self._kept.times_ns[0])
 
     def _modes(self, from_ns: int, until_ns: int, period_s: float) -> TwoModes | None:
         first, last = (int(row) for row in np.searchsorted(self._kept.times_ns, [from_ns, until_ns]))
@@ -130,20 +125,17 @@ class BalanceEstimator:
 
     def _look_again(self, until_ns: int) -> None:
         """Without an oscillation, try a longer interval of up to a minute, then later intervals."""
+        self._next_ns = None
         if math.isnan(self._period_s) and self._resting(until_ns - round(0.7e9 * self._look_s)):
             # samples from before a release would only mask the oscillation after it
             self._kept = self._kept.since(until_ns - round(0.7e9 * self._look_s))
-            self._next_ns = self._first_ns + nanoseconds(self._look_s)
-            return
-        if self._look_s < _LONGEST_LOOK_S and math.isnan(self._period_s):
+        elif self._look_s < _LONGEST_LOOK_S and math.isnan(self._period_s):
             self._look_s *= _LOOK_GROWTH
-            self._next_ns = self._first_ns + nanoseconds(self._look_s)
-            return
-        self._kept = self._kept.since(until_ns)
-        self._period_s = self._fast_period_s = math.nan
-        self._look_s = _FIRST_LOOK_S
-        self._history.clear()
-        self._next_ns = None
+        else:
+            self._kept = self._kept.since(until_ns)
+            self._period_s = self._fast_period_s = math.nan
+            self._look_s = _FIRST_LOOK_S
+            self._history.clear()
 
     def _resting(self, until_ns: int) -> bool:
         """Whether the samples before a time contain only noise."""

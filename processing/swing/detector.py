@@ -188,23 +188,19 @@ class TurningPointDetector:
         flags: HalfCycleFlag,
         swings: list[HalfCycle],
     ) -> None:
-        turn_ns = reference_ns + nanoseconds(result.time_s)
-        half_period, u_half_period = math.nan, math.nan
-        if self._last is not None and self._last.index == index - 1:
-            half_period = seconds(turn_ns - self._last.turn_time_ns)
-            u_half_period = math.hypot(result.u_time_s, self._last.u_turn_time_s)
-        self._last = HalfCycle(
+        measured = HalfCycle(
             index=index,
-            turn_time_ns=turn_ns,
+            turn_time_ns=reference_ns + nanoseconds(result.time_s),
             u_turn_time_s=float(result.u_time_s),
             amplitude=float(result.amplitude),
             u_amplitude=float(result.u_amplitude),
-            half_period_s=half_period,
-            u_half_period_s=u_half_period,
+            half_period_s=math.nan,
+            u_half_period_s=math.nan,
             centre=float(result.centre),
             side=side,
             flags=int(flags),
         )
+        self._last = measured.since(self._last)
         if not flags:
             self._last_good = self._last
         swings.append(self._last)

@@ -189,14 +189,6 @@ def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
     return 0
 
 
-def _images_of(path: Path) -> _Images:
-    # a file that cannot be opened counts as one image, which cannot be read
-    with contextlib.suppress(OSError):
-        if path.suffix.lower() in _STACKS:
-            return _TiffImages(path)
-    return _Images(path)
-
-
 def images_in(names: Sequence[str]) -> list[str]:
     """Names of the images in a folder, in natural order; JPEG only where there are no others and no film."""
     images = [name for name in names if Path(name).suffix.lower() in IMAGES and not name.startswith(".")]
@@ -219,7 +211,9 @@ class ImageSource(FrameSource):
             files = images_in(inside)
             warnings = _ignored_files(path, inside, files)
         self._files = [path / name for name in files]
-        self._images = [_images_of(file) for file in self._files]
+        self._images = [
+            (_TiffImages if file.suffix.lower() in _STACKS else _Images)(file) for file in self._files
+        ]
         self._places = [(k, page) for k, one in enumerate(self._images) for page in range(one.count)]
         self.count = len(self._places)
         if path.is_dir():

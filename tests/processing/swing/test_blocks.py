@@ -3,6 +3,7 @@
 import tracemalloc
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from hypothesis import strategies as st
 
 from processing.swing import HalfCycle, TurningPointDetector, compile_kernels
 from processing.swing.arc import _walk_kernel
+from processing.swing.half_cycle import propagate
 from processing.swing.half_cycle_fit import fit_half_cycle
 from processing.swing.mode_fit import _equations
-from processing.swing.prediction import predict
+from processing.swing.waveform import zero_phases
 from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect
 
 
@@ -114,7 +116,7 @@ def test_memory_stays_flat_while_nothing_swings() -> None:
 
 def test_compiles_all_that_a_measurement_needs() -> None:
     compile_kernels()
-    kernels = (fit_half_cycle, predict, _walk_kernel, _equations)
+    kernels: tuple[Any, ...] = (fit_half_cycle, propagate, zero_phases, _walk_kernel, _equations)
     before = [len(kernel.signatures) for kernel in kernels]
     assert min(before) > 0
     detect(damped_sinusoid(np.random.default_rng(25), 300.0, 100.0, 40))
