@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from processing.fit import fit_exact, known_motion
 from processing.position_map.fixed_pattern import Splines
@@ -91,9 +90,6 @@ def test_cycles_add_up() -> None:
     size = np.abs(single.sums().information).max()
     assert np.allclose(many.sums().information, 100 * single.sums().information, atol=1e-9 * size)
     np.testing.assert_allclose(many.sums().score, 100 * single.sums().score, rtol=1e-6)
-
-
-Floats = NDArray[np.float64]
 
 
 def bent(time_s: Floats, place: Floats) -> Floats:
