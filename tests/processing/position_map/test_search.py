@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from processing.fit import fit_exact, known_motion
 from processing.position_map.fixed_pattern import Splines
@@ -108,9 +107,6 @@ def test_cycles_add_up() -> None:
     for part in parts:
         np.testing.assert_allclose(part.information, 10 * single.information, rtol=1e-9)
         np.testing.assert_allclose(part.score, 10 * single.score, rtol=1e-9)
-
-
-Floats = NDArray[np.float64]
 
 
 def bent(time_s: Floats, place: Floats) -> Floats:

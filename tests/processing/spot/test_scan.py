@@ -16,7 +16,8 @@ from processing.spot.scan import (
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 # a block is 64 pixels wide, a band 32 rows high, a group four: below, at and above each
-SHAPES = [(ny, nx) for ny in (5, 7, 31, 32, 33, 100) for nx in (5, 63, 64, 65, 128, 257)]
+HEIGHTS = (5, 6, 7, 31, 32, 33, 35, 64, 100)
+WIDTHS = (5, 17, 63, 64, 65, 127, 128, 130, 255, 256, 257, 300)
 
 
 def noise(ny: int, nx: int, kind: type[np.unsignedinteger]) -> Image:
@@ -32,9 +33,11 @@ def rows_of(band: int, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     return rows[(rows >= band * BAND_ROWS) & (rows < (band + 1) * BAND_ROWS)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_every_row(kind: type[np.unsignedinteger]) -> None:
-    for ny, nx in SHAPES:
+@pytest.mark.parametrize("ny", HEIGHTS)
+def test_every_row(ny: int, kind: type[np.unsignedinteger]) -> None:
+    for nx in WIDTHS:
         image = noise(ny, nx, kind)
         bands = bands_for(image)
         bands[:, :nx] = 77
@@ -48,8 +51,9 @@ def test_every_row(kind: type[np.unsignedinteger]) -> None:
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("step", [2, 3, 8, 40])
-def test_some_rows(step: int, kind: type[np.unsignedinteger]) -> None:
-    for ny, nx in SHAPES:
+@pytest.mark.parametrize("ny", HEIGHTS)
+def test_some_rows(ny: int, step: int, kind: type[np.unsignedinteger]) -> None:
+    for nx in WIDTHS:
         image = noise(ny, nx, kind)
         bands = bands_for(image)
         bands[:, :nx] = 77
@@ -75,6 +79,7 @@ def test_background_is_the_median_of_a_grid_in_rows_that_were_read(
     assert spread == pytest.approx(max((int(grid[256]) - int(grid[102])) / 0.8416, 0.3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("place", [(0, 0), (90, 10), (255, 31), (297, 92)])
 def test_brightest_is_the_middle_of_the_brightest_plateau(

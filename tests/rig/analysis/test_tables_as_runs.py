@@ -144,6 +144,8 @@ def test_a_fitted_table_gives_the_report_and_the_plan_of_a_run(tmp_path: Path) -
     assert "without the waveform" in planned.stdout + planned.stderr
     # the run that was made goes to an amplitude of 60 arcsec; one to 30 tells more
     assert 0.0 < float(row["u_n"]) < run.fits["exact"].parameters["n"].standard_uncertainty
+    # which is a line of films that were compressed
+    assert "common_amplitude_rad" not in {line.source for line in run.budget["n"].sources}
     rows = session_rows(tmp_path / "out")[0]
     assert rows[0]["b"] > 0
     assert rows[0]["law"] == "paper"

@@ -45,14 +45,14 @@ AIRY = (
     f"reference.from_row_px={ROW}",
     "reference.gain=1.5",
     "reference.u_gain=0.01",
-    "session.max_duration_s=100",
+    "session.max_duration_s=60",
     "fit.drag='vacuum'",
 )
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A record in air, with a reference spot below the pendulum's."""
+    """A record of a minute in air, with a reference spot below the pendulum's."""
     folder, source = tmp_path_factory.mktemp("reference") / "run", CONFIGS / "demo.toml"
     small = SMALL | {"simulation.sensor.height_px": "720"}
     wanted = (*(f"{key}={value}" for key, value in small.items()), *APPARATUS, *AIRY)
@@ -80,7 +80,7 @@ def test_every_frame_has_both_spots_as_they_were_seen(recorded: Path) -> None:
 
 def scatter(swings: Sequence[HalfCycle]) -> tuple[float, float]:
     """Of the amplitudes about the simulator's own, in arcsec, and over what is said of it."""
-    true = true_turning_points(load_configuration(CONFIGS / "demo.toml").simulation, max_duration_s=110.0)
+    true = true_turning_points(load_configuration(CONFIGS / "demo.toml").simulation, max_duration_s=70.0)
     good = [swing for swing in swings if not swing.flags]
     # the simulated camera's clock begins with 1 s
     time_s = np.array([swing.turn_time_ns for swing in good]) * 1e-9 - 1.0
