@@ -38,7 +38,7 @@ def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "run-7.mcap: no such record" in capsys.readouterr().out
     assert (folder / "decay.png").stat().st_size > 10_000
     assert names["deflections"].unit == "rad"
-    assert len(names["deflections"]) == 577
+    assert len(names["deflections"]) == 594
     assert names["good"]["amplitude_rad"][0] == pytest.approx(118 * np.pi / 648000, rel=0.01)
     assert set(names["record"].events()["kind"]) >= {"start", "stop"}
     assert names["b"].value == pytest.approx(0.03, rel=0.02)
@@ -65,7 +65,7 @@ def test_a_session_is_a_series(folder: Path) -> None:
     assert [row.quantity for row in again.runs[0].table] == [
         row.quantity for row in session.results.runs[0].table
     ]
-    assert sum(1 for _ in session.records[0].windows()) == 577
+    assert sum(1 for _ in session.records[0].windows()) == 594
     assert sum(1 for _ in session.records[0].images()) == 1
     assert set(rig.figures(again)) >= {"fig12-decay", "fig13-period", "table4-loops", "losses"}
     with pytest.raises(rig.RigError, match="run 2"):

@@ -125,14 +125,12 @@ def test_the_python_interface_takes_a_seismometer_of_a_table_as_the_terminal_doe
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("figures")
-def test_the_report_of_a_table_draws_what_its_seismometer_explains(decay: Path, tmp_path: Path) -> None:
+def test_the_report_of_a_table_says_what_its_seismometer_explains(decay: Path, tmp_path: Path) -> None:
     table = analysed(decay, "east", "north")
     write_results(tmp_path / RESULTS_NAME, table)
     make_table_report(table, tmp_path)
     page = (tmp_path / "report.html").read_text()
-    assert "What the auxiliary seismometer explains" in page
     assert "it explains" in page
-    assert (tmp_path / "report" / "run-1" / "seismometer.svg").exists()
     assert table.longest.seismometer is not None
 
 

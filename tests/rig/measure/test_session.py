@@ -80,8 +80,7 @@ def test_replay_is_equal_bit_for_bit_and_retracking_within_a_tenth_of_the_uncert
     for retrack in (False, True):
         with RecordReader(measured_series / "run-1.mcap") as reader:
             replay = Replay(reader, recorded_configuration(reader), retrack=retrack)
-            while replay.advance(np.inf, 64) is not None:
-                pass
+            assert sum(len(numbers) for numbers, _ in replay.blocks())
             comparison = replay.finish().comparison
         assert comparison.identical or retrack
         assert comparison.spots.largest_u < 0.1

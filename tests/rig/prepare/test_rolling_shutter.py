@@ -134,8 +134,7 @@ def test_a_record_gives_the_row_time_and_is_corrected_with_it(tmp_path: Path) ->
             reader, [f"shutter.{key}={value}" for key, value in values.items()]
         )
         replay = Replay(reader, corrected, retrack=False)
-        while replay.advance(np.inf, 1000) is not None:
-            pass
+        assert sum(len(numbers) for numbers, _ in replay.blocks())
         times_ns = np.concatenate([block.times_ns for block in replay.finish().deflections])
     assert corrected.shutter is not None
     late_ns = np.rint(1e9 * values["row_time_s"] * (319 - spots["y_px"]))

@@ -281,7 +281,7 @@ def see_a_reference(folder: Path) -> None:
         "simulation.reference.y_px": 620,
     }
     words |= {"simulation.disturbances.air_arcsec": 0.01, "simulation.reference.air_common": 0.9}
-    config = configuration(session__max_duration_s=2, **{k.replace(".", "__"): v for k, v in words.items()})
+    config = configuration(session__max_duration_s=6, **{k.replace(".", "__"): v for k, v in words.items()})
     measure_session(config, DEMO, folder / "reference")
 
 
