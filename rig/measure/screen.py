@@ -31,6 +31,8 @@ _log = logging.getLogger(__name__)
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
 _FORECAST_INTERVAL_S = 2.0
+_RATES_SPAN_S = 5.0
+"""Shortest span of the record over which rates are shown."""
 _MAX_SWINGS = 20_000
 _NO_FORECAST = Forecast(math.nan, math.nan)
 
@@ -66,6 +68,7 @@ class RunDisplay:
         self._swings: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SWINGS)
         self._notes: deque[str] = deque(maxlen=12)
         self._to_print: deque[Callable[[], None]] = deque()
+        self._counts: deque[tuple[float, int, int]] = deque()
         self._forecast = _NO_FORECAST
         self._forecast_s = 0.0
 
@@ -188,7 +191,7 @@ class RunDisplay:
         unit, balance = self.unit.shown, now.balance
         reasons = f" ({now.losses})" if now.losses.total else ""
         losses = f"{now.dropped_frames} frames dropped{reasons}, {now.lost_spots} spots lost"
-        frames_hz, bytes_per_s = _rates(now)
+        frames_hz, bytes_per_s = self._rates(now)
         camera = f"{frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"
         if now.before_record:
             losses = camera = "counted from the record on"
@@ -273,8 +276,22 @@ class RunDisplay:
             math.hypot(crossing.u_remaining_s, half_period_s / math.sqrt(12.0)),
         )
 
+    def _rates(self, now: RunNow) -> tuple[float, float]:
+        """Frames and bytes per second over the last seconds of the record; 0 before it begins."""
+        counts = self._counts
+        if now.before_record or (counts and now.frames < counts[-1][1]):
+            counts.clear()
+        if not now.before_record:
+            counts.append((now.elapsed_s, now.frames, now.record_bytes))
+        while len(counts) > 2 and now.elapsed_s - counts[1][0] >= _RATES_SPAN_S:
+            counts.popleft()
+        span_s = now.elapsed_s - counts[0][0] if counts else 0.0
+        if span_s <= 0.0:
+            return 0.0, 0.0
+        return (now.frames - counts[0][1]) / span_s, (now.record_bytes - counts[0][2]) / span_s
+
     def _numbers(self, now: RunNow) -> dict[str, Any]:
-        frames_hz, bytes_per_s = _rates(now)
+        frames_hz, bytes_per_s = self._rates(now)
         numbers: dict[str, Any] = {
             "amplitude_unit": self.unit.shown,
             "frames_hz": frames_hz,
@@ -307,12 +324,6 @@ class RunDisplay:
         tail = f"  {now.reason}" if now.reason else ""
         phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
         return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{counted}{tail}".rstrip()
-
-
-def _rates(now: RunNow) -> tuple[float, float]:
-    """Frames and bytes per second since the record began."""
-    elapsed_s = math.inf if now.before_record else max(now.elapsed_s, 1e-3)
-    return now.frames / elapsed_s, now.record_bytes / elapsed_s
 
 
 def _clock(seconds: float) -> str:

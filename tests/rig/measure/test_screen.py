@@ -226,3 +226,16 @@ def test_the_page_is_told_what_it_has_no_place_for() -> None:
     assert set(names) - set(facts) >= {"amplitude", *(name for name, _ in estimate_rows(seen, ()))}
     assert {"losses", "record", "disk", "environment"} <= set(facts)
     assert facts == [name for name in names if name in facts]
+
+
+def test_the_rates_are_those_of_the_last_seconds() -> None:
+    """A camera that slows down after minutes would hardly change a mean over the whole run."""
+    shown, found = display(io.StringIO()), []
+    for second in range(121):
+        frames = 100 * min(second, 100) + 20 * max(second - 100, 0)
+        now = replace(SEEN, elapsed_s=float(second), frames=frames, record_bytes=10 * frames)
+        found.append(shown.values(now))
+    assert [found[at]["frames_hz"] for at in (0, 50, 120)] == [0.0, pytest.approx(100), pytest.approx(20)]
+    assert found[120]["record_bytes_per_s"] == pytest.approx(200)
+    again = shown.values(replace(SEEN, elapsed_s=0.0, frames=1))
+    assert again["frames_hz"] == 0.0, "of a new record"
