@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats, Ints, Matrix, Vector
+from processing.kernel import kernel
 from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
@@ -58,6 +59,7 @@ SLOPE_WANDER = 1e-3
 """Standard deviation of the drift's change per half-cycle, in units of (resolution per half-cycle)."""
 
 
+@kernel
 def predict(
     x: Vector,
     covariance: Matrix,
@@ -126,12 +128,27 @@ def predict(
     size = math.hypot(x[FAST_COSINE], x[FAST_SINE]) + resolution
     wander[FAST_RATE] = 1e-2 * resolution / (size * elapsed)
     wander[FAST_DAMPING] = 1e-2 * resolution / (size * elapsed)
-    scale = np.full(STATES, process_noise)
-    scale[DRIFT], scale[CENTRE] = drift_noise, math.sqrt(drift_noise)
-    at = np.ix_(active, active)
-    moved = transition[at] @ covariance[at] @ transition[at].T
+    # F P F^T, active entries only
+    moved = np.zeros((STATES, STATES))
     carried = np.zeros((STATES, STATES))
-    carried[at] = 0.5 * (moved + moved.T) + np.diag(scale[active] * wander[active] ** 2)
+    for i in active:
+        for j in active:
+            for k in active:
+                moved[i, j] += transition[i, k] * covariance[k, j]
+    for i in active:
+        for j in active:
+            for k in active:
+                carried[i, j] += moved[i, k] * transition[j, k]
+    for i in active:
+        for j in active:
+            if j < i:
+                carried[i, j] = carried[j, i]
+        scale = process_noise
+        if i == DRIFT:
+            scale = drift_noise
+        elif i == CENTRE:
+            scale = math.sqrt(drift_noise)
+        carried[i, i] += scale * wander[i] * wander[i]
     carried[AMPLITUDE, AMPLITUDE] += walk
     carried[TIME, TIME] += walk / (x[AMPLITUDE] * rate) ** 2
     # the next half-cycle crosses zero at nearly the same phase as this one

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from processing.swing import HalfCycle, TurningPointDetector, compile_kernels
 from processing.swing.arc import _walk_kernel
-from processing.swing.half_cycle import propagate
 from processing.swing.half_cycle_fit import fit_half_cycle
 from processing.swing.mode_fit import _equations
-from processing.swing.waveform import zero_phases
+from processing.swing.prediction import predict
 from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect
 
 
@@ -116,7 +115,7 @@ def test_memory_stays_flat_while_nothing_swings() -> None:
 
 def test_compiles_all_that_a_measurement_needs() -> None:
     compile_kernels()
-    kernels: tuple[Any, ...] = (fit_half_cycle, propagate, zero_phases, _walk_kernel, _equations)
+    kernels: tuple[Any, ...] = (fit_half_cycle, predict, _walk_kernel, _equations)
     before = [len(kernel.signatures) for kernel in kernels]
     assert min(before) > 0
     detect(damped_sinusoid(np.random.default_rng(25), 300.0, 100.0, 40))
