@@ -10,7 +10,6 @@ length that make the residuals most likely.
 
 import math
 from collections.abc import Sequence
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +17,9 @@ import numpy as np
 from processing.arrays import Floats
 from processing.position_map.fixed_pattern import PositionMap, Splines
 from processing.swing import SHARED_COLUMNS, CycleResiduals
+
+_BATCH_CYCLES = 8
+"""Number of cycles whose columns are multiplied together."""
 
 
 class NormalEquations(NamedTuple):
@@ -69,35 +71,85 @@ def sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
     )
 
 
-def cycle_equations(splines: Splines, cycle: CycleResiduals) -> NormalEquations:
-    """Normal equations of one cycle, with its own parameters free."""
-    from scipy.sparse import csr_array
+class Accumulator:
+    """Normal equations sum_equations over cycles, with the parameters of each cycle free.
 
-    root = np.sqrt(cycle.weight)
-    own = cycle.own * root[:, None]
-    own /= np.maximum(np.sqrt(np.sum(own**2, axis=0)), 1e-300)
-    directions, size, _ = np.linalg.svd(own, full_matrices=False)
-    directions = directions[:, size > 1e-6 * size[0]]
-    columns = np.column_stack([cycle.shared, cycle.residual]) * root[:, None]
-    columns -= directions @ (directions.T @ columns)
-    first, values = splines.at(cycle.place)
-    values *= root[:, None]
-    count, ends = splines.count, np.arange(0, 4 * len(root) + 1, 4)
-    places = (first[:, None] + np.arange(4)).ravel()
-    transposed = csr_array((values.ravel(), places, ends), shape=(len(root), count)).T
-    by_own, by_columns = transposed @ directions, transposed @ columns
-    information = np.zeros((count + SHARED_COLUMNS, count + SHARED_COLUMNS))
-    information[:count, :count] = -by_own @ by_own.T
-    # the products of the splines are a band matrix, written here three times as fast as a sparse one
-    for before, after in product(range(4), repeat=2):
-        band = np.bincount(first, values[:, before] * values[:, after], count - 3)
-        rows = np.arange(count - 3)
-        information[rows + before, rows + after] += band
-    information[:count, count:] = by_columns[:, :-1]
-    information[count:, :count] = by_columns[:, :-1].T
-    information[count:, count:] = columns[:, :-1].T @ columns[:, :-1]
-    score = np.concatenate([by_columns[:, -1], columns[:, :-1].T @ columns[:, -1]])
-    return NormalEquations(information, score)
+    The products of the splines are a band matrix, from which each cycle's free parameters take a few columns:
+    the large matrix is not computed for every cycle.
+
+    Attributes
+    ----------
+    cycles
+        Number of cycles so far.
+    """
+
+    def __init__(self, splines: Splines) -> None:
+        self.cycles = 0
+        self._splines = splines
+        self._band = np.zeros((4, splines.count))
+        self._mixed_products = np.zeros((splines.count, SHARED_COLUMNS))
+        self._common = np.zeros((SHARED_COLUMNS, SHARED_COLUMNS))
+        self._own_columns: list[Floats] = []
+        self._own_products: Floats | None = None
+        self._score = np.zeros(splines.count + SHARED_COLUMNS)
+
+    def add(self, cycle: CycleResiduals) -> Floats:
+        """Add one cycle and return its score."""
+        from scipy.sparse import csr_array
+
+        self.cycles += 1
+        root = np.sqrt(cycle.weight)
+        own = cycle.own * root[:, None]
+        own /= np.maximum(np.sqrt(np.sum(own**2, axis=0)), 1e-300)
+        directions, size, _ = np.linalg.svd(own, full_matrices=False)
+        directions = directions[:, size > 1e-6 * size[0]]
+        columns = np.column_stack([cycle.shared, cycle.residual]) * root[:, None]
+        columns -= directions @ (directions.T @ columns)
+        first, values = self._splines.at(cycle.place)
+        values *= root[:, None]
+        count, splines = len(root), self._splines.count
+        basis = csr_array(
+            (values.ravel(), (first[:, None] + np.arange(4)).ravel(), np.arange(0, 4 * count + 1, 4)),
+            shape=(count, splines),
+        )
+        products = basis.T @ np.column_stack([directions, columns])
+        for distance in range(4):
+            for j in range(4 - distance):
+                band = values[:, j] * values[:, j + distance]
+                self._band[distance] += np.bincount(first + j, band, minlength=splines)
+        own_count = directions.shape[1]
+        self._own_columns.append(products[:, :own_count])
+        self._mixed_products += products[:, own_count:-1]
+        self._common += columns[:, :-1].T @ columns[:, :-1]
+        score = np.concatenate([products[:, -1], columns[:, :-1].T @ columns[:, -1]])
+        self._score += score
+        if len(self._own_columns) == _BATCH_CYCLES:
+            self._add_own_products()
+        return score
+
+    def sums(self) -> NormalEquations:
+        """Normal equations of all cycles so far."""
+        splines = self._splines.count
+        information = np.zeros((splines + SHARED_COLUMNS, splines + SHARED_COLUMNS))
+        for distance in range(4):
+            rows = np.arange(splines - distance)
+            information[rows, rows + distance] = information[rows + distance, rows] = self._band[
+                distance, : splines - distance
+            ]
+        self._add_own_products()
+        if self._own_products is not None:
+            information[:splines, :splines] -= self._own_products
+        information[:splines, splines:] = self._mixed_products
+        information[splines:, :splines] = self._mixed_products.T
+        information[splines:, splines:] = self._common
+        return NormalEquations(information, self._score)
+
+    def _add_own_products(self) -> None:
+        if self._own_columns:
+            columns = np.column_stack(self._own_columns)
+            self._own_columns.clear()
+            products = columns @ columns.T
+            self._own_products = products if self._own_products is None else self._own_products + products
 
 
 _SPLINES = 320
@@ -144,10 +196,7 @@ class PositionMapSearch:
 
     def __init__(self, low: float, high: float, cycles: int) -> None:
         self._splines = Splines.over(low, high, _SPLINES)
-        size = _SPLINES + SHARED_COLUMNS
-        self._parts = [
-            NormalEquations(np.zeros((size, size)), np.zeros(size)) for _ in range(_CROSS_VALIDATION_PARTS)
-        ]
+        self._parts = [Accumulator(self._splines) for _ in range(_CROSS_VALIDATION_PARTS)]
         self._expected_cycles = max(cycles, 1)
         self._group_size = max(1, math.ceil(cycles / _MAX_SUMS))
         self._sample_interval = max(1, math.ceil(cycles / _SAMPLED_CYCLES))
@@ -157,28 +206,22 @@ class PositionMapSearch:
 
     def add(self, cycle: CycleResiduals) -> None:
         """Add the residuals of one cycle."""
-        found = cycle_equations(self._splines, cycle)
-        number = _CROSS_VALIDATION_PARTS * self._cycles // self._expected_cycles
-        part = self._parts[min(number, _CROSS_VALIDATION_PARTS - 1)]
-        part.information[:] += found.information
-        part.score[:] += found.score
+        score = self._parts[
+            min(_CROSS_VALIDATION_PARTS * self._cycles // self._expected_cycles, _CROSS_VALIDATION_PARTS - 1)
+        ].add(cycle)
         if self._cycles % self._group_size == 0:
-            self._scores.append(found.score)
+            self._scores.append(score)
         else:
-            self._scores[-1] = self._scores[-1] + found.score
+            self._scores[-1] = self._scores[-1] + score
         if self._cycles % self._sample_interval == 0:
             self._sampled_cycles.append(cycle)
         self._cycles += 1
-
-    def equations(self) -> list[NormalEquations]:
-        """Normal equations of the parts of the run that have any cycle."""
-        return [part for part in self._parts if part.score.any()]
 
     def position_map(self) -> PositionMap | None:
         """Map of the error; None if it is not significant, or not confirmed by the parts of the run."""
         if len(self._scores) < _FEWEST_CYCLES:
             return None
-        parts = self.equations()
+        parts = [part.sums() for part in self._parts if part.cycles]
         total = sum_equations(parts)
         scores = np.array(self._scores)
         scores = scores[:, :_SPLINES] - scores[:, _SPLINES:] @ total.common_gain().T
@@ -247,7 +290,9 @@ class PositionMapSearch:
         coefficients = total.complete(peak.coefficients)
         prior, power, expected = self._prior(peak.length), 0.0, 0.0
         for cycle in self._sampled_cycles:
-            sums = cycle_equations(self._splines, cycle)
+            single = Accumulator(self._splines)
+            single.add(cycle)
+            sums = single.sums()
             residual = (sums.score - sums.information @ coefficients)[:_SPLINES]
             power += float(residual @ prior @ residual)
             expected += float(np.sum(prior * sums.information[:_SPLINES, :_SPLINES]))

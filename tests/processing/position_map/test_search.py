@@ -7,8 +7,8 @@ import pytest
 
 from processing.fit import fit_exact, known_motion
 from processing.position_map.fixed_pattern import Splines
-from processing.position_map.search import PositionMapSearch, cycle_equations
-from processing.swing import CycleResiduals, CycleWatch, turning_points
+from processing.position_map.search import Accumulator
+from processing.swing import CycleWatch, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.position_map.runs import NOISE, PX, Floats, fringes, nothing, run, searched
 
@@ -75,38 +75,21 @@ def test_splines_add_up_to_one_and_reproduce_a_line() -> None:
     assert np.allclose(splines.matrix(np.array([-9.0, 9.0])), values[[0, -1]])
 
 
-def first_cycle() -> CycleResiduals:
+def test_cycles_add_up() -> None:
+    """The same cycle many times: the sums are so many times those of one."""
     one = run(fringes, seed=1)
     fit = fit_exact(turning_points(one.swings), one.pendulum)
     watch = CycleWatch(one.swings, known_motion(fit.parameters, one.pendulum, one.swings[0].amplitude))
-    return next(iter(watch.update(one.deflections)))
-
-
-def test_equations_of_a_cycle_are_those_of_its_residuals_with_its_own_parameters_free() -> None:
-    cycle = first_cycle()
+    cycle = next(iter(watch.update(one.deflections)))
     splines = Splines.over(-250 * PX, 250 * PX, 60)
-    found = cycle_equations(splines, cycle)
-    root = np.sqrt(cycle.weight)
-    columns = np.column_stack([splines.matrix(cycle.place), cycle.shared]) * root[:, None]
-    directions = np.linalg.qr(cycle.own / np.linalg.norm(cycle.own, axis=0) * root[:, None])[0]
-    free = columns - directions @ (directions.T @ columns)
-    size = np.abs(free.T @ free).max(axis=0)
-    assert np.allclose(found.information / size, free.T @ free / size, atol=1e-9)
-    assert np.allclose(found.score / size, free.T @ (root * cycle.residual) / size, atol=1e-9)
-
-
-def test_cycles_add_up() -> None:
-    """The same cycle many times: the sums are so many times those of one."""
-    cycle = first_cycle()
-    search = PositionMapSearch(-250 * PX, 250 * PX, 100)
+    single, many = Accumulator(splines), Accumulator(splines)
+    single.add(cycle)
     for _ in range(100):
-        search.add(cycle)
-    parts = search.equations()
-    single = cycle_equations(Splines.over(-250 * PX, 250 * PX, parts[0].spline_count), cycle)
-    assert len(parts) == 10
-    for part in parts:
-        np.testing.assert_allclose(part.information, 10 * single.information, rtol=1e-9)
-        np.testing.assert_allclose(part.score, 10 * single.score, rtol=1e-9)
+        many.add(cycle)
+    assert many.cycles == 100
+    size = np.abs(single.sums().information).max()
+    assert np.allclose(many.sums().information, 100 * single.sums().information, atol=1e-9 * size)
+    np.testing.assert_allclose(many.sums().score, 100 * single.sums().score, rtol=1e-6)
 
 
 def bent(time_s: Floats, place: Floats) -> Floats:
