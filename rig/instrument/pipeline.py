@@ -1,8 +1,10 @@
 """The optics, and the pipeline from frames to spots, deflections and half-cycles, live and in replay."""
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +13,65 @@ from acquisition.camera import Frame, Image
 from acquisition.record.writer import RecordWriter
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.spot import SensorModel, Spot, SpotTracker
 from processing.swing import HalfCycle, TurningPointDetector
 from rig.instrument.configured_camera import ObserverGuard, shutter_of
 from rig.settings import Configuration
 
+_MAX_WAITING_CALLS = 4096
+_BATCH_NS = 50_000_000
+"""Time span of samples that are handed to a thread together: at 1000 frames/s each frame would wake two."""
 _BALANCE = "the estimate of the balance"
+
+Estimates: TypeAlias = tuple[list[HalfCycle], list[Balance]]
+
+
+class EstimateThread:
+    """A thread that calls `estimate` on batches of samples in order, so that frames do not wait for it.
+
+    One estimate takes as long as many frames. The estimates are the same as without the thread, since they do
+    not depend on how samples are divided. An error in one is raised by a later call. `update` waits only
+    while thousands of calls are pending.
+    """
+
+    def __init__(self, estimate: Callable[[Deflections], Estimates]) -> None:
+        self._estimate = estimate
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="half-cycles")
+        self._batch: list[Deflections] = []
+        self._pending: deque[Future[Estimates]] = deque()
+
+    def update(self, samples: Deflections) -> Estimates:
+        """Add samples; returns the estimates that have become ready since the last call."""
+        if len(samples):
+            self._batch.append(samples)
+            if samples.times_ns[-1] - self._batch[0].times_ns[0] >= _BATCH_NS:
+                self._hand_over()
+        ready = []
+        while self._pending and (self._pending[0].done() or len(self._pending) > _MAX_WAITING_CALLS):
+            ready.append(self._pending.popleft().result())
+        return _together(ready)
+
+    def finish(self) -> Estimates:
+        """Wait for the estimates that are still being made, and return them."""
+        self._hand_over()
+        ready = [pending.result() for pending in self._pending]
+        self._pending.clear()
+        return _together(ready)
+
+    def _hand_over(self) -> None:
+        if self._batch:
+            samples, self._batch = joined(self._batch, self._batch[0].unit), []
+            self._pending.append(self._executor.submit(self._estimate, samples))
+
+
+def _together(parts: Iterable[Estimates]) -> Estimates:
+    half_cycles: list[HalfCycle] = []
+    balances: list[Balance] = []
+    for some, others in parts:
+        half_cycles += some
+        balances += others
+    return half_cycles, balances
 
 
 class Block(NamedTuple):
@@ -85,6 +139,9 @@ class Pipeline:
         Calibration; each deflection gets the time of exposure of the rows that its spot lies on.
     sensor_shape
         (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
+    threaded
+        Whether half-cycles and balances are estimated in a thread of their own. They are the same, but come
+        with a later block, the last ones with `finish`.
     guard
         Catches errors of the estimate of the balance.
     """
@@ -93,6 +150,8 @@ class Pipeline:
         self,
         optics: "Optics",
         sensor_shape: tuple[int, int],
+        *,
+        threaded: bool = False,
         guard: ObserverGuard | None = None,
     ) -> None:
         self.spots = optics.dual_tracker()
@@ -101,6 +160,7 @@ class Pipeline:
         self._detector = TurningPointDetector()
         self._estimator = BalanceEstimator()
         self._guard = guard or ObserverGuard()
+        self._thread = EstimateThread(self._estimates) if threaded else None
 
     def process(self, frames: Sequence[Frame]) -> Block:
         """Track the spot in some consecutive frames, and continue with `detect`."""
@@ -119,13 +179,18 @@ class Pipeline:
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
         """Half-cycles and balances from known deflections (replay without tracking)."""
-        half_cycles = self._detector.update(deflections.times_ns, deflections.y, deflections.u_y)
-        balances: list[Balance] = self._guard.call(_BALANCE, [], self._estimator.update, deflections)
-        return Block(spots, deflections, half_cycles, balances)
+        estimate = self._estimates if self._thread is None else self._thread.update
+        return Block(spots, deflections, *estimate(deflections))
 
-    def finish(self) -> list[HalfCycle]:
-        """Half-cycles that are completed by the end of the samples."""
-        return self._detector.finish()
+    def _estimates(self, samples: Deflections) -> Estimates:
+        half_cycles = self._detector.update(samples.times_ns, samples.y, samples.u_y)
+        balances: list[Balance] = self._guard.call(_BALANCE, [], self._estimator.update, samples)
+        return half_cycles, balances
+
+    def finish(self) -> Estimates:
+        """Half-cycles that are completed by the end of the samples, and what is still being estimated."""
+        half_cycles, balances = ([], []) if self._thread is None else self._thread.finish()
+        return [*half_cycles, *self._detector.finish()], balances
 
 
 class DeflectionConverter:

@@ -156,7 +156,7 @@ class Recording:
         keep = run.plan.config.record
         self._counts = FrameCounts(first, nanoseconds(keep.full_frame_interval_s), keep_windows=keep.windows)
         shape = first.image.shape[0], first.image.shape[1]
-        self._pipeline = Pipeline(run.optics, shape, run.guard)
+        self._pipeline = Pipeline(run.optics, shape, threaded=not self._on_demand, guard=run.guard)
         self._end = run.end
         self._steps = StepEvents(run.optics.unit)
         self._readings = SideReadings(run, first.time_ns)
@@ -258,8 +258,8 @@ class Recording:
 
     def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
-        counts, swings = self._counts, self._pipeline.finish()
-        rest = self._pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings)
+        counts, (swings, balances) = self._counts, self._pipeline.finish()
+        rest = self._pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings, balances=balances)
         attachments = self._readings.end_attachments()
         if not rejection:
             # the stream is closed first, so that the record names a camera that cannot be stopped

@@ -140,7 +140,7 @@ class Replay:
 
     def finish(self) -> ReplayResult:
         """Complete the last half-cycles; returns all results."""
-        swings = self._pipeline.finish()
+        swings, _ = self._pipeline.finish()
         to_end = self.to_s >= self.length_s
         self._swings += swings
         first = self._first_sequence if self.partial else 0

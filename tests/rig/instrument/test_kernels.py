@@ -51,7 +51,7 @@ def followed(full_scale):
         swings += len(block.swings)
         for frame, spot in zip(frames[start : start + 50], block.spots):
             encode_window(0, 0, frame.image[10:-10, 40:-40].copy(), 40, 10, spot)
-    swings += len(pipeline.finish())
+    swings += len(pipeline.finish()[0])
     return swings, len(before), [name for name in compiled() if name not in before]
 
 print(json.dumps([followed(255.0), followed(4095.0)]))

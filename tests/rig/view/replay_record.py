@@ -81,7 +81,7 @@ def make_record(
             if windows:
                 _write_windows(writer, sequences[part].tolist(), spots[part])
             writer.flush()
-        for swing in pipeline.finish():
+        for swing in pipeline.finish()[0]:
             writer.write_swing(swing)
         writer.write_event(int(times_ns[-1]), end, "time limit")
     return path
