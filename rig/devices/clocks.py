@@ -6,10 +6,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.camera import CLOCK_STATES, Camera, Frame, HasFeatures
 from acquisition.frames.guard import MAX_DRIFT_PPM, clock_rate_text
@@ -151,13 +151,19 @@ _FIRST_NS, _BETWEEN_NS = 3_000_000_000, 10_000_000_000
 
 
 class ClockRate:
-    """Rate of the camera's clock, from a line through some hundred pairs of times, each 10 s of the run."""
+    """Rate of the camera's clock, from a line through some hundred pairs of times, each 10 s of the run.
+
+    The line is fitted in a thread of its own, so that frames do not wait for the 10 ms that a fit takes; its
+    error is raised by the next call.
+    """
 
     def __init__(self) -> None:
         self._pairs: list[tuple[int, int, int]] = []
         self._every = 1
         self._passed = 0
         self._due_ns = 0
+        self._thread: threading.Thread | None = None
+        self._error: Exception | None = None
         self._rate_ppm = (math.nan, math.nan)
         self._steps_s: list[float] = []
 
@@ -168,6 +174,9 @@ class ClockRate:
             # the time is negative if the camera has no clock
             if frame.device_time_ns >= 0:
                 self._pair(frame)
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
         largest_s = max(self._steps_s, key=abs, default=0.0)
         return CameraClock(*self._rate_ppm, len(self._steps_s), largest_s)
 
@@ -181,15 +190,22 @@ class ClockRate:
                 self._every *= 2
         if not self._due_ns:
             self._due_ns = host_ns + _FIRST_NS
-        if host_ns >= self._due_ns:
+        if host_ns >= self._due_ns and (self._thread is None or not self._thread.is_alive()):
             self._due_ns = host_ns + _BETWEEN_NS
-            self._fit()
+            table = np.array(self._pairs, dtype=np.int64)
+            self._thread = threading.Thread(target=self._look, args=(table,), name="clock", daemon=True)
+            self._thread.start()
 
-    def _fit(self) -> None:
-        table = np.array(self._pairs, dtype=np.int64)
-        # of frames that were read at the same moment, the first is kept
-        keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
-        # a DataError says that there are too few pairs as yet
-        with suppress(DataError):
-            relation = relate_clocks(*table[keep].T)
-            self._rate_ppm = (relation.drift_ppm, relation.u_drift_ppm)
+    def _look(self, table: NDArray[np.int64]) -> None:
+        try:
+            # of frames that were read at the same moment, the first is kept
+            keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
+            device_ns, host_ns, sequence = table[keep].T
+            relation = relate_clocks(device_ns, host_ns, sequence)
+        except DataError:
+            # there are too few pairs as yet
+            return
+        except Exception as error:
+            self._error = error
+            return
+        self._rate_ppm = (relation.drift_ppm, relation.u_drift_ppm)

@@ -9,6 +9,7 @@ from acquisition.camera import Frame
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError
+from rig.devices import clocks
 from rig.devices.clocks import ClockAnchors, ClockRate, HostClockReading, read_clocks
 from rig.instrument import CameraClock
 from rig.measure.run import utc_offset_ns
@@ -32,6 +33,8 @@ def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...]
     rate, found = ClockRate(), list[CameraClock]()
     for first in range(0, len(given), size):
         found.append(rate.take(given[first : first + size], steps if not first else ()))
+        if rate._thread is not None:
+            rate._thread.join()
     return found
 
 
@@ -63,6 +66,24 @@ def test_a_camera_without_a_clock_has_no_rate_and_few_frames_tell_none() -> None
     assert read(frames(60.0, 0.0, clock=False))[-1].text == ""
     early = read(frames(3.5, 0.0), size=40)[-1]
     assert (early.known, early.steps, early.largest_step_s, early.text) == (False, 0, 0.0, "")
+
+
+def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ValueError("no line")
+
+    monkeypatch.setattr(clocks, "relate_clocks", fails)
+    rate = ClockRate()
+
+    def take() -> None:
+        rate.take(frames(10.0, 0.0))
+        assert rate._thread is not None
+        rate._thread.join()
+        rate.take([])
+
+    with pytest.raises(ValueError, match="no line"):
+        take()
+    assert rate.take([]).text == ""
 
 
 class Clocks:
