@@ -109,7 +109,7 @@ _MIN_GROUND_S = 60.0
 class PreflightWait:
     """Waits after a no-go of the preflight as `[preflight]` states; `over` once `wait_max_s` is used up.
 
-    `since` is the time of the day of the first no-go of a run; whoever has made the run empties it.
+    `since` is the time of the day of the first no-go of a run; the session empties it after the run.
     """
 
     def __init__(

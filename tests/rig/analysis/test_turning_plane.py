@@ -78,7 +78,8 @@ def test_a_decay_whose_plane_turns_is_followed(spin: Spin) -> None:
     assert max(pulls(run).values()) < 3
     assert run.half_cycles > 166
     (said,) = [note for note in run.notes if "plane of swing" in note]
-    assert re.search(r"turned by [+−]\d+\.\d+ ± 0\.000\d+ degrees during the run .* turned back", said)
+    sign = "−" if spin.rate_rad_per_s < 0 else "+"
+    assert re.search(rf"turned by {re.escape(sign)}\d+\.\d+ ± 0\.000\d+ degrees during the run .* back", said)
     sources = {line.source for line in run.budget["b"].sources}
     assert "plane_of_swing_rad" in sources
 
