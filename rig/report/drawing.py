@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ _MAX_ADJUSTMENTS = 3
 """Adjustments of the margins: labels of ticks change with the size of the axes, and so the space needed."""
 _MAX_LOW_FROM_ZERO = 0.3
 """An axis begins at zero if the lowest value is below this fraction of the highest."""
+_DIGITS: Final = re.compile(r"(\.\d\d)\d+")
+_EQUAL_MARKS: Final = re.compile(r'<g( clip-path="[^"]*")?>\s*((?:<use [^>]*/>\s*)+)</g>')
 _MIN_LOG_TICKS = 3
 """Fewest ticks of a logarithmic axis; with fewer the axis is linear."""
 
@@ -131,7 +134,7 @@ def svg(drawing: ReportFigure) -> bytes:
     with styled():
         about = {"Date": None, "Creator": None, "Format": None, "Type": None, "Title": drawing.title}
         drawing.figure.savefig(out, format="svg", metadata=about)
-    return out.getvalue().encode()
+    return _shorten(out.getvalue()).encode()
 
 
 def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
@@ -140,6 +143,28 @@ def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
     with styled():
         drawing.figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
     return out.getvalue()
+
+
+def _shorten(svg_text: str) -> str:
+    """An SVG of half the length: positions to 0.01 pt, one style for equal marks, no indents, short names."""
+    svg_text = re.sub(r'(?<= )(?:d|x|y)="[^"]*"', lambda found: _DIGITS.sub(r"\1", found[0]), svg_text)
+    svg_text = _EQUAL_MARKS.sub(_style_once, re.sub(r"\s*\n\s*", "\n", svg_text))
+    # a line of no length is a dot; after a line command the next point needs no command
+    svg_text = re.sub(r"M (\S+ \S+)\nL \1(?=\n)", r"M\1h0", svg_text)
+    svg_text = re.sub(r"[ML] \S+ \S+(?:\nL \S+ \S+)+", lambda found: found[0].replace("\nL", ""), svg_text)
+    used = dict.fromkeys(re.findall(r'(?<=["(]#)[\w.-]+', svg_text))
+    names = {name: f"i{number:x}" for number, name in enumerate(used)}
+    svg_text = re.sub(r' id="([^"]*)"', lambda found: f' id="{names.get(found[1], "")}"', svg_text)
+    svg_text = re.sub(r'(?<=["(]#)[\w.-]+', lambda found: names[found[0]], svg_text)
+    return svg_text.replace(' id=""', "")
+
+
+def _style_once(found: re.Match[str]) -> str:
+    styles = set(re.findall(r' style="[^"]*"', found[2]))
+    if len(styles) != 1:
+        return found[0]
+    (style,) = styles
+    return f"<g{found[1] or ''}{style}>{found[2].replace(style, '')}</g>"
 
 
 def _make_room(figure: Figure) -> None:

@@ -1,5 +1,6 @@
 """Axes of figures follow from what is drawn, and no label is cut; the numbers in pictures of the ground."""
 
+import io
 from dataclasses import replace
 from threading import Event, Thread
 
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from processing.swing import ResidualSpectrum, TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis import Curves, ModelCurve, ResultRow, RunResults
-from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled
+from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled, svg
 from rig.report.figures_contact import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure, residual_figure
 from rig.report.figures_motion import spectrum_figure
@@ -137,3 +138,14 @@ def test_the_spectrum_is_that_of_the_deflection_in_its_unit() -> None:
     spectrum = ResidualSpectrum(frequency_hz, density, 0.1, 0.25)
     (deflection,) = spectrum_figure(spectrum, "arcsec", ARCSEC_RAD).figure.axes
     assert deflection.lines[0].get_ydata() == pytest.approx(0.002)
+
+
+def test_a_drawing_is_half_as_long_as_it_was_drawn_and_shows_the_same() -> None:
+    random = np.random.default_rng(3)
+    drawn = Figure(figsize=(6.0, 3.0))
+    drawn.subplots().plot(random.random(500), random.random(500), "o", random.random(300), color="#0072b2")
+    raw, shown = io.BytesIO(), svg(ReportFigure("marks", "Marks", "Two lines.", drawn))
+    with styled():
+        drawn.savefig(raw, format="svg")
+    assert len(shown) < 0.55 * len(raw.getvalue())
+    assert shown.count(b"<use") == raw.getvalue().count(b"<use")
