@@ -43,6 +43,7 @@ from rig.report.likelihoods import (
 from rig.terminal import plain_values, quantity
 
 MIN_BAD_PROBABILITY = 0.5
+_SIMULATED = "SIMULATED: runs come from the simulated rig; nothing was measured"
 _MIN_EFFECTIVE_FRACTION = 0.05
 """Fraction of the draws that must be effective."""
 _MAX_RELATIVE_WIDTH = 20.0
@@ -103,6 +104,7 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         contact: _contact(contact, (posterior, without_priors), own, reference_rad)
         for contact, own in runs_of_contact.items()
     }
+    simulated = any(bool(source.run.simulated) for source, _ in entered)
     warnings = [*_covariate_warnings(stated, runs), *_warnings(posterior, without_priors)]
     sampler = None
     if sampled is not None:
@@ -136,8 +138,8 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         predictive_p=posterior.predictive_check(seed=stated.seed),
         sampler=sampler,
         left_out=left_out,
-        warnings=tuple(warnings),
-        simulated=any(bool(source.run.simulated) for source, _ in entered),
+        warnings=(*([_SIMULATED] if simulated else []), *warnings),
+        simulated=simulated,
         stated=stated.model_dump(mode="json", exclude_defaults=True),
     )
     return Campaign(results, posterior, stated)

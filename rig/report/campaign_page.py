@@ -244,8 +244,9 @@ def decays_table(runs: Sequence[FoundRun]) -> Table:
         rows = [one.run[name] for name in names]
         texts = [one.label, *(row.text for row in rows)]
         lines.append(TableRow([one.label, *(number for row in rows for number in row)], texts))
+    title = "SIMULATED: decays" if any(one.run.simulated for one in runs) else "Decays"
     return Table(
-        "decays", "Decays", ("run", *(column for name in names for column in (name, f"u_{name}"))),
+        "decays", title, ("run", *(column for name in names for column in (name, f"u_{name}"))),
         ("", *(quantity(name).label for name in names)), lines,
         "Value ± standard uncertainty. No run is fitted, and the model is one of the laws of the contact.",
     )  # fmt: skip
@@ -389,9 +390,6 @@ def _page(campaign: Campaign, tables: list[Table], figures: Mapping[str, str], s
     results, sampler = campaign.results, campaign.results.sampler
     count = len(results.runs)
     words = f"{count} run{'s' if count != 1 else ''} of {', '.join(results.contacts)}"
-    warnings = list(results.warnings)
-    if results.simulated:
-        warnings.insert(0, "SIMULATED: runs come from the simulated rig; nothing was measured.")
     method = "Laplace's method over the scatters;"
     if sampler is not None:
         method = (
@@ -404,7 +402,7 @@ def _page(campaign: Campaign, tables: list[Table], figures: Mapping[str, str], s
         f"model scatter as much as the real ones with p = {results.predictive_p:.2g}. "
         f"sha256 of {_NAME}: {sha256}."
     )
-    body = [*map(html.warning, warnings)]
+    body = [*map(html.warning, results.warnings)]
     body += [html.notes(results.left_out), first, *figures.values(), *others, html.paragraph(note, "note")]
     title = "SIMULATED: Campaign" if results.simulated else "Campaign"
     return html.page(title, words, body, results_sha256=sha256)

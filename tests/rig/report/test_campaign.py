@@ -23,7 +23,7 @@ from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import session_rows
 from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
 from rig.report.campaign_input import FoundRun, runs_of_archive, stated_model
-from rig.report.campaign_page import effects_table
+from rig.report.campaign_page import decays_table, effects_table
 from rig.report.likelihoods import _bound, compress
 from tests.rig.command_line import SAMPLES, rig
 from tests.rig.report.made_sessions import (
@@ -496,5 +496,19 @@ def test_a_measured_series_is_a_campaign(measured_series: Path) -> None:
     (values,) = found.results.contacts.values()
     assert 0.9 < values["p"].value < 1.0
     assert found.results.simulated
+    assert found.results.warnings[0].startswith("SIMULATED: ")
     assert len(found.results.runs) == 2
     assert {"mass_kg", "arm_m"} <= set(found.results.shared)
+
+
+def test_a_comparison_of_simulated_runs_is_called_so(tmp_path: Path) -> None:
+    shutil.copytree(SAMPLES / "first", tmp_path / "first")
+    compared = rig("compare", tmp_path / "first")
+    assert compared.returncode == 0
+    assert "SIMULATED: runs come from the simulated rig" in compared.stderr
+    (found,) = runs_of_folders([tmp_path / "first"])
+    titles = [
+        decays_table([replace(found, run=replace(found.run, simulated=simulated))]).title
+        for simulated in (True, False)
+    ]
+    assert titles == ["SIMULATED: decays", "Decays"]
