@@ -124,6 +124,8 @@ def test_dwell_and_age_are_counted_to_the_first_frame(measured_series: Path) -> 
         assert (exact.humidity_percent, exact.pressure_pa) == (43.0, 98500.0)
         assert isnan(exact.temperature_c)
         assert ambient_warnings(exact) == []
+        (doubt,) = ambient_warnings(replace(exact, humidity_percent=0.45))
+        assert doubt.endswith("state humidity_percent = 45")
         later = [f"session.contact_made={(began + timedelta(minutes=10)).isoformat()}"]
         (doubt,) = ambient_warnings(recorded_ambient(reader, recorded_configuration(reader, later)))
         assert doubt == "session.contact_made lies 600 s after the run began: correct its date or offset"

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from processing.ambient import other_unit_warning
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from processing.fit import AIR, LinearisedFit, drift_effects
@@ -512,3 +513,11 @@ def test_a_comparison_of_simulated_runs_is_called_so(tmp_path: Path) -> None:
         for simulated in (True, False)
     ]
     assert titles == ["SIMULATED: decays", "Decays"]
+
+
+def test_a_humidity_in_another_unit_than_the_others_is_said() -> None:
+    runs = {"a": 41.0, "b": 0.45, "c": 50.0, "d": 58.0}
+    assert other_unit_warning("humidity_percent", runs).startswith(
+        "humidity_percent is 0.45 of b, and 41 to 58"
+    )
+    assert other_unit_warning("humidity_percent", {"a": 5.0, "b": 45.0, "c": 58.0}) == ""
