@@ -3,7 +3,7 @@
 One guest records onto a drive with a volatile write cache; at random moments the drive gives out what it
 would hold if the power went now. That is all a cut leaves: the guest's memory, page cache included, is not in
 it. At the last moment the guest is killed. A second guest mounts each of these drives and copies its record
-out, which is then read here.
+out, numbers and pixels, which are then read here.
 """
 
 import os
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from acquisition.record import pixels_beside
 from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
@@ -58,9 +59,10 @@ def cut_power(kind: str, folder: Path, cuts: int, duration_s: float, seed: int =
     finally:
         drive.close()
     _write_sparse(folder / "cuts.img", [cut.image for cut, _ in taken])
-    found = [_read(folder / "read.mcap", data) for data in _copied_out(kind, folder, len(taken))]
+    found = [_read(folder / "read.mcap", *files) for files in _copied_out(kind, folder, len(taken))]
     return [
         CutRecord(
+            # numbers and pixels are two files, each of which is forced to the drive by itself
             (handed + 1 - min(each.get("spots", 0), each.get("windows", 0))) / RATE_HZ,
             each,
             cut.kept,
@@ -98,11 +100,12 @@ def _record(
     return taken
 
 
-def _copied_out(kind: str, folder: Path, count: int) -> list[bytes]:
-    """The record on each of the cut drives, as a kernel mounts them; empty where it cannot."""
+def _copied_out(kind: str, folder: Path, count: int) -> list[tuple[bytes, bytes]]:
+    """Numbers and pixels on each of the cut drives, as a kernel mounts them; empty where it cannot."""
+    names = RECORD, pixels_beside(Path(RECORD)).name
     copies = folder / "copies.img"
     with copies.open("wb") as file:
-        file.truncate(count * DRIVE_BYTES)
+        file.truncate(len(names) * count * DRIVE_BYTES)
     attached = [
         word
         for image in (folder / "cuts.img", copies)
@@ -111,12 +114,15 @@ def _copied_out(kind: str, folder: Path, count: int) -> list[bytes]:
     mount = f"mount -t {kind} -o loop,offset=$((i*{DRIVE_BYTES})),sizelimit={DRIVE_BYTES} /dev/vda {FOLDER}"
     # exFAT has no journal: it may know a file's size without the place of its last clusters
     copy = (
-        f"dd if={FOLDER}/{RECORD} of=/dev/vdb bs={_BLOCK_BYTES} seek=$((i*{DRIVE_BYTES // _BLOCK_BYTES})) "
+        f"dd if={FOLDER}/$name of=/dev/vdb bs={_BLOCK_BYTES} seek=$((n*{DRIVE_BYTES // _BLOCK_BYTES})) "
         "conv=noerror,sync,notrunc,fsync"
     )
     command = (
-        f"export PATH=/usr/sbin:/sbin:/usr/bin:/bin; mkdir -p {FOLDER}; i=0; while [ $i -lt {count} ]; do "
-        f'{mount} && {{ {copy}; echo "{COPIED}$i $(stat -c %s {FOLDER}/{RECORD})"; }}; '
+        f"export PATH=/usr/sbin:/sbin:/usr/bin:/bin; mkdir -p {FOLDER}; i=0; n=0; "
+        f"while [ $i -lt {count} ]; do "
+        f"{mount}; for name in {' '.join(names)}; do "
+        f'[ -e {FOLDER}/$name ] && {copy} && echo "{COPIED}$n $(stat -c %s {FOLDER}/$name)"; '
+        f"n=$((n+1)); done; "
         f"umount {FOLDER}; i=$((i+1)); done"
     )
     guest = start_guest(command, folder, DRIVE_MODULES, *attached)
@@ -130,17 +136,20 @@ def _copied_out(kind: str, folder: Path, count: int) -> list[bytes]:
     if not sizes:
         raise RuntimeError("the guest copied nothing:\n" + "\n".join(said[-30:]))
     with copies.open("rb") as file:
-        return [
-            b"" if number not in sizes else os.pread(file.fileno(), sizes[number], number * DRIVE_BYTES)
-            for number in range(count)
+        files = [
+            os.pread(file.fileno(), sizes.get(number, 0), number * DRIVE_BYTES)
+            for number in range(len(names) * count)
         ]
+    return list(zip(files[::2], files[1::2], strict=True))
 
 
-def _read(path: Path, data: bytes) -> dict[str, Any]:
-    """How many frames can be read, and what is wrong besides that the file was cut."""
-    path.write_bytes(data)
+def _read(path: Path, numbers: bytes, pixels: bytes) -> dict[str, Any]:
+    """How many frames can be read, and what is wrong besides that the files were cut."""
+    path.write_bytes(numbers)
+    pixels_beside(path).write_bytes(pixels)
     copy = path.with_name("copy.mcap")
-    copy.unlink(missing_ok=True)
+    for file in (copy, pixels_beside(copy)):
+        file.unlink(missing_ok=True)
     try:
         with RecordReader(path) as reader:
             spots = reader.spots()["sequence"].tolist()

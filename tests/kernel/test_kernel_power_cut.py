@@ -26,4 +26,5 @@ def test_a_power_cut_leaves_a_record_that_can_be_read(tmp_path: Path) -> None:
         assert record.found["without gaps"]
         assert record.found["wrong after recovery"] == []
         # an emulated machine lags; the benchmark says how much was lost
-        assert record.lost_s < 6.0
+        assert record.lost_s < 3.0
+    assert records[-1].found["windows"] > 0
