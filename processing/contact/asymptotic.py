@@ -134,7 +134,7 @@ def period(amplitude_rad: ArrayLike, parameters: ContactParameters, pendulum: Pe
 # is linear in c, b, d, and for a given n the frequency of Eq. 6 is linear in 1/T0 and kappa/T0.
 
 _EXPONENTS_P = np.array([0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0, 1.15, 1.35, 1.6, 2.0, 2.5, 3.0])
-_EXPONENTS_N = np.array([0.03, 0.06, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0])
+_EXPONENTS_N = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0])
 """Start values, which the fit varies; the paper's pairs have p from 0.82 to 0.94 and n from 0.09 to 0.55."""
 
 

@@ -148,7 +148,7 @@ def _propose_starts(found: StartValues, _: float) -> list[dict[str, float]]:
                 "b": max(decay.b * factor, 1e-9),
                 "p": float(np.clip(decay.p, 0.1, 3.0)),
                 "c": decay.c * factor,
-                "n": float(np.clip(period.n, 0.01, 4.9)),
+                "n": period.n,
                 "gamma_pa": float(np.clip(period.kappa, -0.5, 0.5)),
                 DRAG.key: decay.d * 4 / pi,
                 PERIOD: period.period0_s,

@@ -73,6 +73,18 @@ def test_exact_fit_is_within_its_uncertainty(flat: str, noise_arcsec: float) -> 
     assert np.all(np.abs(result.correlation) <= 1 + 1e-9)
 
 
+def test_an_elasticity_near_that_of_gravity_is_no_motion_of_the_ground() -> None:
+    """The period then has a maximum, which no n of the paper's contacts describes."""
+    glass, pendulum = paper_pair("glass_k8")
+    parameters = replace(glass, n=0.005)
+    result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.01, seed=0), pendulum)
+    expected = truth(parameters, result.names)
+    found = result.values[: len(expected)]
+    assert result.ground is not None
+    assert not result.ground.seen
+    assert np.all(np.abs(found - expected) < 4.0 * result.standard_uncertainty[: len(expected)])
+
+
 @pytest.mark.parametrize("flat", PAIRS)
 def test_at_the_rigs_noise_the_parameters_are_known_to_per_mille(flat: str) -> None:
     parameters, pendulum = paper_pair(flat)
