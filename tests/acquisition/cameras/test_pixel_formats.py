@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from acquisition.camera import CameraSettings
 from acquisition.cameras.drivers import buffer_count
-from acquisition.cameras.pixel_formats import BAYER_FORMATS, BY_NAME, FORMATS
+from acquisition.cameras.pixel_formats import BAYER_FORMATS, FORMATS
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers
@@ -21,6 +21,9 @@ def test_the_numbers_are_those_of_the_naming_convention() -> None:
     for item in (*FORMATS, *BAYER_FORMATS):
         assert CODES.get(item.name, item.code) == item.code
         assert (item.code >> 16) & 0xFF == item.transport_bits
+
+
+BY_NAME = {item.name: item for item in FORMATS}
 
 
 @pytest.mark.slow
