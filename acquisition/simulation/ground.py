@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.simulation.settings import ARCSEC_RAD, GroundTruth, PersonTruth, SimulationSettings
+from acquisition.simulation.settings import ARCSEC_RAD, GroundTruth, SimulationSettings
 from acquisition.simulation.smooth_series import (
     BLOCK_KNOTS,
     DEGREE,
@@ -126,7 +126,7 @@ def _fault(path: Path, message: str) -> ConfigurationError:
     return ConfigurationError(f"{_KEY} = {str(path)!r}: {message}")
 
 
-_ACCELERATION, _TILT, _PERSON, _SEISMOMETER = (12, 13), (14, 15), 16, 17
+_ACCELERATION, _TILT, _SEISMOMETER = (12, 13), (14, 15), 17
 """Purposes of the random numbers; each purpose has numbers of its own."""
 SLOW, FAST = 0, 1
 
@@ -145,7 +145,7 @@ def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
     Raises ConfigurationError for a file that cannot be used, or is shorter than `max_duration_s`.
     """
     truth = settings.ground
-    if truth.model == "none" and not truth.base_tilts and not settings.person.passes:
+    if truth.model == "none" and not truth.base_tilts:
         return None
     seed = (settings.seed + 0x9E3779B97F4A7C15 * truth.seed) % 2**63
     record = None
@@ -167,8 +167,6 @@ def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
                 shaking.append((1.0, _record_term(record, mode, truth.file_offset_s)))
         elif truth.model != "none":
             shaking.append((1.0, _noise(truth, rate_hz, (seed, run, _ACCELERATION[mode]))))
-        if settings.person.passes:
-            shaking.append((1.0, sampled(_Person(settings.person, mode, seed, run), rate_hz)))
         if truth.tilt_rad_per_sqrt_hz > 0:
             noise = BandNoise(np.ones_like, rate_hz, truth.bandwidth_hz, (seed, run, _TILT[mode]))
             tilting.append((truth.tilt_rad_per_sqrt_hz, noise))
@@ -251,36 +249,6 @@ def _base_tilt(truth: GroundTruth, mode: int) -> Callable[[NDArray[np.float64]],
         return np.asarray(ARCSEC_RAD * (rate * times_s / 60 + step * np.sin(0.5 * np.pi * part) ** 2))
 
     return tilt_rad
-
-
-class _Person:
-    """One component of the ground's acceleration while a person walks by, in m/s^2, as a function of time."""
-
-    def __init__(self, truth: PersonTruth, mode: int, seed: int, run: int) -> None:
-        self._truth = truth
-        self._mode = mode
-        self._key = (seed, run, _PERSON)
-
-    def __call__(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        truth = self._truth
-        total = np.zeros(len(times_s))
-        for begin_s, direction_rad, phase_rad in self._passes(times_s[0] - truth.duration_s, times_s[-1]):
-            since_s = times_s - begin_s
-            envelope = np.sin(np.pi * np.clip(since_s / truth.duration_s, 0, 1)) ** 2
-            part = math.sin(direction_rad) if self._mode == FAST else math.cos(direction_rad)
-            total += part * envelope * np.sin(2 * np.pi * truth.steps_per_s * since_s + phase_rad)
-        return truth.acceleration_m_per_s2 * total
-
-    def _passes(self, first_s: float, last_s: float) -> list[tuple[float, float, float]]:
-        """Begin (s), direction and phase (rad) of every pass that begins between two times."""
-        generator = np.random.Generator(np.random.PCG64([*self._key, 0]))
-        found = [(at_s, *generator.uniform(0, 2 * np.pi, 2)) for at_s in self._truth.passes_at_s]
-        for hour in range(max(0, math.floor(first_s / 3600)), math.floor(max(last_s, 0) / 3600) + 1):
-            generator = np.random.Generator(np.random.PCG64([*self._key, 1 + hour]))
-            for _ in range(generator.poisson(self._truth.passes_per_hour)):
-                at_s, direction, phase = generator.uniform(0, 1, 3)
-                found.append((3600 * (hour + at_s), 2 * np.pi * direction, 2 * np.pi * phase))
-        return [one for one in found if first_s <= one[0] <= last_s]
 
 
 class SeismometerSamples(NamedTuple):
