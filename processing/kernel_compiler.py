@@ -3,9 +3,9 @@
 This module is imported when the first kernel is called. numba compiles a kernel again for each constant that
 another kernel passes to it, its cache does not notice a change in a kernel that is called from another file,
 and it refuses to compile if no cache can be written. Here a kernel is compiled for types only; a cache entry
-belongs to the code of the kernel and of all kernels that it calls; processes that need the same kernel at
-once compile it once; and without a cache a kernel is compiled in every process. A kernel called by another
-one becomes machine code only as a part of that one. Decision 24 has the gain in time.
+belongs to the code of the kernel and of all kernels that it calls; and without a cache a kernel is compiled
+in every process. A kernel called by another one becomes machine code only as a part of that one. Decision 24
+has the gain in time.
 """
 
 import gc
@@ -13,7 +13,6 @@ import hashlib
 import os
 import pickle
 import secrets
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -37,17 +36,13 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 WAIT_EVENT = "processing:another process compiles it"
-_BYTES = 2**31
-_POLL_S = 0.05
-LONGEST_WAIT_S = 600.0
-"""Longest wait for another process; after it that process counts as hanging."""
 
 
 @contextmanager
-def byte_locked(path: Path, byte: int, waits: Callable[[], None]) -> Iterator[None]:
-    """Hold the lock of one byte within the context; `waits` is called once if another process has it.
+def locked(path: Path, waits: Callable[[], None]) -> Iterator[None]:
+    """Hold the lock of a file within the context; `waits` is called once if another process has it.
 
-    The byte need not exist. Without such locks or write access the context is entered without a lock.
+    The file need not exist. Without such locks or write access the context is entered without a lock.
     """
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
@@ -55,32 +50,17 @@ def byte_locked(path: Path, byte: int, waits: Callable[[], None]) -> Iterator[No
         yield
         return
     try:
-        _wait_for_lock(file, byte, waits)
+        if fcntl is not None:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                waits()
+                fcntl.flock(file, fcntl.LOCK_EX)
+            except OSError:  # a file system without locks
+                pass
         yield
     finally:
         os.close(file)  # closing releases the lock
-
-
-def _wait_for_lock(file: int, byte: int, waits: Callable[[], None]) -> None:
-    until_s, told_caller = time.monotonic() + LONGEST_WAIT_S, False
-    while not _try_lock(file, byte) and time.monotonic() < until_s:
-        if not told_caller:
-            waits()
-            told_caller = True
-        time.sleep(_POLL_S)
-
-
-def _try_lock(file: int, byte: int) -> bool:
-    """Whether the lock was obtained; True as well on a system without locks."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
-    except (BlockingIOError, PermissionError):
-        return False
-    except OSError:
-        return True
-    return True
 
 
 class PartCompiler(Compiler):  # type: ignore[misc]
@@ -128,7 +108,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
                 del self.overloads[known.signature.args]
                 known = None
             if known is None and isinstance(self._cache, _Cache):
-                until_kept.enter_context(self._cache.alone(sig, self.targetctx, self._say_that_it_waits))
+                until_kept.enter_context(locked(self._cache.lock, self._say_that_it_waits))
             entry = self._compiled(sig)
             if type(self) is Kernel and any(map(_makes_arrays, self.nopython_signatures)):
                 self.__class__ = _KernelThatMakesArrays
@@ -194,24 +174,8 @@ class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
     """Cache files of one function, with machine code in files whose names are never used again.
 
     numba writes its index first and counts the other files from 1. Old code would count as new while the new
-    code is written or if that fails; so would code for other types if two processes write at once; and a
-    process that finds the index without the code treats the cache as corrupt.
+    code is written or if that fails; so would code for other types if two processes write at once.
     """
-
-    def _load_index(self) -> dict[Any, str]:
-        """Names of the files; none if a class that the index names no longer exists, as after an update."""
-        try:
-            found: dict[Any, str] = super()._load_index()
-        except (AttributeError, ImportError):
-            return {}
-        return found
-
-    def save(self, key: Any, data: Any) -> None:
-        with byte_locked(Path(self._cache_path) / "keeping.lock", 0, lambda: None):
-            overloads = self._load_index()
-            name = overloads[key] = self._data_name(len(overloads))
-            self._save_data(name, data)
-            self._save_index(overloads)
 
     def _data_name(self, number: int) -> str:
         return f"{Path(super()._data_name(number)).stem}.{secrets.token_hex(8)}.nbc"
@@ -254,29 +218,16 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         try:
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
-        except (OSError, EOFError, pickle.UnpicklingError):
-            # a file cut off by a crash, or not readable for this user: the kernel is compiled again
+        except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
+            # cut off by a crash, not readable for this user, or of a class that no longer exists
             with suppress(OSError):
                 self.flush()
             return None
 
-    @contextmanager
-    def alone(self, sig: Any, target_context: Any, waits: Callable[[], None]) -> Iterator[None]:
-        """Context in which no other process compiles the function for the same types, if it is not stored."""
-        key = self._index_key(sig, target_context.codegen())
-        if self._holds(key):
-            yield
-            return
-        name = repr((self._impl.filename_base, self._cache_file._source_stamp, key)).encode()
-        byte = int.from_bytes(hashlib.sha256(name).digest()[:4]) % _BYTES
-        with byte_locked(Path(self._cache_path) / "compiling.lock", byte, waits):
-            yield
-
-    def _holds(self, key: Any) -> bool:
-        try:
-            return key in self._cache_file._load_index()
-        except (OSError, EOFError, pickle.UnpicklingError):
-            return False
+    @property
+    def lock(self) -> Path:
+        """File whose lock a process holds while it loads or compiles the function."""
+        return Path(self._cache_path) / f"{self._impl.filename_base}.lock"
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(OSError):  # a full disk, say: the next process compiles it again

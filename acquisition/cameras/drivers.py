@@ -154,13 +154,13 @@ BUFFERED_S = 0.1
 _MAX_BYTES = 256 * 1024 * 1024
 
 
-def buffer_count(stated: int | None, rate_hz: float | None, frame_bytes: int, least: int, most: int) -> int:
-    """Number of buffers: as `stated` in the configuration, else as many as `rate_hz` fills in `BUFFERED_S`.
+def buffer_count(rate_hz: float | None, frame_bytes: int, least: int, most: int) -> int:
+    """Number of buffers: as many as `rate_hz` fills in `BUFFERED_S`.
 
     There are at least `least` at any rate, also where the camera states none (None), and at most `most`; all
     together take at most 256 MiB.
     """
-    wanted = stated or max(least, math.ceil(BUFFERED_S * (rate_hz or 0.0)) + 1)
+    wanted = max(least, math.ceil(BUFFERED_S * (rate_hz or 0.0)) + 1)
     return max(2, min(wanted, most, _MAX_BYTES // max(frame_bytes, 1)))
 
 
@@ -168,19 +168,9 @@ class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
     """Choice of the camera, and options of the communication with it."""
 
     serial: str | None = Field(default=None, description="needed only where several are plugged in")
-    transfers: int | None = Field(
-        default=None,
-        ge=1,
-        le=1024,
-        description="frames for which reads are queued ahead; None: 100 ms of them, 4 at least",
-    )
     reading: Literal["auto", "blocking"] = Field(
         default="auto", description="auto queues reads ahead if libusb 1.0 is available; blocking never does"
     )
-
-    def frames_ahead(self, rate_hz: float | None, frame_bytes: int) -> int:
-        """Number of frames of this size for which reads are queued; `rate_hz` is the camera's stated rate."""
-        return buffer_count(self.transfers, rate_hz, frame_bytes, 4, 1024)
 
 
 class V4l2Settings(BaseModel, frozen=True, extra="forbid"):
@@ -191,24 +181,12 @@ class V4l2Settings(BaseModel, frozen=True, extra="forbid"):
     )
     serial: str | None = Field(default=None, description="instead of the device, where the camera has one")
     gain: int | None = Field(default=None, description="in the camera's own steps, which are not decibels")
-    buffers: int | None = Field(
-        default=None,
-        ge=2,
-        le=32,
-        description="frames kept for a reader that is late; None: 100 ms of them, 4 at least",
-    )
 
 
 class PylonSettings(BaseModel, frozen=True, extra="forbid"):
     """Choice of the camera."""
 
     serial: str | None = Field(default=None, description="needed only where several are plugged in")
-    buffers: int | None = Field(
-        default=None,
-        ge=2,
-        le=4096,
-        description="frames kept for a reader that is late; None: 100 ms of them, 64 at least",
-    )
 
 
 class AravisSettings(BaseModel, frozen=True, extra="forbid"):
@@ -216,12 +194,6 @@ class AravisSettings(BaseModel, frozen=True, extra="forbid"):
 
     serial: str | None = Field(
         default=None, description="serial number or libaravis's id; needed only where there are several"
-    )
-    buffers: int | None = Field(
-        default=None,
-        ge=2,
-        le=4096,
-        description="frames kept for a reader that is late; None: 100 ms of them, 64 at least",
     )
     packet_bytes: int | None = Field(
         default=None, ge=576, le=16114, description="GigE packets; left out: the largest that passes"

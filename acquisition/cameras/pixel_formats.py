@@ -138,7 +138,6 @@ FORMATS: Final = (
     Format("Mono14", 0x01100025, "mono14", 16, 16383),
     Format("Mono16", 0x01100007, "mono16", 16, 65535),
 )
-BY_NAME: Final = {item.name: item for item in FORMATS}
 
 
 PITCH: Final = 2

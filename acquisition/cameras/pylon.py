@@ -144,9 +144,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             self._format_and_plane = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             frame_bytes = camera.PayloadSize.Value
-            camera.MaxNumBuffer.Value = buffer_count(
-                self._settings.buffers, features.stated_rate(), frame_bytes, 64, 4096
-            )
+            camera.MaxNumBuffer.Value = buffer_count(features.stated_rate(), frame_bytes, 64, 4096)
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
             self._run = CameraRun(self._next, camera.StopGrabbing)
 

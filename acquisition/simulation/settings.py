@@ -345,23 +345,6 @@ class SeismometerTruth(SimulationSection, frozen=True):
     delay_s: float = Field(default=0.0, ge=0, le=10, description="by which it is late")
 
 
-class PersonTruth(SimulationSection, frozen=True):
-    """A person who walks by: bursts of ground acceleration in step, from a direction drawn for each."""
-
-    passes_at_s: tuple[float, ...] = Field(default=(), description="begin of each pass, seconds into a run")
-    passes_per_hour: float = Field(
-        default=0.0, ge=0, le=3600, description="mean of further ones at random times"
-    )
-    duration_s: float = Field(default=10.0, gt=0, le=600, description="of a pass; nearest in its middle")
-    acceleration_m_per_s2: float = Field(default=1e-4, ge=0, le=1, description="largest")
-    steps_per_s: float = Field(default=1.8, gt=0, le=20, description="frequency of the shaking")
-
-    @property
-    def passes(self) -> bool:
-        """Whether a person ever passes."""
-        return bool(self.passes_at_s) or self.passes_per_hour > 0
-
-
 class SimulationSettings(SimulationSection, frozen=True):
     """The simulated rig; the same settings give identical frames."""
 
@@ -387,7 +370,6 @@ class SimulationSettings(SimulationSection, frozen=True):
     clock: ClockTruth = ClockTruth()
     disturbances: DisturbanceTruth = DisturbanceTruth()
     ground: GroundTruth = GroundTruth()
-    person: PersonTruth = PersonTruth()
     seismometer: SeismometerTruth = SeismometerTruth()
     stated: StatedTruth = StatedTruth()
 

@@ -13,7 +13,7 @@ from statistics import median
 import numpy as np
 
 from processing.arrays import Floats
-from processing.spot.fit_values import Image, Spot, SpotFlag, chi2_limit
+from processing.spot.fit_values import REACH, Image, Spot, SpotFlag, chi2_limit
 from processing.spot.profile import LEARNING_ITERATIONS, BeamProfile, Sample, Shape, learn
 from processing.spot.sensor_model import PixelNoise
 
@@ -30,6 +30,13 @@ _CHANGED_FRAMES = 256
 _CHANGED_RATIO = 2.0
 """The beam has changed if so many frames in a row fit poorly, with a chi2/dof larger by this factor than when
 the model was chosen."""
+
+_DOUBTFUL_FLAGS = SpotFlag.POOR_FIT | SpotFlag.OUTLIERS | SpotFlag.MULTIPLE | SpotFlag.CUT
+_SHIFT_PER_WIDTH_CHANGE = 2.0
+"""Shift of the fitted position by an obstacle without a sharp edge, relative to the change of the fitted
+width: from 1.0 for a cut one sigma before the centre to 2.1 for one two sigmas behind it."""
+_SIGNIFICANT_CHANGE = 3.0
+"""Change of the width, in its standard uncertainties, below which it is noise."""
 
 
 class SpotModel(StrEnum):
@@ -48,7 +55,10 @@ place on the sensor, and the shape; None without a spot."""
 class ModelChoice:
     """Choice of the model from the first spots of a run, and detection of a later change of the beam.
 
-    `model` is None as long as it is not chosen; `profile` is the learned profile, None for another model.
+    `model` is None as long as it is not chosen; `profile` is the learned profile, None for another model. The
+    median widths of the first spots are those with which doubtful ones are compared: an obstacle that hides
+    light on one side without a visible edge makes the fitted spot narrower (or wider) than the beam, and
+    shifts it by about as much.
     """
 
     def __init__(self, noise: PixelNoise, refit: Refit) -> None:
@@ -66,34 +76,33 @@ class ModelChoice:
         self._chi2_per_dof = 1.0
         self._pieces = 1
         self._windows: list[tuple[Image, tuple[int, int]]] = []
+        self._widths: list[tuple[float, float]] = []
+        self._width_x_px = self._width_y_px = math.nan
         self._learning: Generator[None, None, BeamProfile | None] | None = None
 
-    def add(
-        self,
-        chi2_per_dof: float,
-        flags: int,
-        pixels: float,
-        window: Callable[[], tuple[Image, tuple[int, int]]],
-    ) -> None:
+    def add(self, spot: Spot, window: Callable[[], tuple[Image, tuple[int, int]]]) -> None:
         """Add a spot that was tracked while the model was not chosen.
 
-        `pixels` is the number of pixels fitted; `window` returns a sample and the place of its first pixel.
+        `window` returns a sample and the place of its first pixel.
         """
+        if not spot.flags & (SpotFlag.LOST | SpotFlag.EDGE | SpotFlag.CUT):
+            self._widths.append((spot.sigma_x_px, spot.sigma_y_px))
         if self._learning is not None:
             self._learn()
             return
-        two = bool(flags & SpotFlag.MULTIPLE)
+        two = bool(spot.flags & SpotFlag.MULTIPLE)
         if two != self._two:  # the second spot has vanished, or a search has found one
             self._two, self._frames, self._sum = two, 0, 0.0
         if self._frames % _SAMPLE_INTERVAL == 0:
             self._windows.append(window())
         self._frames += 1
-        self._sum += chi2_per_dof
+        self._sum += spot.chi2_per_dof
         wanted = min(max(_SAMPLED_PX // self._windows[0][0].size, _FEWEST_SAMPLES), _MOST_SAMPLES)
         if self._frames < _SAMPLE_INTERVAL * wanted:
             return
         self._chi2_per_dof = self._sum / self._frames
-        if self._chi2_per_dof <= chi2_limit(pixels * self._frames):
+        fitted_px = (2.0 * REACH) ** 2 * spot.sigma_x_px * spot.sigma_y_px
+        if self._chi2_per_dof <= chi2_limit(fitted_px * self._frames):
             self._settle()
             return
         self._pieces = max(1, _PIECE_PX // self._windows[0][0].size)
@@ -103,6 +112,22 @@ class ModelChoice:
     def changed(self, chi2_per_dof: float, poor_frames: float) -> bool:
         """Whether the beam has changed since the choice."""
         return poor_frames >= _CHANGED_FRAMES and chi2_per_dof > _CHANGED_RATIO * self._chi2_per_dof
+
+    def with_width_error(self, spot: Spot) -> Spot:
+        """The spot, with larger uncertainties if it is doubtful and its width has changed."""
+        if not spot.flags & _DOUBTFUL_FLAGS or spot.flags & (SpotFlag.LEARNED | SpotFlag.LOST):
+            return spot
+        by_x = abs(spot.sigma_x_px - self._width_x_px)
+        by_y = abs(spot.sigma_y_px - self._width_y_px)
+        if spot.rotation_rad:
+            by_x = by_y = max(by_x, by_y)
+        # the width of a Gaussian has the same standard uncertainty as its position
+        if not max(by_x, by_y) > _SIGNIFICANT_CHANGE * max(spot.u_x_px, spot.u_y_px):
+            return spot
+        return spot._replace(
+            u_x_px=math.hypot(spot.u_x_px, _SHIFT_PER_WIDTH_CHANGE * by_x),
+            u_y_px=math.hypot(spot.u_y_px, _SHIFT_PER_WIDTH_CHANGE * by_y),
+        )
 
     def _learn(self) -> None:
         assert self._learning is not None
@@ -120,6 +145,9 @@ class ModelChoice:
         self._windows, self._learning = [], None
         gaussian = SpotModel.TWO if self._two else SpotModel.ONE
         self.model = gaussian if self.profile is None else SpotModel.LEARNED
+        if self._widths:
+            self._width_x_px, self._width_y_px = map(median, zip(*self._widths, strict=True))
+            self._widths = []
 
     def _learned(
         self, windows: list[tuple[Image, tuple[int, int]]]
@@ -136,54 +164,3 @@ class ModelChoice:
             return None
         shape = Shape(*np.median(np.array(shapes), axis=0).tolist())
         return (yield from learn(samples, shape, self._noise))
-
-
-_DOUBTFUL_FLAGS = SpotFlag.POOR_FIT | SpotFlag.OUTLIERS | SpotFlag.MULTIPLE | SpotFlag.CUT
-_SHIFT_PER_WIDTH_CHANGE = 2.0
-"""Shift of the fitted position by an obstacle without a sharp edge, relative to the change of the fitted
-width: from 1.0 for a cut one sigma before the centre to 2.1 for one two sigmas behind it."""
-_SIGNIFICANT_CHANGE = 3.0
-"""Change of the width, in its standard uncertainties, below which it is noise."""
-
-
-class FirstWidths:
-    """Median widths of the first spots, with which those of doubtful ones are compared.
-
-    An obstacle that hides light on one side without a visible edge makes the fitted spot narrower (or wider)
-    than the beam, and shifts it by about as much.
-    """
-
-    def __init__(self) -> None:
-        self._seen: list[tuple[float, float]] = []
-        self._x_px = self._y_px = math.nan
-
-    def restart(self) -> None:
-        """Forget the beam."""
-        self._seen = []
-        self._x_px = self._y_px = math.nan
-
-    def add(self, spot: Spot) -> None:
-        """Add a spot of the frames from which the model is chosen."""
-        if not spot.flags & (SpotFlag.LOST | SpotFlag.EDGE | SpotFlag.CUT):
-            self._seen.append((spot.sigma_x_px, spot.sigma_y_px))
-
-    def settle(self) -> None:
-        """Take the medians of the spots so far, now that the model is chosen."""
-        if self._seen:
-            self._x_px, self._y_px = (median(widths) for widths in zip(*self._seen, strict=True))
-        self._seen = []
-
-    def with_width_error(self, spot: Spot) -> Spot:
-        """The spot, with larger uncertainties if it is doubtful and its width has changed."""
-        if not spot.flags & _DOUBTFUL_FLAGS or spot.flags & (SpotFlag.LEARNED | SpotFlag.LOST):
-            return spot
-        by_x, by_y = abs(spot.sigma_x_px - self._x_px), abs(spot.sigma_y_px - self._y_px)
-        if spot.rotation_rad:
-            by_x = by_y = max(by_x, by_y)
-        # the width of a Gaussian has the same standard uncertainty as its position
-        if not max(by_x, by_y) > _SIGNIFICANT_CHANGE * max(spot.u_x_px, spot.u_y_px):
-            return spot
-        return spot._replace(
-            u_x_px=math.hypot(spot.u_x_px, _SHIFT_PER_WIDTH_CHANGE * by_x),
-            u_y_px=math.hypot(spot.u_y_px, _SHIFT_PER_WIDTH_CHANGE * by_y),
-        )

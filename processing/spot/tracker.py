@@ -17,7 +17,6 @@ from processing.spot.fit_values import (
     LAST,
     PARAMETERS,
     POOR_FRAMES,
-    REACH,
     SIGMA_X,
     SIGMA_Y,
     STEP_X,
@@ -35,7 +34,7 @@ from processing.spot.fit_values import (
 )
 from processing.spot.following import EXPECTED, NEAR, ROUGH, SEARCH, follow
 from processing.spot.hot_pixels import HotPixels
-from processing.spot.model_choice import FirstWidths, ModelChoice, SpotModel
+from processing.spot.model_choice import ModelChoice, SpotModel
 from processing.spot.outcome import FLAGS, Result
 from processing.spot.profile import Shape
 from processing.spot.profile_follower import ProfileFollower
@@ -131,8 +130,6 @@ class SpotTracker:
         self._frame = self._near = SearchMemory(np.zeros((5, 5), dtype=np.uint8))
         self._hot = HotPixels(sensor.hot_pixels_xy) if sensor.hot_pixels_xy else None
         self._choice = ModelChoice(self._pixel_noise, self._one_gaussian)
-        self._model_chosen = False
-        self._width = FirstWidths()
         self._follower: ProfileFollower | None = None
 
     @property
@@ -181,15 +178,15 @@ class SpotTracker:
                 )
             else:
                 found = self._hot.follow(image, Place(x0, y0, nx, ny), self._memory, self._follow)
-            if not found[FLAGS] and self._model_chosen:
+            if not found[FLAGS] and self._choice.model is not None:
                 return _SPOT(Spot, found)
             if found[FLAGS] != SEARCH:
                 spot = _SPOT(Spot, found)
                 self._choose_model(spot, image, Place(x0, y0, nx, ny))
-                return self._width.with_width_error(spot)
-            if self._memory[TWO] and not self._model_chosen:
+                return self._choice.with_width_error(spot)
+            if self._memory[TWO] and self._choice.model is None:
                 self._memory[ALONE] = 1.0  # the fit of two Gaussians could not be followed
-        return self._width.with_width_error(_SPOT(Spot, self._find(image, Place(x0, y0, nx, ny))))
+        return self._choice.with_width_error(_SPOT(Spot, self._find(image, Place(x0, y0, nx, ny))))
 
     def _follow(self, image: Image, place: Place) -> Result:
         return follow(image, *place, self._memory, self._work, self._tables, self._noise, EXPECTED)
@@ -233,11 +230,10 @@ class SpotTracker:
     def _choose_model(self, spot: Spot, image: Image, place: Place) -> None:
         """Choose the model from the first spots; choose again if the beam has changed."""
         choice, memory = self._choice, self._memory
-        if self._model_chosen:
+        if choice.model is not None:
             if choice.changed(spot.chi2_per_dof, memory[POOR_FRAMES]):
                 choice.restart()
-                self._width.restart()
-                self._model_chosen, self._follower = False, None
+                self._follower = None
                 memory[ALONE] = 0.0
                 self.reset()
             return
@@ -249,12 +245,8 @@ class SpotTracker:
             origin_px = left + place.origin_x, top + place.origin_y
             return cut if self._hot is None else self._hot.smoothed(cut, origin_px), origin_px
 
-        self._width.add(spot)
-        fitted = (2.0 * REACH) ** 2 * spot.sigma_x_px * spot.sigma_y_px
-        choice.add(spot.chi2_per_dof, spot.flags, fitted, window)
+        choice.add(spot, window)
         if choice.model is not None:
-            self._model_chosen = True
-            self._width.settle()
             memory[ALONE] = 0.0 if choice.model is SpotModel.TWO else 1.0
             memory[POOR_FRAMES] = 0.0
             if choice.profile is not None:

@@ -23,7 +23,6 @@ import numpy as np
 from processing.arrays import Ints, Matrix, Vector
 from processing.kernel import kernel
 from processing.swing.waveform import (
-    DAMPING,
     LOG_RATIO,
     NODES,
     NODES_BEFORE,
@@ -96,25 +95,17 @@ def tabulate_state(
     `table` and `turn` are overwritten (see `waveform.tabulate`).
     """
     wanted = np.empty(SHAPES + 1, dtype=np.int64)
-    count, bent = 0, False
+    count = 1
     for column in active:
         if SHAPE <= column < SHAPE + SHAPES:
-            wanted[count] = column - SHAPE
+            wanted[count - 1] = column - SHAPE
             count += 1
-            bent |= column != SHAPE + DAMPING
-    for k in range(DAMPING + 1, SHAPES):
-        bent |= anchor[SHAPE + k] != 0.0
-    if bent:
-        # with damping alone the waveform does not depend on the amplitude; with any other term it does
-        wanted[count] = LOG_RATIO
-        count += 1
+    wanted[count - 1] = LOG_RATIO
     shape = np.empty(SHAPES + 1)
     for k in range(SHAPES):
         shape[k] = anchor[SHAPE + k]
     shape[LOG_RATIO] = math.log(abs(x[AMPLITUDE]) / reference)
     tabulate(shape, wanted[:count], table, turn)
-    if not bent:
-        turn[0, 1 + LOG_RATIO] = turn[1, 1 + LOG_RATIO] = 0.0
     for k in wanted[:count]:
         away = x[SHAPE + k] - anchor[SHAPE + k] if k < SHAPES else 0.0
         if away != 0.0:
@@ -163,12 +154,9 @@ def linearise(
     amplitude, rate = x[AMPLITUDE], x[RATE]
     signed = side * amplitude
     y_shape = np.empty(SHAPES)
-    fast = bent = False
+    fast = False
     for column in active:
         fast |= column >= FAST_COSINE
-        bent |= SHAPE + DAMPING < column < SHAPE + SHAPES
-    for k in range(DAMPING + 1, SHAPES):
-        bent |= x[SHAPE + k] != 0.0
     for i in range(len(tau)):
         s = (tau[i] - x[TIME]) * rate
         node, f = locate(s)
@@ -190,12 +178,10 @@ def linearise(
                     h00 * row[node, 0] + h10 * row[node, 1] + h01 * row[node + 1, 0] + h11 * row[node + 1, 1]
                 )
         # d(A y)/dA = y + dy/d(ln r), since ln r = ln(A/reference)
-        by_amplitude = y
-        if bent:
-            row = table[1 + LOG_RATIO]
-            by_amplitude += (
-                h00 * row[node, 0] + h10 * row[node, 1] + h01 * row[node + 1, 0] + h11 * row[node + 1, 1]
-            )
+        row = table[1 + LOG_RATIO]
+        by_amplitude = (
+            y + h00 * row[node, 0] + h10 * row[node, 1] + h01 * row[node + 1, 0] + h11 * row[node + 1, 1]
+        )
         model = x[CENTRE] + x[DRIFT] * tau[i] + signed * y
         cosine = sine = 0.0
         if fast:

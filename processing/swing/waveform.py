@@ -160,30 +160,6 @@ def _step_on_grid(
 
 
 @kernel
-def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
-    """Tabulate the damped sinusoid and its derivative with respect to the damping d, in closed form.
-
-    With w = sqrt(1 - d^2): y = exp(-d s) [cos(w s) + (d/w) sin(w s)], which has y = 1 and y' = 0 at s = 0.
-    The next turning point is at s = pi/w with the amplitude exp(-d pi/w).
-    """
-    rate = math.sqrt(max(1.0 - damping * damping, 1e-6))
-    for node in range(NODES):
-        s = (node - NODES_BEFORE) * STEP if node >= NODES_BEFORE else -node * STEP
-        decay = math.exp(-damping * s)
-        cosine, sine = decay * math.cos(rate * s), decay * math.sin(rate * s) / rate
-        table[0, node, 0] = cosine + damping * sine
-        table[0, node, 1] = -sine
-        lag = (s * cosine - sine) / (rate * rate)
-        table[1 + DAMPING, node, 0] = -lag
-        table[1 + DAMPING, node, 1] = s * sine + damping * lag
-    turn[:] = math.nan
-    turn[0, 0] = math.pi / rate
-    turn[1, 0] = math.exp(-damping * turn[0, 0])
-    turn[0, 1 + DAMPING] = math.pi * damping / rate**3
-    turn[1, 1 + DAMPING] = -turn[1, 0] * math.pi / rate**3
-
-
-@kernel
 def tabulate(shape: Vector, wanted: Ints, table: Table, turn: Matrix) -> None:
     """Tabulate the waveform and its derivatives with respect to the wanted terms.
 
@@ -195,13 +171,6 @@ def tabulate(shape: Vector, wanted: Ints, table: Table, turn: Matrix) -> None:
     turn : (2, 2 + SHAPES), overwritten: phase of the next turning point and remaining fraction of the
         amplitude, each followed by its derivatives; NaN where not wanted
     """
-    if shape[DRY] == 0.0 and shape[RISE] == 0.0 and shape[STIFF] == 0.0 and shape[BEND] == 0.0:
-        plain = True
-        for k in wanted:
-            plain &= k == DAMPING
-        if plain:
-            _tabulate_sinusoid(shape[DAMPING], table, turn)
-            return
     motion = np.zeros((2 + SHAPES, 2))
     before = np.empty((2 + SHAPES, 2))
     turning = np.empty((2 + SHAPES, 2))

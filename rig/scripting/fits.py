@@ -113,7 +113,7 @@ def fit_film(
     Parameters
     ----------
     path
-        A film, raw pixels, or a folder of images.
+        A film, a folder of images, or a stack of them in one file.
     pixel
         Size of a pixel with its unit, ``"0.142 mm"`` or ``"3.2 arcsec"``; empty: px.
     rate_hz

@@ -1,7 +1,4 @@
-"""Kernels are compiled once, kept while nothing that they use has changed, and work without a cache.
-
-A byte of a file is one process's at a time, and nobody's once that has ended.
-"""
+"""Kernels are compiled once, kept while nothing that they use has changed, and work without a cache."""
 
 import gc
 import importlib
@@ -13,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -24,9 +20,8 @@ import pytest
 from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
-from processing import kernel_compiler
 from processing.kernel import at_compilation, kernel
-from processing.kernel_compiler import byte_locked
+from processing.kernel_compiler import locked
 from tests.rig.long_record import make_long_record
 
 ROOT = Path(__file__).parents[2]
@@ -277,7 +272,7 @@ def as_nobody(*command: str) -> list[str]:
     return ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", "--no-new-privs", *command]
 
 
-def locked(folder: Path) -> Path:
+def read_only(folder: Path) -> Path:
     for path in [folder, *folder.rglob("*")]:
         path.chmod(path.stat().st_mode & ~(stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH))
     return folder
@@ -298,7 +293,7 @@ def test_works_where_nothing_can_be_written(for_everyone: Path) -> None:
     (for_everyone / "inner_kernel.py").write_text(INNER)
     done = subprocess.run(
         as_nobody(sys.executable, "-B", "-c", PROGRAM),
-        cwd=locked(for_everyone),
+        cwd=read_only(for_everyone),
         env={
             "PATH": os.environ["PATH"],
             "HOME": str(for_everyone),
@@ -381,15 +376,15 @@ def test_an_interrupt_in_a_kernel_that_makes_arrays_is_an_interrupt() -> None:
 HOLDER = """
 import sys
 from pathlib import Path
-from processing.kernel_compiler import byte_locked
-with byte_locked(Path(sys.argv[1]), 7, lambda: None):
+from processing.kernel_compiler import locked
+with locked(Path(sys.argv[1]), lambda: None):
     print("held", flush=True)
     input()
 """
 
 
-def test_a_byte_is_waited_for_until_its_process_is_killed_and_not_for_ever_where_it_hangs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_lock_is_waited_for_until_its_process_is_killed_and_done_without_where_it_has_no_place(
+    tmp_path: Path,
 ) -> None:
     path = tmp_path / "lock"
     other = subprocess.Popen(
@@ -397,28 +392,15 @@ def test_a_byte_is_waited_for_until_its_process_is_killed_and_not_for_ever_where
     )
     assert other.stdout is not None
     assert other.stdout.readline() == "held\n"
-    waits: list[int] = []
+    waits: list[bool] = []
 
     def kill() -> None:
-        waits.append(7)
+        waits.append(other.poll() is None)
         threading.Timer(0.3, other.kill).start()
 
-    with other:
-        # another byte is free
-        with byte_locked(path, 8, lambda: waits.append(8)):
-            assert other.poll() is None
-        assert waits == []
-        with monkeypatch.context() as patch:
-            patch.setattr(kernel_compiler, "LONGEST_WAIT_S", 0.2)
-            began_s = time.monotonic()
-            with byte_locked(path, 7, lambda: None):
-                assert other.poll() is None
-                assert time.monotonic() - began_s < 30.0
-        with byte_locked(path, 7, kill):
-            assert other.wait(30.0) != 0
-    assert waits == [7]
-
-
-def test_without_a_place_for_the_lock_it_is_done_without(tmp_path: Path) -> None:
-    with byte_locked(tmp_path / "none" / "lock", 7, lambda: None):
+    with other, locked(path, kill):
+        assert other.wait(30.0) != 0
+    assert waits == [True]
+    with locked(tmp_path / "none" / "lock", lambda: waits.append(False)):
         assert not (tmp_path / "none").exists()
+    assert waits == [True]

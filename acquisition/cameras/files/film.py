@@ -1,6 +1,5 @@
 """A film as a source of frames: decoding, damage of frames, and pixel formats as grey or coloured images."""
 
-import logging
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from enum import Enum
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.cameras.files.film_index import FilmIndex, ffmpeg_error, film_index, open_film, pyav
-from acquisition.cameras.files.formats import has_checksums
 from acquisition.cameras.files.frame_source import FrameSource, FrameTimes, StoredImage, UnreadableFrame
 from processing.errors import DeviceError
 
@@ -165,7 +163,6 @@ def _has_chroma(frame: "VideoFrame", layout: _Layout) -> bool:
     return False
 
 
-_log = logging.getLogger(__name__)
 _LOSSLESS: Final = (
     "ffv1", "huffyuv", "ffvhuff", "rawvideo", "v210", "v410", "v308", "v408", "r210", "r10k", "png", "tiff",
     "bmp", "utvideo", "magicyuv", "qtrle", "zlib", "zmbv", "lagarith", "gif", "pgm", "pgmyuv", "ppm", "y41p",
@@ -178,8 +175,6 @@ frames of several slices as damaged.
 _BEYOND_ALL: Final = 1 << 62
 _ORDER_CHECK_FRAMES: Final = 40
 """Number of first frames on which the order of the film's display times is checked."""
-_CHECKSUM_PACKETS: Final = 5
-"""Number of first packets in which FFV1's checksums are searched for; one of them may itself be damaged."""
 
 
 class FilmSource(FrameSource):
@@ -187,7 +182,7 @@ class FilmSource(FrameSource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        index = film_index(path, _CHECKSUM_PACKETS)
+        index = film_index(path)
         self._index: Final[FilmIndex] = index
         self.count = len(index.time_ns)
         self.times = FrameTimes(index.time_ns, index.sequence)
@@ -195,8 +190,6 @@ class FilmSource(FrameSource):
         self.pixel_aspect = float(index.pixel_aspect)
         self.warnings = index.warnings
         self.lossy = "" if index.codec in _LOSSLESS else index.codec
-        if index.codec == "ffv1" and not any(map(has_checksums, index.first_packets)):
-            _log.warning("%s: was written without checksums; damaged frames cannot be recognised", path)
         rate = "changing" if index.rate_hz is None else f"{float(index.rate_hz):.9g} frames/s"
         lasts = f"{len(index.ticks)} frames in {index.time_ns[-1] / 1e9:.6g} s"
         self.summary = f"{lasts}, {rate}, {index.codec}, {index.pixel_format}"

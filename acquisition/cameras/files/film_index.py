@@ -56,8 +56,8 @@ class FilmIndex:
 
     `ticks` are times in units of `tick_s`, `time_ns` times since the first frame, `sequence` numbers that
     count missing frames too. `rate_hz` is the constant rate with which all times agree, else None.
-    `key_ticks` are the times of key frames, `first_packets` the bytes of the first packets. `time_ns` and
-    `sequence` also have the frames that the container announces beyond its last packet.
+    `key_ticks` are the times of key frames. `time_ns` and `sequence` also have the frames that the container
+    announces beyond its last packet.
     """
 
     ticks: Sequence[int]
@@ -69,11 +69,10 @@ class FilmIndex:
     warnings: tuple[str, ...]
     codec: str
     pixel_format: str
-    first_packets: Sequence[bytes]
     pixel_aspect: Fraction
 
 
-def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
+def film_index(path: Path) -> FilmIndex:
     """Index of a film, read once.
 
     Raises
@@ -89,17 +88,16 @@ def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
         if container.format.name == "image2" or container.format.name.endswith("_pipe"):
             raise DeviceError(f"{path}: {ONE_IMAGE}")
         stream = container.streams.video[0]
-        return _index(path, container, stream, keep_packets)
+        return _index(path, container, stream)
     finally:
         container.close()
 
 
-def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int) -> FilmIndex:
+def _index(path: Path, container: Any, stream: "VideoStream") -> FilmIndex:
     warnings: list[str] = []
     shown: dict[int, bool] = {}
     dts_before: int | None = None
     total = duplicates = 0
-    first_packets: list[bytes] = []
     last_duration = 0
     tick_s: Fraction = stream.time_base or Fraction(1, _SECOND_NS)
     try:
@@ -108,8 +106,6 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
             if not packet.size:
                 continue
             total += 1
-            if len(first_packets) < keep_packets:
-                first_packets.append(bytes(packet))
             if packet.pts is None:
                 raise DeviceError(
                     f"{path}: packet {total} has no display time; put the film into another container "
@@ -169,7 +165,6 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         warnings=tuple(warnings),
         codec=context.name,
         pixel_format=context.pix_fmt or "",
-        first_packets=first_packets,
         pixel_aspect=aspect,
     )
 

@@ -31,9 +31,7 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
     optionally ``file`` (name of the image, which is checked).
     """
 
-    path: Path = Field(
-        description="folder of images, film, TIFF stack, .npy stack (n, ny, nx), or raw pixels with a sidecar"
-    )
+    path: Path = Field(description="folder of images, film, TIFF stack, or .npy stack (n, ny, nx)")
     timestamps_csv: Path | None = None
     frame_rate_hz: float | None = Field(default=None, gt=0, le=1e6)
     force_frame_rate: bool = Field(

@@ -1,4 +1,4 @@
-"""Sources of recorded frames: folder of images, file of several images, .npy stack, raw pixels, film."""
+"""Sources of recorded frames: folder of images, file of several images, .npy stack, film."""
 
 import contextlib
 import math
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from PIL import TiffImagePlugin as TIFF
 
 from acquisition.cameras.files.film import FilmSource
-from acquisition.cameras.files.formats import RawSource, is_raw, read_portable
 from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage, first_places_text
 from acquisition.cameras.files.frame_source import UnreadableFrame as UnreadableFrame
 from processing.errors import DeviceError
@@ -29,6 +28,7 @@ _FILMS = (
     ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv",
     ".3gp", ".nut", ".gif",
 )  # fmt: skip
+_RAW = (".raw", ".bin", ".gray", ".y8", ".y16")
 
 
 def open_source(path: Path) -> FrameSource:
@@ -39,8 +39,11 @@ def open_source(path: Path) -> FrameSource:
         raise DeviceError(f"{path}: no such file or folder of frames; name another")
     if path.suffix.lower() == ".npy":
         return StackSource(path)
-    if path.suffix.lower() not in _STACKS and is_raw(path):
-        return RawSource(path)
+    if path.suffix.lower() in _RAW:
+        raise DeviceError(
+            f"{path}: states neither size nor depth of its pixels; save them with both, in Python by "
+            f"numpy.save('{path.stem}.npy', numpy.fromfile('{path.name}', 'u1').reshape(-1, HEIGHT, WIDTH))"
+        )
     if path.suffix.lower() in IMAGES:
         return ImageSource(path)
     return FilmSource(path)
@@ -48,7 +51,7 @@ def open_source(path: Path) -> FrameSource:
 
 def is_film(path: Path) -> bool:
     """Whether a file is a film, or raw pixels, by its name."""
-    return path.suffix.lower() in _FILMS or is_raw(path)
+    return path.suffix.lower() in (*_FILMS, *_RAW)
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -303,13 +306,31 @@ class StackSource(FrameSource):
         return _stored(np.array(self._stack[index]))
 
 
+_GAP = rb"(?:\s|#[^\n\r]*[\n\r])+"
+_HEADER = re.compile(rb"\s*P([56])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
+
+
 def _portable(data: bytes) -> StoredImage:
-    try:
-        pixels, largest = read_portable(data)
-    except ValueError as error:
-        raise UnreadableFrame(str(error)) from None
+    """Image of a binary PGM or PPM file, blue first; OpenCV rescales some of them."""
+    header = _HEADER.match(data)
+    if header is None:
+        raise UnreadableFrame("no header of a binary PGM or PPM file (P5, P6); save it as one, or as PNG")
+    kind, nx, ny, largest = (int(one) for one in header.groups())
+    if not 0 < largest < 65536 or nx * ny == 0:
+        raise UnreadableFrame(f"the header states {nx}x{ny} pixels up to {largest}")
+    channels, dtype = 3 if kind == 6 else 1, np.dtype(np.uint8 if largest < 256 else ">u2")
+    size, raster = channels * nx * ny * dtype.itemsize, data[header.end() :]
+    if len(raster) < size:
+        raise UnreadableFrame(f"the file ends after {len(raster)} of {size} bytes of pixels")
+    if _HEADER.match(raster, size):
+        raise UnreadableFrame("the file holds several images; give each a file of its own: pamsplit")
+    values: NDArray[Any] = np.frombuffer(raster, dtype, channels * nx * ny)
+    if values.max() > largest:
+        raise UnreadableFrame(f"a pixel of {values.max()} is above the stated largest value {largest}")
+    pixels = values.astype(dtype.newbyteorder("=")).reshape(ny, nx, channels)
     # some programs write the maximum of the image; the full scale is the next 2^bits - 1
-    return StoredImage(pixels, max(2 ** largest.bit_length() - 1, 255))
+    full_scale = max(2 ** largest.bit_length() - 1, 255)
+    return StoredImage(pixels[:, :, ::-1] if channels == 3 else pixels[:, :, 0], full_scale)
 
 
 def _decoded(data: bytes) -> StoredImage:

@@ -184,7 +184,6 @@ class LinuxSource:
         try:
             rate_hz = kernel.get_rate_hz(self._device)
             wanted = buffer_count(
-                self._settings.buffers,
                 rate_hz if math.isfinite(rate_hz) else None,
                 image_bytes(self._layout),
                 _MIN_BUFFERS,

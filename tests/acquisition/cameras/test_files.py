@@ -462,6 +462,8 @@ def test_what_is_no_source_is_refused_in_one_line(tmp_path: Path) -> None:
         path = tmp_path / f"one.{ending}"
         cv2.imwrite(str(path), frames_of(8)[0])
         assert "one image; name the folder" in refusal(path)
+    (tmp_path / "swing.raw").write_bytes(bytes(NX * NY))
+    assert "numpy.save('swing.npy', numpy.fromfile('swing.raw'" in refusal(tmp_path / "swing.raw")
     (tmp_path / "empty/a.heic").write_bytes(b"x")
     assert "holds no image (.png," in (said := refusal(tmp_path / "empty"))
     assert "but 1 .heic" in said

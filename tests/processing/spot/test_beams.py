@@ -121,9 +121,10 @@ def test_a_real_beam_moves_as_it_is_moved(shared_data: Path) -> None:
 def test_a_large_spot_is_judged_by_fewer_windows(side_px: int, windows: int) -> None:
     choice = ModelChoice(PixelNoise(1.0, 0.0, 255.0, 0.0), lambda *_: None)
     image = np.zeros((side_px, side_px), np.uint8)
+    spot = Spot(*[side_px / 9.0] * 9, chi2_per_dof=0.5, flags=0)
     seen = 0
     while choice.model is None:
-        choice.add(0.5, 0, float(side_px**2), lambda: (image, (0, 0)))
+        choice.add(spot, lambda: (image, (0, 0)))
         seen += 1
     assert choice.model is SpotModel.ONE
     assert seen == 4 * windows

@@ -286,13 +286,12 @@ def see_a_reference(folder: Path) -> None:
 
 
 def shake_the_ground(folder: Path) -> None:
-    """Ground of every model, and someone who walks by."""
+    """Ground of every model."""
     file = folder / "ground.csv"
     file.write_text("\n".join(["time_s,a_nm_per_s2", *(f"{t},{(-1) ** t}" for t in range(200))]) + "\n")
-    person = {"passes_at_s": [0.1], "passes_per_hour": 60.0}
     for model in ("white", "peterson", "file"):
         ground = {"model": model, "file": str(file), "tilt_rad_per_sqrt_hz": 1e-9}
-        truth = SimulationSettings.model_validate({"ground": ground, "person": person})
+        truth = SimulationSettings.model_validate({"ground": ground})
         assert len(true_turning_points(truth, max_duration_s=10.0).time_s)
 
 

@@ -172,8 +172,10 @@ def test_packets_that_are_lost_make_frames_that_are_counted(fake: FakeCamera) ->
     check_ramps(frames)
 
 
-def test_frames_that_a_late_reader_loses_are_ours(fake: FakeCamera) -> None:
-    camera = AravisCamera(AravisSettings(buffers=2))
+def test_frames_that_a_late_reader_loses_are_ours(
+    fake: FakeCamera, camera: AravisCamera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("acquisition.cameras.aravis.camera.buffer_count", lambda *_: 2)
     begin(camera)
     assert camera.read(5.0) is not None
     deadline_s = time.monotonic() + PATIENCE_S
