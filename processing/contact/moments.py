@@ -21,34 +21,12 @@ from typing import Annotated
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.law import ContactParameters, Law, PendulumOnBall, weight_moment
+from processing.contact.law import ContactParameters, Law, PendulumOnBall
 from processing.contact.laws import DEFAULT_LAW, turning_points_of
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.quantity import PART
 from processing.swing import TurningPoints
-
-
-@dataclass(frozen=True, slots=True)
-class CycleWork:
-    """Work of one cycle (four deviations from the equilibrium) in J.
-
-    `dissipated_j` is 4A, the area of the loop. `adhesive_j` is 4A_t, the contribution of c (the dashed
-    rectangle of Table 4). `drag_j` is the work of a linear drag, which is not contained in 4A.
-    """
-
-    dissipated_j: float
-    adhesive_j: float
-    drag_j: float
-
-
-def cycle_work(amplitude_rad: float, parameters: ContactParameters, pendulum: PendulumOnBall) -> CycleWork:
-    """4A = 4 m g R (c alpha + b alpha^(p+1)/(p+1)) and 4A_t = 4 m g R c alpha."""
-    moment = weight_moment(pendulum)
-    adhesive = 4 * moment * parameters.c * amplitude_rad
-    internal = 4 * moment * parameters.b * amplitude_rad ** (parameters.p + 1) / (parameters.p + 1)
-    drag = moment * parameters.drag_s * pi * (2 * pi / parameters.period0_s) * amplitude_rad**2
-    return CycleWork(adhesive + internal, adhesive, drag)
 
 
 @dataclass(frozen=True, slots=True)

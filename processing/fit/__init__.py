@@ -47,7 +47,7 @@ from processing.fit.reported import (
     Work,
     reported_quantities,
     rolling_moment_nm,
-    work_per_cycle_j,
+    works_per_cycle_j,
 )
 from processing.fit.result import (
     BOUNDARY_LAYER,

@@ -236,11 +236,17 @@ def rolling_moment_nm(inputs: Mapping[str, Floats], rig: RigQuantities) -> Float
     return np.asarray(load_n * inputs["ball_radius_m"])
 
 
-def work_per_cycle_j(amplitude_rad: float, reported: Mapping[str, Floats], moment_nm: Floats) -> Floats:
-    """Work per cycle 4A in J for values (n,) of reported parameters and m g R, to obtain its uncertainty."""
+def works_per_cycle_j(
+    amplitude_rad: float, reported: Mapping[str, Floats], moment_nm: Floats
+) -> dict[str, Floats]:
+    """Works of one cycle in J for values (n,) of reported parameters and m g R.
+
+    `dissipated` is 4A = 4 m g R (c alpha + b alpha^(p+1)/(p+1)), the area of the loop, `adhesive` 4A_t, its
+    part by c (the dashed rectangle of Table 4), `drag` the work of a linear drag, which 4A does not contain.
+    """
     b, p, c = reported["b"], reported["p"], reported["c"]
-    dissipated = 4 * moment_nm * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))
-    if DRAG.key in reported:
-        per_s = moment_nm * reported[DRAG.key]
-        dissipated = dissipated + per_s * 2 * pi**2 / reported["period0_s"] * amplitude_rad**2
-    return np.asarray(dissipated, dtype=np.float64)
+    adhesive = 4 * moment_nm * c * amplitude_rad
+    internal = 4 * moment_nm * b * amplitude_rad ** (p + 1) / (p + 1)
+    per_s = 2 * pi**2 / reported["period0_s"] * amplitude_rad**2
+    drag = moment_nm * reported.get(DRAG.key, np.zeros(())) * per_s
+    return {"dissipated": adhesive + internal, "adhesive": adhesive, "drag": drag}
