@@ -19,7 +19,7 @@ def test_a_run_that_is_left_out_keeps_its_place_in_the_order(measured_series: Pa
     (entered,) = fit_model([nothing, second], StatedCampaign()).results.runs
     covariates = entered.likelihood["covariates"]
     assert isinstance(covariates, dict)
-    assert covariates["order"] == [1.0, 0.0]
+    assert covariates["order"] == 1.0
 
 
 def test_a_contact_that_is_only_bounded_has_the_runs_limit_and_differs_on_one_side(tmp_path: Path) -> None:
