@@ -26,7 +26,7 @@ from processing.fit.ground import (
     Predictions,
     drive_filter,
 )
-from processing.fit.known_drive import DrivenCoordinates, KnownDrive
+from processing.fit.known_drive import DrivenCoordinates
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
@@ -223,13 +223,6 @@ class ExactModel:
                         return np.asarray(change / (way * np.linalg.norm(step)))
                     break
         raise DataError("the waveform of the swing changes at once where the law's parameters change least")
-
-    def with_drive(self, drive: KnownDrive) -> "ExactModel":
-        """The same model with another known drive in the place of its own."""
-        assert self.known_drive is not None
-        out = copy(self)
-        out.columns = out.known_drive = self.known_drive.with_drive(drive)
-        return out
 
     def evidence_at(self, columns: Floats, covariance: Floats) -> Evidence:
         """The evidence, its known drive with the fitted gains if there is one."""

@@ -122,10 +122,6 @@ class Signals:
         """The signals in some of the columns."""
         return replace(self, value=np.ascontiguousarray(self.value[:, terms]))
 
-    def delayed(self, delay_s: float) -> "Signals":
-        """The same signals, later by `delay_s`."""
-        return replace(self, time_s=self.time_s + delay_s)
-
 
 @dataclass(frozen=True, eq=False)
 class KnownDrive:
@@ -284,10 +280,6 @@ class DrivenCoordinates:
         self.upper = np.concatenate([open_end, law.upper])
         size = np.sqrt(np.mean(drive.steps[0] ** 2, axis=0))
         self.unit = law.reference / np.where(size > 0.0, size, 1.0)
-
-    def with_drive(self, drive: KnownDrive) -> "DrivenCoordinates":
-        """The coordinates of the same law with another drive."""
-        return DrivenCoordinates(self._law, drive)
 
     def gains(self, columns: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Gains (terms,) in rad/s^2 per unit of the signals, and their covariance."""

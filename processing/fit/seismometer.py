@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import partial
-from math import atan2, hypot, log, nan
+from math import atan2, hypot, nan
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -25,7 +25,6 @@ from processing.fit.seismometer_terms import (
     ClockCorrection,
     Seismogram,
     SignalDrives,
-    best_offset,
     clock_correction,
     columns_of,
     gain_of_prediction,
@@ -86,10 +85,8 @@ class SeismometerUse:
         Densities of the drive without the seismometer, and of the remainder, rad/s^2/sqrt(Hz).
     missing_half_cycles
         Half-swings that the seismometer does not cover; the drive is unknown in them.
-    offset_s, offsets_tried
-        Offset added to the seismometer's times if it was searched for, and the number of offsets tried.
     delay_s, clock_drift
-        Further correction of these times, in s and in s per second from the middle of the run, as the run
+        Correction of the seismometer's times, in s and in s per second from the middle of the run, as the run
         shows it; it was applied if it exceeds four standard uncertainties.
     saved
         Factor by which the uncertainty of each parameter is smaller.
@@ -105,8 +102,6 @@ class SeismometerUse:
     ground_left_rad_per_s2_rthz: Estimate = NOT_DETERMINED
     responses: tuple[Response, ...] = ()
     missing_half_cycles: int = 0
-    offset_s: float = 0.0
-    offsets_tried: int = 0
     delay_s: Estimate = NOT_DETERMINED
     clock_drift: Estimate = NOT_DETERMINED
     saved: Mapping[str, float] = field(default_factory=dict)
@@ -180,7 +175,6 @@ def fit_with_seismometer(
     alone: FitResult,
     *,
     averaged: bool = True,
-    offset_known: bool = True,
 ) -> SeismometerFit:
     """Fit the exact map with an auxiliary seismometer.
 
@@ -190,24 +184,9 @@ def fit_with_seismometer(
         The exact fit of these points without it, which is returned where predictions do not gain.
     averaged
         That of `fit_exact`.
-    offset_known
-        The seismometer's times are on the clock of the points, up to a fraction of a period. False: where
-        they explain nothing as they stand, an offset is sought.
     """
     search = _Search(points.first(alone.half_cycles), pendulum, alone, averaged)
-    found = search.with_corrected_clock(seismometer, MIN_PREDICTION_GAIN)
-    if found.use.used or offset_known:
-        return found
-    try:
-        offset_s, tried = best_offset(search.points, pendulum, seismometer, alone, averaged=averaged)
-    except DataError as error:
-        return replace(found, use=replace(found.use, reason=str(error)))
-    # the best of many offsets gains by chance, so that more is asked of it
-    found = search.with_corrected_clock(seismometer.delayed(offset_s), MIN_PREDICTION_GAIN + 2 * log(tried))
-    return replace(
-        found,
-        use=replace(found.use, offset_s=offset_s if found.use.used else 0.0, offsets_tried=tried),
-    )
+    return search.with_corrected_clock(seismometer)
 
 
 class _Selection(NamedTuple):
@@ -225,7 +204,7 @@ class _Search:
     alone: FitResult
     averaged: bool
 
-    def with_corrected_clock(self, seismometer: Seismogram, min_gain: float) -> SeismometerFit:
+    def with_corrected_clock(self, seismometer: Seismogram) -> SeismometerFit:
         """The fit with the seismometer, its clock corrected where the run shows an error of it.
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
@@ -251,7 +230,7 @@ class _Search:
                 return SeismometerFit(
                     self.alone, replace(use, verdict=SeismometerVerdict.ABSENT, reason=reason)
                 )
-            found = self._with_signals(drives, _Selection(self.alone, [], 0.0), PAIR, min_gain)
+            found = self._with_signals(drives, _Selection(self.alone, [], 0.0), PAIR)
             if not found.chosen:
                 return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
             clock = clock_correction(self.points, self.pendulum, found.fit, drives, found.chosen)
@@ -262,16 +241,14 @@ class _Search:
             if not left or not clock.significant:
                 break
             delay_s, drift = correction.delay_s.value, correction.drift.value
-        found = self._with_signals(drives, found, SLOPES, min_gain)
+        found = self._with_signals(drives, found, SLOPES)
         u_delay_s = hypot(correction.delay_s.standard_uncertainty, _U_DELAY * drives.period_s)
         delay = Estimate(correction.delay_s.value, u_delay_s)
         use = replace(use, gain_of_prediction=found.gain, delay_s=delay, clock_drift=correction.drift)
         use = accepted_use(use, self.alone, found.fit, drives.names, found.chosen)
         return SeismometerFit(found.fit, use)
 
-    def _with_signals(
-        self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...], min_gain: float
-    ) -> _Selection:
+    def _with_signals(self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...]) -> _Selection:
         """The selection with further components whose signals of these kinds pay, the best one first.
 
         Slopes are added only to components in use. Where nothing is selected, the gain is that of the best.
@@ -284,7 +261,7 @@ class _Search:
             )
             gains = [gain(columns_of(component, kinds)) for component in left]
             best = int(np.argmax(gains))
-            if not gains[best] > min_gain:
+            if not gains[best] > MIN_PREDICTION_GAIN:
                 return accepted if accepted.chosen else accepted._replace(gain=gains[best])
             chosen = [*accepted.chosen, *columns_of(left.pop(best), kinds)]
             fit = self.fitted_with(accepted.fit, drives, chosen)

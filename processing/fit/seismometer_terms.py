@@ -2,8 +2,8 @@
 
 The instrument's response is not known. Near the pendulum's frequency two numbers describe it: a gain, and one
 for the same record with every phase turned by a quarter; and two more where gain or phase change within the
-band over which a half-swing responds to the ground. Its clock is fitted with them: an unknown offset, a delay
-and a drift.
+band over which a half-swing responds to the ground. Its clock is fitted with them: a delay and a
+drift.
 """
 
 from collections.abc import Sequence
@@ -154,11 +154,6 @@ _SHIFT_PERIODS = 0.02
 """Shift of the signals, in periods, for the derivative with respect to their time."""
 _WEIGHT_CHANGE = 0.1
 """Change of the weight of a half-cycle's own samples for the derivative with respect to it."""
-_OFFSET_SPACING_PERIODS = 1 / 8
-"""Spacing of offsets that are tried, in periods: gain and quadrature take up the offset from the nearest."""
-_MAX_OFFSETS_TRIED = 20_000
-_MIN_COVERED_AT_OFFSET = 0.6
-"""Share of the half-swings that a seismometer has to cover at an offset that is tried."""
 
 
 class SignalDrives:
@@ -288,59 +283,3 @@ def clock_correction(
     u = np.sqrt(np.diag(found.covariance)) * found.scatter(fit.dof)
     delay_s, drift = (Estimate(float(found.values[k]), float(u[k])) for k in range(2))
     return ClockCorrection(delay_s, drift)
-
-
-def best_offset(
-    points: TurningPoints,
-    pendulum: PendulumOnBall,
-    seismometer: Seismogram,
-    alone: FitResult,
-    *,
-    averaged: bool = True,
-) -> tuple[float, int]:
-    """Offset (s) to add to the times so that all components explain most of the motion, and the number tried.
-
-    Raises
-    ------
-    DataError
-        The record is shorter than the part of the run to cover, or so long that its offset must be stated.
-    """
-    period_s = mean_period(points)
-    signals = signals_of(seismometer, period_s)
-    length_s = float(points.time_s[-1] - points.time_s[0])
-    first_s, last_s = float(signals.time_s[0]), float(signals.time_s[-1])
-    lowest = points.time_s[0] + _MIN_COVERED_AT_OFFSET * length_s - last_s
-    highest = points.time_s[0] + (1 - _MIN_COVERED_AT_OFFSET) * length_s - first_s
-    if highest <= lowest:
-        raise DataError(
-            f"the seismometer lasts {last_s - first_s:.4g} s and has to cover "
-            f"{100 * _MIN_COVERED_AT_OFFSET:.0f} % of the run of {length_s:.4g} s"
-        )
-    step_s = _OFFSET_SPACING_PERIODS * period_s
-    tried = int((highest - lowest) / step_s) + 1
-    if tried > _MAX_OFFSETS_TRIED:
-        raise DataError(
-            f"the seismometer lasts {last_s - first_s:.4g} s, too long to search for its offset: state it to "
-            f"{0.5 * _MAX_OFFSETS_TRIED * step_s:.3g} s, or shorten its record"
-        )
-    signals = signals.select([k for one in range(len(seismometer.names)) for k in columns_of(one, PAIR)])
-    drive = known_drive(points, signals, averaged=averaged)
-    model = model_of(points, pendulum, alone, drive)
-
-    def explained(by_s: float) -> float:
-        drive = known_drive(points, signals.delayed(by_s), averaged=averaged)
-        if np.count_nonzero(drive.missing) > (1 - _MIN_COVERED_AT_OFFSET) * len(drive.missing):
-            return 0.0
-        return _explained(model, alone, drive)
-
-    coarse = lowest + step_s * np.arange(tried)
-    best = float(coarse[int(np.argmax([explained(one) for one in coarse.tolist()]))])
-    near = best + step_s * np.linspace(-1, 1, 17)
-    return float(near[int(np.argmax([explained(one) for one in near.tolist()]))]), tried
-
-
-def _explained(model: ExactModel, alone: FitResult, drive: KnownDrive) -> float:
-    """Fall of the sum of squared residuals by the gains of a drive."""
-    residuals, by_gains, by_law = residuals_at_fit(model.with_drive(drive), alone)
-    law = FactoredJacobian(by_law)
-    return float(np.sum((FactoredJacobian(law.left(by_gains)).directions.T @ law.left(residuals)) ** 2))

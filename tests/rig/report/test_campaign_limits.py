@@ -70,7 +70,7 @@ def test_a_prior_within_the_margin_is_no_evidence_that_nothing_depends(tmp_path:
 def test_what_is_not_determined_is_left_out(measured_series: Path) -> None:
     (first, _) = runs_of_folders([measured_series])
     nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
-    found, problem = compress(nothing, 60 * ARCSEC_RAD, {})
+    found, problem = compress(nothing, 60 * ARCSEC_RAD)
     assert found is None
     assert problem.endswith("left out: too short")
     with pytest.raises(Exception, match=r"no run can enter the campaign: .*too short"):
