@@ -26,7 +26,6 @@ from processing.contact.law import (
     Law,
     Parameter,
     PendulumOnBall,
-    SolverCoordinates,
     relative_curvature,
     stiffness_ratio,
     weight_moment,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from processing.arrays import Floats
 from processing.contact import TABLE_RATIO, HalfSwings, OneHalfSwing, PendulumOnBall, SwingTable, walk
 from processing.contact.laws import DEFAULT_LAW, Law
-from processing.decay_summary import mean_period
+from processing.decay_summary import mean_period, reference_amplitude
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import (
@@ -26,7 +26,7 @@ from processing.fit.ground import (
     Predictions,
     drive_filter,
 )
-from processing.fit.known_drive import DrivenCoordinates
+from processing.fit.known_drive import DriveGains
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
@@ -108,11 +108,10 @@ class ExactModel:
         self.law = law
         self.evidence = evidence
         self.names = law.fit_names(drag=drag)
-        self.columns = law.columns(points, pendulum, self.names)
-        self.known_drive: DrivenCoordinates | None = None
-        if evidence.drive is not None:
-            self.columns = self.known_drive = DrivenCoordinates(self.columns, evidence.drive)
-        self.reference = self.columns.reference
+        self.reference = reference_amplitude(points)
+        self.known_drive = None if evidence.drive is None else DriveGains(evidence.drive, self.reference)
+        gains = () if self.known_drive is None else self.known_drive.start
+        self.columns = law.columns(points, pendulum, self.names, gains)
         self.lower, self.upper = self.columns.lower, self.columns.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
         self._x = points.amplitude / self.reference

@@ -29,13 +29,11 @@ then takes the frequency of the second quarter, the factor s/w^2 of the delay th
 the quarter's own. Otherwise a few thousandths of the drive would be left in the residuals.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from processing.arrays import Flags, Floats
-from processing.contact import HeldColumn, SolverCoordinates
 from processing.fit.ground import KnownSteps
 from processing.kernel import kernel
 from processing.swing import TurningPoints
@@ -262,24 +260,16 @@ LEAST_UNEXPLAINED = 0.022
 by it, at 0.2 to 0.28 Hz. In one half-swing it is below the noise of a turning point, and yet it adds up."""
 
 
-class DrivenCoordinates:
-    """A law's columns after those of the gains; see `SolverCoordinates`.
+class DriveGains:
+    """The gains of a known drive, the first columns of a fit; one `unit` moves amplitudes by the reference
+    (rms)."""
 
-    The gains are no parameters of the law: `physical` has the law's values alone, and their covariance
-    follows from that of all columns. A gain of one `unit` moves amplitudes by the reference (rms).
-    """
-
-    def __init__(self, law: SolverCoordinates, drive: KnownDrive) -> None:
-        self._law, self._drive = law, drive
-        self.reference = law.reference
-        self.map_by_log_rho = law.map_by_log_rho
+    def __init__(self, drive: KnownDrive, reference: float) -> None:
+        self._drive, self._reference = drive, reference
         self.terms = drive.terms
-        self.valley = None if law.valley is None else law.valley + self.terms
-        open_end = np.full(self.terms, np.inf)
-        self.lower = np.concatenate([-open_end, law.lower])
-        self.upper = np.concatenate([open_end, law.upper])
         size = np.sqrt(np.mean(drive.steps[0] ** 2, axis=0))
-        self.unit = law.reference / np.where(size > 0.0, size, 1.0)
+        self.unit = reference / np.where(size > 0.0, size, 1.0)
+        self.start = drive.gains / self.unit
 
     def gains(self, columns: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Gains (terms,) in rad/s^2 per unit of the signals, and their covariance."""
@@ -288,11 +278,11 @@ class DrivenCoordinates:
 
     def known(self, columns: Floats, width: int) -> KnownSteps:
         """The known part of the drive for the filter, with derivatives for a Jacobian of `width` columns."""
-        steps = self._drive.steps * (self.unit / self.reference)
+        steps = self._drive.steps * (self.unit / self._reference)
         gains = columns[: self.terms]
         derivative = np.zeros((*steps.shape[:2], width))
         derivative[:, :, : self.terms] = steps
-        unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
+        unknown = self._drive.unknown_variance(gains * self.unit) / self._reference**2
         known, knocked = np.ascontiguousarray(steps @ gains), np.zeros(len(unknown), np.bool_)
         return KnownSteps(known, derivative, unknown, knocked)
 
@@ -300,30 +290,3 @@ class DrivenCoordinates:
         """The least step of the drive that remains unexplained, in units of the reference."""
         steps = self.known(columns, self.terms).steps[0][~self._drive.missing]
         return LEAST_UNEXPLAINED * float(np.sqrt(np.mean(steps**2))) if len(steps) else 0.0
-
-    def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
-        values, matrix = self._law.map_parameters(columns[self.terms :])
-        return values, self._padded(matrix)
-
-    def physical(self, columns: Floats) -> tuple[Floats, Floats]:
-        values, matrix = self._law.physical(columns[self.terms :])
-        return values, self._padded(matrix)
-
-    def from_physical(self, values: Mapping[str, float]) -> Floats:
-        return self._with_gains(self._law.from_physical(values))
-
-    def starts(self, points: TurningPoints) -> Sequence[Sequence[Floats]]:
-        return [[self._with_gains(one) for one in group] for group in self._law.starts(points)]
-
-    def held(self, name: str) -> HeldColumn:
-        column, keeps_sign = self._law.held(name)
-        return HeldColumn(column + self.terms, keeps_sign)
-
-    def at_limit(self, columns: Floats) -> Sequence[str]:
-        return self._law.at_limit(columns[self.terms :])
-
-    def _padded(self, matrix: Floats) -> Floats:
-        return np.column_stack([np.zeros((len(matrix), self.terms)), matrix])
-
-    def _with_gains(self, columns: Floats) -> Floats:
-        return np.concatenate([self._drive.gains / self.unit, columns])
