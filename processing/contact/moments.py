@@ -21,8 +21,8 @@ from typing import Annotated
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.law import ContactParameters, Law, PendulumOnBall
-from processing.contact.laws import DEFAULT_LAW, turning_points_of
+from processing.contact.law import ContactParameters, PendulumOnBall
+from processing.contact.laws import PAPER, turning_points_of
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.quantity import PART
@@ -70,19 +70,18 @@ def moment_loop(
     values: Mapping[str, float],
     pendulum: PendulumOnBall,
     *,
-    law: Law = DEFAULT_LAW,
     points: int = 201,
 ) -> MomentLoop:
     """The three loops of Table 4 at a given amplitude, neglecting its change within the cycle.
 
-    `values` are the law's parameters by key, in SI units.
+    `values` are the parameters of the paper's law by key, in SI units.
     """
     if not amplitude_rad > 0:
         raise DataError(f"amplitude {amplitude_rad} rad: a loop needs a positive one")
     down = np.linspace(amplitude_rad, -amplitude_rad, points)
     phi = np.concatenate([down, down[::-1]])
     direction = np.repeat([-1.0, 1.0], points)
-    moments = law.branch_moments(phi, direction, values, pendulum)
+    moments = PAPER.branch_moments(phi, direction, values, pendulum)
     return MomentLoop(phi, *moments, moments.friction_n_m + moments.elastic_n_m)
 
 

@@ -283,7 +283,7 @@ class ExactModel:
             ]
         )  # fmt: skip
         variance = self._variance * noise.scale**2
-        innovations, jacobian, _, log_det = drive_filter(
+        innovations, jacobian, log_det = drive_filter(
             Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
             MeasuredTurningPoints(self._index, self._measured, variance, self._rate, noise.averaged),
             noise.step,
