@@ -5,7 +5,6 @@ a = (3 F R / (4 E*))^(1/3)      1/E* = sum (1 - nu^2)/E      depth = a^2/R      
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from types import MappingProxyType
 
 from processing.contact.law import STANDARD_GRAVITY_M_PER_S2, PendulumOnBall
@@ -20,18 +19,6 @@ class Material:
     poisson_ratio: float = field(metadata={"gt": -1, "lt": 0.5})
     u_youngs_modulus_pa: float = field(default=0.0, metadata={"ge": 0})
     u_poisson_ratio: float = field(default=0.0, metadata={"ge": 0})
-
-    def __post_init__(self) -> None:
-        if not (isfinite(self.youngs_modulus_pa) and self.youngs_modulus_pa > 0):
-            raise ConfigurationError(
-                f"material: youngs_modulus_pa = {self.youngs_modulus_pa}; it must be positive"
-            )
-        if not -1 < self.poisson_ratio <= 0.5:
-            raise ConfigurationError(
-                f"material: poisson_ratio = {self.poisson_ratio}; it must be between -1 and 0.5"
-            )
-        if not (self.u_youngs_modulus_pa >= 0 and self.u_poisson_ratio >= 0):
-            raise ConfigurationError("material: an uncertainty is negative")
 
     @property
     def compliance_per_pa(self) -> float:

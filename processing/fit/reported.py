@@ -10,7 +10,6 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
 from processing.contact.laws import DRAG, PAPER
-from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from processing.fit.result import FitResult
 from processing.quantity import DerivedQuantity, Quantity, quantities_of
@@ -34,12 +33,6 @@ class InputQuantity:
     value: float
     u: float = 0.0
     dof: float = inf
-
-    def __post_init__(self) -> None:
-        if not self.u >= 0:
-            raise ConfigurationError(
-                f"standard uncertainty {self.u} of the value {self.value}: it must not be negative"
-            )
 
 
 @dataclass(frozen=True)
@@ -83,14 +76,6 @@ class RigQuantities:
     period_drift: InputQuantity = InputQuantity(0.0)
     common_amplitude_rad: InputQuantity = InputQuantity(0.0)
     plane_of_swing_rad: InputQuantity = InputQuantity(0.0)
-
-    def __post_init__(self) -> None:
-        for name in ("mass_kg", "ball_radius_m", "arm_m", "pitch_m", "gravity_m_per_s2", "clock"):
-            value = getattr(self, name).value
-            if not value > 0:
-                raise ConfigurationError(f"{name} = {value}: it must be positive")
-        if self.balls not in (1, 2):
-            raise ConfigurationError(f"balls = {self.balls}: a pendulum stands on 1 or 2")
 
     def inputs(self) -> dict[str, InputQuantity]:
         """All inputs by name; if both bodies are of the same material, it is listed once."""

@@ -53,12 +53,3 @@ def test_own_materials_come_first_and_unknown_ones_are_named() -> None:
         ConfigurationError, match="unknown material 'stel': take one of glass_k8, silicon, steel"
     ):
         material("stel")
-
-
-@pytest.mark.parametrize(
-    ("modulus", "ratio", "u", "word"),
-    [(0.0, 0.3, 0.0, "positive"), (1e11, 0.6, 0.0, "poisson_ratio"), (1e11, 0.3, -1.0, "negative")],
-)
-def test_impossible_materials_are_refused(modulus: float, ratio: float, u: float, word: str) -> None:
-    with pytest.raises(ConfigurationError, match=word):
-        Material(modulus, ratio, u_youngs_modulus_pa=u)
