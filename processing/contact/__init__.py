@@ -11,10 +11,8 @@ from processing.contact.free_swing import (
 from processing.contact.half_swing import TABLE_RATIO, HalfSwings, OneHalfSwing, SwingTable, walk
 from processing.contact.hertz import (
     MATERIALS,
-    HertzContact,
     Material,
     contact_radius,
-    hertz_contact,
     material,
     pendulum_on_ball,
 )
@@ -28,7 +26,6 @@ from processing.contact.law import (
     Law,
     Parameter,
     PendulumOnBall,
-    SolverCoordinates,
     relative_curvature,
     stiffness_ratio,
     weight_moment,
@@ -39,7 +36,6 @@ from processing.contact.moments import (
     AdhesiveContact,
     SurfaceEnergy,
     adhesive_contacts,
-    cycle_work,
     measured_losses,
     model_losses,
     moment_loop,

@@ -100,11 +100,26 @@ def logarithms_of(*places: int) -> ValleyCoordinates:
 
 
 class Coordinates:
-    """`SolverCoordinates` of any law: coordinates of its own parameters (`ValleyCoordinates`) and of a fitted
-    drag, first amplitude, coordinate of T0, first time.
+    """Coordinates in which the solver fits a law to one decay, and their conversion to parameters.
+
+    The solver varies columns, chosen so that the valleys of chi2 are straight: `others` of the fit, which
+    start at these values and are none of the law's, coordinates of the law's own parameters
+    (`ValleyCoordinates`), of a fitted drag, the first amplitude, the coordinate of T0, the first time. They
+    determine the parameters of the half-swing map (dimensionless: angles in units of `reference`, the
+    geometric mean amplitude, times in units of T0) and the physical values in SI units.
 
     `propose_starts` proposes scaled start values, from those of a decay of the paper's form and the reference
     amplitude.
+
+    Attributes
+    ----------
+    lower, upper
+        Bounds of the columns.
+    map_by_log_rho
+        Derivative of the map's parameters with respect to ln(R/a), which a fit takes as known.
+    valley
+        Column along which friction and drag replace each other without a change of the turning points; None
+        where there is none, or where it is not known.
     """
 
     def __init__(
@@ -112,6 +127,8 @@ class Coordinates:
         points: TurningPoints,
         pendulum: PendulumOnBall,
         names: tuple[str, ...],
+        others: Sequence[float] = (),
+        *,
         parameters: Sequence[Parameter],
         scalings: Mapping[str, Scaling],
         valley_coordinates: Callable[[bool], ValleyCoordinates],
@@ -126,20 +143,24 @@ class Coordinates:
         self._drag = DRAG.key in names
         self._found: dict[bytes, tuple[Floats, Floats]] = {}
         self._valley_coordinates, self._propose_starts = valley_coordinates(self._drag), propose_starts
-        self.valley = self._valley_coordinates.valley
+        self._others = tuple(others)
+        first = len(self._others)
+        valley = self._valley_coordinates.valley
+        self.valley = None if valley is None else first + valley
         self._rho = relative_curvature(pendulum) * self.reference
         count = len(self._own)
         self.map_by_log_rho = np.zeros(count + 4)
         self.map_by_log_rho[-2] = self._rho
         # columns of own parameters, drag, and T0, and their places among the coordinates
-        fitted = list(range(count + self._drag))
-        self._searched, self._places = [*fitted, count + self._drag + 1], [*fitted, count + 1]
-        self.upper = np.full(count + self._drag + 3, np.inf)
+        fitted = range(count + self._drag)
+        self._searched = [first + column for column in (*fitted, count + self._drag + 1)]
+        self._places = [*fitted, count + 1]
+        self.upper = np.full(first + count + self._drag + 3, np.inf)
         self.lower = -self.upper
         halves = points.index[-1] - points.index[0]
         loss = abs(float(np.log(points.amplitude[0] / points.amplitude[-1]) / halves))
         for place, (low, high) in self._valley_coordinates.limits(loss).items():
-            self.lower[place], self.upper[place] = low, high
+            self.lower[first + place], self.upper[first + place] = low, high
         self.lower[-3], self.lower[-2] = 1e-3, 1e-6
 
     def _scaled(self, columns: Floats) -> tuple[Floats, Floats]:
@@ -166,6 +187,9 @@ class Coordinates:
             return out[:, 0].real, out[:, 1:].imag / 1e-30
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
+        """The map's parameters, T0 (s) and the time of the first turning point (s) in one array, and their
+        derivatives with respect to the columns; NaN for columns without a solution. The map's parameters are
+        the law's own, the drag, the reference (rad), R/a times it, and the first amplitude."""
         scaled, by_scaled = self._scaled(columns)
         count = len(self._own) + 1
         by = np.zeros((len(scaled) + 2, len(columns)))
@@ -173,6 +197,7 @@ class Coordinates:
         return np.concatenate([scaled[:count], [self.reference, self._rho], scaled[count:]]), by
 
     def physical(self, columns: Floats) -> tuple[Floats, Floats]:
+        """SI values in the order of `Law.fit_names`, and their derivatives with respect to the columns."""
         scaled, by = self._scaled(columns)
         first, period0_s, time_s = scaled[-3:].tolist()
         out: dict[str, float] = {}
@@ -198,6 +223,7 @@ class Coordinates:
         return np.array([out[key] for key in self._names]), np.array([rows[key] for key in self._names])
 
     def from_physical(self, values: Mapping[str, float]) -> Floats:
+        """The columns that correspond to physical values, given by key."""
         scaled = scaled_values(self._scalings, values, self._pendulum, self.reference)
         if self._drag:
             scaled[DRAG.key] = values[DRAG.key] * 2 * np.pi / values[PERIOD]
@@ -210,11 +236,13 @@ class Coordinates:
         if not self._drag:
             found = np.delete(found, -2)
         out = np.empty(len(self.lower))
-        out[self._searched] = found
+        out[: len(self._others)], out[self._searched] = self._others, found
         out[-3], out[-1] = first, time_s
         return out
 
     def starts(self, points: TurningPoints) -> Sequence[Sequence[Floats]]:
+        """Start values, the most promising first. Each is a sequence of attempts; the first one for which
+        the map reaches the last half-cycle is used."""
         found = start_values(points, self._rho, drag=self.valley is not None)
         loses = {key: scaling.loses for key, scaling in self._scalings.items()} | {DRAG.key: True}
         exponents = {scaling.exponent for scaling in self._scalings.values()}
@@ -231,20 +259,23 @@ class Coordinates:
         return groups
 
     def held(self, name: str) -> HeldColumn:
+        """The column that is solved for when a parameter is held for its profile likelihood."""
+        first = len(self._others)
         if name in self._own:
-            place = self._own.index(name)
-            return (
-                self._valley_coordinates.held[place] if self._valley_coordinates.held else HeldColumn(place)
-            )
-        place = {DRAG.key: len(self._own), AMPLITUDE.key: -3, PERIOD: -2, TIME.key: -1}[name]
+            place, held = self._own.index(name), self._valley_coordinates.held
+            found = held[place] if held else HeldColumn(place)
+            return HeldColumn(first + found.column, found.keeps_sign)
+        place = {DRAG.key: first + len(self._own), AMPLITUDE.key: -3, PERIOD: -2, TIME.key: -1}[name]
         return HeldColumn(place % len(self.lower))
 
     def at_limit(self, columns: Floats) -> Sequence[str]:
+        """Parameters that are at a limit of the range searched."""
+        first, count = len(self._others), len(self._own)
         near = np.minimum(columns - self.lower, self.upper - columns) < _LIMIT_DISTANCE
         scaled, _ = self._scaled(columns)
         moved = [self.held(key).column for key in self._own]
-        nearest = np.flatnonzero(near[: len(moved)]).tolist()
-        found = {moved.index(column) if column in moved else column for column in nearest}
+        nearest = (first + np.flatnonzero(near[first : first + count])).tolist()
+        found = {moved.index(column) if column in moved else column - first for column in nearest}
         found |= set(self._valley_coordinates.at_limit(scaled))
         for place, parameter in enumerate(self._parameters):
             if not self._scalings[self._own[place]].exponent and parameter.lower and parameter.upper < np.inf:

@@ -5,12 +5,10 @@ a = (3 F R / (4 E*))^(1/3)      1/E* = sum (1 - nu^2)/E      depth = a^2/R      
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import hypot, isfinite
 from types import MappingProxyType
 
 from processing.contact.law import STANDARD_GRAVITY_M_PER_S2, PendulumOnBall
 from processing.errors import ConfigurationError
-from processing.estimate import Estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,18 +19,6 @@ class Material:
     poisson_ratio: float = field(metadata={"gt": -1, "lt": 0.5})
     u_youngs_modulus_pa: float = field(default=0.0, metadata={"ge": 0})
     u_poisson_ratio: float = field(default=0.0, metadata={"ge": 0})
-
-    def __post_init__(self) -> None:
-        if not (isfinite(self.youngs_modulus_pa) and self.youngs_modulus_pa > 0):
-            raise ConfigurationError(
-                f"material: youngs_modulus_pa = {self.youngs_modulus_pa}; it must be positive"
-            )
-        if not -1 < self.poisson_ratio <= 0.5:
-            raise ConfigurationError(
-                f"material: poisson_ratio = {self.poisson_ratio}; it must be between -1 and 0.5"
-            )
-        if not (self.u_youngs_modulus_pa >= 0 and self.u_poisson_ratio >= 0):
-            raise ConfigurationError("material: an uncertainty is negative")
 
     @property
     def compliance_per_pa(self) -> float:
@@ -68,73 +54,10 @@ def material(name: str, others: Mapping[str, Material] = MappingProxyType({})) -
     )
 
 
-@dataclass(frozen=True, slots=True)
-class HertzContact:
-    """Contact spot: radius a, penetration depth a^2/R, contact angle a/R."""
-
-    radius_m: Estimate
-    depth_m: Estimate
-    angle_rad: Estimate
-
-
 def contact_radius(force_n: float, ball_radius_m: float, ball: Material, flat: Material) -> float:
     """Radius a of the contact spot in m."""
     compliance = ball.compliance_per_pa + flat.compliance_per_pa
     return float((0.75 * force_n * ball_radius_m * compliance) ** (1 / 3))
-
-
-def hertz_contact(
-    force_n: float,
-    ball_radius_m: float,
-    ball: Material,
-    flat: Material,
-    *,
-    u_force_n: float = 0.0,
-    u_ball_radius_m: float = 0.0,
-) -> HertzContact:
-    """Contact of one ball pressed onto a flat.
-
-    Parameters
-    ----------
-    force_n
-        Load on this ball: m g on one ball, m g/2 on each of two.
-    u_force_n, u_ball_radius_m
-        Standard uncertainties. Those of the elastic constants are fields of the materials. They are taken as
-        independent, except if both bodies are of the same material: their errors are then equal.
-
-    Raises
-    ------
-    ConfigurationError
-        Load or radius not positive, or a negative uncertainty.
-    """
-    for name, value in (("force_n", force_n), ("ball_radius_m", ball_radius_m)):
-        if not (isfinite(value) and value > 0):
-            raise ConfigurationError(f"{name} = {value}: it must be positive")
-    if not (u_force_n >= 0 and u_ball_radius_m >= 0):
-        raise ConfigurationError("the uncertainties of load and ball radius must not be negative")
-    radius = contact_radius(force_n, ball_radius_m, ball, flat)
-    compliance = ball.compliance_per_pa + flat.compliance_per_pa
-    # relative uncertainty of the compliance; the same material on both sides adds linearly, not in quadrature
-    bodies = [(ball, 2.0)] if ball == flat else [(ball, 1.0), (flat, 1.0)]
-    elastic = hypot(
-        *(
-            times * part / compliance
-            for body, times in bodies
-            for part in (
-                body.compliance_per_pa * body.u_youngs_modulus_pa / body.youngs_modulus_pa,
-                2 * body.poisson_ratio * body.u_poisson_ratio / body.youngs_modulus_pa,
-            )
-        )
-    )
-    force, ball_radius = u_force_n / force_n, u_ball_radius_m / ball_radius_m
-    third = 1 / 3
-    depth, angle = radius**2 / ball_radius_m, radius / ball_radius_m
-    # a^2/R goes as F^(2/3) R^(-1/3) and a/R as F^(1/3) R^(-2/3)
-    return HertzContact(
-        radius_m=Estimate(radius, radius * third * hypot(force, elastic, ball_radius)),
-        depth_m=Estimate(depth, depth * third * hypot(2 * force, 2 * elastic, ball_radius)),
-        angle_rad=Estimate(angle, angle * third * hypot(force, elastic, 2 * ball_radius)),
-    )
 
 
 def pendulum_on_ball(
@@ -150,5 +73,5 @@ def pendulum_on_ball(
     For two balls pass half the mass. The moments of Eqs. 1 and 3 are then those of one ball; their ratio to
     m g R, on which alone the motion depends, is the same.
     """
-    contact = hertz_contact(mass_kg * gravity_m_per_s2, ball_radius_m, ball, flat)
-    return PendulumOnBall(mass_kg, ball_radius_m, contact.radius_m.value, gravity_m_per_s2)
+    radius_m = contact_radius(mass_kg * gravity_m_per_s2, ball_radius_m, ball, flat)
+    return PendulumOnBall(mass_kg, ball_radius_m, radius_m, gravity_m_per_s2)

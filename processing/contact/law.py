@@ -1,14 +1,16 @@
 """The pendulum on its ball, and the interface of a contact law: parameters, moments, solver's coordinates."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import inf
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from processing.arrays import Floats, Ints
 from processing.contact.half_swing import TABLE_RATIO, HalfSwings, TableMaker, walk
 from processing.quantity import Quantity
-from processing.swing import TurningPoints
+
+if TYPE_CHECKING:
+    from processing.contact.coordinates import Coordinates
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665  # third CGPM, 1901
 
@@ -137,53 +139,6 @@ class HeldColumn(NamedTuple):
     keeps_sign: bool = False
 
 
-class SolverCoordinates(Protocol):
-    """Coordinates in which the solver fits a law to one decay, and their conversion to parameters.
-
-    The solver varies columns, chosen so that the valleys of chi2 are straight. They determine the parameters
-    of the half-swing map (dimensionless: angles in units of `reference`, the geometric mean amplitude, times
-    in units of T0) and the physical values in SI units.
-
-    Attributes
-    ----------
-    lower, upper
-        Bounds of the columns.
-    map_by_log_rho
-        Derivative of the map's parameters with respect to ln(R/a), which a fit takes as known; 0 if the law
-        does not contain it.
-    valley
-        Column along which friction and drag replace each other without a change of the turning points; None
-        where there is none, or where it is not known.
-    """
-
-    reference: float
-    lower: Floats
-    upper: Floats
-    map_by_log_rho: Floats
-    valley: int | None
-
-    def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
-        """The map's parameters, T0 (s) and the time of the first turning point (s) in one array, and their
-        derivatives with respect to the columns; NaN for columns without a solution. The map's parameters are
-        the law's own, the drag, the reference (rad), R/a times it, and the first amplitude."""
-
-    def physical(self, columns: Floats) -> tuple[Floats, Floats]:
-        """SI values in the order of `Law.fit_names`, and their derivatives with respect to the columns."""
-
-    def from_physical(self, values: Mapping[str, float]) -> Floats:
-        """The columns that correspond to physical values, given by key."""
-
-    def starts(self, points: TurningPoints) -> Sequence[Sequence[Floats]]:
-        """Start values, the most promising first. Each is a sequence of attempts; the first one for which
-        the map reaches the last half-cycle is used."""
-
-    def held(self, name: str) -> HeldColumn:
-        """The column that is solved for when a parameter is held for its profile likelihood."""
-
-    def at_limit(self, columns: Floats) -> Sequence[str]:
-        """Parameters that are at a limit of the range searched."""
-
-
 @dataclass(frozen=True)
 class Law:
     """One law of the contact.
@@ -203,8 +158,8 @@ class Law:
         Function of the map's parameters without the first amplitude, and of a range of amplitudes, which
         returns the half-swings in that range.
     columns
-        Function of the turning points, the pendulum and the keys of the fit (`fit_names`), which returns the
-        solver's coordinates.
+        Function of the turning points, the pendulum, the keys of the fit (`fit_names`) and the start values
+        of columns that are not the law's, which returns the solver's coordinates.
     """
 
     name: str
@@ -213,7 +168,7 @@ class Law:
     parameters: tuple[Parameter, ...]
     branch_moments: Callable[[Floats, Floats, Mapping[str, float], PendulumOnBall], BranchMoments]
     table: TableMaker
-    columns: Callable[[TurningPoints, PendulumOnBall, tuple[str, ...]], SolverCoordinates]
+    columns: Callable[..., "Coordinates"]
 
     def half_swing_map(self, parameters: Floats, index: Ints) -> HalfSwings:
         """Turning points of a free decay, for the map's parameters and rising half-cycle numbers, from 0."""

@@ -75,7 +75,7 @@ class Moments(NamedTuple):
 
 MomentsFunction = Callable[[Floats, float, float], Moments | None]
 """Function of a law: its moments between two angles, for the map's parameters without the first amplitude
-(`SolverCoordinates.map_parameters`); None where these have none."""
+(`Coordinates.map_parameters`); None where these have none."""
 
 
 # The substitution ``phi = A cos(theta)`` removes the square-root singularity of the duration at the turning

@@ -21,34 +21,12 @@ from typing import Annotated
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.law import ContactParameters, Law, PendulumOnBall, weight_moment
-from processing.contact.laws import DEFAULT_LAW, turning_points_of
+from processing.contact.law import ContactParameters, PendulumOnBall
+from processing.contact.laws import PAPER, turning_points_of
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.quantity import PART
 from processing.swing import TurningPoints
-
-
-@dataclass(frozen=True, slots=True)
-class CycleWork:
-    """Work of one cycle (four deviations from the equilibrium) in J.
-
-    `dissipated_j` is 4A, the area of the loop. `adhesive_j` is 4A_t, the contribution of c (the dashed
-    rectangle of Table 4). `drag_j` is the work of a linear drag, which is not contained in 4A.
-    """
-
-    dissipated_j: float
-    adhesive_j: float
-    drag_j: float
-
-
-def cycle_work(amplitude_rad: float, parameters: ContactParameters, pendulum: PendulumOnBall) -> CycleWork:
-    """4A = 4 m g R (c alpha + b alpha^(p+1)/(p+1)) and 4A_t = 4 m g R c alpha."""
-    moment = weight_moment(pendulum)
-    adhesive = 4 * moment * parameters.c * amplitude_rad
-    internal = 4 * moment * parameters.b * amplitude_rad ** (parameters.p + 1) / (parameters.p + 1)
-    drag = moment * parameters.drag_s * pi * (2 * pi / parameters.period0_s) * amplitude_rad**2
-    return CycleWork(adhesive + internal, adhesive, drag)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,19 +70,18 @@ def moment_loop(
     values: Mapping[str, float],
     pendulum: PendulumOnBall,
     *,
-    law: Law = DEFAULT_LAW,
     points: int = 201,
 ) -> MomentLoop:
     """The three loops of Table 4 at a given amplitude, neglecting its change within the cycle.
 
-    `values` are the law's parameters by key, in SI units.
+    `values` are the parameters of the paper's law by key, in SI units.
     """
     if not amplitude_rad > 0:
         raise DataError(f"amplitude {amplitude_rad} rad: a loop needs a positive one")
     down = np.linspace(amplitude_rad, -amplitude_rad, points)
     phi = np.concatenate([down, down[::-1]])
     direction = np.repeat([-1.0, 1.0], points)
-    moments = law.branch_moments(phi, direction, values, pendulum)
+    moments = PAPER.branch_moments(phi, direction, values, pendulum)
     return MomentLoop(phi, *moments, moments.friction_n_m + moments.elastic_n_m)
 
 

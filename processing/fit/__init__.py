@@ -26,7 +26,7 @@ from processing.fit.exact import fit_exact
 from processing.fit.exact_result import domain_warnings
 from processing.fit.ground import GROUND_SEEN, Ground, density_of_step
 from processing.fit.knocks import fit_with_knocks
-from processing.fit.known_drive import LEAST_UNEXPLAINED, Signals
+from processing.fit.known_drive import LEAST_UNEXPLAINED, Seismogram, Signals, plain_signals
 from processing.fit.law_comparison import LawComparison, compare_laws, fit_model_free
 from processing.fit.planning import Conditions, PlannedRun, planned_run
 from processing.fit.refinement import (
@@ -47,7 +47,7 @@ from processing.fit.reported import (
     Work,
     reported_quantities,
     rolling_moment_nm,
-    work_per_cycle_j,
+    works_per_cycle_j,
 )
 from processing.fit.result import (
     BOUNDARY_LAYER,
@@ -62,7 +62,6 @@ from processing.fit.result import (
     FitResult,
 )
 from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismometer
-from processing.fit.seismometer_terms import Seismogram, plain_signals
 from processing.fit.terms import LinearisedFit, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes

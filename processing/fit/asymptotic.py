@@ -33,7 +33,7 @@ from processing.estimate import Estimate, FitMethod
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import OUTLIER, check_turning_points, data_warnings
 from processing.fit.result import FitResult
-from processing.least_squares import FactoredJacobian, Loss, Solution, differenced, propagate, solve
+from processing.least_squares import Loss, Solution, differenced, propagate, solve
 from processing.swing import TurningPoints
 
 
@@ -115,9 +115,6 @@ def fit_asymptotic(
             of_known = decay.covariance[:, 3] / known.standard_uncertainty
             scatter[:k, :k] += np.outer(of_known, of_known)
 
-    moved = period_by_log_rho(period, points, periods, reference, rho)
-    by_log_rho = to_physical @ np.concatenate([np.zeros(k), moved])
-
     unsettled = []
     for name, solution, columns in (("Eq. 5", decay, slice(k)), ("Eq. 6", period, slice(k, None))):
         if not solution.converged:
@@ -139,7 +136,7 @@ def fit_asymptotic(
         arae_decay=float(np.mean(np.abs(amplitude_residual) / points.amplitude)),
         arae_period=float(np.mean(np.abs(period_residual) / periods.period_s)),
         reference_rad=reference,
-        by_log_rho=by_log_rho,
+        by_log_rho=np.full(len(values), np.nan),
         mean_period_s=mean_period_estimate(points, period.chi2 / period.dof),
         loss=loss,
         cost=decay.cost + period.cost,
@@ -229,22 +226,6 @@ def period_covariance(solution: Solution, points: TurningPoints, periods: Period
     spread = (by_time * points.u_time_s[:, None] ** 2).T @ by_time
     with np.errstate(invalid="ignore"):
         return np.asarray(solution.covariance @ spread @ solution.covariance)
-
-
-def period_by_log_rho(
-    solution: Solution,
-    points: TurningPoints,
-    periods: Periods,
-    reference: float,
-    rho: float,
-) -> Floats:
-    """Derivatives of T0, n and kappa with respect to ln(R/a), by linearised least squares."""
-    x = points.amplitude[periods.where] / reference
-    t0, n, kappa = solution.values
-    drop = frequency_drop(x, n, kappa, rho)
-    by_rho = drop - frequency_drop(x, n, kappa, 0.0)
-    change = t0 / (1 - drop) ** 2 * by_rho / periods.u_period_s
-    return -FactoredJacobian(solution.jacobian).coefficients(change)
 
 
 # A least-squares fit takes the errors of turning points as independent, which those of a driven pendulum are

@@ -1,19 +1,18 @@
 """How a decay departs from its law: by smooth errors of the law, and by events that are found and dated.
 
-An event is sought at every half-cycle: a knock (a step of both quadratures of the oscillation), a step of the
-friction, a step of the period. Each is judged by the restricted likelihood, with the drive of the ground
-estimated anew, and counts where no smooth error of the law explains the decay as well.
+An event is sought at every half-cycle: a step of the friction, a step of the period. Each is judged by the
+restricted likelihood, with the drive of the ground estimated anew, and counts where no smooth error of the
+law explains the decay as well. Knocks are found by the fit itself, which begins anew after each (`knocks`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from math import inf, log, nan, pi, sqrt
+from math import inf, log, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from processing.arrays import Floats
-from processing.decay_summary import mean_period
 from processing.fit.effects import loss_shares
 from processing.fit.exact_model import DiscrepancyColumns
 from processing.fit.ground import Noise
@@ -211,8 +210,7 @@ _CHANGE_DRIVE_FACTORS = (1.0, 0.3, 0.1, 0.03, 0.0)
 _CLEAR_GAIN = 20.0
 """Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
 _MOST_CHANGES = 3
-_ROUNDING = 1e-6
-"""What is left of a change by law and earlier changes, over the change, that is none but rounding."""
+_KINDS = (ChangeKind.FRICTION, ChangeKind.PERIOD)
 
 
 def with_changes(
@@ -245,7 +243,7 @@ def with_changes(
 
 
 def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained: float) -> tuple[Change, ...]:
-    chance = 2 * log(3 * len(at.points))
+    chance = 2 * log(len(ChangeKind) * len(at.points))
     found: list[Change] = []
     before = min(scan.deviance() for scan in scans)
     for _ in range(_MOST_CHANGES):
@@ -263,16 +261,12 @@ def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained:
 def _change(at: LinearisedFit, best: "_ClearestChange", gain: float) -> Change:
     place = best.place + _EDGE_HALF_CYCLES
     points = at.points
-    size, u_size = best.size, best.u_size
-    if best.kind is ChangeKind.KNOCK:
-        of_amplitude = at.model.reference / float(points.amplitude[place])
-        size, u_size = size * of_amplitude, u_size * of_amplitude
     return Change(
         kind=best.kind,
         half_cycle=int(points.index[place]),
         time_s=float(points.time_s[place]),
-        size=float(size),
-        u_size=float(u_size),
+        size=float(best.size),
+        u_size=float(best.u_size),
         gain=float(gain),
     )
 
@@ -298,14 +292,11 @@ class _ChangeScan:
         self._at, self._noise = at, noise
         model = at.model
         self._shares = loss_shares(model, at.coordinates)
-        self._nodes, self._loss = model.losses(at.coordinates)
         time_s = model.points.time_s - model.points.time_s[0]
         # a change lies between the half-cycle before its place and the one at it
         self._places_s = (
             0.5 * (time_s[1:] + time_s[:-1])[_EDGE_HALF_CYCLES - 1 : len(time_s) - _EDGE_HALF_CYCLES - 1]
         )
-        self._rate = 2 * pi / mean_period(model.points)
-        self._amplitude = model.points.amplitude[_EDGE_HALF_CYCLES:] / model.reference
         # by the median, which a change hardly moves: it must not hide in a scatter that it makes
         self._scale = max(1.0, robust_scatter(rows.residuals[: rows.points], middle=0.0))
         rows = rows.in_scatter(self._scale)
@@ -330,7 +321,7 @@ class _ChangeScan:
         """
         sizes, chances, moved = [], [], []
         for first in range(0, len(self._places_s), _CHUNK_PLACES):
-            raw = self._changes(first, _CHUNK_PLACES, whole=True)[:, 1]
+            raw = self._changes(first, _CHUNK_PLACES, whole=True)[:, 0]
             changes = self._law.left(raw)
             power = np.einsum("rp,rp->p", changes, changes) + 1e-30
             variance = 1.0 / (1.0 / u_size**2 + power)
@@ -344,31 +335,24 @@ class _ChangeScan:
         return np.asarray(np.concatenate(moved, axis=1) * np.sqrt(weight))
 
     def _changes(self, first: int, count: int, *, whole: bool = False) -> Floats:
-        """Derivatives (rows, 4, places) of the rows by four unit changes at `count` places from `first` on.
+        """Derivatives (rows, 2, places) by unit steps of friction and period at `count` places from `first`.
 
         They are without what law and earlier changes take up, unless they are to be `whole`.
         """
         here_s = self._places_s[first : first + count]
 
         def loss_errors(amplitude: Floats, node_s: Floats) -> Floats:
-            knock = _impulses(node_s, here_s) / np.interp(-amplitude, -self._nodes, self._loss)[:, None]
-            after = (node_s[:, None] > here_s) * self._shares(amplitude)[0][:, None]
-            return np.column_stack([knock, after])
+            return np.asarray((node_s[:, None] > here_s) * self._shares(amplitude)[0][:, None])
 
         def duration_errors(_: Floats, node_s: Floats) -> Floats:
-            lasting = np.gradient(node_s)
-            knock = _impulses(node_s, here_s) / lasting[:, None]
-            return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
+            return np.asarray(1.0 * (node_s[:, None] > here_s))
 
         at, errors = self._at, DiscrepancyColumns(loss_errors, duration_errors)
         changes = DrivenRows.of(at.model, at.coordinates, self._noise, errors).by_errors / self._scale
         if not whole:
-            size = np.linalg.norm(changes, axis=0)
-            changes = self._law.left(changes)
-            for taken in self._taken:
+            for taken in (self._law, *self._taken):
                 changes = taken.left(changes)
-            changes[:, np.linalg.norm(changes, axis=0) < _ROUNDING * size] = 0.0
-        return changes.reshape(len(changes), 4, -1)
+        return changes.reshape(len(changes), 2, -1)
 
     def deviance(self) -> float:
         """-2 ln L without any further change."""
@@ -376,51 +360,20 @@ class _ChangeScan:
 
     def best(self) -> _ClearestChange:
         """The change that explains most."""
-        out = None
+        found, now = [], self.deviance()
         for first in range(0, len(self._places_s), _CHUNK_PLACES):
-            out = _better(out, self._best_of(first))
-        assert out is not None
-        return out
-
-    def _best_of(self, first: int) -> _ClearestChange:
-        """The change that explains most at the places of a chunk from `first` on."""
-        changes = self._changes(first, _CHUNK_PLACES)
-        out, now = None, self.deviance()
-        score = np.einsum("r,rkp->kp", self._left, changes)
-        power = np.einsum("rkp,rkp->kp", changes, changes) + 1e-30
-        for kind, at in ((ChangeKind.FRICTION, 1), (ChangeKind.PERIOD, 3)):
-            gains = score[at] ** 2 / power[at]
-            place = int(np.argmax(gains))
-            size, u = -score[at, place] / power[at, place], power[at, place] ** -0.5
-            out = _better(out, _ClearestChange(kind, first + place, size, u, now - float(gains[place])))
-        cross = np.einsum("rp,rp->p", changes[:, 0], changes[:, 2])
-        det = power[0] * power[2] - cross**2
-        both = score[0] ** 2 * power[2] + score[2] ** 2 * power[0] - 2 * score[0] * score[2] * cross
-        gains = np.where(det > 1e-9 * power[0] * power[2], both / np.maximum(det, 1e-300), 0.0)
-        place = int(np.argmax(gains))
-        lost = (score[0, place] * power[2, place] - score[2, place] * cross[place]) / det[place]
-        late = (score[2, place] * power[0, place] - score[0, place] * cross[place]) / det[place]
-        late *= self._rate * self._amplitude[first + place]
-        size, u = np.hypot(lost, late), np.sqrt(power[2, place] / det[place])
-        return _better(
-            out, _ClearestChange(ChangeKind.KNOCK, first + place, size, u, now - float(gains[place]))
-        )
+            changes = self._changes(first, _CHUNK_PLACES)
+            score = np.einsum("r,rkp->kp", self._left, changes)
+            power = np.einsum("rkp,rkp->kp", changes, changes) + 1e-30
+            gains = score**2 / power
+            for at, kind in enumerate(_KINDS):
+                place = int(np.argmax(gains[at]))
+                size, u = -score[at, place] / power[at, place], power[at, place] ** -0.5
+                found.append(_ClearestChange(kind, first + place, size, u, now - float(gains[at, place])))
+        return min(found, key=lambda one: one.deviance)
 
     def take(self, best: _ClearestChange) -> None:
         """Let a change explain its part of the residuals in all that follows."""
-        kinds = {ChangeKind.FRICTION: [1], ChangeKind.PERIOD: [3], ChangeKind.KNOCK: [0, 2]}[best.kind]
-        own = FactoredJacobian(self._changes(best.place, 1)[:, kinds, 0])
+        own = FactoredJacobian(self._changes(best.place, 1)[:, _KINDS.index(best.kind)])
         self._left = own.left(self._left)
         self._taken.append(own)
-
-
-def _better(one: _ClearestChange | None, other: _ClearestChange) -> _ClearestChange:
-    return other if one is None or other.deviance < one.deviance else one
-
-
-def _impulses(node_s: Floats, at_s: Floats) -> Floats:
-    """Ones (nodes, places) at the half-swing in which each time lies."""
-    node = np.clip(np.searchsorted(node_s, at_s), 0, len(node_s) - 1)
-    out = np.zeros((len(node_s), len(at_s)))
-    out[node, np.arange(len(at_s))] = 1.0
-    return out

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from processing.arrays import Floats
 from processing.contact import TABLE_RATIO, HalfSwings, OneHalfSwing, PendulumOnBall, SwingTable, walk
 from processing.contact.laws import DEFAULT_LAW, Law
-from processing.decay_summary import mean_period
+from processing.decay_summary import mean_period, reference_amplitude
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import (
@@ -26,7 +26,7 @@ from processing.fit.ground import (
     Predictions,
     drive_filter,
 )
-from processing.fit.known_drive import DrivenCoordinates, KnownDrive
+from processing.fit.known_drive import DriveGains
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
@@ -108,11 +108,10 @@ class ExactModel:
         self.law = law
         self.evidence = evidence
         self.names = law.fit_names(drag=drag)
-        self.columns = law.columns(points, pendulum, self.names)
-        self.known_drive: DrivenCoordinates | None = None
-        if evidence.drive is not None:
-            self.columns = self.known_drive = DrivenCoordinates(self.columns, evidence.drive)
-        self.reference = self.columns.reference
+        self.reference = reference_amplitude(points)
+        self.known_drive = None if evidence.drive is None else DriveGains(evidence.drive, self.reference)
+        gains = () if self.known_drive is None else self.known_drive.start
+        self.columns = law.columns(points, pendulum, self.names, gains)
         self.lower, self.upper = self.columns.lower, self.columns.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
         self._x = points.amplitude / self.reference
@@ -224,13 +223,6 @@ class ExactModel:
                     break
         raise DataError("the waveform of the swing changes at once where the law's parameters change least")
 
-    def with_drive(self, drive: KnownDrive) -> "ExactModel":
-        """The same model with another known drive in the place of its own."""
-        assert self.known_drive is not None
-        out = copy(self)
-        out.columns = out.known_drive = self.known_drive.with_drive(drive)
-        return out
-
     def evidence_at(self, columns: Floats, covariance: Floats) -> Evidence:
         """The evidence, its known drive with the fitted gains if there is one."""
         if self.known_drive is None or self.evidence.drive is None:
@@ -291,7 +283,7 @@ class ExactModel:
             ]
         )  # fmt: skip
         variance = self._variance * noise.scale**2
-        innovations, jacobian, _, log_det = drive_filter(
+        innovations, jacobian, log_det = drive_filter(
             Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
             MeasuredTurningPoints(self._index, self._measured, variance, self._rate, noise.averaged),
             noise.step,

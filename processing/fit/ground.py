@@ -197,8 +197,8 @@ def drive_filter(
     gains: Floats,
     held: bool,
     limit: float,
-) -> tuple[Floats, Floats, Floats, float]:
-    """Whitened innovations, their derivatives, the filtered states and ln det of the innovations' covariance.
+) -> tuple[Floats, Floats, float]:
+    """Whitened innovations, their derivatives, and ln det of their covariance.
 
     Parameters
     ----------
@@ -221,8 +221,6 @@ def drive_filter(
         NaN if the law cannot be evaluated at a state.
     jacobian
         (2, half-cycles, columns), at fixed gains.
-    state
-        (2, half-cycles) filtered amplitude and time.
     log_det
         Over all half-cycles; 0 if `held`.
     """
@@ -233,7 +231,6 @@ def drive_filter(
     last = nodes.shape[1] - 1
     innovations = np.full((2, count), np.nan)
     jacobian = np.full((2, count, columns), np.nan)
-    state = np.full((2, count), np.nan)
     log_det = 0.0
     a, t = start[0], start[1]
     a_by, t_by = start_by[0].copy(), start_by[1].copy()
@@ -242,7 +239,7 @@ def drive_filter(
     is_driven = known.shape[1] > 0
     k = 0
     if last < 1:
-        return innovations, jacobian, state, log_det
+        return innovations, jacobian, log_det
     for i in range(count):
         halves = index[i] - index[i - 1] if i > 0 else 0
         if i == 0 and is_driven:
@@ -253,7 +250,7 @@ def drive_filter(
                 t_by[j] += (known_by[1, 0, j] - known[1, 0] / a * a_by[j]) / a
         for half in range(halves):
             if not a > 0.0:
-                return innovations, jacobian, state, log_det
+                return innovations, jacobian, log_det
             number = index[i] - halves + 1 + half
             if is_driven:
                 s2 = step * step + unknown[number]
@@ -345,5 +342,4 @@ def drive_filter(
             by_a, by_t = a_by[j], t_by[j]
             a_by[j] = by_a - gain[0] * by_a - gain[1] * by_t
             t_by[j] = by_t - gain[2] * by_a - gain[3] * by_t
-        state[0, i], state[1, i] = a, t
-    return innovations, jacobian, state, log_det
+    return innovations, jacobian, log_det

@@ -27,15 +27,20 @@ spring before the zero crossing and a stiffer one after it. With a relative loss
 half-swing the two quarters have the frequencies w (1 - e/2) and w (1 + e/2). The factor s/w of the amplitude
 then takes the frequency of the second quarter, the factor s/w^2 of the delay the product of the second's and
 the quarter's own. Otherwise a few thousandths of the drive would be left in the residuals.
+
+The response of a seismometer is not known. Near the pendulum's frequency two numbers describe it: a gain, and
+one for the same record with every phase turned by a quarter; and two more where gain or phase change within
+the band over which a half-swing responds to the ground.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 
 from processing.arrays import Flags, Floats
-from processing.contact import HeldColumn, SolverCoordinates
+from processing.errors import DataError
 from processing.fit.ground import KnownSteps
 from processing.kernel import kernel
 from processing.swing import TurningPoints
@@ -121,10 +126,6 @@ class Signals:
     def select(self, terms: list[int]) -> "Signals":
         """The signals in some of the columns."""
         return replace(self, value=np.ascontiguousarray(self.value[:, terms]))
-
-    def delayed(self, delay_s: float) -> "Signals":
-        """The same signals, later by `delay_s`."""
-        return replace(self, time_s=self.time_s + delay_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,28 +267,16 @@ LEAST_UNEXPLAINED = 0.022
 by it, at 0.2 to 0.28 Hz. In one half-swing it is below the noise of a turning point, and yet it adds up."""
 
 
-class DrivenCoordinates:
-    """A law's columns after those of the gains; see `SolverCoordinates`.
+class DriveGains:
+    """The gains of a known drive, the first columns of a fit; one `unit` moves amplitudes by the reference
+    (rms)."""
 
-    The gains are no parameters of the law: `physical` has the law's values alone, and their covariance
-    follows from that of all columns. A gain of one `unit` moves amplitudes by the reference (rms).
-    """
-
-    def __init__(self, law: SolverCoordinates, drive: KnownDrive) -> None:
-        self._law, self._drive = law, drive
-        self.reference = law.reference
-        self.map_by_log_rho = law.map_by_log_rho
+    def __init__(self, drive: KnownDrive, reference: float) -> None:
+        self._drive, self._reference = drive, reference
         self.terms = drive.terms
-        self.valley = None if law.valley is None else law.valley + self.terms
-        open_end = np.full(self.terms, np.inf)
-        self.lower = np.concatenate([-open_end, law.lower])
-        self.upper = np.concatenate([open_end, law.upper])
         size = np.sqrt(np.mean(drive.steps[0] ** 2, axis=0))
-        self.unit = law.reference / np.where(size > 0.0, size, 1.0)
-
-    def with_drive(self, drive: KnownDrive) -> "DrivenCoordinates":
-        """The coordinates of the same law with another drive."""
-        return DrivenCoordinates(self._law, drive)
+        self.unit = reference / np.where(size > 0.0, size, 1.0)
+        self.start = drive.gains / self.unit
 
     def gains(self, columns: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Gains (terms,) in rad/s^2 per unit of the signals, and their covariance."""
@@ -296,11 +285,11 @@ class DrivenCoordinates:
 
     def known(self, columns: Floats, width: int) -> KnownSteps:
         """The known part of the drive for the filter, with derivatives for a Jacobian of `width` columns."""
-        steps = self._drive.steps * (self.unit / self.reference)
+        steps = self._drive.steps * (self.unit / self._reference)
         gains = columns[: self.terms]
         derivative = np.zeros((*steps.shape[:2], width))
         derivative[:, :, : self.terms] = steps
-        unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
+        unknown = self._drive.unknown_variance(gains * self.unit) / self._reference**2
         known, knocked = np.ascontiguousarray(steps @ gains), np.zeros(len(unknown), np.bool_)
         return KnownSteps(known, derivative, unknown, knocked)
 
@@ -309,29 +298,117 @@ class DrivenCoordinates:
         steps = self.known(columns, self.terms).steps[0][~self._drive.missing]
         return LEAST_UNEXPLAINED * float(np.sqrt(np.mean(steps**2))) if len(steps) else 0.0
 
-    def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
-        values, matrix = self._law.map_parameters(columns[self.terms :])
-        return values, self._padded(matrix)
 
-    def physical(self, columns: Floats) -> tuple[Floats, Floats]:
-        values, matrix = self._law.physical(columns[self.terms :])
-        return values, self._padded(matrix)
+_MAX_STEP_PERIODS = 0.25
+"""Longest step between samples, in periods: a parabola through three of them still follows a swing."""
+_MIN_STEP_PERIODS = 1 / 80
+"""Step, in periods, to which finer samples are averaged, which reduces the gain by 3e-4."""
+_MIN_GAP_STEPS = 1.6
+"""Distance of two samples, in median steps, above which samples are missing between them."""
+_GUARD_PERIODS = 0.5
+"""Periods on either side of a gap that are not used, since the interpolation in the gap changes them."""
+_MAX_DRIFT_FREQUENCY = 1 / 8
+"""Frequency over the pendulum's below which a record is taken as its instrument's drift."""
+_PADDED_PERIODS = 16
+"""Periods by which a record is mirrored at its ends."""
 
-    def from_physical(self, values: Mapping[str, float]) -> Floats:
-        return self._with_gains(self._law.from_physical(values))
 
-    def starts(self, points: TurningPoints) -> Sequence[Sequence[Floats]]:
-        return [[self._with_gains(one) for one in group] for group in self._law.starts(points)]
+@dataclass(frozen=True, eq=False)
+class Seismogram:
+    """Samples of an auxiliary seismometer, near the rig or not far from it.
 
-    def held(self, name: str) -> HeldColumn:
-        column, keeps_sign = self._law.held(name)
-        return HeldColumn(column + self.terms, keeps_sign)
+    Times (n,) in s on the clock of the turning points, rising; values (n, components) in any unit, NaN where
+    missing; a name for each component.
+    """
 
-    def at_limit(self, columns: Floats) -> Sequence[str]:
-        return self._law.at_limit(columns[self.terms :])
+    time_s: Floats
+    value: Floats
+    names: tuple[str, ...]
 
-    def _padded(self, matrix: Floats) -> Floats:
-        return np.column_stack([np.zeros((len(matrix), self.terms)), matrix])
+    def delayed(self, by_s: float, drift: float = 0.0, about_s: float = 0.0) -> "Seismogram":
+        """The same with times later by `by_s`, and by further `drift` for each second after `about_s`."""
+        return replace(self, time_s=self.time_s + by_s + drift * (self.time_s - about_s))
 
-    def _with_gains(self, columns: Floats) -> Floats:
-        return np.concatenate([self._drive.gains / self.unit, columns])
+    def between(self, first_s: float, last_s: float) -> "Seismogram":
+        """The samples within these times."""
+        low, high = np.searchsorted(self.time_s, (first_s, last_s)).tolist()
+        return replace(self, time_s=self.time_s[low:high], value=self.value[low:high])
+
+
+SIGNALS = 4
+"""Number of signals made of a component: for gain, quadrature, and the slopes of both over the frequency."""
+PAIR, SLOPES = (0, 1), (2, 3)
+"""Gain and quadrature, and their slopes, among the signals of a component."""
+
+
+def columns_of(component: int, kinds: Sequence[int]) -> list[int]:
+    """Columns of some of a component's signals among those of all components."""
+    return [component * SIGNALS + kind for kind in kinds]
+
+
+def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
+    """Every component's signals.
+
+    Raises DataError for samples that are too few or too far apart.
+    """
+    time, value, step_s = _even(seismometer, period_s)
+    good = np.all(np.isfinite(value), axis=1)
+    if np.count_nonzero(good) * step_s < 4 * period_s:
+        raise DataError(
+            f"the seismometer has {np.count_nonzero(good) * step_s:.3g} s of samples beside the run; at "
+            f"least four periods ({4 * period_s:.3g} s) are needed"
+        )
+    filled = np.column_stack([np.interp(time, time[good], one[good]) for one in value.T])
+    padding = min(ceil(_PADDED_PERIODS * period_s / step_s), len(time) - 1)
+    filled -= filled.mean(axis=0)
+    padded = np.pad(filled, ((padding, padding), (0, 0)), mode="reflect", reflect_type="odd")
+    padded -= np.linspace(padded[0], padded[-1], len(padded))
+    spectrum = np.fft.rfft(padded, axis=0)
+    nu = np.fft.rfftfreq(len(padded), step_s)[:, None] * period_s
+    spectrum *= 1.0 - np.exp(-((nu / _MAX_DRIFT_FREQUENCY) ** 2))
+    slope = np.clip(nu - 1.0, -1.0, 1.0)
+    turned = -1j * spectrum
+    kinds = np.stack([spectrum, turned, slope * spectrum, slope * turned], axis=2)
+    found = np.fft.irfft(kinds.reshape(len(nu), -1), len(padded), axis=0)
+    found = found[padding : padding + len(time)]
+    usable = ~_dilate(~good, ceil(_GUARD_PERIODS * period_s / step_s))
+    return Signals(time[usable], np.ascontiguousarray(found[usable]), _MIN_GAP_STEPS * step_s)
+
+
+def plain_signals(seismometer: Seismogram, period_s: float) -> Signals:
+    """Every component unchanged but for its drift, which is removed."""
+    return signals_of(seismometer, period_s).select([one * SIGNALS for one in range(len(seismometer.names))])
+
+
+def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
+    """Times, values (NaN where missing) and step in s of the samples at an even rate."""
+    time, value = seismometer.time_s, seismometer.value
+    if len(time) < 3:
+        raise DataError(f"the seismometer has {len(time)} samples beside the run: their times do not overlap")
+    steps = np.diff(time)
+    step_s = float(np.median(steps))
+    if step_s > _MAX_STEP_PERIODS * period_s:
+        raise DataError(
+            f"the seismometer has a sample every {step_s:.3g} s; the pendulum's period of {period_s:.3g} s "
+            f"needs one every {_MAX_STEP_PERIODS * period_s:.2g} s at least"
+        )
+    count = round((time[-1] - time[0]) / step_s) + 1
+    even = time[0] + step_s * np.arange(count)
+    before = np.clip(np.searchsorted(time, even, side="right") - 1, 0, len(time) - 2)
+    lost = steps[before] > _MIN_GAP_STEPS * step_s
+    found = np.column_stack([np.interp(even, time, one) for one in value.T])
+    found[lost] = np.nan
+    together = int(_MIN_STEP_PERIODS * period_s / step_s)
+    if together < 2:
+        return even, found, step_s
+    kept = count // together * together
+    even = even[:kept].reshape(-1, together).mean(axis=1)
+    return even, found[:kept].reshape(len(even), together, -1).mean(axis=1), step_s * together
+
+
+def _dilate(lost: Flags, guard: int) -> Flags:
+    """Whether each sample is at most `guard` samples from a lost one."""
+    count = np.concatenate([[0], np.cumsum(lost)])
+    places = np.arange(len(lost))
+    low, high = np.maximum(places - guard, 0), np.minimum(places + guard + 1, len(lost))
+    return np.asarray(count[high] > count[low])

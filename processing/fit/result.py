@@ -224,7 +224,7 @@ class FitResult(FitQuality):
         Amplitude used as the unit in the fit. b reference^(p-1) and gamma reference^n are nearly normally
         distributed even if b and gamma are not.
     by_log_rho
-        Derivative of `values` with respect to ln(R/a), which the fit takes as known.
+        Derivative of `values` with respect to ln(R/a), which the exact fit takes as known; else NaN.
     by_inputs
         Derivatives of the contact parameters, which come first, with respect to other inputs that the fit
         takes as known, by the names of `RigQuantities`: the row time of a shutter, an error of all

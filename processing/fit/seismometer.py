@@ -7,30 +7,33 @@ that they were not fitted to: gains of an unrelated record make the predictions 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import partial
-from math import atan2, hypot, log, nan
+from math import atan2, hypot, inf, nan
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from processing.arrays import Floats
 from processing.contact import PendulumOnBall
+from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.exact import fit_exact
-from processing.fit.result import FitResult
-from processing.fit.seismometer_terms import (
+from processing.fit.exact_model import ExactModel
+from processing.fit.known_drive import (
+    FREE_REST_WEIGHT,
     PAIR,
     SIGNALS,
     SLOPES,
-    ClockCorrection,
+    U_FREE_REST_WEIGHT,
+    KnownDrive,
     Seismogram,
-    SignalDrives,
-    best_offset,
-    clock_correction,
     columns_of,
-    gain_of_prediction,
-    with_start_gains,
+    known_drive,
+    signals_of,
 )
+from processing.fit.result import FitResult
+from processing.fit.terms import Term, solve
+from processing.least_squares import FactoredJacobian
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
 
@@ -44,6 +47,14 @@ _U_DELAY = 0.015
 period of 4 s, six recorded runs with a delay of -0.05 s gave 0.06 to 0.09 s more in the mean."""
 _MAX_CORRECTIONS = 10
 """Most corrections of a clock; each reduces its error by a tenth of a second or by half."""
+_LEFT_OUT_BLOCKS = 10
+"""Parts of a run, each of which is predicted by gains fitted to the others."""
+_MARGIN_PERIODS = 3.0
+"""Periods of the seismometer's record before and after the run that its signals need."""
+_SHIFT_PERIODS = 0.02
+"""Shift of the signals, in periods, for the derivative with respect to their time."""
+_WEIGHT_CHANGE = 0.1
+"""Change of the weight of a half-cycle's own samples for the derivative with respect to it."""
 
 
 class SeismometerVerdict(StrEnum):
@@ -86,10 +97,8 @@ class SeismometerUse:
         Densities of the drive without the seismometer, and of the remainder, rad/s^2/sqrt(Hz).
     missing_half_cycles
         Half-swings that the seismometer does not cover; the drive is unknown in them.
-    offset_s, offsets_tried
-        Offset added to the seismometer's times if it was searched for, and the number of offsets tried.
     delay_s, clock_drift
-        Further correction of these times, in s and in s per second from the middle of the run, as the run
+        Correction of the seismometer's times, in s and in s per second from the middle of the run, as the run
         shows it; it was applied if it exceeds four standard uncertainties.
     saved
         Factor by which the uncertainty of each parameter is smaller.
@@ -105,8 +114,6 @@ class SeismometerUse:
     ground_left_rad_per_s2_rthz: Estimate = NOT_DETERMINED
     responses: tuple[Response, ...] = ()
     missing_half_cycles: int = 0
-    offset_s: float = 0.0
-    offsets_tried: int = 0
     delay_s: Estimate = NOT_DETERMINED
     clock_drift: Estimate = NOT_DETERMINED
     saved: Mapping[str, float] = field(default_factory=dict)
@@ -180,7 +187,6 @@ def fit_with_seismometer(
     alone: FitResult,
     *,
     averaged: bool = True,
-    offset_known: bool = True,
 ) -> SeismometerFit:
     """Fit the exact map with an auxiliary seismometer.
 
@@ -190,24 +196,45 @@ def fit_with_seismometer(
         The exact fit of these points without it, which is returned where predictions do not gain.
     averaged
         That of `fit_exact`.
-    offset_known
-        The seismometer's times are on the clock of the points, up to a fraction of a period. False: where
-        they explain nothing as they stand, an offset is sought.
     """
     search = _Search(points.first(alone.half_cycles), pendulum, alone, averaged)
-    found = search.with_corrected_clock(seismometer, MIN_PREDICTION_GAIN)
-    if found.use.used or offset_known:
-        return found
-    try:
-        offset_s, tried = best_offset(search.points, pendulum, seismometer, alone, averaged=averaged)
-    except DataError as error:
-        return replace(found, use=replace(found.use, reason=str(error)))
-    # the best of many offsets gains by chance, so that more is asked of it
-    found = search.with_corrected_clock(seismometer.delayed(offset_s), MIN_PREDICTION_GAIN + 2 * log(tried))
-    return replace(
-        found,
-        use=replace(found.use, offset_s=offset_s if found.use.used else 0.0, offsets_tried=tried),
-    )
+    return search.with_corrected_clock(seismometer)
+
+
+class SignalDrives:
+    """The signals of a seismometer, and the drive of a run's turning points by `every` one of them."""
+
+    def __init__(self, points: TurningPoints, seismometer: Seismogram, *, averaged: bool) -> None:
+        self.period_s = mean_period(points)
+        margin_s = _MARGIN_PERIODS * self.period_s
+        beside = seismometer.between(points.time_s[0] - margin_s, points.time_s[-1] + margin_s)
+        self.names = seismometer.names
+        self.signals = signals_of(beside, self.period_s)
+        self._points, self._averaged = points, averaged
+        self.every = known_drive(points, self.signals, averaged=averaged)
+
+    def later(self, by_s: float, stretched: float = 0.0) -> KnownDrive:
+        """The drive by all signals, later by `by_s` and by `stretched` a second from the run's middle."""
+        time = self.signals.time_s
+        middle = 0.5 * float(self._points.time_s[0] + self._points.time_s[-1])
+        moved = replace(self.signals, time_s=time + by_s + stretched * (time - middle))
+        return known_drive(self._points, moved, averaged=self._averaged)
+
+    def with_rest_weight(self, weight: float) -> KnownDrive:
+        """The drive by all signals with another weight of a half-cycle's own samples in its equilibrium."""
+        return known_drive(self._points, self.signals, averaged=self._averaged, rest_weight=weight)
+
+
+class ClockCorrection(NamedTuple):
+    """Correction to add to a seismometer's times, in s, and in s per second from the middle of the run."""
+
+    delay_s: Estimate
+    drift: Estimate
+
+    @property
+    def significant(self) -> bool:
+        """Whether delay or drift is seen, at four standard uncertainties."""
+        return any(abs(one.value) > 4 * one.standard_uncertainty for one in self)
 
 
 class _Selection(NamedTuple):
@@ -225,7 +252,7 @@ class _Search:
     alone: FitResult
     averaged: bool
 
-    def with_corrected_clock(self, seismometer: Seismogram, min_gain: float) -> SeismometerFit:
+    def with_corrected_clock(self, seismometer: Seismogram) -> SeismometerFit:
         """The fit with the seismometer, its clock corrected where the run shows an error of it.
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
@@ -251,10 +278,10 @@ class _Search:
                 return SeismometerFit(
                     self.alone, replace(use, verdict=SeismometerVerdict.ABSENT, reason=reason)
                 )
-            found = self._with_signals(drives, _Selection(self.alone, [], 0.0), PAIR, min_gain)
+            found = self._with_signals(drives, _Selection(self.alone, [], 0.0), PAIR)
             if not found.chosen:
                 return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
-            clock = clock_correction(self.points, self.pendulum, found.fit, drives, found.chosen)
+            clock = self._clock_correction(found.fit, drives, found.chosen)
             correction = ClockCorrection(
                 Estimate(delay_s + clock.delay_s.value, clock.delay_s.standard_uncertainty),
                 Estimate(drift + clock.drift.value, clock.drift.standard_uncertainty),
@@ -262,16 +289,14 @@ class _Search:
             if not left or not clock.significant:
                 break
             delay_s, drift = correction.delay_s.value, correction.drift.value
-        found = self._with_signals(drives, found, SLOPES, min_gain)
+        found = self._with_signals(drives, found, SLOPES)
         u_delay_s = hypot(correction.delay_s.standard_uncertainty, _U_DELAY * drives.period_s)
         delay = Estimate(correction.delay_s.value, u_delay_s)
         use = replace(use, gain_of_prediction=found.gain, delay_s=delay, clock_drift=correction.drift)
         use = accepted_use(use, self.alone, found.fit, drives.names, found.chosen)
         return SeismometerFit(found.fit, use)
 
-    def _with_signals(
-        self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...], min_gain: float
-    ) -> _Selection:
+    def _with_signals(self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...]) -> _Selection:
         """The selection with further components whose signals of these kinds pay, the best one first.
 
         Slopes are added only to components in use. Where nothing is selected, the gain is that of the best.
@@ -279,12 +304,12 @@ class _Search:
         used = sorted({column // SIGNALS for column in accepted.chosen})
         left = used if kinds is SLOPES else list(range(len(drives.names)))
         while left:
-            gain = partial(
-                gain_of_prediction, self.points, self.pendulum, accepted.fit, drives, accepted.chosen
-            )
-            gains = [gain(columns_of(component, kinds)) for component in left]
+            gains = [
+                self._gain(accepted.fit, drives, accepted.chosen, columns_of(component, kinds))
+                for component in left
+            ]
             best = int(np.argmax(gains))
-            if not gains[best] > min_gain:
+            if not gains[best] > MIN_PREDICTION_GAIN:
                 return accepted if accepted.chosen else accepted._replace(gain=gains[best])
             chosen = [*accepted.chosen, *columns_of(left.pop(best), kinds)]
             fit = self.fitted_with(accepted.fit, drives, chosen)
@@ -293,14 +318,90 @@ class _Search:
 
     def fitted_with(self, near: FitResult, drives: SignalDrives, chosen: Sequence[int]) -> FitResult:
         """The exact fit with some signals, started at an earlier fit with the first of them."""
-        drive = with_start_gains(drives, near, chosen)
         return fit_exact(
             self.points,
             self.pendulum,
             law=self.alone.law,
             drag=self.alone.has_drag,
-            evidence=replace(self.alone.evidence, drive=drive),
+            evidence=replace(self.alone.evidence, drive=self._drive(near, drives, chosen)),
             loss=self.alone.loss,
             averaged=self.averaged,
             near=near,
         )
+
+    @staticmethod
+    def _drive(near: FitResult, drives: SignalDrives, chosen: Sequence[int]) -> KnownDrive:
+        """The drive by some signals, the first with the gains of an earlier fit and the others at 0."""
+        known = np.zeros(0) if near.evidence.drive is None else near.evidence.drive.gains
+        gains = np.concatenate([known, np.zeros(len(chosen) - len(known))])
+        return drives.every.select(list(chosen)).with_gains(gains)
+
+    def _residuals(self, fit: FitResult, drive: KnownDrive) -> tuple[Floats, Floats, Floats]:
+        """Whitened residuals at a fit with another known drive, their Jacobians of its gains and of the other
+        columns."""
+        evidence = replace(fit.evidence, drive=drive)
+        model = ExactModel(self.points, self.pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
+        assert model.known_drive is not None
+        assert fit.ground is not None
+        noise = replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
+        found = model.filtered(model.columns.from_physical(fit.named_values), noise)
+        by_gains = found.jacobian[:, : drive.terms] / model.known_drive.unit
+        return found.residuals, by_gains, found.jacobian[:, drive.terms :]
+
+    def _gain(
+        self, fit: FitResult, drives: SignalDrives, chosen: Sequence[int], more: Sequence[int]
+    ) -> float:
+        """Fall of -2 ln L of blocks of half-cycles by further signals, each time fitted to the other blocks.
+
+        -inf where a residual or its derivative is not finite.
+        """
+        drive = self._drive(fit, drives, [*chosen, *more])
+        residuals, by_gains, by_law = self._residuals(fit, drive)
+        candidates = by_gains[:, len(chosen) :]
+        if not np.all(np.isfinite(candidates)) or not np.all(np.isfinite(residuals)):
+            return -inf
+        law = FactoredJacobian(np.column_stack([by_law, by_gains[:, : len(chosen)]]))
+        left, of = law.left(residuals), law.left(candidates)
+        count = len(residuals) // 2
+        block = np.tile(np.arange(count) * _LEFT_OUT_BLOCKS // count, 2)
+        fall = 0.0
+        for one in range(_LEFT_OUT_BLOCKS):
+            here = block == one
+            gains = FactoredJacobian(of[~here]).coefficients(left[~here])
+            fall += float(np.sum(left[here] ** 2) - np.sum((left[here] - of[here] @ gains) ** 2))
+        return fall
+
+    def _clock_correction(
+        self, fit: FitResult, drives: SignalDrives, chosen: Sequence[int]
+    ) -> ClockCorrection:
+        """Correction of the seismometer's clock by a fit with some signals, with free gain and phase.
+
+        A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes
+        that up; the delay shows in the change of the phase within the band to which a half-swing responds. So
+        does the weight of a half-cycle's own samples in its equilibrium position, which is known only
+        roughly.
+        """
+        drive = self._drive(fit, drives, chosen)
+        by_s = _SHIFT_PERIODS * drives.period_s
+        half_s = 0.5 * float(self.points.time_s[-1] - self.points.time_s[0])
+        moved = []
+        heavier, lighter = FREE_REST_WEIGHT + _WEIGHT_CHANGE, FREE_REST_WEIGHT - _WEIGHT_CHANGE
+        for late, early, size in (
+            (drives.later(by_s), drives.later(-by_s), by_s),
+            (drives.later(0.0, by_s / half_s), drives.later(0.0, -by_s / half_s), by_s / half_s),
+            (drives.with_rest_weight(heavier), drives.with_rest_weight(lighter), _WEIGHT_CHANGE),
+        ):
+            change = (late.steps - early.steps)[:, :, list(chosen)] @ drive.gains / (2 * size)
+            moved.append(np.where(late.missing | early.missing, 0.0, change))
+        both = KnownDrive(
+            np.concatenate([drive.steps, np.stack(moved, axis=2)], axis=2),
+            drive.missing,
+            np.concatenate([drive.gains, np.zeros(len(moved))]),
+        )
+        residuals, by_gains, by_law = self._residuals(fit, both)
+        fitted = np.column_stack([by_law, by_gains[:, : -len(moved)]])
+        clock = Term("clock", by_gains[:, -3:-1])
+        found = solve(residuals, fitted, [clock, Term("rest weight", by_gains[:, -1:], U_FREE_REST_WEIGHT)])
+        u = np.sqrt(np.diag(found.covariance)) * found.scatter(fit.dof)
+        delay_s, drift = (Estimate(float(found.values[k]), float(u[k])) for k in range(2))
+        return ClockCorrection(delay_s, drift)

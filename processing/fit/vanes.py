@@ -35,7 +35,7 @@ _DISAGREEMENT_CHANCE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class VanedRun:
-    """A run with its exact fit, and the area of its vanes with its uncertainty.
+    """A run with its exact fit, and the area of its vanes.
 
     Points and fit are those of the second measurement (`refinement`). As detected, the first twenty
     half-cycles share an error of time, which no uncertainty of a turning point states: even on ground at rest
@@ -45,7 +45,6 @@ class VanedRun:
     points: TurningPoints
     fit: FitResult
     area_m2: float
-    u_area_m2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +99,13 @@ class _SharedParameters:
     """The parameters of all runs in the solver's units, in which each is of the order of 1.
 
     First those of the contact (`_COMMON`, ln b and gamma at the reference amplitude), d0 and k; then for each
-    run T0, first amplitude, first time and, where its area is uncertain, the error of that.
+    run T0, first amplitude and first time.
     """
 
     def __init__(self, runs: Sequence[_RunModel]) -> None:
         self.runs, self.count = runs, _AIR + 2
         fits = [run.stated.fit for run in runs]
         self.log_r = float(np.mean([np.log(fit.reference_rad) for fit in fits]))
-        self.unsure = [run.stated.u_area_m2 > 0 for run in runs]
-        self.ends = np.cumsum([self.count, *(len(_OWN) + unsure for unsure in self.unsure)])
         start = [np.median([self._at_reference(fit)[k] for fit in fits]) for k in range(_AIR)]
         lines = np.array([self.line(run.stated.area_m2) for run in runs])
         drags = np.array([fit.estimate(DRAG.key).value for fit in fits])
@@ -116,7 +113,7 @@ class _SharedParameters:
         self.unit = np.abs(np.array(start))
         self.unit[self.unit == 0] = 1.0
         self.own = [np.array([tuple(fit.estimate(name)) for name in _OWN]).T for fit in fits]
-        self.start = np.concatenate([np.array(start) / self.unit, np.zeros(int(self.ends[-1]) - self.count)])
+        self.start = np.concatenate([np.array(start) / self.unit, np.zeros(len(_OWN) * len(runs))])
 
     def _at_reference(self, fit: FitResult) -> list[float]:
         known = fit.named_values
@@ -139,37 +136,32 @@ class _SharedParameters:
 
     def __call__(self, values: Floats) -> tuple[Floats, Floats]:
         """Residuals of all runs, and their derivatives."""
-        residuals, by = zip(*(self.run_parameters(values, k) for k in range(len(self.runs))), strict=True)
+        residuals, by, _ = zip(*(self.of_run(values, k) for k in range(len(self.runs))), strict=True)
         return np.concatenate(residuals), np.concatenate(by)
 
-    def run_parameters(self, values: Floats, number: int, drag_off_s: float = 0.0) -> tuple[Floats, Floats]:
-        """Residuals and derivatives of one run, whose drag may lie off the line."""
-        run, u_area_m2 = self.runs[number], self.runs[number].stated.u_area_m2
-        own = values[self.ends[number] : self.ends[number + 1]]
-        off = own[-1] * u_area_m2 if self.unsure[number] else 0.0
+    def own_columns(self, number: int) -> slice:
+        """Places of the parameters of one run alone."""
+        first = self.count + len(_OWN) * number
+        return slice(first, first + len(_OWN))
+
+    def of_run(self, values: Floats, number: int) -> tuple[Floats, Floats, Floats]:
+        """Residuals of one run, their derivatives, and those with respect to its own drag."""
+        run, own = self.runs[number], self.own_columns(number)
         shared, by_shared = differenced(self.physical)(values[: self.count])
-        line = self.line(run.stated.area_m2 + off)
+        line = self.line(run.stated.area_m2)
         centre, size = self.own[number]
         known = dict(zip(_COMMON, shared[:_AIR].tolist(), strict=True))
-        known[DRAG.key] = float(line @ shared[_AIR:]) + drag_off_s
-        known |= dict(zip(_OWN, (centre + size * own[: len(_OWN)]).tolist(), strict=True))
+        known[DRAG.key] = float(line @ shared[_AIR:])
+        known |= dict(zip(_OWN, (centre + size * values[own]).tolist(), strict=True))
         columns = run.model.columns.from_physical(known)
         residuals, jacobian = run.model.linearised_at(columns)(columns)
         by_physical = jacobian @ np.linalg.inv(run.model.columns.physical(columns)[1])
         common, private = (by_physical[:, self._places(run, names)] for names in (_COMMON, _OWN))
         by_drag = by_physical[:, self._places(run, (DRAG.key,))]
-        first = int(self.ends[number])
         by = np.zeros((len(residuals), len(values)))
         by[:, : self.count] = np.column_stack([common, by_drag * line]) @ by_shared
-        by[:, first : first + len(_OWN)] = private * size
-        residuals, by = residuals / run.size, by / run.size
-        if self.unsure[number]:
-            last = first + len(_OWN)
-            by[:, last] = by_drag[:, 0] * shared[-1] * u_area_m2 / run.size
-            prior = np.zeros(len(values))
-            prior[last] = 1.0
-            residuals, by = np.append(residuals, own[-1]), np.vstack([by, prior])
-        return residuals, by
+        by[:, own] = private * size
+        return residuals / run.size, by / run.size, by_drag[:, 0] / run.size
 
     @staticmethod
     def _places(run: _RunModel, names: Sequence[str]) -> list[int]:
@@ -251,14 +243,9 @@ def _finite_or_nan(shared: _SharedParameters, values: Floats) -> tuple[Floats, F
 
 def _drag_of(shared: _SharedParameters, values: Floats, number: int) -> tuple[Estimate, float]:
     """The drag of one run with the contact of all, and how far it is off the line, by one linear step."""
-    residuals, by = shared.run_parameters(values, number)
+    residuals, by, by_drag = shared.of_run(values, number)
     air = shared.physical(values[: shared.count])[_AIR:]
     on_line = float(shared.line(shared.runs[number].stated.area_m2) @ air)
-    # the step is taken in the run's own drag, at the size of d0
-    step = 1e-3 * float(shared.unit[_AIR])
-    high, low = (shared.run_parameters(values, number, sign * step)[0] for sign in (1.0, -1.0))
-    of_drag = (high - low) / (2 * step)
-    own = by[:, shared.ends[number] : shared.ends[number + 1]]
-    found = solve_terms(residuals, own, [Term("drag", of_drag)])
+    found = solve_terms(residuals, by[:, shared.own_columns(number)], [Term("drag", by_drag)])
     off = float(found.values[0])
     return Estimate(on_line + off, float(np.sqrt(found.covariance[0, 0]))), off

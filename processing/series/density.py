@@ -30,7 +30,7 @@ _LARGEST_U = 1.5
 
 
 class Spread(NamedTuple):
-    """Inverse (M, R, S, k, k) and log determinant (M, R, S) of the covariance of the runs' values."""
+    """Inverse (M, R, k, k) and log determinant (M, R) of the covariance of the runs' values."""
 
     inverse: Floats
     log_det: Floats
@@ -47,12 +47,12 @@ def _log_scatters(h: Floats, places: Ints) -> Floats:
 
 
 def spread(design: Design, h: Floats, w: Floats | None = None) -> Spread:
-    """The covariance of the runs' values: their own, scatter between runs, and by uncertain covariates."""
+    """The covariance of the runs' values: their own, scatter between runs, and by unknown covariates."""
     diagonal = between_runs(design, h)[:, None, :] * design.has
-    whole = design.covariance + diagonal[:, :, None, :, None] * np.eye(design.has.shape[1])
+    whole = design.covariance + diagonal[..., None] * np.eye(design.has.shape[1])
     if w is not None and len(design.blurred_by):
         blur = design.blurred * w[:, design.blurred_by, None, None]
-        whole = whole + np.einsum("merk,merl->mrkl", blur, blur)[:, :, None]
+        whole = whole + np.einsum("merk,merl->mrkl", blur, blur)
     # Cholesky's factor also fails for a matrix that is no covariance
     return Spread(np.asarray(np.linalg.inv(whole), dtype=np.float64), log_determinant(whole))
 
@@ -79,19 +79,19 @@ def _log_prior(design: Design, h: Floats, w: Floats) -> Floats:
 
 
 def log_kinds(design: Design, w: Floats, found: Spread) -> Floats:
-    """Log likelihood (M, R, S, K) of every run, by sub-likelihood and by kind (good, or bad by a factor)."""
-    off = design.y - np.tensordot(w, design.x, (1, 2))[:, :, None]
+    """Log likelihood (M, R, K) of every run by kind (good, or bad by a factor)."""
+    off = design.y - np.tensordot(w, design.x, (1, 2))
     squared = np.sum((found.inverse @ off[..., None])[..., 0] * off, axis=-1)[..., None]
-    known = design.has.sum(axis=1)[:, None, None]
+    known = design.has.sum(axis=1)[:, None]
     one = -0.5 * (squared / design.worse**2 + found.log_det[..., None] + known * _LOG_2PI)
-    return np.asarray(one - known * np.log(design.worse) + design.log_share[..., None] + design.log_kind)
+    return np.asarray(one - known * np.log(design.worse) + design.log_kind)
 
 
 def chances(kinds: Floats) -> Floats:
-    """Probabilities (M, R, S, K) of sub-likelihoods and kinds of every run."""
+    """Probabilities (M, R, K) of every run's kinds."""
     from scipy.special import logsumexp
 
-    return np.asarray(np.exp(kinds - logsumexp(kinds, axis=(2, 3), keepdims=True)))
+    return np.asarray(np.exp(kinds - logsumexp(kinds, axis=2, keepdims=True)))
 
 
 def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
@@ -112,7 +112,7 @@ def log_density(design: Design, h: Floats, w: Floats, found: Spread | None = Non
     from scipy.special import logsumexp
 
     known = spread(design, h, w) if found is None else found
-    of_runs = logsumexp(log_kinds(design, w, known), axis=(2, 3)).sum(axis=1)
+    of_runs = logsumexp(log_kinds(design, w, known), axis=2).sum(axis=1)
     return np.asarray(_log_prior(design, h, w) + of_runs + _log_of_bounds(design, h, w)[0].sum(axis=1))
 
 
@@ -129,9 +129,9 @@ def conditional(design: Design, h: Floats, start: Floats) -> tuple[Floats, Float
     flat, x = design.x.reshape(-1, len(places)), design.bounds.x
     for _ in range(_MAX_NEWTON_STEPS):
         chance = chances(log_kinds(design, w, found))
-        weighted = np.sum(chance / design.worse**2, axis=3)[..., None, None] * found.inverse
-        pulled = (weighted @ design.y[..., None])[..., 0].sum(axis=2)
-        curvature = flat.T @ (weighted.sum(axis=2) @ design.x).reshape(len(h), *flat.shape)
+        weighted = np.sum(chance / design.worse**2, axis=2)[..., None, None] * found.inverse
+        pulled = (weighted @ design.y[..., None])[..., 0]
+        curvature = flat.T @ (weighted @ design.x).reshape(len(h), *flat.shape)
         right = pulled.reshape(len(h), -1) @ flat + precision * design.prior_mean
         curvature[:, places, places] += precision
         if len(design.bounds.limit):
@@ -165,8 +165,8 @@ def in_parts(
     design: Design, function: Callable[..., tuple[Floats, ...]], *draws: Floats
 ) -> tuple[Floats, ...]:
     """Results of a function of draws, called for parts of them so that no array exceeds `_LARGEST_ARRAY`."""
-    runs, subs, size = design.y.shape
-    each = runs * size * max(subs * size * (1 + len(design.blurred_by)), design.x.shape[2])
+    runs, size = design.y.shape
+    each = runs * size * max(size * (1 + len(design.blurred_by)), design.x.shape[2])
     width = max(1, _LARGEST_ARRAY // max(each, 1))
     parts = range(0, len(draws[0]), width)
     found = [function(*(one[begin : begin + width] for one in draws)) for begin in parts]

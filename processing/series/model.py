@@ -32,8 +32,6 @@ _BOUNDED_U = 3.0
 """Prior standard deviation of a level that runs only bound, nearly even in the parameter itself there."""
 _NO_PRIOR_FACTOR = 30.0
 """Factor by which priors are widened so that they have no influence."""
-_LONG_SIDE = 0.2
-"""Share of the normal likelihood on the longer side, where two of them stand for a skewed one."""
 _BAD_FACTORS = (3.0, 10.0, 30.0)
 """Factors, of equal probability, on a bad run's own uncertainty and its scatter."""
 
@@ -107,15 +105,14 @@ class Bounds(NamedTuple):
 
 
 class Design(NamedTuple):
-    """Arrays of a series of R runs, k coordinates, P latent numbers, S sub-likelihoods a run.
+    """Arrays of a series of R runs, k coordinates, P latent numbers.
 
-    Each run's likelihood is a sum of S normal ones with the means `y` (R, S, k), covariances `covariance`
-    (R, S, k, k) and logarithms of their shares `log_share` (R, S). Where a run does not have a coordinate,
-    `has` (R, k) is 0, its variance 1 and its value 0.
+    Each run's likelihood is normal with the mean `y` (R, k) and the covariance `covariance` (R, k, k). Where
+    a run does not have a coordinate, `has` (R, k) is 0, its variance 1 and its value 0.
 
     `x` (R, k, P) are the derivatives of the values with respect to the latent numbers `levels`, whose priors
     are normal with `prior_mean` and `prior_u` (P,). `blurred` (E, R, k) are standard deviations of the values
-    by uncertain covariates, for effects of size 1; `blurred_by` (E,) are the indices of these effects among
+    by unknown covariates, for effects of size 1; `blurred_by` (E,) are the indices of these effects among
     `levels`.
 
     The scatters `hyper` (H,) have half-normal priors with the scales `scales` (H,). `scatter` (k,) is the
@@ -126,7 +123,6 @@ class Design(NamedTuple):
 
     y: Floats
     covariance: Floats
-    log_share: Floats
     has: Floats
     x: Floats
     blurred: Floats
@@ -198,12 +194,11 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
     levels, columns, mean, u, varies = zip(*latent, strict=True)
     x = np.stack(columns, axis=-1)
     y, covariance, has = _values(runs, names)
-    log_share, y, covariance = _skewed(runs, names, y, covariance)
     bad = model.bad_run_chance
     with np.errstate(divide="ignore"):
         log_kind = np.log([1 - bad, *([bad / len(_BAD_FACTORS)] * len(_BAD_FACTORS))])
     return Design(
-        y, covariance, log_share, has, x * has[:, :, None],
+        y, covariance, has, x * has[:, :, None],
         np.array(blurred).reshape(-1, count, len(names)) * has, np.array(blurred_by, dtype=np.int64),
         levels, np.array(mean), np.array(u), np.array(varies, dtype=np.int64),
         np.array([scattering.index(name) if name in scattering else -1 for name in names], dtype=np.int64),
@@ -243,38 +238,6 @@ def _values(runs: Sequence[CompressedRun], names: Sequence[str]) -> tuple[Floats
         y[row, there], has[row, there] = run.values[own], 1.0
         covariance[row][np.ix_(there, there)] = run.covariance[np.ix_(own, own)]
     return y, covariance, has
-
-
-def _skewed(
-    runs: Sequence[CompressedRun], names: Sequence[str], y: Floats, covariance: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Logarithms of shares, means and covariances of the normal likelihoods whose sum stands for each run.
-
-    They are two for each run, or one if no run has a skewed profile. Along the value with the most skewed
-    profile their sum has the first three moments of a likelihood whose widths differ on either side.
-    """
-    if not any(uneven for run in runs for name, uneven in run.asymmetry.items() if name in names):
-        return np.zeros((len(runs), 1)), y[:, None], covariance[:, None]
-    share = np.full((len(runs), 2), 0.5)
-    means, covariances = np.repeat(y[:, None], 2, axis=1), np.repeat(covariance[:, None], 2, axis=1)
-    for row, run in enumerate(runs):
-        found = [(abs(a), a, names.index(name)) for name, a in run.asymmetry.items() if name in names]
-        most, a, place = max(found, default=(0.0, 0.0, 0))
-        if not most > 0:
-            continue
-        u = float(np.sqrt(covariance[row, place, place]))
-        apart, product = 2 * u * a, u**2 * (1 - a**2)
-        mean = float(np.sqrt(2 / np.pi)) * apart
-        variance = (1 - 2 / np.pi) * apart**2 + product
-        third = mean * ((4 / np.pi - 1) * apart**2 + product)
-        between = float(np.cbrt(third / (_LONG_SIDE * (1 - _LONG_SIDE) * (1 - 2 * _LONG_SIDE))))
-        inner = variance - _LONG_SIDE * (1 - _LONG_SIDE) * between**2
-        # the other values follow this one by their correlation
-        along = covariance[row][:, place] / u**2
-        share[row] = 1 - _LONG_SIDE, _LONG_SIDE
-        means[row] += (mean + between * np.array([-_LONG_SIDE, 1 - _LONG_SIDE]))[:, None] * along
-        covariances[row] += (inner - u**2) * np.outer(along, along)
-    return np.log(share), means, covariances
 
 
 def _effect(runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str]) -> tuple[Floats, Floats]:

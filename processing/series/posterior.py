@@ -28,13 +28,10 @@ from processing.series.density import (
 )
 from processing.series.model import Design, LatentNumber, SeriesModel, design_of
 from processing.series.runs import (
-    ORDER,
     POSITIVE,
     CompressedRun,
-    Form,
     at_own_exponent,
     parameters,
-    u_slope_by_covariate,
 )
 
 DRAWS = 1000
@@ -50,8 +47,6 @@ _BURN_IN_SHARE = 0.3
 _MAX_LOG_SCATTER_CHANGE = 12.0
 """Largest distance of a walker from the likeliest scatters, in their logarithms."""
 _MAX_DRAWS = 4000
-_MAX_LOG_SLOPE_U = 1.0
-"""Largest standard uncertainty of a slope's logarithm by that of its covariate's scatter."""
 
 
 @dataclass(frozen=True)
@@ -84,19 +79,8 @@ class SeriesPosterior:
     def draws(self, level: LatentNumber) -> Floats:
         """Draws (M,) of a latent number, or of a scatter."""
         if level in self.levels:
-            found = np.asarray(self.w[:, self.levels.index(level)])
-            return found * self._slope_factors(level.name) if level.kind == "effect" else found
+            return np.asarray(self.w[:, self.levels.index(level)])
         return np.exp(self.h[:, self.hyper.index(level)])
-
-    def _slope_factors(self, label: str) -> Floats | float:
-        """Factors (M,) on a slope of about 1: the scatter of its covariate is itself uncertain."""
-        effect = next(one for one in self.model.effects if one.label == label)
-        if effect.form is Form.DURING or effect.covariate == ORDER:
-            return 1.0
-        u = min(u_slope_by_covariate(self.runs, effect.covariate), _MAX_LOG_SLOPE_U)
-        # normal in the logarithm: it turns no sign
-        z = np.random.default_rng(0).standard_normal(len(self.w))
-        return np.exp(u * z - 0.5 * u**2) if u > 0 else 1.0
 
     def level_draws(self, contact: str) -> Floats:
         """Draws (M, k) of a contact's coordinates where all effects are zero."""
@@ -154,36 +138,15 @@ class SeriesPosterior:
         """Deviations (R, k) of the runs' values from the model's, over their uncertainty and scatter; 0 where
         a run has no value."""
         w, h = (self.weight @ self.w)[None], (self.weight @ self.h)[None]
-        inverse = spread(self.design, h, w).inverse[0, :, 0]
+        inverse = spread(self.design, h, w).inverse[0]
         width = np.sqrt(np.diagonal(np.linalg.inv(inverse), axis1=1, axis2=2))
-        return np.asarray((self.design.y[:, 0] - self.design.x @ w[0]) / width * self.design.has)
-
-    def predictive_check(self, *, seed: int = 1) -> float:
-        """Probability that runs simulated by the posterior scatter about the model at least as the real ones.
-
-        This is the posterior predictive p-value of the sum of squares of all runs. Near 0 the model lacks
-        something, near 1 the uncertainties are too large.
-        """
-        rng, design, exceeding = np.random.default_rng(seed), self.design, 0
-        which = rng.choice(len(self.h), size=min(400, len(self.h)), p=self.weight)
-        # which runs are bad is part of the model, so that a copy draws its own
-        kinds = np.exp(design.log_kind)
-        for place in which.tolist():
-            off = design.y[:, 0] - design.x @ self.w[place]
-            inverse = spread(design, self.h[[place]]).inverse[0, :, 0]
-            real = np.einsum("rk,rkl,rl->r", off, inverse, off)
-            worse = rng.choice(design.worse, size=len(real), p=kinds / kinds.sum())
-            # a run that has only bounds scatters in nothing
-            copies = worse**2 * 2 * rng.standard_gamma(0.5 * design.has.sum(axis=1))
-            # a bad run counts only up to a limit: it is named elsewhere
-            exceeding += bool(np.minimum(copies, 30.0).sum() >= np.minimum(real, 30.0).sum())
-        return exceeding / len(which)
+        return np.asarray((self.design.y - self.design.x @ w[0]) / width * self.design.has)
 
 
 def _bad_chances(design: Design, h: Floats, w: Floats) -> tuple[Floats]:
     """Probabilities (M, R) of the runs to be bad, by draw."""
     chance = chances(log_kinds(design, w, spread(design, h, w)))
-    return (1 - chance[..., 0].sum(axis=2),)
+    return (1 - chance[..., 0],)
 
 
 def _run_posteriors(design: Design, slopes: Floats, h: Floats, w: Floats) -> tuple[Floats, Floats]:
@@ -192,16 +155,11 @@ def _run_posteriors(design: Design, slopes: Floats, h: Floats, w: Floats) -> tup
     found, variance = spread(design, h, w), between_runs(design, h)[:, None]
     chance = chances(log_kinds(design, w, found))
     centre = np.tensordot(w, design.x, (1, 2))
-    off = design.y - centre[:, :, None]
-    offset = variance[:, :, None] * np.einsum("mrskl,mrsl->mrsk", found.inverse, off)
+    offset = variance * np.einsum("mrkl,mrl->mrk", found.inverse, design.y - centre)
     # the factor of a bad run's kind widens both its own uncertainty and its scatter
-    parts, widths = np.sum(chance, axis=3), np.sum(chance * design.worse**2, axis=(2, 3))[..., None]
-    mean = np.einsum("mrs,mrsk->mrk", parts, offset)
-    second = np.einsum("mrs,mrsk->mrk", parts, (offset @ slopes.T) ** 2)
-    moved = slopes * variance
-    inner = np.einsum("mak,mrskl,mal->mrsa", moved, found.inverse, moved, optimize=True)
-    left = variance @ (slopes**2).T - np.einsum("mrs,mrsa->mra", parts, inner)
-    return centre + mean, np.maximum(widths * left + second - (mean @ slopes.T) ** 2, 0.0)
+    widths, moved = np.sum(chance * design.worse**2, axis=2)[..., None], slopes * variance
+    inner = np.einsum("mak,mrkl,mal->mra", moved, found.inverse, moved, optimize=True)
+    return centre + offset, np.maximum(widths * (variance @ (slopes**2).T - inner), 0.0)
 
 
 def fit_series(

@@ -14,7 +14,6 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.estimate import Estimate
 
 POSITIVE: Final = ("b", "c", "gamma_pa")
 """Parameters of which the coordinate is the logarithm: changes of it are relative changes."""
@@ -25,7 +24,6 @@ FRICTION: Final = "friction"
 """Parameter of an effect on b and c alike, which also shows within each run (`CompressedRun.by_growth`)."""
 ORDER: Final = "order"
 """The covariate that every run has: its place in the series, from 0, where runs that were left out count."""
-_SCATTER_STEPS = 100
 _LARGEST_EXPONENT = 200.0
 """Largest logarithm that is converted: that of a parameter which is not determined may overflow."""
 
@@ -93,8 +91,6 @@ class CompressedRun:
     shared
         Changes of the values by one standard uncertainty of an input that runs have in common, by its name.
         They are no part of `covariance`.
-    asymmetry
-        By name, (upper - lower)/(upper + lower) of the half-widths of the profile's interval.
     bounds
         Values that the run only bounds, by name; they are none of `names`.
     covariates
@@ -111,9 +107,8 @@ class CompressedRun:
     values: Floats
     covariance: Floats
     shared: Mapping[str, Floats] = field(default_factory=dict)
-    asymmetry: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, Bound] = field(default_factory=dict)
-    covariates: Mapping[str, Estimate] = field(default_factory=dict)
+    covariates: Mapping[str, float] = field(default_factory=dict)
     by_growth: Floats | None = None
     duration_s: float = 0.0
 
@@ -223,7 +218,7 @@ class Effect:
             return 1.0
         x, _ = covariate_of(runs, self.covariate)
         if self.covariate != ORDER:
-            x, _ = np.array(_measured(runs, self.covariate)).T
+            x = _measured(runs, self.covariate)
         low, high = float(np.min(x)), float(np.max(x))
         width = log(high / low) if self.form is Form.LOGARITHM else high - low
         if not width > 0:
@@ -239,53 +234,24 @@ def only_bound(runs: Sequence[CompressedRun], contact: str, name: str) -> EndSid
 
 
 def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floats]:
-    """A covariate of every run and its standard uncertainty, given what was measured of all runs.
+    """A covariate of every run and its standard uncertainty.
 
-    A measured value that is uncertain scatters more than the true one, which lies nearer to the mean: slopes
-    by measured values would be too flat. Where a value is missing, it is the mean, with the scatter between
-    runs as its uncertainty. Raises DataError where it is known of fewer than two runs.
+    Where a value is missing, it is the mean of the others, with their scatter as its uncertainty. Raises
+    DataError where it is known of fewer than two runs.
     """
     if name == ORDER:
-        places = [run.covariates.get(ORDER, Estimate(at, 0.0)).value for at, run in enumerate(runs)]
+        places = [run.covariates.get(ORDER, at) for at, run in enumerate(runs)]
         return np.array(places, dtype=np.float64), np.zeros(len(runs))
-    mean, scatter2 = _distribution(runs, name)
-    x, u = np.array([(_measured([run], name) or [(mean, inf)])[0] for run in runs]).T
-    true_share = _true_share(scatter2, u)
-    return mean + true_share * (x - mean), np.sqrt(scatter2 * (1 - true_share))
-
-
-def u_slope_by_covariate(runs: Sequence[CompressedRun], name: str) -> float:
-    """Relative standard uncertainty of a slope, as few values tell the true scatter of its covariate."""
-    _, scatter2 = _distribution(runs, name)
-    _, u = np.array(_measured(runs, name)).T
-    noise2 = float(np.mean(u**2))
-    return noise2 / max(scatter2, 1e-9 * noise2) * (2 / (len(u) - 1)) ** 0.5 if noise2 > 0 else 0.0
-
-
-def _measured(runs: Sequence[CompressedRun], name: str) -> list[tuple[float, float]]:
-    """Values and standard uncertainties of a covariate where it is known; 0 where that of a value is not."""
-    found = [run.covariates[name] for run in runs if name in run.covariates]
-    return [(value, u if np.isfinite(u) else 0.0) for value, u in found]
-
-
-def _true_share(scatter2: float, u: Floats) -> Floats:
-    """Share (n,) of the true values' variance in that of measured ones; 1 where they are exact."""
-    return np.where(u > 0, scatter2 / np.where(u > 0, scatter2 + u**2, 1.0), 1.0)
-
-
-def _distribution(runs: Sequence[CompressedRun], name: str) -> tuple[float, float]:
-    """Mean and variance of the true values of a covariate, by expectation and maximisation."""
-    measured = _measured(runs, name)
-    if len(measured) < 2:
+    known = _measured(runs, name)
+    if len(known) < 2:
         raise DataError(
-            f"{name}: known of {len(measured)} of {len(runs)} runs, two are needed: leave the effect out, or "
+            f"{name}: known of {len(known)} of {len(runs)} runs, two are needed: leave the effect out, or "
             "state it"
         )
-    x, u = np.array(measured).T
-    mean, scatter2 = float(x.mean()), float(x.var(ddof=1))
-    for _ in range(_SCATTER_STEPS if scatter2 > 0 and np.any(u > 0) else 0):
-        true_share = _true_share(scatter2, u)
-        mean = float(np.average(x, weights=np.maximum(true_share, 1e-12)))
-        whole = (true_share * (x - mean)) ** 2 + scatter2 * (1 - true_share)
-        scatter2 = float(whole.sum()) / (len(x) - 1)
-    return mean, scatter2
+    x = np.array([run.covariates.get(name, known.mean()) for run in runs])
+    return x, np.array([0.0 if name in run.covariates else known.std(ddof=1) for run in runs])
+
+
+def _measured(runs: Sequence[CompressedRun], name: str) -> Floats:
+    """Values of a covariate where it is known."""
+    return np.array([run.covariates[name] for run in runs if name in run.covariates])

@@ -256,8 +256,6 @@ def recorded_seismometer(reader: RecordReader, config: Configuration) -> "Seismo
         names,
         int(times_ns[0]),
         absolute=False,
-        # after a step it is not known which of the two clocks was right
-        offset_stated=not steps_s,
         understood=(
             f"columns: {', '.join(names)}",
             *(f"{CLOCK_SET} by {step:+.4g} s; times before it follow those after it" for step in steps_s),

@@ -208,13 +208,13 @@ def fit_decay(
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
     drifts: Mapping[str, float] | None = None,
-    seismometer: tuple[Seismogram, bool] | None = None,
+    seismometer: Seismogram | None = None,
 ) -> tuple[Mapping[str, FitResult], TurningPoints, SeismometerUse | None]:
     """Asymptotic and exact fit of turning points, by name; the points fitted; the use of a seismometer.
 
     `exact` is an exact fit of these points, if there is one; otherwise `drag` is whether a drag is fitted,
-    and `evidence` restrains the fit. `seismometer` is its record on the clock of the points, and whether
-    that clock is known; Eqs. 5 and 6 keep the paper's procedure.
+    and `evidence` restrains the fit. `seismometer` is its record on the clock of the points;
+    Eqs. 5 and 6 keep the paper's procedure.
     Raises DataError for a decay that cannot be fitted.
     """
     if pendulum is None:
@@ -250,8 +250,7 @@ def fit_decay(
 
     use, without_seismometer = None, exact
     if seismometer is not None:
-        record, clock_known = seismometer
-        fitted = fit_with_seismometer(points, pendulum, record, without_seismometer, offset_known=clock_known)
+        fitted = fit_with_seismometer(points, pendulum, seismometer, without_seismometer)
         use = fitted.use
         exact = replace(fitted.fit, changes=without_seismometer.changes)
         exact = exact.with_terms_of(without_seismometer, FIXED_PATTERN) if use.used else exact

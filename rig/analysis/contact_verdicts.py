@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration import Axes, Lever
 from processing.arrays import Floats
-from processing.contact import ExpectedDrag, Material, PendulumOnBall, adhesive_contacts, cycle_work
+from processing.contact import ExpectedDrag, Material, PendulumOnBall, adhesive_contacts, weight_moment
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import (
@@ -36,7 +36,7 @@ from processing.fit import (
     rolling_moment_nm,
     sensor_derivatives,
     standard_uncertainties,
-    work_per_cycle_j,
+    works_per_cycle_j,
 )
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
@@ -255,25 +255,20 @@ def _work(
     The part of adhesion is not determined where c is not (`sees_c`).
     """
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
-    work = cycle_work(amplitude_rad, exact.parameters, pendulum)
-    u_dissipated = u_adhesive = math.nan
+    fitted = {name: np.array(value) for name, value in exact.named_values.items()}
+    work = works_per_cycle_j(amplitude_rad, fitted, np.array(weight_moment(pendulum)))
+    u = dict.fromkeys(work, math.nan)
     if rig is not None and contact is not None:
-        fitted, apparatus = contact, rig
+        of_fit, apparatus = contact, rig
 
         def works(inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
-            reported = reported_quantities(fitted, inputs, apparatus)
-            without_drag = {name: found for name, found in reported.items() if name != "drag_s"}
-            moment_nm = rolling_moment_nm(inputs, apparatus)
-            return {
-                "all": work_per_cycle_j(amplitude_rad, without_drag, moment_nm),
-                "adhesive": 4 * moment_nm * reported["c"] * amplitude_rad,
-            }
+            reported = reported_quantities(of_fit, inputs, apparatus)
+            return works_per_cycle_j(amplitude_rad, reported, rolling_moment_nm(inputs, apparatus))
 
         u = standard_uncertainties(contact, rig, works)
-        u_dissipated, u_adhesive = u["all"], u["adhesive"]
     return Work(
         amplitude_arcsec,
-        Estimate(work.dissipated_j, u_dissipated),
-        Estimate(work.adhesive_j, u_adhesive) if sees_c else NOT_DETERMINED,
-        work.drag_j,
+        Estimate(float(work["dissipated"]), u["dissipated"]),
+        Estimate(float(work["adhesive"]), u["adhesive"]) if sees_c else NOT_DETERMINED,
+        float(work["drag"]),
     )

@@ -307,9 +307,9 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
         gain = use.gain_of_prediction
         judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
         reason = f": {use.reason}" if use.reason else ""
-        sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
-        said = f"Auxiliary seismometer {use.verdict}{reason}{judged}{sought}."
-        return [f"{said} The results are the same as without it."]
+        said = f"Auxiliary seismometer {use.verdict}{reason}{judged}."
+        remedy = "If its clock is off by more than a second, --seismometer-offset states by how much."
+        return [f"{said} The results are the same as without it. {remedy}"]
     before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
     explained = (
         f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
@@ -324,9 +324,8 @@ def _use_sentences(use: SeismometerUse) -> list[str]:
     )
     if saved:
         lines.append(f"The seismometer reduces the uncertainties by factors of {saved}.")
-    found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
     lines.append(
-        f"Clock of the seismometer: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, "
+        f"Clock of the seismometer: {with_uncertainty(*use.delay_s)} s to be added to its times, "
         f"drift {with_uncertainty(*use.clock_drift)} s/s."
     )
     if use.missing_half_cycles:

@@ -88,9 +88,7 @@ def fit(
     ] = None,
     seismometer_offset: Annotated[
         float | None,
-        typer.Option(
-            help="Seconds to add to the seismometer's times; default: searched for if they do not fit."
-        ),
+        typer.Option(help="Seconds to add to the seismometer's times."),
     ] = None,
     pixel: Annotated[
         str,

@@ -60,20 +60,19 @@ class SeismometerRecord:
     to_file_ns: int = 0
     to_utc_ns: int | None = None
 
-    def seismogram(self, begin_ns: int) -> tuple[Seismogram, bool]:
-        """The samples on the clock of turning points, and whether it is known to a fraction of a period.
+    def seismogram(self, begin_ns: int) -> Seismogram:
+        """The samples on the clock of turning points.
 
         `begin_ns` is the time of the first fitted turning point on the run's clock.
         """
-        known = self.offset_stated
         if not self.absolute or (self.offset_stated and self.to_utc_ns is None):
             zero_ns = begin_ns + self.to_file_ns
         elif self.to_utc_ns is not None:
-            zero_ns, known = begin_ns + self.to_utc_ns, True
+            zero_ns = begin_ns + self.to_utc_ns
         else:
             # the two clocks are unrelated
-            zero_ns, known = self.first_ns, False
-        return Seismogram(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
+            zero_ns = self.first_ns
+        return Seismogram(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names)
 
 
 def read_seismometer(
@@ -81,8 +80,8 @@ def read_seismometer(
 ) -> SeismometerRecord:
     """The samples of an auxiliary seismometer's file, of all its `columns` or channels, or of some.
 
-    `offset_s` is added to its times; with None they are used unchanged, and an offset is sought where they
-    explain nothing. Raises DataError or ConfigurationError in one line.
+    `offset_s` is added to its times; with None they are used unchanged. Raises DataError or
+    ConfigurationError in one line.
     """
     found = (_read_seismic if path.suffix.lower() in _SEISMIC else _read_table)(path, columns)
     if offset_s is None:

@@ -98,7 +98,6 @@ class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
 
     record: Path
     area_m2: float = Field(ge=0, lt=10)
-    u_area_m2: float = Field(default=0.0, ge=0)
 
 
 class VaneFile(BaseModel, frozen=True, extra="forbid"):

@@ -177,7 +177,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         shown = shown or _air_details(run.ambient, pendulum, config, period_s)
         if run.measured_again_on is None:
             as_detected.append(number)
-        runs.append(VanedRun(run.points, fit, listed_run.area_m2, listed_run.u_area_m2))
+        runs.append(VanedRun(run.points, fit, listed_run.area_m2))
         pendulums.append(pendulum)
         areas_m2.append(listed_run.area_m2)
         sources.append(record)

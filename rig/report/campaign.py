@@ -77,10 +77,10 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     unknown parameter is stated.
     """
     reference_rad = stated.reference_arcsec * ARCSEC_RAD
-    tried = [(one, *compress(one, reference_rad, stated.u)) for one in found]
+    tried = [(one, *compress(one, reference_rad)) for one in found]
     # a run that is left out keeps its place, so that a step stays where it is stated
     entered = [
-        (one, replace(run, covariates={**run.covariates, ORDER: Estimate(float(place), 0.0)}))
+        (one, replace(run, covariates={**run.covariates, ORDER: float(place)}))
         for place, (one, run, _) in enumerate(tried)
         if run is not None
     ]
@@ -135,7 +135,6 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         },
         draws=len(posterior.weight),
         draws_that_count=posterior.effective,
-        predictive_p=posterior.predictive_check(seed=stated.seed),
         sampler=sampler,
         left_out=left_out,
         warnings=(*([_SIMULATED] if simulated else []), *warnings),
@@ -294,8 +293,7 @@ def _runs(
     names, out = found.model.names, []
     for row, (source, run) in enumerate(entered):
         fit, own = source.run.fits[FitMethod.EXACT], [name for name in names if name in run.names]
-        covariates = {key: tuple(one) for key, one in run.covariates.items()}
-        likelihood = plain_values({**asdict(run), "covariates": covariates})
+        likelihood = plain_values(asdict(run))
         out.append(
             CampaignRun(
                 label=run.label,
@@ -328,7 +326,7 @@ def _covariate_warnings(stated: StatedCampaign, runs: Sequence[CompressedRun]) -
     """Warnings of covariates that some runs lack or seem to have in another unit."""
     texts: list[str] = []
     for covariate in sorted(stated.covariates - {"", ORDER}):
-        known = {run.label: run.covariates[covariate].value for run in runs if covariate in run.covariates}
+        known = {run.label: run.covariates[covariate] for run in runs if covariate in run.covariates}
         texts += filter(None, [other_unit_warning(covariate, known)])
         without = [run.label for run in runs if covariate not in run.covariates]
         if without:

@@ -88,14 +88,9 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
         description="by parameter, how far an effect may move it and how far runs may scatter; of b, "
         "c, gamma_pa as a fraction of it",
     )
-    u: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
-        default_factory=dict, description="standard uncertainty by covariate"
-    )
 
     @model_validator(mode="after")
     def _says_each_once(self) -> Self:
-        for covariate in self.u:
-            _refuse_unknown(covariate)
         for what, stated in (
             ("parameters", self.parameters),
             ("effect", self.effect),

@@ -12,7 +12,7 @@ from acquisition import atomic_write
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
 from processing.estimate import Estimate
-from processing.series import ABSENT, POSITIVE, CompressedRun, Effect, Form, LatentNumber
+from processing.series import ABSENT, POSITIVE, Form, LatentNumber
 from rig.analysis import encoded
 from rig.report import html
 from rig.report.campaign import MIN_BAD_PROBABILITY, Campaign
@@ -289,8 +289,8 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
         column = posterior.model.names.index(name)
         covariate = quantity(effect.covariate)
         factor = covariate.factor
-        known = [run for run in posterior.runs if _covariate(run, effect) is not None and name in run.names]
-        x = np.array([_covariate(run, effect) for run in known])
+        known = [run for run in posterior.runs if effect.covariate in run.covariates and name in run.names]
+        x = np.array([run.covariates[effect.covariate] for run in known])
         middle = float(np.median([run.values[run.names.index(name)] for run in known]))
         grid = np.linspace(float(x.min()), float(x.max()), _CURVE_POINTS)
         for contact in contacts:
@@ -327,11 +327,6 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
         "and 95 %, without the scatter between runs."
     )
     return [ReportFigure("covariates", title, words, figure)]
-
-
-def _covariate(run: CompressedRun, effect: Effect) -> float | None:
-    value = run.covariates.get(effect.covariate)
-    return None if value is None else value.value
 
 
 def _residual_figure(campaign: Campaign) -> ReportFigure:
@@ -397,11 +392,8 @@ def _page(campaign: Campaign, tables: list[Table], figures: Mapping[str, str], s
             "independent draws);"
         )
     first, *others = [html.table(content) for content in tables]
-    note = (
-        f"{method} {results.draws_that_count:.0f} of {results.draws} draws count. Runs of the "
-        f"model scatter as much as the real ones with p = {results.predictive_p:.2g}. "
-        f"sha256 of {_NAME}: {sha256}."
-    )
+    count_text = f"{results.draws_that_count:.0f} of {results.draws} draws count."
+    note = f"{method} {count_text} sha256 of {_NAME}: {sha256}."
     body = [*map(html.warning, results.warnings)]
     body += [html.notes(results.left_out), first, *figures.values(), *others, html.paragraph(note, "note")]
     title = "SIMULATED: Campaign" if results.simulated else "Campaign"

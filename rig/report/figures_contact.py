@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from math import isnan
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from processing.arrays import Floats
-from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
-from processing.fit import FitMethod
+from processing.contact import ContactParameters, PendulumOnBall, moment_loop, weight_moment
+from processing.fit import FitMethod, Work
 from processing.instruments import DEGREE_RAD
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
@@ -26,16 +27,13 @@ from rig.report.drawing import (
 from rig.terminal import palette, plain, quantity
 
 
-def loop_figure(
-    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float, *, has_c: bool
-) -> ReportFigure:
-    """The three loops of Table 4 at a measured amplitude, with the rectangle of the adhesive work.
-
-    Without `has_c` the data do not determine c, and there is no rectangle.
+def loop_figure(parameters: ContactParameters, pendulum: PendulumOnBall, work: Work) -> ReportFigure:
+    """The three loops of Table 4 at a measured amplitude, with their works and the rectangle of the adhesive
+    one, unless the data do not determine c.
     """
+    amplitude_arcsec, has_c = work.amplitude_arcsec, not isnan(work.adhesive_4at_j.value)
     amplitude_rad, is_paper = (amplitude_arcsec * ARCSEC_RAD, amplitude_arcsec == TABLE4_AMPLITUDE_ARCSEC)
     loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)
-    work = cycle_work(amplitude_rad, parameters, pendulum)
     phi = loop.phi_rad / ARCSEC_RAD
     closed = np.append(phi, phi[0])
     figure = canvas(2.75)
@@ -54,7 +52,7 @@ def loop_figure(
         axes.axhline(0, color=INK, lw=0.5)
         axes.axvline(0, color=INK, lw=0.5)
         axes.set(title=title, xlabel="φ / arcsec")
-    texts = [(0.96, f"4A = {plain(work.dissipated_j * 1e15)} fJ")]
+    texts = [(0.96, f"4A = {plain(work.dissipated_4a_j.value * 1e15)} fJ")]
     if has_c:
         adhesive = weight_moment(pendulum) * parameters.c * 1e9
         panels[0].plot(
@@ -62,7 +60,7 @@ def loop_figure(
             np.array([-1, -1, 1, 1, -1]) * adhesive,
             ls=(0, (4, 2)), color=INK, lw=0.9,
         )  # fmt: skip
-        texts.append((0.11, f"4Aₜ = {plain(work.adhesive_j * 1e15)} fJ"))
+        texts.append((0.11, f"4Aₜ = {plain(work.adhesive_4at_j.value * 1e15)} fJ"))
     for place, text in texts:
         panels[0].text(0.5, place, text, transform=panels[0].transAxes, ha="center", va="top", fontsize=7.5)
     panels[0].set_ylabel("M / nN m")

@@ -1,7 +1,7 @@
 """The likelihood of each run, compressed from its results, and the results of a campaign.
 
 A likelihood is made of results.json alone: parameters with their correlation, inputs shared by the budget,
-asymmetry of profiles, and bounds.
+and bounds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,6 @@ from processing.quantity import PART
 from processing.series import (
     EXPONENT_OF,
     GROWTH,
-    POSITIVE,
     Bound,
     ChangePoint,
     CompressedRun,
@@ -37,16 +36,11 @@ _MAX_SHARED = 0.9999
 """Largest fraction of a variance that is shared; the rest is the run's own."""
 _MAX_U = 0.5
 """Relative standard uncertainty above which a positive parameter without a verdict is only bounded."""
-_MIN_ASYMMETRY = 0.1
-"""Asymmetry of a profile below which it is ignored."""
-_MAX_ASYMMETRY = 0.8
 _BOUND_SOFTNESS = 0.3
 """Softness of a bound: width of its edge in the coordinate."""
 
 
-def compress(
-    found: FoundRun, reference_rad: float, u_covariates: Mapping[str, float]
-) -> tuple[CompressedRun | None, str]:
+def compress(found: FoundRun, reference_rad: float) -> tuple[CompressedRun | None, str]:
     """The likelihood of a run; or None, and why the run cannot enter, in a line."""
     run, fit = found.run, found.run.fits.get(FitMethod.EXACT)
     if fit is None:
@@ -100,9 +94,8 @@ def compress(
             values=values,
             covariance=0.5 * (own + own.T),
             shared=shared,
-            asymmetry=_asymmetry(fit, names, run.rows),
             bounds=bounds,
-            covariates=_covariates(run, fit, u_covariates, duration_s),
+            covariates=_covariates(run, fit, duration_s),
             by_growth=sum((by / u_of[key] for key, by in grown.items()), np.zeros(len(names)))
             if grown
             else None,
@@ -193,24 +186,7 @@ def _without_model_discrepancy(
     return own * np.outer(keep, keep), shared
 
 
-def _asymmetry(fit: Fit, names: Sequence[str], rows: Mapping[str, ResultRow]) -> dict[str, float]:
-    """Asymmetry of profiles by parameter, for parameters that are their own coordinates."""
-    found = {}
-    for name in names:
-        row = rows.get(name)
-        if row is None or not row.by_profile or name in EXPONENT_OF:
-            continue
-        ends = np.array([row.lower, fit.estimate(name).value, row.upper])
-        if not np.all(np.isfinite(ends)) or (name in POSITIVE and ends[0] <= 0):
-            continue
-        low, high = np.diff(np.log(ends) if name in POSITIVE else ends)
-        uneven = float((high - low) / (high + low)) if low > 0 and high > 0 else 0.0
-        if abs(uneven) > _MIN_ASYMMETRY:
-            found[name] = float(np.clip(uneven, -_MAX_ASYMMETRY, _MAX_ASYMMETRY))
-    return found
-
-
-def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float], duration_s: float) -> dict[str, Estimate]:
+def _covariates(run: RunResults, fit: Fit, duration_s: float) -> dict[str, float]:
     known = {} if run.ambient is None else asdict(run.ambient)
     found = {name: float(known[name]) for name in SURROUNDING_COVARIATES if isfinite(known.get(name, inf))}
     for name in ("dwell_s", "age_s"):
@@ -222,7 +198,7 @@ def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float], duration_s: f
         found["first_amplitude_rad"] = first
     if run.pendulum is not None:
         found["load_n"] = run.pendulum.mass_kg * run.pendulum.gravity_m_per_s2
-    return {name: Estimate(value, u.get(name, 0.0)) for name, value in found.items()}
+    return found
 
 
 SCHEMA = 1
@@ -337,8 +313,7 @@ class CampaignResults:
 
     `between_runs` and `between_contacts` are standard deviations, of b, c and gamma as fractions. `shared`
     are posteriors of inputs that runs have in common, in their standard uncertainties. `draws_that_count`
-    (effective draws) tells how well Laplace's method describes the posterior, `predictive_p` is the
-    probability that runs of the model scatter as much as the real ones. `stated` is the contents of
+    (effective draws) tells how well Laplace's method describes the posterior. `stated` is the contents of
     campaign.toml.
     """
 
@@ -356,7 +331,6 @@ class CampaignResults:
     budgets: Mapping[str, Mapping[str, tuple[CampaignSource, ...]]] = field(default_factory=dict)
     draws: int = 0
     draws_that_count: float = nan
-    predictive_p: float = nan
     sampler: SamplerFindings | None = None
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()

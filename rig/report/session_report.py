@@ -1,6 +1,5 @@
 """`rig report`: a session's HTML page, its figures as SVG, its tables as CSV."""
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -181,8 +180,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         ]
         # with a negative power there is no friction moment at rest, and no closed loop
         for work in run.results.work_per_cycle[:1] if exact.p >= 0 else ():
-            known = not math.isnan(work.adhesive_4at_j.value)
-            drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, has_c=known))
+            drawings.append(figures_contact.loop_figure(exact, pendulum, work))
         if run.spectrum is not None:
             unit = motion.unit
             drawings.append(figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size))

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from processing.fit import FitResult, fit_exact
+from processing.fit.known_drive import Seismogram
 from processing.fit.seismometer import SeismometerUse, fit_with_seismometer
-from processing.fit.seismometer_terms import Seismogram
 from processing.swing import TurningPoints
 from tests.benchmarks.cases import each_seed, run_cases
 from tests.benchmarks.coverage import Floats, coverage, rms

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from processing.contact import SolverCoordinates
+from processing.contact.coordinates import Coordinates
 from processing.contact.laws import PAPER
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
@@ -28,7 +28,7 @@ def points() -> TurningPoints:
     return decay(*paper_pair("steel"), noise_arcsec=0.005, seed=1)
 
 
-def columns_of(points: TurningPoints, drag: bool) -> SolverCoordinates:
+def columns_of(points: TurningPoints, drag: bool) -> Coordinates:
     return PAPER.columns(points, paper_pair("steel")[1], PAPER.fit_names(drag=drag))
 
 

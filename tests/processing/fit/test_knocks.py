@@ -11,12 +11,10 @@ from processing.fit import (
     ChangeKind,
     Evidence,
     FitResult,
-    LinearisedFit,
     fit_exact,
     fit_with_knocks,
     knocks,
     up_to_rest_step,
-    with_changes,
 )
 from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
 from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
@@ -170,13 +168,3 @@ def test_a_knock_about_the_same_rest_position_leaves_out_nothing() -> None:
         replace(swing, centre=swing.centre + (swing.index % 3 - 1) * ARCSEC) for swing in half_cycles(0.9, 20)
     ]
     assert up_to_rest_step(wandering, [20]) == (wandering, "")
-
-
-def test_no_change_is_found_twice_at_one_place() -> None:
-    """A knock of (6 ± 0) x 10^15 % of the amplitude was one: what rounding left of those found before."""
-    points = decay(0.3)
-    points = points.first(int(np.searchsorted(points.time_s, 300.0)) + 4)
-    fit = fit_exact(points, PENDULUM, drag=True, evidence=KNOWN)
-    found = with_changes(LinearisedFit.of(points, PENDULUM, fit), 0.0).changes
-    assert len(found) >= 2
-    assert all(abs(change.size) < 1.0 for change in found)

@@ -139,19 +139,6 @@ def test_a_change_is_told_to_the_place_of_its_uncertainty() -> None:
     assert "moves the swing by 120.0 ± 5.0 % of" in knock.text
 
 
-@pytest.mark.slow
-def test_a_knock_is_found_and_dated() -> None:
-    knock_rad_per_s = 0.5 * ARCSEC * 2 * np.pi / PARAMETERS.period0_s
-    knocked = World(event_s=300.0, knock_rad_per_s=knock_rad_per_s)
-    points, fit = decay(knocked), fitted(knocked)
-    against_law = against_law_of(points, fit)
-    found = changes_of(points, fit, against_law)
-    assert found[0].kind is ChangeKind.KNOCK
-    assert found[0].time_s == pytest.approx(300.0, abs=4.1)
-    amplitude = points.amplitude[np.searchsorted(points.time_s, 300.0)]
-    assert found[0].size * amplitude / ARCSEC == pytest.approx(0.5, rel=0.2)
-
-
 def test_a_step_that_is_not_found_is_in_the_uncertainties() -> None:
     """Of half a per cent, on the ground of a basement: c lay 2 to 3 u off and nothing said so."""
     found = []

@@ -137,19 +137,6 @@ def test_one_of_another_hour_is_refused() -> None:
     assert found.fit is alone
 
 
-def test_an_unknown_offset_is_found() -> None:
-    points, alone = on_white()
-    # a seismometer that lacks the beginning of the run has few offsets
-    part = slice(2000, 6800)
-    late = seismometer(white(3)[part], CLOCK[part] + 37.3)
-    assert not fit_with_seismometer(points, PENDULUM, late, alone, averaged=False).use.used
-    found = fit_with_seismometer(points, PENDULUM, late, alone, averaged=False, offset_known=False)
-    assert found.use.used
-    assert found.use.offset_s + found.use.delay_s.value == pytest.approx(
-        -37.3, abs=4 * found.use.delay_s.standard_uncertainty
-    )
-
-
 def test_a_delay_and_a_drift_of_its_clock_are_found() -> None:
     points, alone = on_white()
     middle_s = 0.5 * points.time_s[-1]

@@ -9,8 +9,8 @@ import pytest
 from calibration import Axes
 from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
-from processing.contact.moments import cycle_work, surface_energy
-from processing.errors import ConfigurationError
+from processing.contact.law import weight_moment
+from processing.contact.moments import surface_energy
 from processing.fit import (
     MEASUREMENT,
     FitResult,
@@ -23,7 +23,7 @@ from processing.fit.exact import fit_exact
 from processing.fit.reported import (
     reported_quantities,
     rolling_moment_nm,
-    work_per_cycle_j,
+    works_per_cycle_j,
 )
 from processing.fit.uncertainty import GROUND, budgets, standard_uncertainties
 from processing.swing import TurningPoints
@@ -204,11 +204,11 @@ def test_the_uncertainty_of_what_follows_is_that_of_its_parts(exact: FitResult) 
 
     def work(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         reported = reported_quantities(exact, inputs, rig())
-        return {"4A": work_per_cycle_j(60 * ARCSEC, reported, rolling_moment_nm(inputs, rig()))}
+        return works_per_cycle_j(60 * ARCSEC, reported, rolling_moment_nm(inputs, rig()))
 
-    size = float(work(at(exact))["4A"][0])
+    size = float(work(at(exact))["dissipated"][0])
     relative_b = table["b"].standard_uncertainty / table["b"].value
-    assert 0 < standard_uncertainties(exact, rig(), work)["4A"] / size < relative_b
+    assert 0 < standard_uncertainties(exact, rig(), work)["dissipated"] / size < relative_b
 
 
 @pytest.mark.parametrize("balls", [1, 2])
@@ -223,12 +223,18 @@ def test_work_of_a_cycle_is_that_of_its_parameters(exact: FitResult, balls: int)
     )
     inputs, stated = at(damped), replace(rig(), balls=balls)
     reported = reported_quantities(damped, inputs, stated)
-    expected = cycle_work(3.1 * ARCSEC, damped.parameters, stated.pendulum())
-    work_j = work_per_cycle_j(3.1 * ARCSEC, reported, rolling_moment_nm(inputs, stated))
-    assert expected.drag_j > 0.1 * expected.dissipated_j
+    known, pendulum = damped.parameters, stated.pendulum()
+    # the moments over one cycle of the pendulum that the fit describes, with one ball's part of the weight
+    x = 3.1 * ARCSEC * np.linspace(0.0, 1.0, 20_001)
+    moment = weight_moment(pendulum)
+    dissipated = 4 * moment * float(np.trapezoid(known.c + known.b * x**known.p, x))
+    drag = moment * drag_s * np.pi * (2 * np.pi / known.period0_s) * x[-1] ** 2
+    work = works_per_cycle_j(3.1 * ARCSEC, reported, rolling_moment_nm(inputs, stated))
+    assert drag > 0.1 * dissipated
     # R/a of two balls is not the one that `exact` was fitted with
-    rel = 1e-12 if balls == 1 else 1e-2
-    assert float(work_j[0]) == pytest.approx(expected.dissipated_j + expected.drag_j, rel=rel, abs=0)
+    rel = 1e-6 if balls == 1 else 1e-2
+    assert float(work["dissipated"][0]) == pytest.approx(dissipated, rel=rel, abs=0)
+    assert float(work["drag"][0]) == pytest.approx(drag, rel=rel, abs=0)
 
 
 def test_what_the_data_do_not_determine_has_no_finite_budget(exact: FitResult) -> None:
@@ -256,16 +262,6 @@ def test_two_balls_share_the_weight(exact: FitResult) -> None:
     assert energy == pytest.approx(half_n * 6.05e-3 * c / (2 * radius_m**2))
     assert float(reported["contact_depth_m"][0]) == pytest.approx(radius_m**2 / 6.05e-3, abs=0)
     assert float(reported["contact_angle_rad"][0]) == pytest.approx(radius_m / 6.05e-3, abs=0)
-    with pytest.raises(ConfigurationError, match="balls = 3"):
-        replace(rig(), balls=3)
-
-
-@pytest.mark.parametrize("change", [{"arm_m": InputQuantity(0.0)}, {"mass_kg": InputQuantity(-1.0)}])
-def test_impossible_quantities_are_refused(change: dict[str, InputQuantity]) -> None:
-    with pytest.raises(ConfigurationError, match="must be positive"):
-        rig(**change)
-    with pytest.raises(ConfigurationError, match="must not be negative"):
-        InputQuantity(1.0, -0.1)
 
 
 @pytest.mark.parametrize(

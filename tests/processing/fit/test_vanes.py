@@ -13,12 +13,11 @@ from processing.fit import (
     VanedRun,
     air_of_vanes,
     fit_exact,
-    vanes,
     waveform_of,
 )
 from processing.fit.refinement import DecayFit, fitted_twice
 from processing.swing import HarmonicsMeasurement, swings_of_blocks
-from tests.processing.fit.decays import ARCSEC, decay, paper_pair
+from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 from tests.processing.fit.frames import seen_in_frames
 
@@ -93,45 +92,6 @@ def test_a_scatter_that_chance_may_explain_enlarges_too(runs: list[VanedRun], fo
     for one, whole in ((doubted.drag_s, found.drag_s), (doubted.per_m2_s, found.per_m2_s)):
         unscaled = whole.standard_uncertainty / found.enlarged
         assert one.standard_uncertainty == pytest.approx(unscaled * quieter * doubted.enlarged, rel=0.05)
-
-
-@pytest.mark.slow
-def test_an_uncertain_area_counts_as_its_drag(runs: list[VanedRun], found: MeasuredAir) -> None:
-    """The larger area alone is uncertain: by as much as its drag, the line has another slope."""
-    unsure = [*runs[:-1], replace(runs[-1], u_area_m2=0.02)]
-    measured = (found, air_of_vanes(unsure, PENDULUM), air_of_vanes(runs[:-1], PENDULUM))
-    # by the stated noise: the scatter of each choice of runs is its own
-    u_exact, u_unsure, two_areas = (one.per_m2_s.standard_uncertainty / one.enlarged for one in measured)
-    assert 1.1 * u_exact < u_unsure < 1.1 * two_areas
-
-
-@pytest.mark.slow
-def test_an_uncertain_area_moves_the_drag_as_its_derivatives_say() -> None:
-    areas = []
-    for area_m2, u_m2 in ((0.0, 0.0), (0.1, 0.02)):
-        points = decay(
-            replace(PARAMETERS, drag_s=DRAG_S + PER_M2_S * area_m2), PENDULUM, noise_arcsec=0.005, seed=1
-        )
-        areas.append(VanedRun(points, fit_exact(points, PENDULUM, drag=True), area_m2, u_m2))
-    shared = vanes._SharedParameters([vanes._run_model(one, PENDULUM) for one in areas])
-    at = shared.start.copy()
-    at[-1] = 0.5
-    derivatives = shared.run_parameters(at, 1)[1][:, -1]
-    step = np.zeros(len(at))
-    step[-1] = 0.01
-    high, low = (shared.run_parameters(at + sign * step, 1)[0] for sign in (1.0, -1.0))
-    assert derivatives == pytest.approx((high - low) / 0.02, rel=0.05, abs=0.02 * np.abs(derivatives).max())
-    # a larger area has the larger drag: that of another run on it
-    larger = vanes._SharedParameters(
-        [
-            vanes._run_model(one, PENDULUM)
-            for one in (areas[0], replace(areas[1], area_m2=0.11, u_area_m2=0.0))
-        ]
-    )
-    larger.unit, larger.own = shared.unit, shared.own
-    assert shared.run_parameters(at, 1)[0][:-1] == pytest.approx(
-        larger.run_parameters(at[:-1], 1)[0], rel=1e-9
-    )
 
 
 def test_what_measures_no_air_is_refused(runs: list[VanedRun]) -> None:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.estimate import Estimate
 from processing.series import CompressedRun
 
 Floats = NDArray[np.float64]
@@ -74,7 +73,7 @@ def made(
                 values=seen[place],
                 covariance=(BASEMENT_R * np.outer(size, size))[np.ix_(place, place)],
                 shared={"air": AIR[place]} if known_air else {},
-                covariates={key: Estimate(value, 0.0) for key, value in covariates.items()},
+                covariates=covariates,
                 duration_s=1200.0,
             )
         )

@@ -37,7 +37,7 @@ def world(**changes: object) -> World:
 
 
 def plain_run(
-    value: float, u: float, *, label: str = "run", covariates: dict[str, Estimate] | None = None
+    value: float, u: float, *, label: str = "run", covariates: dict[str, float] | None = None
 ) -> CompressedRun:
     return CompressedRun(
         label=label, contact="sample", names=("c",), values=np.array([value]), covariance=np.array([[u**2]]),
@@ -107,28 +107,14 @@ def test_a_bound_pulls_as_far_as_it_reaches() -> None:
     free, bounded = fit_series(runs, model).estimate(C), found.estimate(C)
     assert free.value == pytest.approx(-18.0, abs=0.02)
     assert bounded.value < -18.3
-    # of the run that only bounds nothing scatters
-    assert 0.0 < found.predictive_check() <= 1.0
     far = replace(bound, bounds={"c": Bound(-15.0, EndSide.UPPER, 0.05)})
     assert fit_series([*runs, far], model).estimate(C).value == pytest.approx(free.value, abs=0.02)
-
-
-def test_an_uneven_likelihood_pulls_to_its_long_side() -> None:
-    runs = [replace(plain_run(-18.0, 0.3), asymmetry={"c": 0.5}) for _ in range(4)]
-    found = fit_series(runs, SeriesModel(names=("c",), scatter=(), bad_run_chance=0.0)).estimate(C)
-    assert found.value > -17.95
 
 
 def test_an_unknown_humidity_costs_and_does_not_mislead() -> None:
     slope, rng = -0.02, np.random.default_rng(5)
     wet = world(moved=lambda _, x: np.array([0, 0, slope * (x["humidity_percent"] - 45)]))
     runs = made(wet, 24, rng).runs
-    some = [
-        replace(run, covariates={**run.covariates, "humidity_percent": Estimate(45.0, 15.0)})
-        if place % 2
-        else run
-        for place, run in enumerate(runs)
-    ]
     none = [
         replace(run, covariates={key: x for key, x in run.covariates.items() if key != "humidity_percent"})
         if place % 2
@@ -139,29 +125,9 @@ def test_an_unknown_humidity_costs_and_does_not_mislead() -> None:
     whole = fit_series(runs, model)
     level = next(level for level in whole.levels if level.kind == "effect")
     best = whole.estimate(level)
-    for less in (some, none):
-        found = fit_series(less, model).estimate(level)
-        assert found.standard_uncertainty > 1.1 * best.standard_uncertainty
-        assert abs(found.value - slope) < 3 * found.standard_uncertainty
-
-
-def test_a_humidity_as_uncertain_as_it_varies_flattens_no_slope() -> None:
-    """A slope came out half as steep as it was, 20 u off."""
-    slope, rng, u = -0.02, np.random.default_rng(3), 12.0
-    true = rng.normal(45.0, 12.0, 200)
-    runs = [
-        plain_run(
-            slope * (x - 45.0) + 0.05 * rng.normal(),
-            0.05,
-            covariates={"humidity_percent": Estimate(x + u * rng.normal(), u)},
-        )
-        for x in true.tolist()
-    ]
-    model = SeriesModel(names=("c",), effects=(HUMIDITY,), sizes={"c": 10.0}, scatter=(), bad_run_chance=0.0)
-    found = fit_series(runs, model).estimate(LatentNumber("effect", HUMIDITY.label))
-    # by the 200 values that say how far the true ones scatter: 10 %
-    assert 0.002 < found.standard_uncertainty < 0.004
-    assert abs(found.value - slope) < 2 * found.standard_uncertainty
+    found = fit_series(none, model).estimate(level)
+    assert found.standard_uncertainty > 1.1 * best.standard_uncertainty
+    assert abs(found.value - slope) < 3 * found.standard_uncertainty
 
 
 def test_an_unknown_side_of_a_step_costs_and_does_not_mislead() -> None:
@@ -172,10 +138,10 @@ def test_an_unknown_side_of_a_step_costs_and_does_not_mislead() -> None:
     found = made(
         world(moved=lambda _, x: np.array([0, 0, wet * (x["humidity_percent"] >= 45.0)])), 24, rng
     ).runs
-    humid = [run for run in found if run.covariates["humidity_percent"].value >= 45.0]
+    humid = [run for run in found if run.covariates["humidity_percent"] >= 45.0]
     dry = [run for run in found if run not in humid]
     known = [*dry[:9], *humid[:4]]  # their mean is dry
-    assert np.mean([run.covariates["humidity_percent"].value for run in known]) < 45.0
+    assert np.mean([run.covariates["humidity_percent"] for run in known]) < 45.0
     unknown = [replace(run, covariates={}) for run in humid[4:8]]
     model = SeriesModel(names=NAMES, effects=(step,), sizes={"c": 1.0})
     level = LatentNumber("effect", step.label)
@@ -272,14 +238,6 @@ def test_chains_that_differ_are_told() -> None:
     assert split_r_hat(apart) > 1.2
 
 
-def test_runs_that_the_model_cannot_make_are_told() -> None:
-    runs = made(world(), 20, np.random.default_rng(12)).runs
-    free = fit_series(runs, SeriesModel(names=NAMES))
-    assert 0.02 < free.predictive_check() < 0.98
-    bound = fit_series(runs, SeriesModel(names=NAMES, scatter=(), bad_run_chance=0.0))
-    assert bound.predictive_check() < 0.05
-
-
 @pytest.mark.parametrize("scatter", [(), NAMES])
 def test_a_run_as_the_series_adjusts_it_is_as_uncertain_as_its_draws(scatter: tuple[str, ...]) -> None:
     """Of b its u was that at a known exponent, 2.4 times too small."""
@@ -322,7 +280,7 @@ def test_what_cannot_be_is_refused() -> None:
         fit_series(runs, SeriesModel(names=("c", "gamma_pa")))
     with pytest.raises(DataError, match="known of 0 of 1 runs"):
         fit_series(runs, SeriesModel(names=("c",), effects=(HUMIDITY,)))
-    dry = {"humidity_percent": Estimate(40.0, 0.0)}
+    dry = {"humidity_percent": 40.0}
     same = [plain_run(-18.0, 0.1, covariates=dry), plain_run(-18.1, 0.1, covariates=dry)]
     with pytest.raises(DataError, match="there is nothing to see"):
         fit_series(same, SeriesModel(names=("c",), effects=(HUMIDITY,)))
@@ -335,10 +293,7 @@ def test_friction_has_a_size_of_its_own_and_none_without_priors() -> None:
     assert SeriesModel(names=("b",), sizes={"b": 0.4}).size(FRICTION) == 0.4
     ageing = Effect(parameter=FRICTION, covariate="humidity_percent", form=Form.LINEAR, reference=45.0)
     humid = np.linspace(25.0, 65.0, 10)
-    runs = [
-        plain_run(-18.4 - 0.05 * (x - 45), 0.3, covariates={"humidity_percent": Estimate(x, 0.0)})
-        for x in humid
-    ]
+    runs = [plain_run(-18.4 - 0.05 * (x - 45), 0.3, covariates={"humidity_percent": x}) for x in humid]
     plain = SeriesModel(names=("c",), effects=(ageing,), scatter=(), bad_run_chance=0.0)
     level = LatentNumber("effect", ageing.label)
     value, u = fit_series(runs, plain.without_priors()).estimate(level)
@@ -349,7 +304,7 @@ def test_friction_has_a_size_of_its_own_and_none_without_priors() -> None:
 def test_a_run_that_is_left_out_keeps_its_place() -> None:
     """A step that was stated at a run moved to a later one for each run before it that could not enter."""
     runs = [
-        plain_run(-18.4 + (0.5 if place >= 5 else 0.0), 0.05, covariates={ORDER: Estimate(place, 0.0)})
+        plain_run(-18.4 + (0.5 if place >= 5 else 0.0), 0.05, covariates={ORDER: float(place)})
         for place in (0, 2, 3, 4, 5, 6, 7, 8, 9)
     ]
     step = Effect(parameter="c", covariate=ORDER, form=Form.STEP, reference=5)

@@ -47,9 +47,6 @@ parameter = "c"
 covariate = "humidity_percent"
 form = "linear"
 reference = 45
-
-[u]
-humidity_percent = 1.0
 """
 
 
@@ -139,7 +136,7 @@ def test_a_single_run_of_each_contact_does_not_tell_them_apart(tmp_path: Path) -
 def test_a_likelihood_is_that_of_its_results() -> None:
     one = run(1, GLASS, np.random.default_rng(3))
     likelihood, problem = compress(
-        FoundRun(label="run-1", contact="glass", results_sha256="", run=one), 60 * ARCSEC_RAD, {}
+        FoundRun(label="run-1", contact="glass", results_sha256="", run=one), 60 * ARCSEC_RAD
     )
     assert likelihood is not None
     assert not problem
@@ -152,7 +149,7 @@ def test_a_likelihood_is_that_of_its_results() -> None:
         ), relative
     # a longer arm than was thought makes the values as they are seen too large
     assert likelihood.shared["arm_m"][2] == pytest.approx(U_ARM_M, rel=1e-6)
-    assert likelihood.covariates["humidity_percent"].value == 45.0
+    assert likelihood.covariates["humidity_percent"] == 45.0
 
 
 @pytest.mark.parametrize(
@@ -171,7 +168,6 @@ def test_what_a_run_hardly_determines_is_a_bound(value: float, u: float, is_boun
             run=replace(one, table=(), fits={"exact": replace(fit, parameters=parameters)}),
         ),
         60 * ARCSEC_RAD,
-        {},
     )
     assert found is not None
     assert ("c" in found.names) is not is_bounded
@@ -226,9 +222,6 @@ EFFECT = '[[effect]]\nparameter = "c"\nform = "linear"\n'
         ),
         (2 * (EFFECT + 'covariate = "order"\n'), "effect: the same is stated twice"),
         ('parameters = ["c", "c"]', "parameters: the same is stated twice"),
-        ("[u]\nhumidity_percent = nan", "u.humidity_percent"),
-        ("[u]\nhumidity_percent = -2.0", "u.humidity_percent"),
-        ("[u]\nhumidty = 2.0", "there is no covariate 'humidty'"),
         ("[size]\nb = -0.5", "size.b"),
         ("[size]\nbb = 0.5", "size.bb: there is no such parameter"),
         ("[prior.p]\nvalue = 1", "prior.p.u: is missing"),
@@ -338,7 +331,6 @@ def test_the_stated_file_is_read(tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text(STATED)
     stated = read_campaign(tmp_path / "campaign.toml")
     assert stated.effect[0].covariate == "humidity_percent"
-    assert stated.u == {"humidity_percent": 1.0}
 
 
 @pytest.mark.slow
@@ -461,7 +453,7 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     fit, pendulum = run.fitted["exact"], run.pendulum
     assert pendulum is not None
     found, problem = compress(
-        FoundRun(label="run-1", contact="glass", results_sha256="", run=run), REFERENCE_RAD, {}
+        FoundRun(label="run-1", contact="glass", results_sha256="", run=run), REFERENCE_RAD
     )
     assert found is not None, problem
     names = found.names

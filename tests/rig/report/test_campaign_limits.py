@@ -19,7 +19,7 @@ def test_a_run_that_is_left_out_keeps_its_place_in_the_order(measured_series: Pa
     (entered,) = fit_model([nothing, second], StatedCampaign()).results.runs
     covariates = entered.likelihood["covariates"]
     assert isinstance(covariates, dict)
-    assert covariates["order"] == [1.0, 0.0]
+    assert covariates["order"] == 1.0
 
 
 def test_a_contact_that_is_only_bounded_has_the_runs_limit_and_differs_on_one_side(tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_a_prior_within_the_margin_is_no_evidence_that_nothing_depends(tmp_path:
 def test_what_is_not_determined_is_left_out(measured_series: Path) -> None:
     (first, _) = runs_of_folders([measured_series])
     nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
-    found, problem = compress(nothing, 60 * ARCSEC_RAD, {})
+    found, problem = compress(nothing, 60 * ARCSEC_RAD)
     assert found is None
     assert problem.endswith("left out: too short")
     with pytest.raises(Exception, match=r"no run can enter the campaign: .*too short"):

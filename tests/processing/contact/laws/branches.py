@@ -1,4 +1,4 @@
-"""Decays of laws with memory, integrated from the equation of motion; nothing of the half-swing map is used.
+"""Decays of laws, integrated from the equation of motion; nothing of the half-swing map is used.
 
 The laws are stated as their authors state them: springs and sliders one by one, Dahl's differential equation.
 Angles in units of the swing, times in units of 1/w0.
@@ -7,6 +7,8 @@ Angles in units of the swing, times in units of 1/w0.
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+
+from processing.swing import TurningPoints
 
 Array = NDArray[np.float64]
 
@@ -73,3 +75,26 @@ def _at_rest(_: float, state: Array) -> float:
 
 
 _at_rest.terminal = True  # type: ignore[attr-defined]
+
+
+def constant_decay(
+    c: float, period0_s: float, initial_rad: float, count: int, u_rad: float, seed: int
+) -> TurningPoints:
+    """Turning points of the equation of motion itself, with noise: arcs of a harmonic oscillation.
+
+    About the shifted rest positions +c and -c, half a period each.
+    """
+    rng = np.random.default_rng(seed)
+    phi = [initial_rad]
+    for _ in range(count - 1):
+        rest = c if phi[-1] > 0 else -c
+        phi.append(2 * rest - phi[-1])
+    amplitude = np.abs(np.array(phi))
+    u_time = u_rad / (amplitude * 2 * np.pi / period0_s)
+    return TurningPoints(
+        np.arange(count, dtype=np.int64),
+        0.25 + 0.5 * period0_s * np.arange(count) + u_time * rng.standard_normal(count),
+        u_time,
+        amplitude + u_rad * rng.standard_normal(count),
+        np.full(count, u_rad),
+    )

@@ -1,22 +1,21 @@
-"""All laws of the registry are consistent; a law is added by one file and one line."""
+"""All laws of the registry are consistent; one is fitted like any other."""
 
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 import pytest
 
-from processing.contact import AMPLITUDE, LAWS, TIME, Law, laws, moment_loop, weight_moment
+from processing.contact import AMPLITUDE, LAWS, TIME, Law
 from processing.fit import fit_exact, identifiability
 from processing.fit.exact import starts_of
 from processing.fit.exact_model import ExactModel
-from tests.processing.contact.laws.constant_moment import CONSTANT_MOMENT, constant_moment_decay
+from tests.processing.contact.laws.branches import constant_decay
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 
 _C, _PERIOD_S, _FIRST, _U = 0.1 * ARCSEC, 4.05, 124 * ARCSEC, 0.005 * ARCSEC
 
 
-@pytest.mark.parametrize("law", [*LAWS.values(), CONSTANT_MOMENT], ids=lambda law: law.name)
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_a_law_says_what_people_need(law: Law) -> None:
     assert law.title
     assert law.source
@@ -33,9 +32,8 @@ def test_a_law_says_what_people_need(law: Law) -> None:
     assert law.fit_names(drag=True) == (*law.names(), *beside, AMPLITUDE.key, TIME.key)
 
 
-@pytest.mark.parametrize("name", ["constant-moment", *LAWS])
-def test_columns_stand_for_the_physical_values_and_back(name: str) -> None:
-    law = CONSTANT_MOMENT if name == "constant-moment" else LAWS[name]
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_columns_stand_for_the_physical_values_and_back(law: Law) -> None:
     parameters, pendulum = paper_pair("steel")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=5, last_arcsec=40)
     model = ExactModel(points, pendulum, law=law)
@@ -51,13 +49,10 @@ def test_columns_stand_for_the_physical_values_and_back(name: str) -> None:
         np.testing.assert_allclose(by_columns[:, k], numeric, rtol=1e-5, atol=1e-7 * np.abs(values).max())
 
 
-def test_a_law_of_ones_own_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    registry = MappingProxyType({**LAWS, CONSTANT_MOMENT.name: CONSTANT_MOMENT})
-    monkeypatch.setattr(laws, "LAWS", registry)
-    law = laws.LAWS["constant-moment"]
-    pulls = []
+def test_a_law_other_than_the_papers_is_fitted() -> None:
+    law, pulls = LAWS["constant"], []
     for seed in range(6):
-        points = constant_moment_decay(_C, _PERIOD_S, _FIRST, 500, _U, seed)
+        points = constant_decay(_C, _PERIOD_S, _FIRST, 500, _U, seed)
         result = fit_exact(points, paper_pair("steel")[1], law=law)
         assert result.law is law
         assert result.names == ("c", "period0_s", AMPLITUDE.key, TIME.key)
@@ -70,17 +65,10 @@ def test_a_law_of_ones_own_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.all((np.std(pulls, axis=0) > 0.45) & (np.std(pulls, axis=0) < 1.4))
 
 
-def test_the_loop_of_its_moments_encloses_the_work_of_a_cycle() -> None:
-    _, pendulum = paper_pair("steel")
-    loop = moment_loop(_FIRST, {"c": _C, "period0_s": _PERIOD_S}, pendulum, law=CONSTANT_MOMENT)
-    work = -np.trapezoid(loop.total_n_m, loop.phi_rad)
-    assert work == pytest.approx(4 * weight_moment(pendulum) * _C * _FIRST)
-
-
 def test_its_parameters_are_judged_like_any_other() -> None:
-    points = constant_moment_decay(_C / 1000, _PERIOD_S, _FIRST, 40, 100 * _U, 3)
+    points = constant_decay(_C / 1000, _PERIOD_S, _FIRST, 40, 100 * _U, 3)
     pendulum = paper_pair("steel")[1]
-    result = fit_exact(points, pendulum, law=CONSTANT_MOMENT)
+    result = fit_exact(points, pendulum, law=LAWS["constant"])
     verdicts = {item.name: item for item in identifiability(points, pendulum, result)}
     assert verdicts["c"].verdict == "upper bound"
     assert verdicts["c"].lower_95 == 0.0
@@ -95,7 +83,7 @@ def test_a_law_that_does_not_describe_the_data_shows_in_its_residuals() -> None:
     right = fit_exact(points, pendulum)
     assert right.whiteness is not None
     assert not right.whiteness.correlated
-    wrong = fit_exact(points, pendulum, law=CONSTANT_MOMENT)
+    wrong = fit_exact(points, pendulum, law=LAWS["constant"])
     assert wrong.whiteness is not None
     assert wrong.whiteness.p_amplitude < 1e-100
     assert wrong.whiteness.u_inflation > 2
