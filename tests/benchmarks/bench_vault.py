@@ -16,7 +16,7 @@ from processing.fit import fit_exact
 from processing.fit.seismometer import fit_with_seismometer
 from processing.fit.seismometer_terms import Seismogram
 from tests.benchmarks.cases import run_of
-from tests.benchmarks.coverage import NOISE_ARCSEC, Case, Floats, measure
+from tests.benchmarks.coverage import NOISE_ARCSEC, Case, Floats, measure, of_pulls
 from tests.processing.fit.decays import paper_pair, with_noise
 from tests.processing.fit.driven import driven_path
 from tests.rig.analysis.spinning import Held
@@ -104,12 +104,8 @@ def case(name: str, ground: Callable[[int], Ground], last_arcsec: float = 2.0) -
         times = world.time_s if world.seismometer_time_s is None else world.seismometer_time_s
         seismometer = Seismogram(times, world.seismometer[:, None], ("Z",))
         fit = fit_with_seismometer(points, PENDULUM, seismometer, alone, averaged=False).fit
-        held = {}
-        for shown in SHOWN:
-            value, u = fit.estimate(shown)
-            z = (value - getattr(PARAMETERS, shown)) / u
-            held[shown] = Held(z, (abs(z) < 1.0, abs(z) < 1.96))
-        return held
+        off = {shown: fit.estimate(shown).value - getattr(PARAMETERS, shown) for shown in SHOWN}
+        return of_pulls({shown: by / fit.estimate(shown).standard_uncertainty for shown, by in off.items()})
 
     return Case(name, found)
 

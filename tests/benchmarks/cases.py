@@ -31,8 +31,9 @@ def run_of(
     *groups: Callable[[], Iterable[CaseT]],
     seeds: int,
     quick_seeds: int,
+    apart: int = SEEDS_APART,
 ) -> RunOfCases:
-    """What `measure(case, seeds, first seed)` finds of each case of these groups."""
+    """What `measure(case, seeds, first seed)` finds of each case; 0 seeds apart, cases share their noise."""
     usual = seeds
 
     def run(quick: bool = False, seeds: int = 0, only: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -41,7 +42,7 @@ def run_of(
             for number, case in enumerate(cases()):
                 if not only or any(word in case.name for word in only):
                     each = quick_seeds if quick else seeds or usual
-                    found.append({"case": case.name} | measure(case, each, SEEDS_APART * number))
+                    found.append({"case": case.name} | measure(case, each, apart * number))
                     show(found[-1])
         return {"cases": found}
 

@@ -45,12 +45,10 @@ def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
     if not found:
         return result | {"one_u": dict.fromkeys(PAPER.names(), 0.0)}
     pulls = np.array([[one.pull for one in row.values()] for row in found])
-    table = coverage(pulls, [[one.inside for one in row.values()] for row in found])
-    result |= {key: dict(zip(found[0], values, strict=True)) for key, values in table.items()}
-    return result | {
-        "one_u_of_all": float(np.mean(table["one_u"])),
-        "rms_of_all": float(rms(np.ravel(pulls))),
-    }
+    one_u, ninety_five = np.mean([[one.inside for one in row.values()] for row in found], axis=0).T
+    table = {"one_u": one_u, "ninety_five": ninety_five, "rms_pull": rms(pulls)}
+    result |= {key: dict(zip(found[0], values.tolist(), strict=True)) for key, values in table.items()}
+    return result | {"one_u_of_all": float(np.mean(one_u)), "rms_of_all": float(rms(np.ravel(pulls)))}
 
 
 def truth_of(parameters: ContactParameters, drag: bool = False) -> dict[str, float]:
@@ -68,21 +66,14 @@ def of_fit(fit: FitResult, true: Mapping[str, float]) -> dict[str, Held]:
     return found
 
 
+def of_pulls(pulls: Mapping[str, float]) -> dict[str, Held]:
+    """Errors over u whose intervals are those of a normal distribution."""
+    return {name: Held(z, (abs(z) < 1.0, abs(z) < 1.96)) for name, z in pulls.items()}
+
+
 def rms(rows: ArrayLike) -> Floats:
     """Root mean square over the seeds, the first axis."""
     return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
-
-
-def coverage(pulls: ArrayLike, inside: ArrayLike | None = None) -> dict[str, list[float]]:
-    """Shares of seeds within 1 u and 95 %, and rms errors in units of u, by parameter.
-
-    `pulls` (seeds, parameters) are errors over u, `inside` (seeds, parameters, 2) says whether intervals
-    hold the truth; without it they are those of a normal distribution.
-    """
-    z = np.asarray(pulls, dtype=np.float64)
-    held = np.stack([np.abs(z) < 1.0, np.abs(z) < 1.96], axis=-1) if inside is None else inside
-    shares = np.mean(np.asarray(held, dtype=np.float64), axis=0).T.tolist()
-    return {"one_u": shares[0], "ninety_five": shares[1], "rms_pull": rms(z).tolist()}
 
 
 def in_frames(
