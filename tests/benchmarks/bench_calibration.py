@@ -1,67 +1,39 @@
-"""Bias and coverage of calibrated quantities on random simulated rigs, and of measurements made with them.
+"""Coverage of calibrated quantities on random simulated rigs, and of measurements made with them.
 
-Run as ``python -m tests.benchmarks calibration [--quick]``.
+Run as ``python -m tests.benchmarks calibration [--quick]``. Ladders of tilts are such as something may have
+bent; the measurements have lever, axes and clock from simulated calibration records alone.
 """
 
-import tempfile
-from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
-import numpy as np
-
-from tests.benchmarks.coverage import coverage
+from tests.benchmarks.cases import run_of
+from tests.benchmarks.coverage import Case, measure, of_pulls
 from tests.calibration.ladders import LADDERS, pull
 from tests.calibration.simulated_rig import deviations
-from tests.rig.prepare.calibrated_measurement import measure
+from tests.rig.analysis.spinning import Held
+from tests.rig.prepare import calibrated_measurement
 
 FRAME_RATES_HZ = (25.0, 60.0)
 
 
-def _table(rows: Sequence[Mapping[str, float]]) -> dict[str, Any]:
-    """Mean and spread of deviations in standard uncertainties, share within one."""
-    found: dict[str, Any] = {"seeds": len(rows)}
-    for name in rows[0]:
-        z = np.array([row[name] for row in rows])
-        found[name] = {
-            "mean": float(z.mean()),
-            "spread": float(z.std(ddof=1)),
-            "within_1u": float(np.mean(np.abs(z) < 1)),
-            "largest": float(np.abs(z).max()),
-        }
-    return found
+def of_ladder(name: str, seed: int) -> dict[str, Held]:
+    return of_pulls({"scale at zero": pull(name, seed)[0]})
 
 
-def end_to_end(rate_hz: float, seeds: int) -> dict[str, Any]:
-    """Measurements whose lever, axes and clock come from simulated calibration records alone."""
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for seed in range(seeds):
-            found = measure(seed, Path(folder) / str(seed), rate_hz=rate_hz)
-            rows.append({name: (value - truth) / u for name, (value, u, truth) in found.items()})
-    return _table(rows)
+def of_measurement(rate_hz: float, seed: int) -> dict[str, Held]:
+    with TemporaryDirectory() as folder:
+        found = calibrated_measurement.measure(seed, Path(folder) / "calibrated", rate_hz=rate_hz)
+    return of_pulls({name: (value - truth) / u for name, (value, u, truth) in found.items()})
 
 
-def measurements(seeds: int) -> dict[str, Any]:
-    """Measurements at each frame rate."""
-    return {f"{rate:g}": end_to_end(rate, seeds) for rate in FRAME_RATES_HZ}
+def cases() -> list[Case]:
+    return [
+        Case("quantities", lambda seed: of_pulls(deviations(seed))),
+        *(Case(f"ladder: {name}", partial(of_ladder, name)) for name in LADDERS),
+        *(Case(f"measured: {rate:g} frames/s", partial(of_measurement, rate)) for rate in FRAME_RATES_HZ),
+    ]
 
 
-def ladders(seeds: int) -> dict[str, Any]:
-    """Ladders of tilts that something may have bent: coverage of the scale at zero."""
-    found = {}
-    for name in LADDERS:
-        pulls, relative, _ = zip(*(pull(name, seed) for seed in range(seeds)), strict=True)
-        z = np.abs(pulls)
-        found[name] = {key: of_all[0] for key, of_all in coverage(np.array(pulls)[:, None]).items()}
-        found[name] |= {"beyond_3u": float(np.mean(z > 3)), "relative_u": float(np.median(relative))}
-    return found
-
-
-def run(quick: bool = False) -> dict[str, Any]:
-    """600 and 200 seeds (40 and 12 quick)."""
-    return {
-        "quantities": _table([deviations(seed) for seed in range(40 if quick else 600)]),
-        "ladders": ladders(40 if quick else 400),
-        "end_to_end": measurements(12 if quick else 200),
-    }
+run = run_of(measure, cases, seeds=200, quick_seeds=4, apart=0)

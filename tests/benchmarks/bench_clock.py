@@ -5,7 +5,7 @@ The worlds are sums of steps in time with a rate that is known; nothing of the a
 """
 
 from collections.abc import Callable
-from typing import Any
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from scipy.signal import lfilter
 
 from calibration import relate_clocks, stability
 from rig.prepare.frame_times import u_camera_rate
+from tests.benchmarks.cases import run_of
+from tests.benchmarks.coverage import Case, measure, of_pulls
+from tests.rig.analysis.spinning import Held
 
 Array = NDArray[np.float64]
 RATE_HZ = 25.0
@@ -139,23 +142,21 @@ def pointing_z(world: str, seed: int, duration_s: float) -> float:
     return (found.drift_per_s - 1e-4) / found.u_drift_per_s
 
 
-def _row(z: Array) -> dict[str, float]:
-    return {
-        "rms_z": float(np.sqrt(np.mean(z**2))),
-        "within_1u": float(np.mean(np.abs(z) < 1)),
-        "largest_z": float(np.abs(z).max()),
-    }
+def cases() -> list[Case]:
+    """Of 120 s, and of 1200 s with fewer seeds."""
+
+    def clock(world: str, duration_s: float, seed: int) -> dict[str, Held]:
+        return of_pulls(dict(zip(("line", "calibration"), clock_z(world, seed, duration_s), strict=True)))
+
+    def pointing(world: str, duration_s: float, seed: int) -> dict[str, Held]:
+        return of_pulls({"drift": pointing_z(world, seed, duration_s)})
+
+    kinds = [(clock, world) for world in WORLDS] + [(pointing, world) for world in BEAMS]
+    return [
+        Case(f"{of.__name__}, {world}, {duration_s:g} s", partial(of, world, duration_s), share)
+        for duration_s, share in ((120.0, 1.0), (1200.0, 0.3))
+        for of, world in kinds
+    ]
 
 
-def run(quick: bool = False) -> dict[str, Any]:
-    """200 seeds of 120 s and 60 of 1200 s (20 and 6 quick)."""
-    found: dict[str, Any] = {}
-    for duration_s, seeds in ((120.0, 20 if quick else 200), (1200.0, 6 if quick else 60)):
-        for world in WORLDS:
-            z = np.array([clock_z(world, seed, duration_s) for seed in range(seeds)])
-            for name, column in (("line", z[:, 0]), ("calibration", z[:, 1])):
-                found[f"clock, {world}, {name}, {duration_s:g} s"] = _row(column)
-        for world in BEAMS:
-            z = np.array([pointing_z(world, seed, duration_s) for seed in range(seeds)])
-            found[f"pointing, {world}, {duration_s:g} s"] = _row(z)
-    return found
+run = run_of(measure, cases, seeds=200, quick_seeds=20, apart=0)

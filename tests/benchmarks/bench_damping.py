@@ -1,31 +1,31 @@
-"""Time constants at every amplitude: how often they are covered."""
+"""Time constants: how often they are covered, at five amplitudes of each kind of damping."""
 
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from processing.damping import fit_damping
+from tests.benchmarks.cases import run_of
+from tests.benchmarks.coverage import Case, Floats, measure, of_pulls
 from tests.processing.test_damping import KINDS, NOISE, T, true_amplitude
+from tests.rig.analysis.spinning import Held
 
 
-def run(quick: bool = False) -> dict[str, Any]:
-    """For each kind of damping 400 decays (`quick`: 40), at five amplitudes."""
-    seeds = 40 if quick else 400
-    results: dict[str, Any] = {}
-    for kind, parts in KINDS.items():
-        truth = true_amplitude(parts)
+def cases() -> list[Case]:
+    def case(kind: str) -> Case:
+        constant, linear, quadratic = KINDS[kind]
+        truth = true_amplitude(KINDS[kind])
         amplitudes = np.geomspace(1.0, truth[-1], 5)
-        rate = parts[0] / amplitudes + parts[1] + parts[2] * amplitudes
-        covered, right = [], 0
-        wanted = [part > 0 for part in parts]
-        for seed in range(seeds):
-            noise = NOISE * np.random.default_rng(seed).standard_normal(len(T))
-            found = fit_damping(T, truth + noise, np.full(len(T), NOISE))
-            tau_s, u_tau_s = found.time_constant_s(amplitudes)
-            covered.append(np.abs(tau_s - 1.0 / rate) < u_tau_s)
-            right += [name in found.needed for name in ("constant", "linear", "quadratic")] == wanted
-        results[kind] = {
-            "covered, %": (100.0 * np.mean(covered, axis=0)).round(1).tolist(),
-            "parts right, %": 100.0 * right / seeds,
-        }
-    return results
+        true_tau_s = 1.0 / (constant / amplitudes + linear + quadratic * amplitudes)
+        return Case(kind, partial(found, truth, amplitudes, true_tau_s))
+
+    def found(truth: Floats, amplitudes: Floats, true_tau_s: Floats, seed: int) -> dict[str, Held]:
+        noise = NOISE * np.random.default_rng(seed).standard_normal(len(T))
+        tau_s, u_tau_s = fit_damping(T, truth + noise, np.full(len(T), NOISE)).time_constant_s(amplitudes)
+        pulls = (tau_s - true_tau_s) / u_tau_s
+        return of_pulls({f"at {at:.2g}": float(z) for at, z in zip(amplitudes, pulls, strict=True)})
+
+    return [case(kind) for kind in KINDS]
+
+
+run = run_of(measure, cases, seeds=400, quick_seeds=40, apart=0)

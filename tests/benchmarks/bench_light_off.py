@@ -30,29 +30,17 @@ BUSY_PICTURES = 40
 
 def run(quick: bool = False) -> dict[str, Any]:
     """All numbers of this topic, in ms."""
-    clicks = 3 if quick else 10
-    results = {}
+    clicks, results = 3 if quick else 10, {}
     with headless_browser() as browser, tempfile.TemporaryDirectory() as place:
-        for name in (
-            "live picture",
-            "live picture frozen, desk busy",
-            "session, desk busy",
-            "session frozen, desk busy",
-        ):
-            took_ms = _series(browser, Path(place) / name.replace(" ", "-"), clicks, name)
-            results[name] = {
-                "clicks": len(took_ms),
-                "median": float(np.median(took_ms)),
-                "largest": max(took_ms),
-            }
-            print(f"{name:<28} {json.dumps(results[name])}", flush=True)
+        for name in ("session, desk busy", "session frozen, desk busy"):
+            took_ms = _series(browser, Path(place) / name.replace(" ", "-"), clicks, "frozen" in name)
+            results[name] = {"clicks": clicks, "median": float(np.median(took_ms)), "largest": max(took_ms)}
     return results
 
 
-def _series(browser: HeadlessBrowser, folder: Path, clicks: int, name: str) -> list[float]:
-    """Clicks on the live picture or on a session, by the name of the series."""
+def _series(browser: HeadlessBrowser, folder: Path, clicks: int, frozen: bool) -> list[float]:
+    """Clicks on one session."""
     took_ms = []
-    is_picture, frozen, busy = name.startswith("live picture"), "frozen" in name, "busy" in name
     folder.mkdir()
     # a board may get the port of one before, whose session was killed while it was lit: its rig stays latched
     os.environ["XDG_STATE_HOME"] = str(folder / "state")
@@ -60,44 +48,18 @@ def _series(browser: HeadlessBrowser, folder: Path, clicks: int, name: str) -> l
         board = stack.enter_context(board_process())
         config = write_rig(folder, SERIAL.replace("PORT", board.port))
         _, page = stack.enter_context(desk_page(browser, config))
-        if is_picture:
-            page.click("Live picture")
-        else:
-            page.key("3")
-            page.click("Start …")
-            page.in_dialog()
-            # it would take the port of the next series' board
-            stack.callback(_signal, folder / "runs", signal.SIGKILL)
+        page.key("3")
+        page.click("Start …")
+        page.in_dialog()
+        # it would take the port of the next series' board
+        stack.callback(_signal, folder / "runs", signal.SIGKILL)
         board.wait_lit(True, 120)
         for _ in range(clicks):
-            took_ms.append(_clicked(page, board, folder / "runs", frozen, busy))
+            took_ms.append(_clicked(page, board, folder / "runs", frozen))
             print(f"  {took_ms[-1]:.0f} ms", flush=True)
-            if is_picture:
-                _lit_again(page, board)
-            else:
-                _ordered_again(folder / "runs", board)
+            _ordered_again(folder / "runs", board)
             board.wait_lit(True, 120)
     return took_ms
-
-
-def _lit_again(page: Page, board: BoardProcess) -> None:
-    """As a person does it; the simulated camera sees light whatever the board does, so with a new picture."""
-    page.wait_text("LIGHT OFF was pressed")
-    page.click("Stop")
-    page.wait_text("No live picture yet")
-    seen = "[...document.querySelectorAll('button')].find(b => b.innerText.startsWith('{}'))"
-    picture, again, trip = map(seen.format, ("LIVE PICTURE", "LIGHT AGAIN", "ACKNOWLEDGE TRIP"))
-    end_s = time.monotonic() + 300.0
-    while not board.lit:
-        assert time.monotonic() < end_s, page.text()
-        # also a trip that comes meanwhile; what moves just when it is clicked is missed
-        if page.ask(f"{trip}?.offsetParent != null"):
-            page.acknowledge()
-        for button in (picture, again):
-            if page.ask(f"{button}?.offsetParent != null && !{button}.disabled"):
-                page.point_at(button)
-                break
-        time.sleep(1.0)
 
 
 def _ordered_again(runs: Path, board: BoardProcess) -> None:
@@ -114,15 +76,14 @@ def _ordered_again(runs: Path, board: BoardProcess) -> None:
             time.sleep(0.05)
 
 
-def _clicked(page: Page, board: BoardProcess, runs: Path, frozen: bool, busy: bool) -> float:
+def _clicked(page: Page, board: BoardProcess, runs: Path, frozen: bool) -> float:
     """Milliseconds from the click to dark."""
     if frozen:
         _signal(runs, signal.SIGSTOP)
         time.sleep(0.1)
     try:
-        if busy:
-            ask = "fetch('/picture?width=1600&height=1200&n=' + n)"
-            page.ask(f"void [...Array({BUSY_PICTURES}).keys()].forEach(n => {ask})")
+        ask = "fetch('/picture?width=1600&height=1200&n=' + n)"
+        page.ask(f"void [...Array({BUSY_PICTURES}).keys()].forEach(n => {ask})")
         x, y = page.ask(
             "(r => [r.x + r.width / 2, r.y + r.height / 2])"
             "(document.getElementById('light-off').getBoundingClientRect())"

@@ -8,24 +8,24 @@ swing detector and is measured again as in a session.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.contact import ContactParameters, PendulumOnBall
-from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.fit import fit_exact
 from processing.swing import swings_of_blocks, turning_points
 from rig.analysis import refined_half_cycles
 from rig.analysis.ambient import FittedDrag
 from rig.settings import FitSettings
-from tests.benchmarks.cases import each_seed, run_cases
-from tests.benchmarks.coverage import Floats, rms
+from tests.benchmarks.cases import run_of
+from tests.benchmarks.coverage import Case, Floats, measure, of_fit, truth_of
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
+from tests.rig.analysis.spinning import Held
 
 _MIDDLE_RAD = 60 * ARCSEC
 DRAG_S = 1e-3
@@ -36,16 +36,6 @@ class Samples(NamedTuple):
     angle_rad: Floats
     parameters: ContactParameters
     pendulum: PendulumOnBall
-
-
-class Case(NamedTuple):
-    """Samples without noise, what is done to them for a seed, and the noise of each in arcsec."""
-
-    name: str
-    clean: Callable[[], Samples]
-    noise_arcsec: float
-    sampled: Callable[[Samples, np.random.Generator], Samples] = lambda samples, _: samples
-    drag: bool = False
 
 
 @cache
@@ -63,7 +53,7 @@ def swing(frames_per_s: float, period0_s: float | None = None, p: float | None =
 @cache
 def dragged() -> Samples:
     parameters, pendulum = paper_pair("glass_k8", drag_s=DRAG_S)
-    contact = {name: getattr(parameters, name) for name in PAPER.names(drag=True)}
+    contact = truth_of(parameters, drag=True)
     settings = SimulationSettings.model_validate(
         {
             "contact": {**contact, "contact_radius_m": pendulum.contact_radius_m},
@@ -91,48 +81,48 @@ def in_mid_swing(samples: Samples, rng: np.random.Generator) -> Samples:
     return samples._replace(time_s=time_s, angle_rad=samples.angle_rad[kept] + fast)
 
 
-CASES = (
-    *(Case(f"25 Hz {noise:g}", lambda: swing(25.0), noise) for noise in (0.03, 0.1, 0.2, 0.5)),
-    Case("500 Hz 0.0005", lambda: swing(500.0), 0.0005),
-    Case("irregular 50 Hz", lambda: swing(50.0), 0.02, irregular),
-    Case("drag 25 Hz", dragged, 0.03, drag=True),
-    Case("mid-swing 50 Hz", lambda: swing(50.0), 0.02, in_mid_swing),
-    Case("T0 1.5 s", lambda: swing(50.0, period0_s=1.5), 0.03),
-    Case("T0 12 s", lambda: swing(25.0, period0_s=12.0), 0.03),
-    Case("p 0.8", lambda: swing(25.0, p=0.8), 0.03),
-    Case("p 1.3", lambda: swing(25.0, p=1.3), 0.03),
-)
+def untouched(samples: Samples, _: np.random.Generator) -> Samples:
+    return samples
 
 
-def pulls(case: Case, seed: int) -> list[float]:
-    """Errors over u of all parameters of one run."""
-    clean = case.clean()
-    rng = np.random.default_rng([seed, 15])
-    samples = case.sampled(clean, rng)
-    noise = case.noise_arcsec * ARCSEC
-    times_ns = np.rint(samples.time_s * 1e9).astype(np.int64)
-    blocks = [
-        slow_deflections(times_ns, samples.angle_rad + noise * rng.standard_normal(len(times_ns)), noise)
-    ]
-    refined = refined_half_cycles(
-        swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, FitSettings(),
-        drag=FittedDrag(fitted=case.drag),
-    )  # fmt: skip
-    fit = refined.exact or fit_exact(turning_points(refined.swings), samples.pendulum, drag=case.drag)
-    found = {name: fit.estimate(name) for name in PAPER.names(drag=case.drag)}
+def case(
+    name: str,
+    clean: Callable[[], Samples],
+    noise_arcsec: float,
+    sampled: Callable[[Samples, np.random.Generator], Samples] = untouched,
+    drag: bool = False,
+) -> Case:
+    """Samples without noise, the noise of each, what is done to them for a seed; cases share their noise."""
+    noise = noise_arcsec * ARCSEC
+
+    def found(seed: int) -> dict[str, Held]:
+        rng = np.random.default_rng([seed, 15])
+        samples = sampled(clean(), rng)
+        times_ns = np.rint(samples.time_s * 1e9).astype(np.int64)
+        seen_rad = samples.angle_rad + noise * rng.standard_normal(len(times_ns))
+        blocks = [slow_deflections(times_ns, seen_rad, noise)]
+        refined = refined_half_cycles(
+            swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, FitSettings(),
+            drag=FittedDrag(fitted=drag),
+        )  # fmt: skip
+        fit = refined.exact or fit_exact(turning_points(refined.swings), samples.pendulum, drag=drag)
+        return of_fit(fit, truth_of(samples.parameters, drag))
+
+    return Case(name, found)
+
+
+def cases() -> list[Case]:
     return [
-        (one.value - getattr(samples.parameters, name)) / one.standard_uncertainty
-        for name, one in found.items()
+        *(case(f"25 Hz {noise:g}", lambda: swing(25.0), noise) for noise in (0.03, 0.1, 0.2, 0.5)),
+        case("500 Hz 0.0005", lambda: swing(500.0), 0.0005),
+        case("irregular 50 Hz", lambda: swing(50.0), 0.02, irregular),
+        case("drag 25 Hz", dragged, 0.03, drag=True),
+        case("mid-swing 50 Hz", lambda: swing(50.0), 0.02, in_mid_swing),
+        case("T0 1.5 s", lambda: swing(50.0, period0_s=1.5), 0.03),
+        case("T0 12 s", lambda: swing(25.0, period0_s=12.0), 0.03),
+        case("p 0.8", lambda: swing(25.0, p=0.8), 0.03),
+        case("p 1.3", lambda: swing(25.0, p=1.3), 0.03),
     ]
 
 
-def measure(case: Case, seeds: int, _: int) -> dict[str, Any]:
-    """Root mean squares of errors over u, of each parameter and of all; the cases share their noise."""
-    found, failed = each_seed(lambda seed: pulls(case, seed), seeds)
-    of_each = dict(zip(PAPER.names(drag=case.drag), rms(found).tolist(), strict=True))
-    return {"seeds": seeds, "failed": failed, "rms_pull": of_each, "rms_of_all": float(rms(np.ravel(found)))}
-
-
-def run(quick: bool = False, seeds: int = 40, only: tuple[str, ...] = ()) -> dict[str, Any]:
-    """All cases, or those that are named."""
-    return run_cases(CASES, measure, 4 if quick else seeds, only)
+run = run_of(measure, cases, seeds=40, quick_seeds=2, apart=0)

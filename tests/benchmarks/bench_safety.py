@@ -1,9 +1,8 @@
-"""Faults and what came of them: light that goes, what is said meanwhile, who was needed for the next one.
+"""Faults and what came of them: light that goes, who was needed for the next one.
 
 Run as ``python -m tests.benchmarks safety [--quick]``. The firmware runs on MicroPython, its line can
-be cut, the program in processes of its own; the table of single faults in docs/controller.md is
-build/safety.md. Beside it, random sequences of faults, keys and commands on a stepped clock. SAFETY_TRIALS
-chooses trials by words in them.
+be cut, the program in processes of its own; the table of single faults is build/safety.md. Beside it, random
+sequences of faults, keys and commands on a stepped clock. SAFETY_TRIALS chooses trials by words in them.
 """
 
 import os
@@ -61,14 +60,14 @@ def run(quick: bool = False) -> dict[str, Any]:
             try:
                 row = measured(package, folder / f"trial{number}", path, fault)
             except Exception as error:
-                row = Row(path, fault, None, "", None, 0, "", f"{type(error).__name__}: {error}")
+                row = Row(path, fault, None, 0, "", f"{type(error).__name__}: {error}")
             print(row.line, flush=True)
             return row
 
         with ThreadPoolExecutor(2) as at_once:
             rows = list(at_once.map(one, range(len(trials))))
         rows += [safety_lasers.measured(*trial, folder) for trial in safety_lasers.TRIALS]
-    head = ("| path | fault | dark after, s | says | says on for, s | light takes then |", "|---" * 6 + "|")
+    head = ("| path | fault | dark after, s | light takes then |", "|---" * 4 + "|")
     text = "".join(f"{line}\n" for line in (*head, *(row.line for row in rows)))
     target = Path("build") / "safety.md"
     target.parent.mkdir(exist_ok=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.spot import SpotTracker
-from tests.processing.spot.frames import EIGHT_BIT, exposed, light, side_of, tilted_light
+from tests.processing.spot.frames import EIGHT_BIT, exposed, light, side_of
 
 SHAPE = (1024, 1280)
 RING = 64
@@ -28,7 +28,6 @@ PEAK = 180.0
 BLOCK = 20
 
 Frames = list[NDArray[Any]]
-Action = Callable[[], object]
 
 
 def swinging() -> NDArray[np.float64]:
@@ -37,36 +36,19 @@ def swinging() -> NDArray[np.float64]:
     return np.column_stack((640.3 + 8 * np.sin(phase), 512.6 + np.cos(phase)))
 
 
-def ring(
-    sigmas: tuple[float, float],
-    truth: NDArray[np.float64],
-    rng: np.random.Generator,
-    hot_pixels: int = 0,
-    angle: float = 0.0,
-) -> Frames:
+def ring(sigma: float, truth: NDArray[np.float64], rng: np.random.Generator, hot_pixels: int) -> Frames:
     """Full frames with a spot."""
     frames: Frames = []
-    reach = int(6 * max(sigmas))
+    reach = int(6 * sigma)
     side = 2 * reach + 1
     for x, y in truth:
         frame = np.rint(6 + rng.normal(0, 0.18, SHAPE)).astype(np.uint8)
         column, row = int(x) - reach, int(y) - reach
-        where = (side, side), x - column, y - row
-        spot = (
-            tilted_light(*where, sigmas, angle, PEAK) if angle else light(*where, sigmas[0], PEAK, sigmas[1])
-        )
+        spot = light((side, side), x - column, y - row, sigma, PEAK)
         frame[row : row + side, column : column + side] = exposed(spot, rng)
         frame[rng.integers(0, SHAPE[0], hot_pixels), rng.integers(0, SHAPE[1], hot_pixels)] = 220
         frames.append(frame)
     return frames
-
-
-def _search(tracker: SpotTracker) -> Callable[[NDArray[Any]], object]:
-    def search(frame: NDArray[Any]) -> object:
-        tracker.reset()
-        return tracker.track(frame)
-
-    return search
 
 
 def against_sums(rounds: int) -> list[dict[str, float]]:
@@ -81,12 +63,11 @@ def against_sum(sigma: float, hot_pixels: int, rounds: int) -> dict[str, float]:
     The methods take turns, each with the next frames of the ring: no frame is read again before the
     whole ring has been. The median over the rounds of each round's ratio is taken.
     """
-    frames = ring((sigma, sigma), swinging(), np.random.default_rng(31), hot_pixels)
+    frames = ring(sigma, swinging(), np.random.default_rng(31), hot_pixels)
     follower = SpotTracker(EIGHT_BIT)
     actions: dict[str, Callable[[NDArray[Any]], object]] = {
         "cv2.sumElems": cv2.sumElems,
         "following": follower.track,
-        "search": _search(SpotTracker(EIGHT_BIT)),
     }
     for action in actions.values():
         action(frames[0])

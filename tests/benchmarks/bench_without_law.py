@@ -6,7 +6,7 @@ law, expressed as the splines are, with no moment proportional to the angle at t
 """
 
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,13 @@ from processing.contact.law import ContactParameters
 from processing.contact.laws import PAPER
 from processing.fit import fit_model_free
 from processing.fit.law_comparison import FreeMoments
-from tests.benchmarks.bench_ground import Case, basement, simulated_case
-from tests.benchmarks.cases import each_seed, run_cases
-from tests.benchmarks.coverage import Floats
+from processing.swing import TurningPoints
+from tests.benchmarks.bench_decays import basement, simulated_turns
+from tests.benchmarks.cases import each_seed, run_of
+from tests.benchmarks.coverage import NOISE_ARCSEC, Floats
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair
 
 ANGLES_ARCSEC = (2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0, 60.0, 90.0, 115.0)
-NOISE_ARCSEC = 0.005
 
 
 def true_moments(found: FreeMoments, parameters: ContactParameters, pendulum: PendulumOnBall) -> np.ndarray:
@@ -37,11 +37,20 @@ def true_moments(found: FreeMoments, parameters: ContactParameters, pendulum: Pe
     return np.asarray(np.array([friction[:-1], elastic[:-1] - share * phi]) / (1 - share / weight))
 
 
-def rest(flat: str) -> Case:
-    parameters, pendulum = paper_pair(flat)
-    return Case(
-        f"{flat} rest", flat, lambda seed: decay(parameters, pendulum, noise_arcsec=NOISE_ARCSEC, seed=seed)
-    )
+class Case(NamedTuple):
+    """A pair, at rest or in the basement."""
+
+    flat: str
+    moving: bool
+
+    @property
+    def name(self) -> str:
+        return f"{self.flat} {'basement' if self.moving else 'rest'}"
+
+    def points(self, seed: int) -> TurningPoints:
+        if self.moving:
+            return simulated_turns(self.flat, basement)(seed)
+        return decay(*paper_pair(self.flat), noise_arcsec=NOISE_ARCSEC, seed=seed)
 
 
 def held_in(case: Case, seed: int) -> Floats:
@@ -66,7 +75,9 @@ def measure(case: Case, seeds: int, _: int) -> dict[str, Any]:
     return {"seeds": seeds, "failed": failed, "friction": float(friction), "elastic": float(elastic)}
 
 
-def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> dict[str, Any]:
-    """At rest and in the basement, of all pairs."""
-    cases = [rest(flat) for flat in PAIRS] + [simulated_case("basement", flat, basement) for flat in PAIRS]
-    return run_cases(cases, measure, 5 if quick else seeds, only)
+run = run_of(
+    measure,
+    lambda: [Case(flat, moving) for moving in (False, True) for flat in PAIRS],
+    seeds=200,
+    quick_seeds=2,
+)

@@ -17,22 +17,36 @@ CaseT = TypeVar("CaseT", bound=Named)
 FoundT = TypeVar("FoundT")
 
 SEEDS_APART = 1000
-"""No two cases share a seed: their seeds count together."""
+"""No two cases of a group share a seed: their seeds count together."""
 
 
-def run_cases(
-    cases: Iterable[CaseT],
+class RunOfCases(Protocol):
+    """A benchmark's `run`: quickly, or for so many seeds of each case; `only`: words of their names."""
+
+    def __call__(self, quick: bool = False, seeds: int = 0, only: tuple[str, ...] = ()) -> dict[str, Any]: ...
+
+
+def run_of(
     measure: Callable[[CaseT, int, int], dict[str, Any]],
+    *groups: Callable[[], Iterable[CaseT]],
     seeds: int,
-    only: tuple[str, ...] = (),
-) -> dict[str, Any]:
-    """What `measure(case, seeds, first seed)` finds of each case; `only`: words of names."""
-    found = []
-    for number, case in enumerate(cases):
-        if not only or any(word in case.name for word in only):
-            found.append({"case": case.name} | measure(case, seeds, SEEDS_APART * number))
-            show(found[-1])
-    return {"cases": found}
+    quick_seeds: int,
+    apart: int = SEEDS_APART,
+) -> RunOfCases:
+    """What `measure(case, seeds, first seed)` finds of each case; 0 seeds apart, cases share their noise."""
+    usual = seeds
+
+    def run(quick: bool = False, seeds: int = 0, only: tuple[str, ...] = ()) -> dict[str, Any]:
+        found = []
+        for cases in groups:
+            for number, case in enumerate(cases()):
+                if not only or any(word in case.name for word in only):
+                    each = quick_seeds if quick else seeds or usual
+                    found.append({"case": case.name} | measure(case, each, apart * number))
+                    show(found[-1])
+        return {"cases": found}
+
+    return run
 
 
 def each_seed(one: Callable[[int], FoundT], seeds: int, first: int = 0) -> tuple[list[FoundT], int]:

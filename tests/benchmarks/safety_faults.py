@@ -5,15 +5,12 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from processing.errors import RigError
-from rig.devices import NoSession, OrderConnection
 from tests.benchmarks.safety_program import PLACES
 from tests.rig.command_line import CONFIGS
 from tests.rig.control.wires import FirmwareBoard
@@ -80,17 +77,15 @@ PEOPLE_END_IT = ("told to end (SIGTERM)", "Ctrl-C", "terminal closed (SIGHUP)")
 
 @dataclass(frozen=True)
 class Row:
-    """What came of a fault; times in s, None where there is nothing to measure.
+    """What came of a fault.
 
-    `dark_s` is from the fault to the dark on the board's clock, `says_on_s` how long the program said "on"
-    after it, `relit` how often light came that nobody asked for, `needed` what light took afterwards.
+    `dark_s` is from the fault to the dark on the board's clock, None where there is nothing to measure,
+    `relit` how often light came that nobody asked for, `needed` what light took afterwards.
     """
 
     path: str
     fault: str
     dark_s: float | None
-    says: str
-    says_on_s: float | None
     relit: int
     needed: str
     violation: str = ""
@@ -99,9 +94,8 @@ class Row:
     def line(self) -> str:
         """Of a table in Markdown."""
         dark = "–" if self.dark_s is None else f"{self.dark_s:.2f}"
-        on = "–" if self.says_on_s is None else f"{self.says_on_s:.1f}"
         wrong = f" **{self.violation}**" if self.violation else ""
-        return f"| {self.path} | {self.fault} | {dark} | {self.says} | {on} | {self.needed}{wrong} |"
+        return f"| {self.path} | {self.fault} | {dark} | {self.needed}{wrong} |"
 
 
 class Trial:
@@ -117,8 +111,6 @@ class Trial:
         self.config.write_text(text, encoding="utf-8")
         self.out = folder / "out"
         self.log = folder / "said"
-        self.says_on_s = 0.0
-        self._listening = threading.Event()
 
     def start(self, path: str) -> "subprocess.Popen[bytes]":
         """The program on its path, in a place of its own for the state of rigs."""
@@ -129,6 +121,10 @@ class Trial:
             return subprocess.Popen(
                 [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=said, stderr=said, env=env
             )
+
+    def said(self, since: int = 0) -> str:
+        """What the programs have printed after so many bytes."""
+        return self.log.read_bytes()[since:].decode(errors="replace")
 
     @property
     def lit(self) -> bool:
@@ -150,25 +146,6 @@ class Trial:
             time.sleep(0.01)
         return condition()
 
-    @contextmanager
-    def listening(self) -> Iterator[None]:
-        """Hear the session's channel, as the desk does, and remember when it last said that light is on."""
-        thread = threading.Thread(target=self._listen, daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            self._listening.set()
-            thread.join()
-
-    def _listen(self) -> None:
-        folder = self.folder if self.path == "align" else self.out
-        while not self._listening.wait(0.05):
-            with suppress(NoSession, RigError, OSError), OrderConnection(folder) as line:
-                while not self._listening.wait(0.05):
-                    if line.news()["safety"]["light"] == "on":
-                        self.says_on_s = time.monotonic()
-
 
 def measured(package: Path, folder: Path, path: str, fault: str, when_dark: str = "wait") -> Row:
     """Do it: light, fault, dark, the fault gone, time, then somebody who asks for light."""
@@ -176,8 +153,7 @@ def measured(package: Path, folder: Path, path: str, fault: str, when_dark: str 
     trial = Trial(package, folder, path, fault, when_dark)
     process = trial.start(path)
     try:
-        with trial.listening():
-            return _measured(trial, process)
+        return _measured(trial, process)
     finally:
         with suppress(ProcessLookupError):
             process.send_signal(signal.SIGCONT)
@@ -191,42 +167,34 @@ def _measured(trial: Trial, process: "subprocess.Popen[bytes]") -> Row:
     if trial.path == "doctor":
         process.wait(ENDED_WITHIN_S)
         relit = trial.lightings(0)
-        return Row("doctor", fault, None, "", None, relit, "–", "lit" * bool(relit))
+        return Row("doctor", fault, None, relit, "–", "lit" * bool(relit))
     if not trial.wait(lambda: trial.lit or process.poll() is not None, LIT_WITHIN_S) or not trial.lit:
-        return Row(trial.path, fault, None, _last(trial, 0), None, 0, "", "was not lit at all")
+        return Row(trial.path, fault, None, 0, "", f"was not lit at all: {trial.said()[-200:]}")
     record = trial.out / "run-1.mcap"
     if trial.path == "run":
         trial.wait(lambda: record.exists() and record.stat().st_size > 60_000, 30.0)
     time.sleep(1.0)
-    heard = trial.log.stat().st_size
     _begin(trial, process)
     trial.wait(lambda: any(name == "mark" for _, name, _ in board.events()), 2.0)
     if not trial.wait(lambda: not trial.lit or _off_after_mark(board) is not None, DARK_WITHIN_S):
-        return Row(
-            trial.path, fault, None, _last(trial, heard), None, 0, "", f"lit after {DARK_WITHIN_S:g} s"
-        )
-    dark_at_s = time.monotonic()
+        return Row(trial.path, fault, None, 0, "", f"lit after {DARK_WITHIN_S:g} s")
     dark_s = _off_after_mark(board)
     time.sleep(1.5)
     seen = len(board.events())
     _end(trial, process)
     time.sleep(LOOKED_AT_FOR_S)
     relit = trial.lightings(seen)
-    says = _last(trial, heard)
-    alive = process.poll() is None
-    if alive:
+    if process.poll() is None:
         process.send_signal(signal.SIGTERM)
         with suppress(subprocess.TimeoutExpired):
             process.wait(20.0)
         process.kill()
         process.wait()
-    talks = trial.path in ("run", "align") and fault not in SIGNALS
-    says_on_s = max(trial.says_on_s - dark_at_s, 0.0) if talks else None
     needed, violation = _asked(trial)
     violation = violation or "lit again by itself" * bool(relit)
     if fault not in PEOPLE_END_IT and fault not in PLACES and "acknowledged" not in needed:
         violation = violation or "nobody had to acknowledge"
-    return Row(trial.path, fault, dark_s, says, says_on_s, relit, needed, violation)
+    return Row(trial.path, fault, dark_s, relit, needed, violation)
 
 
 def _begin(trial: Trial, process: "subprocess.Popen[bytes]") -> None:
@@ -276,7 +244,7 @@ def _asked(trial: Trial) -> tuple[str, str]:
     except subprocess.TimeoutExpired:
         asking.kill()
         asking.wait()
-    said = trial.log.read_bytes()[heard:].decode(errors="replace")
+    said = trial.said(heard)
     lit = trial.lightings(seen)
     if "REFUSED trip" in said:
         cause = re.search(r"trip \d+ \((\w+)\)", said)
@@ -294,17 +262,3 @@ def _off_after_mark(board: FirmwareBoard) -> float | None:
         elif mark_ms is not None and ((name == "laser" and not values[0]) or name in ("boot", "all_off")):
             return max(ms - mark_ms, 0) / 1000.0
     return None
-
-
-_ABOUT = re.compile(r"laser|interlock|controller|stalled|trip|dark|light|killed|stopped|terminated", re.I)
-
-
-def _last(trial: Trial, heard: int) -> str:
-    """The first thing that the program said of it, in its own words."""
-    for line in trial.log.read_bytes()[heard:].decode(errors="replace").splitlines():
-        if line.startswith("peak "):
-            # behind the figures of the live picture stands why it is dark
-            line = line.rpartition("  ")[2]
-        if _ABOUT.search(line) and not line.startswith(("  ", "Traceback")):
-            return line.strip().replace("|", "/")[:110]
-    return ""

@@ -88,12 +88,11 @@ def measured(kind: str, fault: str, folder: Path) -> Row:
             world.live(_STEP_S)
         dark_s = None if world.lit else world.clock.monotonic() - began_s
         world.live(1.0)
-        says = "" if world.program is None else world.program.permit.refusal or world.program.darkness()
         instrument.measures, instrument.silent, instrument.interlock_closed = None, False, True
         before = world.counts["lit"]
         world.live(_LOOKED_AT_FOR_S)
         relit = world.counts["lit"] - before
-        return Row(f"run, {kind}", fault, dark_s, says, None, relit, *_asked(world, relit))
+        return Row(f"run, {kind}", fault, dark_s, relit, *_asked(world, relit))
 
 
 def _asked(world: World, relit: int) -> tuple[str, str]:

@@ -54,11 +54,15 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def _measured(
-    name: str, part: str, argument: int, seeds: int, keys: tuple[str, ...], within: str, factor: float
+    name: str,
+    part: str,
+    argument: int,
+    seeds: int,
+    keys: tuple[str, ...],
+    only: tuple[str, ...],
+    factor: float,
 ) -> dict[str, Found]:
-    found = _ran(name, part, argument, seeds)
-    for key in within.split("/") if within else ():
-        found = found[key]
+    found = _ran(name, part, argument, seeds, only)
     values = tuple(factor * value for key in keys for value in numbers_at(found, key))
     if not values:
         raise Missing(f"the benchmark {name} gave no {', '.join(keys)} here: {_why(found)}")
@@ -86,16 +90,16 @@ def benchmark(
     part: str = "",
     argument: int = False,
     seeds: int = 0,
-    within: str = "",
+    only: tuple[str, ...] = (),
     factor: float = 1.0,
 ) -> Measurement:
     """Numbers of `tests.benchmarks.bench_NAME`: all that its results have at `keys`.
 
     `part` names a function of it that is called in place of all, with `argument`, ``quick`` by default;
-    `seeds` is how many of each case are taken, where it is not the benchmark's own number; `within` the
-    entries of the results, joined by slashes, that are meant.
+    `seeds` is how many of each case are taken, where it is not the benchmark's own number; `only` are words
+    of names of cases, of which all are meant without them.
     """
-    return partial(_measured, name, part, argument, seeds, keys, within, factor)
+    return partial(_measured, name, part, argument, seeds, keys, only, factor)
 
 
 def pooled_shares(cases: Any, key: str) -> tuple[dict[str, float], list[int]]:

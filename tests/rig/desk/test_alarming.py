@@ -48,7 +48,7 @@ def session(request: pytest.FixtureRequest, config: Path, desk: Desk) -> Iterato
     """A session in a process of its own, which the desk follows; its parameter is what runs it."""
     folder = config.parent / "runs" / "session"
     with subprocess.Popen(
-        [*getattr(request, "param", ()), sys.executable, "-m", "tests.benchmarks.told_session", str(folder)],
+        [*getattr(request, "param", ()), sys.executable, "-m", "tests.rig.desk.told_session", str(folder)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

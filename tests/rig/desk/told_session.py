@@ -1,6 +1,6 @@
 """A session that tells what it is told: a process with a channel, for faults that no simulated rig has.
 
-`python -m tests.benchmarks.told_session FOLDER`. A line on standard input is a JSON object: `state` and
+`python -m tests.rig.desk.told_session FOLDER`. A line on standard input is a JSON object: `state` and
 `news` are kept until they are told otherwise. Frames come all the time, unless `frames` is false; `lost` says
 that the spot is not in them. `hang`: it says nothing more and hears nothing, for ever.
 """
