@@ -213,7 +213,7 @@ def test_a_column_that_is_not_there_is_said(decay: Path) -> None:
 
 def test_the_unit_of_its_times_is_that_of_the_header(tmp_path: Path) -> None:
     path = tmp_path / "w.csv"
-    path.write_text("t,z\n" + "".join(f"{k // 60}:{k % 60:02d},{k % 7}\n" for k in range(300)))
+    path.write_text("t,z\n" + "".join(f"0:{k // 60:02d}:{k % 60:02d},{k % 7}\n" for k in range(300)))
     assert set(np.diff(read_seismometer(path).times_ns).tolist()) == {10**9}
     backwards = csv(tmp_path / "b.csv", "t,z", np.arange(9.0)[::-1], np.arange(9.0))
     with pytest.raises(DataError, match="call the time column time_s"):
