@@ -8,14 +8,16 @@ from rig.settings.configuration import (
     SessionSettings,
 )
 from rig.settings.configuration_file import (
+    FITTED,
+    REPLAYED,
     SCHEMA,
     SCHEMA_KEY,
     FaultyConfiguration,
-    KeyUseMonitor,
     apply_overrides,
     keys_with_faults,
     load_configuration,
     read_toml,
+    refuse_without_effect,
     shipped,
     shipped_names,
     stored_configuration,
