@@ -20,7 +20,8 @@ from acquisition.cameras.files.frame_source import (
     UnreadableFrame,
 )
 from acquisition.cameras.pixel_formats import BY_NAME
-from processing.errors import DeviceError, place_in_words
+from processing.errors import DeviceError
+from processing.fault_text import fault_text, is_unknown_key
 from processing.units import NS_PER_S
 
 _RAW_SUFFIXES: Final = (".raw", ".bin", ".gray", ".y8", ".y16")
@@ -163,14 +164,9 @@ def _read_sidecar(path: Path) -> tuple[Path, RawSidecar]:
 
 def _in_words(error: ValidationError) -> str:
     """The first fault in words; unknown keys come before missing ones, because a misspelt key causes both."""
-    fault = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
-    place = place_in_words(fault["loc"])
-    message = fault["msg"].removeprefix("Value error, ").replace("Input should", "should")
-    if fault["type"] == "extra_forbidden":
-        return f"{place}: unknown key; known here: {', '.join(RawSidecar.model_fields)}"
-    if fault["type"] == "missing":
-        return f"{place}: is missing; state a value"
-    return f"{place} = {fault['input']!r}: {message}" if place else message
+    fault = min(error.errors(), key=lambda one: not is_unknown_key(one))
+    known = f"; known here: {', '.join(RawSidecar.model_fields)}" if is_unknown_key(fault) else ""
+    return fault_text(fault) + known
 
 
 _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
