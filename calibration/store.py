@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field, ValidationError
-from pydantic_core import ErrorDetails
 
-from processing.errors import ConfigurationError, RecordError, place_in_words, require_schema
+from processing.errors import ConfigurationError, RecordError, require_schema
+from processing.fault_text import fault_text
 
 Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "air", "pointing", "check"]
 SCHEMA = 1
@@ -100,7 +100,7 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
         raise ConfigurationError(f"{name}: is not TOML: {error}") from None
     except ValidationError as error:
         raise ConfigurationError(
-            f"{name}: is not a calibration file ({_in_words(error.errors()[0])}); rig calibrate makes one"
+            f"{name}: is not a calibration file ({fault_text(error.errors()[0])}); rig calibrate makes one"
         ) from None
     for field in ("made_at", "valid_until", "measured_at"):
         if getattr(found, field).tzinfo is None:
@@ -110,32 +110,6 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
     if kind is not None and found.kind != kind:
         raise ConfigurationError(f"{name}: is a calibration of {found.kind}; one of {kind} is needed")
     return found
-
-
-def _in_words(fault: ErrorDetails) -> str:
-    """The faulty key, its value, and the value that is expected, in words."""
-    place, kind = place_in_words(fault["loc"]), fault["type"]
-    if kind == "missing":
-        return f"{place} is missing"
-    if kind == "extra_forbidden":
-        return f"{place}: no such key"
-    shown = repr(fault["input"])
-    shown = shown if len(shown) <= _LONGEST else f"{shown[: _LONGEST - 3]}..."
-    wanted = next((words for start, words in _WANTED.items() if kind.startswith(start)), None)
-    return f"{place} = {shown}: should be {wanted or fault['msg'].removeprefix('Input should be ')}"
-
-
-_LONGEST = 60
-_WANTED = {
-    "date": "a time with its offset from UTC, such as 2026-01-31T12:00:00Z",
-    "dict": "a table",
-    "int": "a whole number",
-    "model": "a table",
-    "string_pattern": "the 64 hexadecimal digits of a SHA-256",
-    "string": "text, in quotes",
-    "tuple": "a list",
-}
-"""Descriptions of expected values, by the beginning of pydantic's kind of fault."""
 
 
 def toml_text(calibration: CalibrationFile) -> str:

@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import rig
-from rig.measure import simulate_record
+from rig.measure import record_plainly
 from rig.settings import load_configuration
 from rig.terminal import palette
 
@@ -146,7 +146,7 @@ def simulated(seconds: int, keys: tuple[tuple[str, object], ...]) -> Record:
     folder = Path(tempfile.mkdtemp())
     changes = [f"{key}={value}" for key, value in (SMALL | dict(keys)).items()]
     changes.append(f"session.max_duration_s={seconds}")
-    simulate_record(load_configuration(CONFIGURATION, changes), CONFIGURATION, folder / "run.mcap")
+    record_plainly(load_configuration(CONFIGURATION, changes), CONFIGURATION, folder / "run.mcap")
     return rig.open_record(folder / "run.mcap")
 
 

@@ -74,7 +74,6 @@ if TYPE_CHECKING:
         AnalysedRun,
         fitted_series,
         refuse_copies,
-        refuse_unread,
         session_results,
     )
     from rig.analysis.table_fit import AnalysedTable, analyse_trajectory, series_of_runs
@@ -91,7 +90,7 @@ else:
             "passing_deflections": "PassingDeflections",
             "record_fit": "analyse_record analyse_run",
             "screen": "print_results print_series print_table",
-            "series": "AnalysedRun fitted_series refuse_copies refuse_unread session_results",
+            "series": "AnalysedRun fitted_series refuse_copies session_results",
             "table_fit": "AnalysedTable analyse_trajectory series_of_runs",
             "turning_plane": "PlaneBalances follow_plane",
         }.items()

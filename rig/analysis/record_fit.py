@@ -38,13 +38,12 @@ from rig.instrument import (
     U_QUARTZ,
     inputs_sha256,
     judge_calibration,
-    optics_of,
     recorded_configuration,
     run_balance_verdicts,
     u_of_host_rate,
 )
 from rig.intake import SeismometerRecord
-from rig.settings import Configuration, KeyUseMonitor, PreflightSettings
+from rig.settings import FITTED, Configuration, PreflightSettings, refuse_without_effect
 from rig.terminal import Verdict, percent
 
 
@@ -64,21 +63,17 @@ def analyse_record(
         config = recorded_configuration(reader, overrides)
         if not air_known:
             config = config.model_copy(update={"fit": config.fit.with_free_drag})
-        key_monitor = KeyUseMonitor(config, overrides, "rig replay takes the recorded motion again")
-        # keys that this reads cannot be changed: the recorded deflections were made with them
-        optics_of(key_monitor.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
-        key_monitor.refuse_read()
+        refuse_without_effect(overrides, FITTED, "rig replay takes the recorded motion again")
         blocks = _RecordedDeflections(reader)
         return analyse_run(
             reader,
-            key_monitor.config,
+            config,
             reader.swings(),
             blocks,
             reader.deflection_unit,
             blocks.beam,
             lambda frames: blocks.following - frames,
             seismometer=seismometer,
-            key_monitor=key_monitor,
         )
 
 
@@ -112,7 +107,6 @@ def analyse_run(
     dropped: Callable[[int], int],
     *,
     seismometer: SeismometerRecord | None = None,
-    key_monitor: KeyUseMonitor | None = None,
 ) -> AnalysedRun:
     """Results of half-cycles and deflections of a record, as recorded or by a replay.
 
@@ -168,7 +162,6 @@ def analyse_run(
         inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
         ambient=ambient,
         clock=clock,
-        key_monitor=key_monitor,
     )
     conditions = run_conditions(reader, run, deflections.lost_spots, config.preflight, verdicts)
     return replace(run, conditions=conditions)

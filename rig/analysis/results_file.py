@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from pydantic_core import ErrorDetails
 
 from acquisition import atomic_write
-from processing.errors import RecordError, place_in_words, require_schema
+from processing.errors import RecordError, require_schema
+from processing.fault_text import fault_text
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, RunResults, SessionResults
 from rig.terminal import plain_values, written
@@ -89,21 +89,11 @@ def decoded(tree: Any, path: Path) -> SessionResults:
     try:
         found: SessionResults = _codec(SessionResults).read(tree)
     except ValidationError as error:
-        raise RecordError(f"{path}: {_one_line(error.errors()[0])}; {_REMEDY}") from None
+        fault = error.errors()[0]
+        # names of validators, which stand in parentheses, are no keys of the file
+        place = tuple(part for part in fault["loc"] if isinstance(part, int) or "(" not in part)
+        raise RecordError(f"{path}: {fault_text({**fault, 'loc': place})}; {_REMEDY}") from None
     return found
-
-
-def _one_line(fault: ErrorDetails) -> str:
-    """The key at fault and what is wrong with it."""
-    # names of validators, which stand in parentheses, are no keys of the file
-    key = place_in_words(tuple(part for part in fault["loc"] if isinstance(part, int) or "(" not in part))
-    if fault["type"] in ("missing", "missing_argument"):
-        return f"{key} is missing"
-    # not at import: the models of the configuration cost more than the reading
-    from rig.settings import expected_text
-
-    shown = json.dumps(fault["input"], default=str)
-    return f"{key} is {shown if len(shown) <= 40 else shown[:37] + '...'}, not {expected_text(fault)}"
 
 
 def recorded_results(record: Path, sha256: str) -> tuple[str, RunResults | None]:

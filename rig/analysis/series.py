@@ -42,7 +42,7 @@ from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import ResultRow, series_rows, withheld
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
-from rig.settings import InstrumentSettings, KeyUseMonitor
+from rig.settings import InstrumentSettings
 from rig.terminal import with_uncertainty
 
 _PLANE: Final = "plane_of_swing_rad"
@@ -54,7 +54,7 @@ class AnalysedRun(RunResults):
 
     `path` is the file that was analysed, `swings` are the half-cycles that were detected in a table, `fitted`
     the fits whose numbers are in the results. `reduction` is None unless another pendulum than that of the
-    contact's laws, `rig` is None without [pendulum]. `key_monitor` is the configuration with its overrides.
+    contact's laws, `rig` is None without [pendulum].
     """
 
     path: Path
@@ -62,7 +62,6 @@ class AnalysedRun(RunResults):
     fitted: Mapping[str, FitResult] = field(default_factory=dict)
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
-    key_monitor: KeyUseMonitor | None = None
 
 
 def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
@@ -259,12 +258,10 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
 
     Raises ConfigurationError for a changed key that no fit has used.
     """
-    results = SessionResults(
+    return SessionResults(
         runs=tuple(replace(run, record=relative_record(run.path, folder)) for run in runs),
         series=instrument_series(runs) if any(run.reduction for run in runs) else fitted_series(runs),
     )
-    refuse_unread(runs)
-    return results
 
 
 def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) -> Series | None:
@@ -307,14 +304,6 @@ def _compared_places(settings: InstrumentSettings, numbered: _NumberedReadings) 
         values["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
         lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
     return InstrumentSeries(**values, text=tuple(lines))
-
-
-def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
-    """Raise ConfigurationError for a changed key that the fits of none of the runs have used."""
-    changed = [run.key_monitor for run in runs if run.key_monitor is not None]
-    # a run that could not be fitted has a problem of its own, which matters more
-    if changed and not any(run.problem for run in runs):
-        changed[0].refuse_unread(changed)
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:

@@ -342,10 +342,6 @@ ResultsFolder = Annotated[
     Path | None,
     output_option("Folder for results.json; must not hold one yet.", folder_without("results.json")),
 ]
-NewRecord = Annotated[
-    Path,
-    output_option("Record to write (MCAP file).", new_file(".mcap", makes_folders=True), show_default=False),
-]
 JsonLines = Annotated[bool, typer.Option("--json", help="Write one JSON object per line to stdout.")]
 Where = Annotated[str, typer.Option(help="Only runs that meet a condition, as in rig archive list.")]
 

@@ -1,4 +1,4 @@
-"""`rig camera`: set up the camera, look at its pictures, record what calibrations need."""
+"""`rig camera`: set up the camera, look at its pictures, save frames for calibrations."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +9,6 @@ import typer
 
 from rig.commands.arguments import (
     Config,
-    NewRecord,
     Set,
     group,
     in_json,
@@ -113,26 +112,6 @@ def snap(
 
 
 @in_json
-def record(
-    config: Config,
-    output: NewRecord,
-    seconds: Annotated[float, typer.Option(help="Length of the record.", min=1)] = 20.0,
-    set_: Set = None,
-) -> None:
-    """Record the spot as it is, for a calibration.
-
-    No preflight, start, view or fits; the pendulum may be clamped.
-
-    \b
-    Example:
-      rig camera record mine.toml -o clamped.mcap --seconds 120
-    """
-    from rig.measure import record_plainly
-
-    print_written(record_plainly(loaded(config, set_), config, output, seconds))
-
-
-@in_json
 def frames(
     config: Config,
     output: Annotated[Path, output_option("Folder to make, for the PNG files.", new_folder)],
@@ -199,4 +178,4 @@ def expose(
         print_line(f"exposure_us = {found.exposure_us:.6g}")
 
 
-commands = group("camera", "Show and test the camera.", show, snap, record, frames, align, expose)
+commands = group("camera", "Show and test the camera.", show, snap, frames, align, expose)

@@ -65,9 +65,6 @@ def fit(
     end: Annotated[
         float | None, typer.Option("--to", help="CSV, film: use it up to here, in s since its start.")
     ] = None,
-    decimal: Annotated[
-        str, typer.Option(help="CSV: the decimal mark, point or comma, if its numbers are ambiguous.")
-    ] = "",
     run: Annotated[
         str, typer.Option(help="CSV or folder of several runs: the one to use, by its number; default: all.")
     ] = "",
@@ -128,7 +125,6 @@ def fit(
     read = partial(_seismometer, seismometer, seismometer_column or (), seismometer_offset)
     columns = {
         "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
-        "--decimal": decimal,
     }  # fmt: skip
     of_films = {"--pixel": pixel, "--force-rate": force_rate, "--dark": dark is not None}
     both = {"--config": config, "--rate": rate, "--from": begin, "--to": end, "--run": run}
@@ -160,9 +156,7 @@ def fit(
         raise ConfigurationError(f"--law {law[0]}: laws need swings and --config CONFIG with [pendulum]")
     if set_ and config is None:
         raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
-    if decimal not in ("", ".", ","):
-        raise ConfigurationError(f"--decimal {decimal!r}: a point or a comma")
-    asked_of = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, decimal, run)
+    asked_of = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, run)
     if seismometer is not None and config is None:
         raise ConfigurationError("--seismometer: has no effect without --config, which gives the pendulum")
     wanted = TableOptions(config, set_ or [], law or [], read())

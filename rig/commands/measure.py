@@ -1,6 +1,7 @@
 """Commands that make, replay and show records."""
 
 import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -85,10 +86,15 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="Measure even if a preflight check fails.")] = False,
     record_only: Annotated[
         bool,
-        typer.Option(
-            "--record-only", help="Simulated rig: record one run into the file -o NAME.mcap, without fits."
-        ),
+        typer.Option("--record-only", help="Record one run into the file -o NAME.mcap, without fits."),
     ] = False,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            help="With --record-only: for so long, the pendulum as it is, without preflight and start.",
+        ),
+    ] = None,
     json_lines: JsonLines = False,
 ) -> None:
     """Measure a session: record, fit, report.
@@ -101,11 +107,13 @@ def run(
       rig run --resume runs/first --set camera.exposure_us=80
       rig run --resume runs/first --config corrected.toml
       rig run steel.toml silicon.toml -o runs/night
-      rig run configs/demo.toml --record-only -o one.mcap --set session.max_duration_s=60
+      rig run mine.toml --record-only -o clamped.mcap --seconds 120
     """
     named = configs or []
     if record_only:
         _refuse_all_but_a_record(named, output, runs, resume, view)
+    elif seconds is not None:
+        raise ConfigurationError(f"--seconds {seconds:g}: has no effect without --record-only")
     elif output is not None and output.suffix.lower() == ".mcap":
         raise ConfigurationError(f"{output}: one record is written with --record-only; else name a folder")
     if instead is not None and resume is None:
@@ -136,11 +144,14 @@ def run(
     (config,) = named
     stated = loaded(config, overrides)
     # imported after the configuration is checked, because it takes a second
-    from rig.measure import measure_session, simulate_record
+    from rig.measure import measure_session, record_plainly
+    from rig.terminal import one_json_object
 
     if record_only:
         assert output is not None
-        raise typer.Exit(simulate_record(stated, config, output))
+        with one_json_object() if json_lines else nullcontext():
+            record_plainly(stated, config, output, seconds)
+        return
     raise typer.Exit(measure_session(stated, config, output, force=force, json_lines=json_lines))
 
 
@@ -150,7 +161,7 @@ def _refuse_all_but_a_record(
     """Raise ConfigurationError if `--record-only` is not with one configuration and one new record."""
     if len(configs) != 1 or output is None or runs is not None or any(others):
         raise typer.BadParameter(
-            "--record-only takes CONFIG, -o NAME.mcap and --set alone: it records one run"
+            "--record-only takes CONFIG, -o NAME.mcap, --seconds and --set alone: it records one run"
         )
     if output.suffix.lower() != ".mcap":
         raise ConfigurationError(f"{output}: name a file that ends in .mcap")

@@ -244,15 +244,13 @@ def plan(
         expected = planned_contact_of_table(source)
         say("without the waveform of the swings, which results do not hold: uncertainties are upper limits")
     else:
-        from rig.analysis import analyse_record, refuse_unread
+        from rig.analysis import analyse_record
 
         if noise is not None or contact is not None:
             raise ConfigurationError(
                 f"{source}: a record has its own noise and contact; leave out --noise and --contact"
             )
-        run = analyse_record(one_record(source), set_ or [])
-        expected = planned_contact_of_run(run)
-        refuse_unread([run])
+        expected = planned_contact_of_run(analyse_record(one_record(source), set_ or []))
     planned = make_plan(expected, firsts, lasts, ground, counts, seismometer)
     print_tables([plan_table(planned)])
     if output is not None:

@@ -23,8 +23,15 @@ from rig.analysis import (
 from rig.instrument import fill_from_files
 from rig.intake import SeismometerRecord, Trajectory
 from rig.report import make_table_report
-from rig.settings import KeyUseMonitor, load_configuration
+from rig.settings import FITTED, load_configuration, refuse_without_effect
 from rig.terminal import answer, print_line
+
+_OF_TABLES = (
+    *FITTED,
+    *(f"session.{key}." for key in ("contact_history", "notes", "operator", "sample")),
+    *(f"session.{key}_amplitude_arcsec." for key in ("initial", "final")),
+)
+"""Beginnings of the keys that change the results of a table."""
 
 
 class TableOptions(NamedTuple):
@@ -89,12 +96,8 @@ def _fit(
     compared = chosen_laws(laws) if laws else ()
     if wanted.config_path:
         stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
-        key_monitor = KeyUseMonitor(stated, wanted.overrides, "a table holds neither frames nor spots")
-        table = analyse_trajectory(
-            path, trajectory, fill_from_files(key_monitor.config), compared, wanted.seismometer
-        )
-        if not table.longest.problem:
-            key_monitor.refuse_unread()
+        refuse_without_effect(wanted.overrides, _OF_TABLES, "a table holds neither frames nor spots")
+        table = analyse_trajectory(path, trajectory, fill_from_files(stated), compared, wanted.seismometer)
     else:
         table = analyse_trajectory(path, trajectory, None)
     if laws and table.longest.problem:

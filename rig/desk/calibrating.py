@@ -19,6 +19,10 @@ _UNKNOWN = "unknown"
 _SIDES = (_UNKNOWN, "+", "-")
 
 
+RECORD_ALONE: Final = "run --record-only"
+"""Command that records the spot as it is."""
+
+
 @dataclass(frozen=True)
 class CalibrationKind:
     """One kind of calibration as a form over ``rig calibrate KIND``; `title` says what it measures."""
@@ -35,8 +39,8 @@ class CalibrationKind:
 
     @property
     def recording(self) -> tuple[str, str, str]:
-        """Command after `rig camera`, its option for the amount, and the suffix of what it writes."""
-        return ("frames", "-n", "") if self.seconds is None else ("record", "--seconds", ".mcap")
+        """Command, its option for the amount, and the suffix of what it writes."""
+        return ("camera frames", "-n", "") if self.seconds is None else (RECORD_ALONE, "--seconds", ".mcap")
 
 
 KINDS: Final[Mapping[str, CalibrationKind]] = {
@@ -117,7 +121,7 @@ class Calibration:
         self.problem = ""
 
     def record(self, amount: str, exposure_us: object = "") -> None:
-        """Record by `rig camera record` or `frames`, into a new file; may wait until the camera is free.
+        """Record by `rig run` or `rig camera frames`, into a new file; may wait until the camera is free.
 
         `amount` is the length in s, or the number of frames. Raises ConfigurationError while the camera is in
         use.
@@ -126,7 +130,7 @@ class Calibration:
         path = next_free(FOLDER / "records", self.name, suffix)
         path.parent.mkdir(parents=True, exist_ok=True)
         values = {} if exposure_us == "" else {"camera.exposure_us": exposure_us}
-        words = f"camera {command}", "-o", str(path), option, amount
+        words = command, "-o", str(path), option, amount
         job = self._desk.start(*words, values=values, folder=path.parent)
         self.problem, self._recording = "", (path, job)
 

@@ -10,6 +10,7 @@ from nicegui.events import KeyEventArguments
 
 from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmRow
+from rig.desk.calibrating import RECORD_ALONE
 from rig.desk.desk import Desk
 from rig.desk.dialogs import keys_dialog
 from rig.desk.header import build_header
@@ -147,7 +148,7 @@ def _recording(desk: Desk) -> str:
     following = desk.following
     if following.running:
         return str(following.news.get("run") or "") if following.state.get("phase") == Phase.MEASURING else ""
-    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name == "camera record"), "")
+    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name == RECORD_ALONE), "")
 
 
 def _keys() -> list[tuple[str, str]]:

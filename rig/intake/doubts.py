@@ -14,10 +14,10 @@ from processing.errors import ConfigurationError, DataError
 from processing.swing import HalfCycle, turning_points
 from processing.units import conversion, seconds
 from processing.unsigned import unsigned_period_s
-from rig.intake.cell_text import TIMESTAMP, is_missing
-from rig.intake.times import likely_units, number
+from rig.intake.cell_text import is_missing
+from rig.intake.times import number
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
-from rig.intake.units import NOT_STATED_TIME, TIME_UNITS
+from rig.intake.units import TIME_UNITS
 from rig.settings import Configuration
 from rig.terminal import plain
 
@@ -25,29 +25,11 @@ _LARGEST_RAD: Final = 1.1 * math.pi
 """Largest amplitude of a pendulum that swings and returns, with a tenth for the uncertainty of its middle."""
 _MAX_WORD_FRACTION: Final = 0.25
 """Fraction of a column of positions that may be words, as of an instrument that lost its signal."""
-_MAX_POSITION: Final = 1e60
-"""Larger positions, or smaller than its inverse, are no measurement, and their squares overflow."""
-_SPREADSHEET_DAYS: Final = (30_000.0, 60_000.0)
-"""Range of days since 1899-12-30, from which spreadsheets count: 1982 to 2064."""
-_DAY_NS: Final = 86_400_000_000_000
-SPREADSHEET_ZERO_NS: Final = 25_569 * _DAY_NS
-"""The beginning of 1970 in the time of spreadsheets."""
-_HOUR_S: Final = 3600.0
 _MIN_JUMP: Final = 0.7
 """Step between samples, in units of the position's range, that no swing makes among far smaller steps."""
 _MIN_JUMPS: Final = 4
 _MIN_CUT_ROWS: Final = 3
 """Fewest rows in succession at the largest value that show a sensor's limit."""
-_MAX_COUNTED_DAYS: Final = 1e7
-"""Largest number of days since any date from which days are counted; a larger number is one of seconds."""
-_MAX_TIME_S: Final = 253_402_300_800.0
-"""The end of the year 9999, in s since 1970."""
-_YEAR_S: Final = 31_556_952.0
-
-
-def is_spreadsheet_time(first_ns: int) -> bool:
-    """Whether a time in days is likely one of a spreadsheet: if counted from 1970, it would be after 2052."""
-    return _SPREADSHEET_DAYS[0] * _DAY_NS < first_ns < _SPREADSHEET_DAYS[1] * _DAY_NS
 
 
 def judge_words(path: Path, name: str, cells: Sequence[str], lines: Sequence[int]) -> None:
@@ -62,20 +44,9 @@ def judge_words(path: Path, name: str, cells: Sequence[str], lines: Sequence[int
 
 
 def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
-    """Refuse an angle larger than any swing, and positions of a size that no instrument measures."""
-    sizes = np.abs(table[np.isfinite(table) & (table != 0)])
-    if not len(sizes):
-        return
-    if not (sizes.max() < _MAX_POSITION and np.median(sizes) > 1.0 / _MAX_POSITION):
-        raise DataError(
-            f"{path}: the position is of the order of {np.median(sizes):.3g} {unit}, up to "
-            f"{sizes.max():.3g}, which no instrument measures; is it the right column (--position), and are "
-            "wrong values left out?"
-        )
-    if unit not in ANGLES:
-        return
+    """Refuse an angle larger than any swing."""
     each = float(np.max(np.nanmax(table, axis=0) - np.nanmin(table, axis=0)))
-    if 0.5 * each * conversion(unit, "rad") > _LARGEST_RAD:
+    if unit in ANGLES and 0.5 * each * conversion(unit, "rad") > _LARGEST_RAD:
         raise ConfigurationError(
             f"{path}: the position goes over {each:.4g} {unit}, more than a turn: is that its unit? State "
             "another with --unit, or use a stretch (--from, --to)"
@@ -109,68 +80,6 @@ def unwrapped(
             "counted round a turn: state its unit with --unit, or write it without the jumps"
         )
     return values, 0
-
-
-def judge_begin(
-    path: Path, title: str, unit: str, source: str, first_ns: int, times_ns: NDArray[np.int64]
-) -> None:
-    """Refuse times without a stated unit that look like calendar days, and times beyond the year 9999."""
-    first_s, span_s = seconds(first_ns), float(seconds(times_ns[-1]))
-    first = first_s / conversion(unit, "s")
-    if source == NOT_STATED_TIME and _SPREADSHEET_DAYS[0] < first_s < _MAX_COUNTED_DAYS and span_s < 1.0:
-        raise ConfigurationError(
-            f"{path}: {title!r} begins at {first:.10g} and goes over {span_s:.3g}: a calendar's days, or "
-            "seconds? State --time-unit d, or --time-unit s"
-        )
-    if abs(first_s) > _MAX_TIME_S:
-        remedy = {NOT_STATED_TIME: "state --time-unit", "--time-unit": "state another:"}.get(
-            source, "correct the header:"
-        )
-        raise ConfigurationError(
-            f"{path}: {title!r} begins at {first:.16g} {unit}, in the year {1970 + first_s / _YEAR_S:.0f}: "
-            f"{remedy} {likely_units(first)}"
-        )
-
-
-def judge_clock_digits(path: Path, title: str, times: NDArray[np.float64]) -> None:
-    """Refuse the digits of a clock written as one number: 235959.95 (HHMMSS), 59.5995 (MM.SS).
-
-    `times` (n,) are the numbers in the column. At the end of each minute such a number jumps by 40.
-    """
-    for minute, form in ((100.0, "HHMMSS"), (1.0, "MM.SS")):
-        whole, part = np.divmod(times / minute, 1.0)
-        step = float(np.median(np.diff(times))) / minute
-        border = np.flatnonzero(np.diff(whole))
-        if not len(border) or step > 0.01 or part.max() >= 0.6 + 1e-9:
-            continue
-        if np.all(part[border] > 0.58) and np.all(part[border + 1] < 0.02):
-            before, after = times[border[0] : border[0] + 2]
-            raise ConfigurationError(
-                f"{path}: {title!r} goes from {before:.10g} to {after:.10g} as the digits of a clock do "
-                f"({form}), and is no time in s; write it with colons, or state the rate of the rows "
-                "instead: --rate HZ --position COLUMN"
-            )
-
-
-def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -> None:
-    """Refuse moments of which only some have a time zone, and a local clock that is set to summer time."""
-    found = [match for cell in cells if (match := TIMESTAMP.fullmatch(cell.strip())) and match["date"]]
-    with_zone = [match[0] for match in found if match["zone"]]
-    without = [match[0] for match in found if not match["zone"]]
-    if with_zone and without:
-        raise DataError(
-            f"{path}: {with_zone[0]!r} has a zone and {without[0]!r} has none; write all times with theirs, "
-            "or in UTC"
-        )
-    steps_s = seconds(np.diff(times_ns))
-    step_s = float(np.median(steps_s))
-    forward = np.flatnonzero(np.abs(steps_s - step_s - _HOUR_S) < step_s)
-    if without and len(forward) == 1 and step_s < 1.0:
-        row = int(forward[0])
-        raise DataError(
-            f"{path}: {cells[row + 1]!r} follows {cells[row]!r}, an hour and one step later: was the clock "
-            "set to summer time? Write the times with their zone (+01:00, then +02:00), or in UTC (...Z)"
-        )
 
 
 _MAX_PART_LEFT = 0.5

@@ -35,28 +35,16 @@ _U_LOSSY_IN_NOISES = 1.0
 """Common standard uncertainty of amplitudes in compressed films, in units of the noise of one position: in
 H.264, H.265 and MPEG-4 of known swings (crf 8 to 28, periods 1.7 and 4 s) they were too small by 0 to 0.07
 px, which is 0.1 to 1.8 of that noise."""
-_MAX_LISTED_TIMES = 5
-"""Largest number of times that a line lists."""
 _WHITE = "GROUND_SATURATED"
 """Flag of frames in which the ground of a dark object is saturated, which distorts the shape of its edges."""
 _MIN_FOUND_FRACTION = 0.5
 """Fraction of frames with a position below which the followed object is hardly the pendulum."""
-_PREDICTING_NEIGHBOURS: Final = 3
-"""Neighbours on each side that predict a position."""
-_COMPARED_NEIGHBOURS: Final = 100
-"""Neighbours on each side that give the usual error of a prediction."""
-_USUAL_QUANTILE: Final = 0.95
-"""Quantile of prediction errors taken as the usual error: compression skips small motion, with tails."""
-_MAX_RATIO: Final = 4.0
-"""Prediction error over the usual error that marks a break; for noise nearly eight standard deviations."""
 _MAX_PICTURES, _MAX_PICTURES_BYTES = 64, 1 << 28
 """Limits of the pictures that are kept, evenly spread over the film, to find fixed light."""
 _SUBDIVISIONS, _MAX_SUBDIVIDED_DN = 16, 4095
 """Subdivisions of a grey value after subtraction of fixed light, and the largest full scale for them."""
 _MAX_COMPRESSION_TRACE: Final = 0.015
 """Fraction of the spot's light that strong compression may leave along its path: 0.007 at crf 28."""
-_MIN_BREAK_PX: Final = 0.1
-"""Break of positions below which none is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +127,6 @@ def film_trajectory(
     # the centre of the first pixel is at 0, its left edge at -1/2
     xy[:, 0] = camera.pixel_aspect * (xy[:, 0] + 0.5) - 0.5
     inside = _inside(path, seconds(since_ns), options)
-    if camera.lossy:
-        lines += _break_remarks(seconds(since_ns[inside]), xy[inside])
     return Trajectory(
         times_ns=since_ns[inside],
         positions=tuple((factor * xy[inside]).T),
@@ -253,17 +239,6 @@ def inverted(image: Image, full_scale_dn: int) -> Image:
     return np.asarray(turned.astype(image.dtype))
 
 
-def _break_remarks(since_s: NDArray[np.float64], places: NDArray[np.float64]) -> list[str]:
-    """A remark on positions that break away, which a decoder causes by taking damage for good data."""
-    broken = broken_positions(since_s, places)
-    if not broken:
-        return []
-    at = ", ".join(f"{since_s[one]:.3f} s" for one in broken[:_MAX_LISTED_TIMES])
-    more = f" and {len(broken) - _MAX_LISTED_TIMES} more" if len(broken) > _MAX_LISTED_TIMES else ""
-    what = "damage that the decoder took for good data, strong compression, or a push"
-    return [f"positions break away at {at}{more}: {what}; --from and --to leave it out"]
-
-
 def _flag_text(flags: Counter[str], count: int) -> str:
     """Flags that more than 5 % of the frames have, in words."""
     doubts = [
@@ -305,42 +280,3 @@ def _inside(path: Path, since_s: NDArray[np.float64], options: FilmOptions) -> N
             f"--from {begin_s:g} --to {end_s:g} leaves no frames of 0 to {since_s[-1]:.6g} s"
         )
     return np.asarray(inside)
-
-
-def broken_positions(time_s: Floats, positions: Floats) -> list[int]:
-    """First indices of the stretches in which one of the coordinates (n, m), in px, breaks away.
-
-    Each position is predicted by a cubic through three neighbours on each side. The usual error of the
-    prediction (noise, and deviation of a swing from a cubic) is that of a hundred neighbours on each side.
-    Positions with a lost neighbour are not judged.
-    """
-    count = len(time_s)
-    if count < 4 * _PREDICTING_NEIGHBOURS:
-        return []
-    middle = np.arange(_PREDICTING_NEIGHBOURS, count - _PREDICTING_NEIGHBOURS)
-    beside = middle[:, None] + np.array(
-        [k for k in range(-_PREDICTING_NEIGHBOURS, _PREDICTING_NEIGHBOURS + 1) if k]
-    )
-    since = time_s[beside] - time_s[middle][:, None]
-    since /= np.abs(since).max(axis=1, keepdims=True)
-    weights = np.linalg.pinv(since[:, :, None] ** np.arange(4))[:, 0, :]
-    broken = np.zeros(count, dtype=bool)
-    for column in positions.T:
-        off = np.abs(column[middle] - np.sum(weights * column[beside], axis=1))
-        padded = np.pad(off, _COMPARED_NEIGHBOURS, constant_values=np.nan)
-        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _COMPARED_NEIGHBOURS + 1)
-        known = np.isfinite(off)
-        if not known.any():
-            continue
-        usual = np.full(len(off), np.nan)
-        # one that passes NaN over goes from row to row, which takes a hundred times as long
-        whole = np.isfinite(around).all(axis=1)
-        usual[whole] = np.quantile(around[whole], _USUAL_QUANTILE, axis=1)
-        usual[known & ~whole] = np.nanquantile(around[known & ~whole], _USUAL_QUANTILE, axis=1)
-        with np.errstate(invalid="ignore"):
-            broken[middle] |= off > np.maximum(_MAX_RATIO * usual, _MIN_BREAK_PX)
-    places = np.flatnonzero(broken)
-    # one break also spoils the predictions of its neighbours
-    return [
-        int(one) for k, one in enumerate(places) if k == 0 or one > places[k - 1] + 2 * _PREDICTING_NEIGHBOURS
-    ]

@@ -3,10 +3,11 @@
 import math
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from io import BytesIO
+from itertools import zip_longest
 from pathlib import Path
 from re import compile as pattern
 from typing import Any, Final
@@ -24,9 +25,8 @@ FIRST_UTC_S = 1e9
 """Time in s above which those of a table count from 1970: this was in 2001, and no run lasts so long."""
 _MAX_TICK_ERROR_STEPS = 0.5
 """Sampling steps by which a record may begin early or late without an overlap or a gap before it."""
-_MAX_RATE_DIFFERENCE = 0.05
-"""Largest relative difference of the rate by the beginnings of records from the stated one."""
-_MIN_RECORDS = 3
+_MAX_RATE_DIFFERENCE = 0.01
+"""Largest relative difference of the rate by the beginnings of two records from the stated one."""
 _SEED, _DATA_RECORD = pattern(rb"[0-9 \0]{6}[ A-Z]"), pattern(rb"[0-9 \0]{6}[DRQM]")
 _HEAD, _LEAST_RECORD, _USUAL_RECORD, _LONGEST_RECORD = 64, 128, 4096, 1 << 16
 _EMPTY, _DAMAGED = "records without samples", "records that cannot be decoded"
@@ -123,17 +123,19 @@ def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
         raise DataError(f"{path}: is read by ObsPy as neither miniSEED nor SAC: {error}") from None
     chosen, others = _chosen_channels(path, sorted({one.name for one in pieces}), wanted)
     left_out = Counter[str]()
-    runs = {name: _runs([one for one in pieces if one.name == name], left_out) for name in chosen}
-    if empty := [name for name, found in runs.items() if not found]:
+    samples = [_samples([one for one in pieces if one.name == name], left_out) for name in chosen]
+    if empty := [name for name, (times_ns, _) in zip(chosen, samples, strict=True) if not len(times_ns)]:
         raise DataError(f"{path}: {empty[0]} holds no samples that can be read; name another file or channel")
-    times_ns = _grid(runs)
-    value = np.column_stack([_at_times(times_ns, found) for found in runs.values()])
-    lost = int(np.count_nonzero(np.isnan(value).any(axis=1)))
-    rate = NS_PER_S / float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else math.nan
+    times_ns = samples[0][0]
+    # what one component lacks is lost for all
+    value = np.column_stack([_at_times(times_ns, *one) for one in samples])
+    step_ns = float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else math.nan
+    count = round((times_ns[-1] - times_ns[0]) / step_ns) + 1 if len(times_ns) > 1 else 1
+    lost = count - int(np.count_nonzero(np.isfinite(value).all(axis=1)))
     understood = (
-        f"channels: {', '.join(chosen)}, {rate:.6g} samples a second",
+        f"channels: {', '.join(chosen)}, {NS_PER_S / step_ns:.6g} samples a second",
         *([f"not used: {', '.join(others)}"] if others else []),
-        *([f"missing: {lost} of {len(times_ns)} samples"] if lost else []),
+        *([f"missing: {lost} of {count} samples"] if lost else []),
         *(f"left out: {count} {what}" for what, count in left_out.items() if count),
     )
     sensors = {_sensor(name) for name in chosen}
@@ -153,8 +155,6 @@ class _Piece:
     step_ns: float
     count: int
     data: bytes | Floats
-    skipped: int = 0
-    """Number of samples at its beginning that an earlier record has, too."""
 
 
 def _records(data: bytes) -> list[_Piece]:
@@ -221,74 +221,40 @@ def _chosen_channels(path: Path, known: Sequence[str], wanted: Sequence[str]) ->
     return chosen, [name for name in known if name not in chosen]
 
 
-@dataclass(frozen=True, eq=False)
-class _GaplessSamples:
-    """Samples without a gap, with their times in ns since 1970."""
+def _samples(pieces: Sequence[_Piece], left_out: Counter[str]) -> tuple[Ints, Floats]:
+    """Times in ns since 1970 and values of a channel; `left_out` counts what is not used, by its reason.
 
-    times_ns: Ints
-    value: Floats
-    step_ns: float
-
-
-def _runs(pieces: Sequence[_Piece], left_out: Counter[str]) -> list[_GaplessSamples]:
-    """A channel's samples, from one gap to the next; `left_out` counts those left out, by reason."""
+    Each record begins at its own time, with even steps to the next one if that follows it without a gap.
+    """
     left_out[_EMPTY] += sum(not one.count for one in pieces)
-    kept = sorted({(one.start_ns, one.count): one for one in pieces if one.count}.items())
-    left_out[_TWICE] += sum(one.count for one in pieces) - sum(count for (_, count), _ in kept)
-    pieces = _at_measured_rate([one for _, one in kept])
-    groups = list[list[_Piece]]()
-    end_ns = -math.inf
-    for piece in pieces:
-        late = (piece.start_ns - end_ns) / piece.step_ns
-        skipped = math.ceil(-late - _MAX_TICK_ERROR_STEPS) if late < -_MAX_TICK_ERROR_STEPS else 0
-        left_out[_TWICE] += min(skipped, piece.count)
-        if skipped >= piece.count:
+    filled = [one for one in pieces if one.count]
+    kept = [one for _, one in sorted({(one.start_ns, one.count): one for one in filled}.items())]
+    left_out[_TWICE] += sum(one.count for one in filled) - sum(one.count for one in kept)
+    times_ns, values = [np.empty(0, dtype=np.int64)], [np.empty(0)]
+    end_ns, stretched = -math.inf, 1.0
+    for piece, following in zip_longest(kept, kept[1:]):
+        decoded = _decode(piece)
+        if decoded is None:
+            left_out[_DAMAGED] += 1
             continue
-        if abs(late) > _MAX_TICK_ERROR_STEPS or groups[-1][-1].step_ns != piece.step_ns:
-            groups.append([])
-        groups[-1].append(replace(piece, skipped=skipped))
-        end_ns = piece.start_ns + piece.count * piece.step_ns
-    return [_run_of(group, left_out) for group in groups]
+        lasts_ns = piece.count * piece.step_ns
+        if following is not None:
+            own = (following.start_ns - piece.start_ns) / lasts_ns
+            stretched = own if abs(own - 1.0) < _MAX_RATE_DIFFERENCE else 1.0
+        step_ns = stretched * piece.step_ns
+        at_ns = piece.start_ns + np.rint(step_ns * np.arange(piece.count)).astype(np.int64)
+        new = at_ns > end_ns - _MAX_TICK_ERROR_STEPS * step_ns
+        left_out[_TWICE] += int(np.count_nonzero(~new))
+        times_ns.append(at_ns[new])
+        values.append(decoded[new])
+        end_ns = max(end_ns, piece.start_ns + stretched * lasts_ns)
+    return np.concatenate(times_ns), np.concatenate(values)
 
 
-def _at_measured_rate(pieces: list[_Piece]) -> list[_Piece]:
-    """Records with the sampling step by the beginnings of most of them, where it is near the stated one."""
-    if len(pieces) < _MIN_RECORDS:
-        return pieces
-    starts_ns = np.array([one.start_ns for one in pieces], dtype=np.int64)
-    own = np.diff(starts_ns) / [one.count * one.step_ns for one in pieces[:-1]]
-    low, middle, high = np.quantile(own, (0.25, 0.5, 0.75)).tolist()
-    # beginnings that scatter by more than the deviation show no rate
-    if not high - low < abs(middle - 1) < _MAX_RATE_DIFFERENCE:
-        return pieces
-    return [replace(one, step_ns=middle * one.step_ns) for one in pieces]
-
-
-def _run_of(group: Sequence[_Piece], left_out: Counter[str]) -> _GaplessSamples:
-    """Samples of records without a gap: each begins at its own time, with even steps to the next one."""
-    counts = np.cumsum([0, *(one.count for one in group)])
-    starts_ns = np.array([one.start_ns for one in group], dtype=np.int64)
-    since_ns = np.append(
-        starts_ns - starts_ns[0], starts_ns[-1] - starts_ns[0] + group[-1].count * group[-1].step_ns
-    )
-    times_ns = starts_ns[0] + np.rint(np.interp(np.arange(counts[-1]), counts, since_ns)).astype(np.int64)
-    value = _decode(group)
-    if value is None:
-        parts = [_decode([one]) for one in group]
-        left_out[_DAMAGED] += sum(part is None for part in parts)
-        value = np.concatenate(
-            [
-                np.full(one.count, np.nan) if part is None else part
-                for one, part in zip(group, parts, strict=True)
-            ]
-        )
-    return _GaplessSamples(times_ns[group[0].skipped :], value[group[0].skipped :], group[0].step_ns)
-
-
-def _decode(group: Sequence[_Piece]) -> Floats | None:
-    """The samples of records that follow each other; None where not all of them can be read."""
-    if isinstance(group[0].data, np.ndarray):
-        return np.concatenate([one.data for one in group if isinstance(one.data, np.ndarray)])
+def _decode(piece: _Piece) -> Floats | None:
+    """The samples of a record; None where not all of them can be read."""
+    if isinstance(piece.data, np.ndarray):
+        return piece.data
     from obspy import read
     from obspy.io.mseed import InternalMSEEDWarning
 
@@ -297,39 +263,19 @@ def _decode(group: Sequence[_Piece]) -> Floats | None:
         # ObsPy only warns of records that its own check finds damaged, and returns their samples
         warnings.simplefilter("error", InternalMSEEDWarning)
         try:
-            stream = read(BytesIO(b"".join(bytes(one.data) for one in group)), format="MSEED")
+            stream = read(BytesIO(piece.data), format="MSEED")
         except Exception:  # whatever the library raises
             return None
-    whole = len(stream) == 1 and len(stream[0]) == sum(one.count for one in group)
+    whole = len(stream) == 1 and len(stream[0]) == piece.count
     return np.asarray(stream[0].data, dtype=np.float64) if whole else None
 
 
-def _grid(runs: Mapping[str, Sequence[_GaplessSamples]]) -> Ints:
-    """Common times of all channels: the first channel's own, and at its rate where it has no samples."""
-    own = next(iter(runs.values()))
-    step_ns = own[0].step_ns
-    first_ns = min(int(found[0].times_ns[0]) for found in runs.values())
-    last_ns = max(int(found[-1].times_ns[-1]) for found in runs.values())
-    before = [first_ns - round(step_ns), *(int(run.times_ns[-1]) for run in own)]
-    after = [*(int(run.times_ns[0]) for run in own), last_ns + round(step_ns)]
-    parts = []
-    for k, (left_ns, right_ns) in enumerate(zip(before, after, strict=True)):
-        between = max(round((right_ns - left_ns) / step_ns) - 1, 0)
-        parts.append(
-            left_ns
-            + np.rint((right_ns - left_ns) / (between + 1) * np.arange(1, between + 1)).astype(np.int64)
-        )
-        if k < len(own):
-            parts.append(own[k].times_ns)
-    return np.concatenate(parts)
-
-
-def _at_times(times_ns: Ints, runs: Sequence[_GaplessSamples]) -> Floats:
-    """A channel's samples at the common times; NaN where it has none."""
-    out = np.full(len(times_ns), np.nan)
-    for run in runs:
-        near_ns = _MAX_TICK_ERROR_STEPS * run.step_ns
-        inside = (times_ns >= run.times_ns[0] - near_ns) & (times_ns <= run.times_ns[-1] + near_ns)
-        origin_ns = run.times_ns[0]
-        out[inside] = np.interp(times_ns[inside] - origin_ns, run.times_ns - origin_ns, run.value)
-    return out
+def _at_times(times_ns: Ints, own_ns: Ints, value: Floats) -> Floats:
+    """A channel's samples at the common times; NaN farther than half a step from its own."""
+    after = np.clip(np.searchsorted(own_ns, times_ns), 1, max(len(own_ns) - 1, 1))
+    nearest_ns = np.minimum(
+        *(np.abs(times_ns - own_ns[np.clip(place, 0, len(own_ns) - 1)]) for place in (after - 1, after))
+    )
+    found = np.interp(times_ns - own_ns[0], own_ns - own_ns[0], value)
+    step_ns = float(np.median(np.diff(own_ns))) if len(own_ns) > 1 else 0.0
+    return np.where(nearest_ns <= _MAX_TICK_ERROR_STEPS * step_ns, found, np.nan)

@@ -3,35 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
-from rig.intake.cell_text import has_two_fields, is_timestamp, timestamps_ns
+from rig.intake.cell_text import is_timestamp
 from rig.intake.cells import Cells, read_cells
 from rig.intake.columns import HeaderColumns, RowsOfRun, separate_runs
-from rig.intake.doubts import (
-    SPREADSHEET_ZERO_NS,
-    is_spreadsheet_time,
-    judge_begin,
-    judge_clock_digits,
-    judge_size,
-    judge_time_unit,
-    judge_words,
-    judge_zones,
-    unwrapped,
-)
-from rig.intake.times import SORT, check_increasing, lines_text, number, read_times
+from rig.intake.doubts import judge_size, judge_time_unit, judge_words, unwrapped
+from rig.intake.times import lines_text, number, read_times
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.intake.units import NOT_STATED_TIME, unit_of_positions, unit_of_time
-
-_NO_COMMAS: Final = (
-    "its commas seem to be decimal commas as well as separators, which cannot be told apart: save it with "
-    "semicolons or tabs between the columns, or with decimal points"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +24,8 @@ class TableColumns:
 
     `time` and `positions` are columns by name or number from 1; by default time is the first column with a
     name like a time, else the first column, and the position follows it. `rate_hz` is the number of rows a
-    second of a table without times. `begin_s` and `end_s` are in seconds since the first row. `decimal` is
-    the decimal mark, if the numbers do not decide it. `run` is one of several runs in the file; empty: all.
+    second of a table without times. `begin_s` and `end_s` are in seconds since the first row. `run` is one of
+    several runs in the file; empty: all.
     """
 
     time: str | None = None
@@ -51,7 +35,6 @@ class TableColumns:
     rate_hz: float | None = None
     begin_s: float | None = None
     end_s: float | None = None
-    decimal: str = ""
     run: str = ""
 
     def read(self, path: Path) -> Trajectory:
@@ -77,7 +60,7 @@ class TableColumns:
 
     def _runs(self, path: Path) -> tuple[Cells, list[RowsOfRun], list[RowsOfRun]]:
         """The whole table, the chosen runs, and all runs."""
-        cells = read_cells(path, self.decimal)
+        cells = read_cells(path)
         columns = HeaderColumns(path, cells)
         all_runs = separate_runs(cells, columns, columns.time(self.time, self.rate_hz, self.time_unit))
         chosen = [run for run in all_runs if self.run in ("", run.name)]
@@ -186,53 +169,28 @@ class _TableReader:
             time_unit=time_unit,
             time_name="the rate" if t_column is None else self._names[t_column],
             time_is_assumed=self._time_is_assumed,
-            understood=(self._how_written(), *self._remarks),
+            understood=(self._cells.written, *self._remarks),
             first_ns=first_ns,
             run=self._run,
         )
 
     def _times(self, column: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], str, int]:
         cells = [row[column] for row in self._cells.rows]
+        name, option = self._names[column], self._options.time_unit
         if sum(map(is_timestamp, cells[:50])) > 0.5 * len(cells[:50]):
-            self._refuse_unit_of_clock(column, cells[0])
-            found = timestamps_ns(cells)
-            good = np.array([one is not None for one in found])
-            kept = [one for one in found if one is not None]
-            times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)
-            read = [cell for cell, yes in zip(cells, good, strict=True) if yes]
-            check_increasing(self._path, times_ns, read, SORT)
-            judge_zones(self._path, read, times_ns)
-            form = "minutes and seconds" if has_two_fields(read[0]) else "moments"
-            self._remarks.append(f"time: {self._names[column]}, {form}")
-            return times_ns, good, "s", kept[0]
-        named = self._columns.named[column]
-        unit, source = unit_of_time(self._path, self._names[column], named, self._options.time_unit)
-        remedy = SORT if not self._split_at_decimal_commas() else _NO_COMMAS
-        times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
+            if option:
+                raise ConfigurationError(
+                    f"{self._path}: {name!r} has times like {cells[0]!r}, which --time-unit {option} does "
+                    "not fit; leave the option out"
+                )
+            self._remarks.append(f"time: {name}, moments")
+            times_ns, good, first_ns = read_times(self._path, cells, None)
+            return times_ns, good, "s", first_ns
+        unit, source = unit_of_time(self._path, name, self._columns.named[column], option)
+        times_ns, good, first_ns = read_times(self._path, cells, unit)
         self._time_is_assumed = source == NOT_STATED_TIME
-        judge_begin(self._path, self._names[column], unit, source, first_ns, times_ns)
-        if unit == "s":
-            judge_clock_digits(self._path, self._names[column], seconds(times_ns + first_ns))
-        self._remarks.append(f"time: {self._names[column]}, in {unit} ({source})")
-        if unit == "d" and is_spreadsheet_time(first_ns):
-            first_ns -= SPREADSHEET_ZERO_NS
-            self._remarks.append("time: days since 1899-12-30, as spreadsheets count")
+        self._remarks.append(f"time: {name}, in {unit} ({source})")
         return times_ns, good, unit, first_ns
-
-    def _refuse_unit_of_clock(self, column: int, cell: str) -> None:
-        """Raise ConfigurationError if an option, or a header of hours and minutes, does not fit a clock."""
-        named, option = self._columns.named[column], self._options.time_unit
-        if option:
-            raise ConfigurationError(
-                f"{self._path}: {self._names[column]!r} has times like {cell!r}, which --time-unit {option} "
-                "does not fit; leave the option out"
-            )
-        stated = named.unknown or named.unit
-        if has_two_fields(cell) and stated[:1].lower() == "h":
-            raise ConfigurationError(
-                f"{self._path}: {cell!r} in {self._names[column]!r} has no seconds, by which a swing is "
-                "followed; write h:mm:ss, or minutes and seconds as m:ss"
-            )
 
     def _position_unit(self, columns: Sequence[int]) -> str:
         titles, named = [self._names[k] for k in columns], [self._columns.named[k] for k in columns]
@@ -288,28 +246,6 @@ class _TableReader:
                     f"missing from the fit: {int(missing.sum())} values of {name} that are not "
                     f"numbers ({lines_text(lines[missing].tolist())})"
                 )
-
-    def _how_written(self) -> str:
-        cells = self._cells
-        separated = (
-            f"columns separated by {cells.separator}" if cells.separator else f"{len(self._names)} columns"
-        )
-        mark = {".": "points", ",": "commas"}[cells.number_format.decimal]
-        names = f"names: {', '.join(self._names)}" if cells.names else "no names"
-        return f"{separated}, decimal {mark}; {names}"
-
-    def _split_at_decimal_commas(self) -> bool:
-        """Whether the numbers of the table were likely split at their decimal commas.
-
-        The table then has two columns for each name, so that no header fits, and no decimal point.
-        """
-        rows = self._cells.rows
-        return (
-            self._cells.separator == "commas"
-            and not self._cells.names
-            and len(rows[0]) >= 4
-            and not any("." in cell for row in rows[:50] for cell in row)
-        )
 
 
 def read_columns(path: Path, columns: Sequence[str]) -> Trajectory:

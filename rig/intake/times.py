@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from decimal import Decimal
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -12,23 +11,17 @@ from numpy.typing import NDArray
 
 from processing.errors import DataError
 from processing.units import conversion, seconds
+from rig.intake.cell_text import timestamps_ns
 
-SORT: Final = (
-    "sort the rows or name the time column with --time; several runs need a blank line between them or a "
-    "column 'run'"
+_REMEDY: Final = (
+    "sort the rows, remove one that stands there twice, or name the time column with --time; several runs "
+    "need a blank line between them or a column 'run'; a clock of too few digits can be replaced by the rate "
+    "of the rows (--rate HZ)"
 )
-"""Remedy for times that do not increase, if their cause is unknown."""
+"""Remedy for times that do not increase."""
 _MAX_SPAN_S: Final = 1e9  # thirty years; 64 bits of nanoseconds hold nine times as much
-_PLAUSIBLE_DATES_S: Final = (7.9e8, 4.1e9)
-"""The years 1995 to 2100, in s since 1970."""
 _MAX_EXACT_NS: Final = 2**53
 """Largest number up to which a floating-point number holds every whole number of ns."""
-_HOUR_NS: Final = 3_600_000_000_000
-_HOUR_TOLERANCE: Final = 0.01
-_TWICE: Final = (
-    "a row that stands there twice must be removed; of a clock whose digits do not tell the rows apart, give "
-    "the rate of the rows instead (--rate HZ), or name another time column with --time"
-)
 _MAX_LISTED: Final = 5
 """Largest number of stretches of lines that a message lists."""
 
@@ -46,77 +39,54 @@ def lines_text(lines: Sequence[int]) -> str:
     return f"line{'s' if len(lines) > 1 else ''} {listed}{more}"
 
 
-def check_increasing(path: Path, times_ns: NDArray[np.int64], cells: Sequence[str], remedy: str) -> None:
-    """Raise DataError if times do not increase; `remedy` is part of its message."""
-    if len(times_ns) < 2:
-        raise DataError(f"{path}: {len(times_ns)} rows have a time; name the time column with --time")
-    steps_ns = np.diff(times_ns)
-    backwards = np.nonzero(steps_ns <= 0)[0]
-    if len(backwards):
-        row = int(backwards[0])
-        step_ns = float(np.median(steps_ns))
-        if abs(int(steps_ns[row]) + _HOUR_NS) < _HOUR_TOLERANCE * _HOUR_NS + 2.0 * abs(step_ns):
-            remedy = (
-                "where a clock is set back from summer time, write the times with their zone (+02:00, then "
-                "+01:00) or in UTC"
-            )
-        raise DataError(
-            f"{path}: time does not increase after {cells[row]} (row {row + 1}): {cells[row + 1]} follows; "
-            f"{remedy if steps_ns[row] else _TWICE}"
-        )
-
-
 def read_times(
-    path: Path, cells: list[str], unit: str, remedy: str
+    path: Path, cells: Sequence[str], unit: str | None
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
     """Times since the first one in ns, the rows that have a time, and the first time in ns.
 
-    Raises DataError, with the `remedy`, if times do not increase.
+    `unit` is that of numbers; None for dates and times of day. Raises DataError if times do not increase.
     """
-    times = np.array([number(cell) for cell in cells])
-    good = np.isfinite(times)
-    times = times[good]
-    if len(times) < 2:
+    whole_ns: Sequence[int]
+    if unit is None:
+        found = timestamps_ns(cells)
+        good, whole_ns = (
+            np.array([one is not None for one in found]),
+            [one for one in found if one is not None],
+        )
+    else:
+        size_ns, values = round(conversion(unit, "ns")), np.array([number(cell) for cell in cells])
+        good = np.isfinite(values)
+        values = values[good]
+        span_s = (
+            float(values.max()) * seconds(size_ns) - float(values.min()) * seconds(size_ns)
+            if len(values)
+            else 0
+        )
+        if not span_s <= _MAX_SPAN_S:
+            raise DataError(
+                f"{path}: the times span {span_s:.3g} s, which no decay lasts; state their unit (--time-unit "
+                "ms, us or ns), or name the time column with --time"
+            )
+        if not len(values) or np.abs(values).max() < _MAX_EXACT_NS / size_ns:
+            whole_ns = np.round(values * size_ns).astype(np.int64).tolist()
+        else:
+            whole_ns = [
+                round(Decimal(cell) * size_ns) for cell, kept in zip(cells, good, strict=True) if kept
+            ]
+    if len(whole_ns) < 2:
         raise DataError(
-            f"{path}: {len(times)} rows have a time, {cells[0]!r} is none; write dates as 2024-05-01 "
+            f"{path}: {len(whole_ns)} rows have a time, {cells[0]!r} is none; write dates as 2024-05-01 "
             "12:00:00, or name another time column with --time"
         )
-    size_ns = round(conversion(unit, "ns"))
-    with np.errstate(over="ignore", invalid="ignore"):
-        backwards = np.nonzero(~(np.diff(times) >= 0))[0]
-        span_s = (times[-1] - times[0]) * seconds(size_ns)
-        needs_decimal = not np.abs(times).max() * size_ns < _MAX_EXACT_NS
-    if not len(backwards) and not span_s <= _MAX_SPAN_S:
-        raise DataError(
-            f"{path}: the times span {span_s:.3g} s, which no decay lasts; state their unit "
-            f"(--time-unit {likely_units(times[0])}), or name the time column with --time"
-        )
-    if not len(backwards):
-        if needs_decimal:
-            whole = [Decimal(cell) * size_ns for cell, kept in zip(cells, good, strict=True) if kept]
-            times_ns = np.array([round(value - whole[0]) for value in whole], dtype=np.int64)
-        else:
-            times_ns = np.round((times - times[0]) * size_ns).astype(np.int64)
-        backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
+    times_ns = np.array([one - whole_ns[0] for one in whole_ns], dtype=np.int64)
+    backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
     if len(backwards):
         row = int(backwards[0])
-        remedy = _TWICE if times[row + 1] == times[row] and remedy is SORT else remedy
+        before, after = np.asarray(cells)[good][row : row + 2]
         raise DataError(
-            f"{path}: time does not increase after {times[row]:.15g} {unit} (row {row + 1}): "
-            f"{times[row + 1]:.15g} {unit} follows; {remedy}"
+            f"{path}: time does not increase after {before} (row {row + 1}): {after} follows; {_REMEDY}"
         )
-    first = next(cell for cell, kept in zip(cells, good, strict=True) if kept)
-    return times_ns, good, round(Decimal(first) * size_ns)
-
-
-def likely_units(first: float) -> str:
-    """The unit that makes a number a plausible date, with the date; else the possible units."""
-    found = [
-        f"{unit}, then {datetime.fromtimestamp(since_s, UTC):%Y-%m-%d}"
-        for unit in ("s", "ms", "us", "ns")
-        if _PLAUSIBLE_DATES_S[0] < (since_s := first * conversion(unit, "s")) < _PLAUSIBLE_DATES_S[1]
-    ]
-    return found[0] if found else "ms, us or ns; ticks of another length have to be written in one of them"
+    return times_ns, good, whole_ns[0]
 
 
 def number(cell: str) -> float:

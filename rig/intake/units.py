@@ -14,57 +14,27 @@ TIME_NAME: Final = re.compile(
     r"(?:(?:[\W_]|(?-i:[A-Z])).*)?",
     re.IGNORECASE,
 )
-_PREFIXES: Final = {"": "", "milli": "m", "mili": "m", "micro": "u", "mikro": "u", "nano": "n", "centi": "c"}
-_LONG_SPELLINGS: Final = {
-    "s": "sec secs second seconds sek sekunde sekunden seconde secondes segundo segundos secondi seconden",
-    "m": "meter metre meters metres",
-    "rad": "radian radians radiant",
-    "V": "volt volts",
-}
 _SPELLINGS: Final = {
-    "s": "s", "ms": "msec msecs msek millis millis()", "us": "usec usecs µsec μsec micros micros()",
-    "ns": "nsec nsecs nanos", "min": "mins minute minutes minuten minutos minuti",
-    "h": "hr hrs hour hours stunde stunden heures horas", "d": "day days tag tage",
-    "deg": "° º degs degree degrees grad grados gradi degrés", "um": "micron microns",
-    "px": "pix pixel pixels",
-    "arcsec": "″ \" asec arcsecs arcsecond arcseconds bogensekunde bogensekunden", "dB": "db", "%": "percent",
-    "arcmin": "′ ' arcmins arcminute arcminutes bogenminute bogenminuten",
+    "s": "sec secs second seconds sek sekunde sekunden", "ms": "msec millisecond milliseconds millisekunden",
+    "us": "usec µsec μsec microsecond microseconds mikrosekunden", "ns": "nsec nanosecond nanoseconds",
+    "min": "mins minute minutes minuten", "h": "hr hour hours stunde stunden", "d": "day days tag tage",
+    "deg": "° º degree degrees grad", "rad": "radian radians", "mrad": "milliradian milliradians",
+    "m": "meter metre", "mm": "millimeter millimetre", "um": "micron microns", "V": "volt volts",
+    "px": "pix pixel pixels", "arcsec": "″ \" asec arcsecond arcseconds bogensekunde bogensekunden",
+    "arcmin": "′ ' arcminute arcminutes bogenminute bogenminuten", "dB": "db", "%": "percent",
 }  # fmt: skip
-_WORDS: Final = {
-    prefix + word: symbol + unit
-    for unit, words in _LONG_SPELLINGS.items()
-    for word in words.split()
-    for prefix, symbol in _PREFIXES.items()
-} | {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
+_WORDS: Final = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
 _CAPITALS: Final = ("s", "ms", "us", "ns", "min", "deg", "rad", "mrad", "px", "mm", "arcsec")
 """Units that are recognised in capitals, too."""
 _NOT_ALONE: Final = ("m", "s", "g", "a", "v", "n", "j", "w", "d", "h", "e", "1", "min", "t")
 """Short words that are names of columns as well as units."""
-_CLEAR_UNITS: Final = {
-    *_WORDS, "ms", "us", "µs", "μs", "ns", "deg", "rad", "mrad", "urad", "nrad", "arcsec", "mm", "cm",
-} - {
-    "s", "second", "minute", "hour", "day", "tag", "tage", "grad", "degree", "db", "meter", "'", '"',
-}  # fmt: skip
-"""Words that are units anywhere in a name, because they are hardly other words."""
-_CLEAR_IN_TIMES: Final = ("s", "min", "h")
-"""Words that are units in the name of a time."""
 _COUNTS: Final = re.compile(
-    r"[^\W_]+[\W_]+(?:ticks?|frames?|samples?|counts?|cycles?|jiffies|steps?|index)\W*|.*\sin\s+\S+",
-    re.IGNORECASE,
+    r"[^\W_]+[\W_]+(?:ticks?|frames?|samples?|counts?|cycles?|steps?|index)\W*|.*\sin\s+\S+", re.IGNORECASE
 )
 _BRACKETS: Final = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)|\{([^{}]*)\}|<([^<>]*)>")
-_UNIT_MARKS: Final = re.compile(r"\s*[/,:;]\s*|\s+in\s+|_", re.IGNORECASE)
-_MARKS: Final = re.compile(rf"{_UNIT_MARKS.pattern}|[\s.#*–-]+|(?-i:(?<=[a-zß-ÿ])(?=[A-Z]))", re.IGNORECASE)
-
-
-_SEPARATE_PREFIX: Final = re.compile(
-    r"\b(milli|mili|micro|mikro|nano|centi|deci)[\s-]+(?=[a-z])", re.IGNORECASE
-)
-"""A prefix that is separated from its unit."""
+_MARKS: Final = re.compile(r"\s*[/,:]\s*|\s+in\s+|_|\s+", re.IGNORECASE)
 _FACTOR: Final = re.compile(
-    r"(?:\s*[*×·]|(?<=[\s)\]_])x)\s*(?:10+(?:\^|\*\*)?[+-]?\d*|0\.0*1|1e[+-]?\d+)(?![\w.])|"
-    r"\w*(?:tenth|hundredth|thousandth|millionth|zehntel|hundertstel|tausendstel|dixi[èe]me|[cm](?:ent|ill)i[èe]me|"
-    r"d[ée]cim[ao]|cent[ée]sim[ao]|mil[ée]sim[ao]|mill[ée]sim[ao])s?(?:\s+\w+)*",
+    r"(?:[*×·]|\bx|(?<=_)x)\s*(?:10+(?:\^|\*\*)?[+-]?\d*|0\.0*1|1e[+-]?\d+)(?![\w.])|\b(?:tenths?|zehntel)\b[^)\]]*",
     re.IGNORECASE,
 )
 """A factor that changes the unit: ``* 1000``, tenths of a second."""
@@ -102,8 +72,8 @@ def is_time(unit: str) -> bool:
 
 
 def split_name(name: str) -> ColumnName:
-    """Split a column's name into name and unit."""
-    text = _SEPARATE_PREFIX.sub(r"\1", name.strip())
+    """Split a column's name into name and unit: the unit is in brackets, or the last word of the name."""
+    text = name.strip()
     if factor := _FACTOR.search(text):
         return ColumnName(text, "", factor[0].strip())
     bracketed = [
@@ -118,8 +88,18 @@ def split_name(name: str) -> ColumnName:
         ((begin, end), unit), *_ = units
         return ColumnName(" ".join(f"{text[:begin].rstrip()} {text[end:].lstrip()}".split()), unit)
     plain = _BRACKETS.sub(" ", text).strip()
-    if split := _split_plain_name(plain):
-        return ColumnName(split[0] if plain == text else text, split[1])
+    if plain.lower() not in _NOT_ALONE and (unit := _unit(plain)):
+        return ColumnName(text, unit)
+    if "_per_" in plain and (unit := unit_of_name(plain.lower())):
+        return ColumnName(text, unit)
+    for mark in () if " per " in plain else _MARKS.finditer(plain):
+        rest, sure = plain[mark.end() :], mark[0].strip()
+        # behind a blank only the last of two words
+        if (sure or (len(rest) > 1 and plain.count(" ") == 1)) and (unit := _unit(rest)):
+            return ColumnName(plain[: mark.start()] if plain == text else text, unit)
+        first = re.split(r"[\s_.,]", rest)[0]
+        if sure and first.lower() not in _NOT_ALONE and (unit := _unit(first)):
+            return ColumnName(text, unit)
     of_time = TIME_NAME.fullmatch(plain)
     unknown = [
         content
@@ -140,35 +120,8 @@ def _unit(text: str) -> str:
 
 
 def _bracketed_unit(text: str) -> str:
-    """The unit in brackets: of ``ms``, ``ms, relative`` or ``in ms``, but none of ``100 ns``."""
-    words = [] if re.search(r"\d", text) else re.split(r"[\s,;()]+", text)
-    words = [word for k, word in enumerate(words) if len(word) > 1 or not k or word in _NOT_ALONE]
-    return _unit(text) or next((unit for word in words if (unit := known_unit(word))), "")
-
-
-def _split_plain_name(text: str) -> tuple[str, str] | None:
-    """Name and unit, if a unit follows a mark, or stands anywhere if it is clearly one; else None."""
-    if text.lower() not in _NOT_ALONE and (unit := _unit(text)):
-        return text, unit
-    if "_per_" in text and (unit := unit_of_name(text.lower())):
-        return text, unit
-    for mark in () if " per " in text else (None, *_MARKS.finditer(text)):
-        begin, end = (0, 0) if mark is None else mark.span()
-        rest = text[end:]
-        sure = mark is not None and _UNIT_MARKS.fullmatch(mark[0])
-        if not sure and text[:begin].endswith(tuple("0123456789")):
-            # a number before the unit, as in "every 50 ms"
-            continue
-        if sure and (unit := _unit(rest)):
-            return text[:begin], unit
-        for part in (rest.split(" ")[0], _MARKS.split(rest)[0]):
-            word = part.lower()
-            is_clear = word in _CLEAR_UNITS or ("/" in part and word.split("/")[0] in _CLEAR_UNITS | {"m"})
-            if (is_clear or (mark and word in _CLEAR_IN_TIMES and TIME_NAME.fullmatch(text))) and (
-                unit := known_unit(word if word in _CLEAR_UNITS else part)
-            ):
-                return text, unit
-    return None
+    """The unit in brackets: of ``ms`` or ``ms, relative``, but none of ``100 ns``."""
+    return _unit(text) or _unit(re.split(r"[,;]", text)[0])
 
 
 def refuse_contradiction(path: Path, title: str, by_header: str, option: str, by_option: str) -> None:

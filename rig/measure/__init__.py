@@ -7,7 +7,6 @@ from rig.measure.plain_record import (
     preflight_rig,
     record_plainly,
     show_light,
-    simulate_record,
     take_frames,
 )
 from rig.measure.posterior_worker import FIRST_HALF_CYCLES

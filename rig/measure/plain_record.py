@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from pydantic import BaseModel
 from rich.console import Console
 
 from acquisition import atomic_write
@@ -48,52 +49,36 @@ _UNREACHED_ARCSEC = 1e-9
 """Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""
 
 
-def record_plainly(config: Configuration, source: Path, record: Path, seconds: float) -> Path:
-    """Record the spot for a time in s, whether it moves or not; returns the path of the record.
+def record_plainly(config: Configuration, source: Path, record: Path, seconds: float | None = None) -> int:
+    """Record one run without viewer and fits; returns the exit status 0.
 
+    With `seconds` the spot is recorded for that time as it is, moving or not: no preflight, no start.
     The order socket of the folder shows the picture meanwhile. The record ends if the laser goes dark.
 
     Raises RigError if the recording fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
     """
-    updates = {
-        "session": config.session.model_copy(
-            update={"max_duration_s": seconds, "final_amplitude_arcsec": _UNREACHED_ARCSEC, "stop_when": ()}
-        ),
-        "view": config.view.model_copy(update={"mode": "none", "file": False}),
-        "preflight": config.preflight.model_copy(update={"when": "never"}),
-        "start": config.start.model_copy(update={"way": "at once"}),
-        # a person who only looks at the picture acknowledges no trip
-        "laser": config.laser.model_copy(update={"when_dark": "end"}),
-    }
+    updates: dict[str, BaseModel] = {"view": config.view.model_copy(update={"mode": "none", "file": False})}
+    if seconds is not None:
+        as_it_is = {"max_duration_s": seconds, "final_amplitude_arcsec": _UNREACHED_ARCSEC, "stop_when": ()}
+        updates |= {
+            "session": config.session.model_copy(update=as_it_is),
+            "preflight": config.preflight.model_copy(update={"when": "never"}),
+            "start": config.start.model_copy(update={"way": "at once"}),
+            # a person who only looks at the picture acknowledges no trip
+            "laser": config.laser.model_copy(update={"when_dark": "end"}),
+        }
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update=updates))
     folder, session_news = record.parent, SessionNews()
     with (
         ready_for_frames(live=not config.on_demand),
-        Devices(config, folder, "a recording for a calibration") as devices,
+        Devices(config, folder, "a record alone") as devices,
         light_shown_to_desk(devices, folder, session_news),
     ):
         ask_leave(devices)
-        plan = RunPlan(config, source, record, record.stem, fitted=False, session_news=session_news)
+        fitted = bool(config.session.stop_when)
+        plan = RunPlan(config, source, record, record.stem, fitted=fitted, session_news=session_news)
         outcome = measure_run(plan, devices)
-    outcome.check()
-    return record
-
-
-def simulate_record(config: Configuration, source: Path, record: Path) -> int:
-    """Record one run of the simulated rig, without viewer and fits; returns the exit status 0."""
-    if not config.simulated:
-        raise ConfigurationError(
-            f"camera.driver = {config.camera.driver!r}: --record-only needs the simulated camera; "
-            "rig camera record records a real one"
-        )
-    quiet = config.view.model_copy(update={"mode": "none", "file": False})
-    record.parent.mkdir(parents=True, exist_ok=True)
-    config = complete(config.model_copy(update={"view": quiet}))
-    with ready_for_frames(live=not config.on_demand), Devices(config, task="rig run") as devices:
-        outcome = measure_run(
-            RunPlan(config, source, record, "simulation", fitted=bool(config.session.stop_when)), devices
-        )
     outcome.check()
     answer(written=[record])
     print(record)

@@ -8,14 +8,16 @@ from rig.settings.configuration import (
     SessionSettings,
 )
 from rig.settings.configuration_file import (
+    FITTED,
+    REPLAYED,
     SCHEMA,
     SCHEMA_KEY,
     FaultyConfiguration,
-    KeyUseMonitor,
     apply_overrides,
     keys_with_faults,
     load_configuration,
     read_toml,
+    refuse_without_effect,
     shipped,
     shipped_names,
     stored_configuration,
@@ -25,4 +27,4 @@ from rig.settings.configuration_file import (
 from rig.settings.configuration_writer import copy_shipped, refuse_existing, write_configuration
 from rig.settings.number_input import StopCondition, quantity
 from rig.settings.sections import BalanceSettings, InstrumentSettings, PreflightSettings, TimebaseSettings
-from rig.settings.validation_messages import expected_text, fault_line, validate
+from rig.settings.validation_messages import fault_line, validate

@@ -4,17 +4,12 @@ A file may begin with ``extends = "other.toml"`` (relative to itself) and then s
 differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
 """
 
-import copy
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, cast
-
-from pydantic import BaseModel
+from typing import Any, Final
 
 from processing.errors import ConfigurationError, dotted, require_schema
 from processing.units import unit_of_name
@@ -253,91 +248,22 @@ def shipped(name: str) -> Path:
     return _folder() / f"{name}.toml"
 
 
-class KeyUseMonitor:
-    """A configuration that records which of its changed keys are read; copying it reads none.
-
-    `config` equals the watched configuration. `remedy` is the remedy for a key without effect.
-    """
-
-    def __init__(self, config: Configuration, overrides: Iterable[str], remedy: str) -> None:
-        self._keys = [override.partition("=")[0].strip() for override in overrides]
-        self._read: set[str] = set()
-        self._remedy = remedy
-        watched: Any = config
-        for key in self._keys:
-            watched = _with_watch(watched, key.split("."), partial(self._read.add, key))
-        self.config = cast(Configuration, watched)
-        self._read.clear()
-
-    @property
-    def unread(self) -> list[str]:
-        """Changed keys that have not been read so far."""
-        return [key for key in self._keys if key not in self._read]
-
-    def refuse_read(self) -> None:
-        """Raise ConfigurationError if a changed key was read by a step that is not repeated."""
-        self._refuse(self._read)
-
-    def refuse_unread(self, others: Iterable["KeyUseMonitor"] = ()) -> None:
-        """Raise ConfigurationError with a line for each changed key unread here and in all `others`."""
-        self._refuse(set(self.unread).intersection(*(other.unread for other in others)))
-
-    def _refuse(self, keys: Collection[str]) -> None:
-        if keys:
-            lines = (f"--set {key}: has no effect here; {self._remedy}" for key in self._keys if key in keys)
-            raise ConfigurationError("\n".join(lines))
+FITTED: Final = (
+    "axes.u_", "balance.", "calibration.", "environment.", "fit.", "instrument.", "lever.arm_dof.",
+    "lever.pixel_pitch_dof.", "lever.u_", "materials.", "pendulum.", "preflight.", "reference.gain.",
+    "reference.u_gain.", "seismometer.kind.", "session.contact_made.", "session.surfaces_cleaned.",
+    "shutter.u_", "timebase.",
+)  # fmt: skip
+"""Beginnings of keys that change what is fitted to recorded half-cycles; a whole key ends with a point."""
+REPLAYED: Final = (*FITTED, "axes.", "laser.pulse_", "lever.", "reference.", "shutter.")
+"""The same for half-cycles that are found again in recorded spots."""
 
 
-def _with_watch(holder: Any, place: Sequence[str], note: Callable[[], None]) -> Any:
-    """A copy that calls `note` when the value at `place`, or any value of the section there, is read."""
-    first, *base = place
-    value = holder[first] if isinstance(holder, Mapping) else getattr(holder, first)
-    if base:
-        return _with_replaced(holder, first, _with_watch(value, base, note))
-    if isinstance(value, Mapping):
-        return _with_replaced(
-            holder, first, {name: _watching(each, _names(each), note) for name, each in value.items()}
-        )
-    if names := _names(value):
-        return _with_replaced(holder, first, _watching(value, names, note))
-    return _watching(holder, {first}, note)
-
-
-def _names(value: Any) -> set[str]:
-    """The keys of a section; empty for a plain value."""
-    if isinstance(value, BaseModel):
-        return set(type(value).model_fields)
-    return {field.name for field in fields(value)} if is_dataclass(value) else set()
-
-
-def _with_replaced(holder: Any, name: str, value: Any) -> Any:
-    if isinstance(holder, Mapping):
-        return {**holder, name: value}
-    changed = copy.copy(holder)
-    # set directly, because the copy is frozen like the original
-    object.__setattr__(changed, name, value)
-    return changed
-
-
-def _watching(section: Any, names: set[str], note: Callable[[], None]) -> Any:
-    if not _names(section):
-        return section
-    kind: Any = type(section)
-    shown_kind = section.__class__
-
-    def reading(self: Any, name: str) -> Any:
-        if name in names:
-            note()
-        return kind.__getattribute__(self, name)
-
-    # models and dataclasses are equal only if `__class__` is the same
-    namespace = {
-        "__module__": kind.__module__,
-        "__slots__": (),
-        "__getattribute__": reading,
-        "__class__": property(lambda _: shown_kind),
-    }
-    watching_kind = type(kind)(kind.__name__, (kind,), namespace)
-    found = copy.copy(section)
-    vars(object)["__class__"].__set__(found, watching_kind)
-    return found
+def refuse_without_effect(overrides: Iterable[str], effective: tuple[str, ...], remedy: str) -> None:
+    """Raise ConfigurationError with a line for each changed key that begins as none `effective` does."""
+    keys = (override.partition("=")[0].strip() for override in overrides)
+    lines = [
+        f"--set {key}: has no effect here; {remedy}" for key in keys if not f"{key}.".startswith(effective)
+    ]
+    if lines:
+        raise ConfigurationError("\n".join(lines))

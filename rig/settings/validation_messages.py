@@ -1,6 +1,5 @@
 """Faults of a configuration in words, and the sections and keys of its models."""
 
-import datetime
 import difflib
 import math
 import re
@@ -14,6 +13,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from processing.errors import ConfigurationError, KeyPlace, place_in_words
+from processing.fault_text import fault_text, is_unknown_key
 from processing.units import unit_of_name
 from rig.settings.number_input import quantity, states_unit
 
@@ -47,19 +47,12 @@ def fault_line(root: type, fault: ErrorDetails) -> str:
         field = section_fields(_section_at(root, fault["loc"][:-1])).get(str(fault["loc"][-1]))
         what = f": {field.description}" if field is not None and field.description else ""
         return f"{path}: is missing; state a value{what}"
-    if not path:
-        return fault["msg"].removeprefix("Value error, ")
     if isinstance(fault["input"], str) and re.fullmatch(r"[+-]?\d+,\d+", fault["input"]):
         corrected = fault["input"].replace(",", ".")
         return f"{path} = {fault['input']!r}: should be a number, with a point: {corrected}"
     if fault["type"] == "float_parsing" and states_unit(fault["input"]):
         return f"{path} = {fault['input']!r}: {_expected_number(fault['input'], str(fault['loc'][-1]))}"
-    is_value = fault["type"].startswith("value_error")
-    expected = fault["msg"].removeprefix("Value error, ") if is_value else f"should be {expected_text(fault)}"
-    if is_value and isinstance(fault["input"], Mapping):
-        # the fault is of a whole section, whose message names keys and values itself
-        return f"{path}: {expected.removeprefix(f'{path}: ')}"
-    return f"{path} = {_value_text(fault['input'])}: {expected}"
+    return fault_text(fault)
 
 
 def _expected_number(text: str, key: str) -> str:
@@ -72,46 +65,6 @@ def _expected_number(text: str, key: str) -> str:
         # the stated unit does not fit
         return expected
     return f"{expected}: {value:g}"
-
-
-def expected_text(fault: ErrorDetails) -> str:
-    """The expected kind of value, in words, for a value of the wrong type or out of range."""
-    kind = fault["type"]
-    if expected := _EXPECTED.get(kind) or _EXPECTED.get(kind.partition("_")[0]):
-        return expected
-    if kind in ("too_short", "too_long"):
-        least, most = (fault["ctx"].get(name) for name in ("min_length", "max_length"))
-        return f"a list of {f'{least} entries or more' if most is None else f'at most {most} entries'}"
-    text = fault["msg"].removeprefix("Input should be ").partition(", unable to")[0]
-    if kind.startswith(("greater_than", "less_than")):
-        text = text.replace("greater than or equal to", "at least").replace(
-            "less than or equal to", "at most"
-        )
-        unit = unit_of_name(str(fault["loc"][-1]) if fault["loc"] else "")
-        text += f" {unit.replace('^2', '²')}" if unit else ""
-    return text
-
-
-def _value_text(value: Any) -> str:
-    text = value.isoformat() if isinstance(value, datetime.datetime) else repr(value)
-    return text if len(text) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."
-
-
-_MAX_LENGTH = 80
-_EXPECTED = {
-    "bool": "true or false",
-    "float": "a number",
-    "int": "a whole number",
-    "path": "the name of a file, in quotes",
-    "string": "text, in quotes",
-    "string_pattern_mismatch": "a name of letters, digits, points, hyphens and underlines",
-    **dict.fromkeys(("dataclass", "dict", "is", "model"), "a table with keys of its own"),
-    **dict.fromkeys(("list", "tuple"), "a list in brackets"),
-    **dict.fromkeys(
-        ("datetime", "timezone"), "a time with its offset from UTC, such as 2026-11-22T09:30:00+01:00"
-    ),
-}
-"""The kind of value by pydantic's type of a fault, or by the first word of it."""
 
 
 class KeyFault(NamedTuple):
@@ -140,11 +93,6 @@ def validate(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None
         ]
         return None, key_faults + wrong_numbers
     return (None, wrong_numbers) if wrong_numbers else (model, [])
-
-
-def is_unknown_key(fault: ErrorDetails) -> bool:
-    """Whether a fault is that of an unknown key."""
-    return fault["type"] in ("extra_forbidden", "unexpected_keyword_argument")
 
 
 def number_faults(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> Iterator[KeyFault]:

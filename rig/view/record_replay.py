@@ -24,7 +24,7 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import configuration_attachments, recorded_configuration
-from rig.settings import Configuration, KeyUseMonitor
+from rig.settings import REPLAYED, Configuration, refuse_without_effect
 from rig.terminal import (
     Table,
     TableRow,
@@ -116,15 +116,15 @@ def replay_record(
     if mode == "spawn" and (missing := no_window()):
         raise ConfigurationError(missing)
     with RecordReader(record) as reader, tempfile.TemporaryDirectory(prefix="rig-replay-") as folder:
+        config = recorded_configuration(reader, overrides)
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
-        key_monitor = KeyUseMonitor(recorded_configuration(reader, overrides), overrides, remedy)
-        config = key_monitor.config
+        refuse_without_effect(overrides, (*REPLAYED, *(["sensor."] if retrack else [])), remedy)
         if reader.truncated:
             say(reader.cut_notice)
         replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s)
         again = Path(folder) / f"replay of {record.stem}.mcap" if mode != "none" or rrd is not None else None
         result = _replayed(reader, replay, config, again)
-        run = _analyse(reader, config, result, key_monitor)
+        run = _analyse(reader, config, result)
         if replay.partial:
             part = f"replayed from {replay.from_s:.2f} s to {replay.to_s:.2f} s of the record"
             # a part has another end than the record
@@ -196,9 +196,7 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
         return _analyse(reader, config, replay.finish())
 
 
-def _analyse(
-    reader: RecordReader, config: Configuration, result: ReplayResult, monitor: KeyUseMonitor | None = None
-) -> AnalysedRun:
+def _analyse(reader: RecordReader, config: Configuration, result: ReplayResult) -> AnalysedRun:
     return analyse_run(
         reader,
         config,
@@ -207,7 +205,6 @@ def _analyse(
         config.deflection_unit,
         result.beam,
         lambda _: result.dropped_frames,
-        key_monitor=monitor,
     )
 
 

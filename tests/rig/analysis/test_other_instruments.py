@@ -18,7 +18,7 @@ from rig.cli import app
 from rig.commands.fitting import fit_records
 from rig.commands.table_fits import TableOptions, fit_several
 from rig.intake import TableColumns
-from rig.measure import measure_session, simulate_record
+from rig.measure import measure_session, record_plainly
 from rig.settings import load_configuration
 from rig.terminal import with_uncertainty
 from tests.rig.command_line import CONFIGS, figures_are_drawn
@@ -41,7 +41,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
     found = {b: folder / f"place-{b}.mcap" for b in (0.02, 0.04, 0.05)}
     for b, record in found.items():
         config = load_configuration(source, [f"simulation.contact.b={b}", "view.file=false"])
-        assert simulate_record(config, source, record) == 0
+        assert record_plainly(config, source, record) == 0
     return found
 
 

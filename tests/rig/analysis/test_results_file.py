@@ -104,14 +104,14 @@ def test_what_a_law_does_not_describe_is_stored(measured_series: Path) -> None:
 @pytest.mark.parametrize(
     ("keys", "value", "words"),
     [
-        (("runs", 0, "half_cycles"), "many", 'runs 1: half_cycles is "many", not a whole number'),
+        (("runs", 0, "half_cycles"), "many", "runs 1: half_cycles = 'many': should be a whole number"),
         (
             ("runs", 0, "fits", "exact", "b"),
             {"value": 1.0},
-            r"fits\.exact\.\S*\.standard_uncertainty is missing",
+            r"fits\.exact\.\S*\.standard_uncertainty: is missing",
         ),
-        (("runs", 1, "fits", "exact", "b", "value"), [1], r"b\.value is \[1\], not a number"),
-        (("runs", 0), 7, "runs 1 is 7, not"),
+        (("runs", 1, "fits", "exact", "b", "value"), [1], r"b\.value = \[1\]: should be a number"),
+        (("runs", 0), 7, "runs 1 = 7: should be"),
         (("runs",), [], "names no runs"),
         (("schema",), 99, "is of schema 99; this version reads schema 1"),
     ],

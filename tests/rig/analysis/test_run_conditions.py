@@ -17,7 +17,7 @@ from rig.analysis.record_fit import _beam, run_clock, run_conditions
 from rig.analysis.results_file import read_results
 from rig.analysis.run_values import Beam
 from rig.instrument import recorded_configuration
-from rig.measure import simulate_record
+from rig.measure import record_plainly
 from rig.settings import PreflightSettings, load_configuration
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
@@ -151,7 +151,7 @@ def recorded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in WORDS.items()])
     with monkeypatch.context() as patch:
         patch.setattr(SimulatedCamera, "read", read)
-        assert simulate_record(config, CONFIGS / "demo.toml", record) == 0
+        assert record_plainly(config, CONFIGS / "demo.toml", record) == 0
     return record
 
 

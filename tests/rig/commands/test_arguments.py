@@ -63,14 +63,14 @@ def test_what_has_no_effect_is_refused(name: str, words: tuple[str, ...], said: 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--record-only",), "takes CONFIG, -o NAME.mcap and --set alone"),
-        (("--record-only", "-o", "one.mcap", "--runs", "2"), "takes CONFIG, -o NAME.mcap and --set alone"),
+        (("--record-only",), "takes CONFIG, -o NAME.mcap, --seconds"),
+        (
+            ("--record-only", "-o", "one.mcap", "--runs", "2"),
+            "takes CONFIG, -o NAME.mcap, --seconds",
+        ),
         (("--record-only", "-o", "one"), "one: name a file that ends in .mcap"),
         (("-o", "one.mcap"), "one.mcap: one record is written with --record-only; else name a folder"),
-        (
-            ("--record-only", "-o", "one.mcap", "--set", "camera.driver=v4l2"),
-            "rig camera record records a real one",
-        ),
+        (("--seconds", "9"), "--seconds 9: has no effect without --record-only"),
     ],
 )
 def test_one_record_alone(words: tuple[str, ...], said: str, tmp_path: Path) -> None:

@@ -43,7 +43,6 @@ RUNS: dict[str, str] = {
     "calibrate lever": "calibrate lever geometry.toml",
     "camera show": f"camera show {DEMO}",
     "camera snap": f"camera snap {DEMO} -o spot.png",
-    "camera record": f"camera record {DEMO} -o clamped.mcap --seconds 1",
     "camera frames": f"camera frames {DEMO} -o level",
     "camera align": f"camera align {DEMO} --seconds 0.3",
     "camera expose": f"camera expose {DEMO}",

@@ -200,7 +200,7 @@ def test_files_of_calibrations_are_refused_in_our_words(tmp_path: Path) -> None:
     for wrong, message in (
         ("made_at = 'soon'", "made_at = 'soon': should be a time with its offset from UTC"),
         ('kind = "leaver"', "kind = 'leaver': should be 'lever', 'axes'"),
-        ("methud = 1", "methud: no such key"),
+        ("methud = 1", "methud: unknown key"),
         ("sources = 3", "sources = 3: should be a list"),
     ):
         key = wrong.partition(" ")[0]

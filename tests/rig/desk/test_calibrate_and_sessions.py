@@ -110,7 +110,7 @@ def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: P
     page.click("File it")
     page.wait_text("there is no such record")
     page.click("Record now")
-    page.wait_text("rig camera record runs")
+    page.wait_text("rig run --record-only runs")
     page.wait_text("pointing-001.mcap is recorded")
     page.wait("document.querySelector('[data-key=\"pointing record\"]').value.includes('pointing-001.mcap')")
     page.click("File it")

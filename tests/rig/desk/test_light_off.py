@@ -289,7 +289,7 @@ def test_a_trip_in_a_calibrations_recording_is_an_alarm_and_the_recording_can_be
     page.wait_text("Clamp the pendulum, close the cover")
     page.click("Record now")
     board.wait_lit(True, 120)
-    page.wait(f"{LAMP.format('recording')}.includes('camera record')")
+    page.wait(f"{LAMP.format('recording')}.includes('run --record-only')")
     page.wait(f"{LAMP.format('laser')} === 'laser on'")
     board.interlock(closed=False)
     board.wait_lit(False)

@@ -35,7 +35,7 @@ def test_a_file_of_another_program_is_never_taken_for_text(tmp_path: Path) -> No
     (tmp_path / "a.jsonl").write_text(
         "".join(f'{{"t": {t}, "x": {x}}}\n' for t, x in zip(TIME_S, X, strict=True))
     )
-    _refused(tmp_path / "a.jsonl", "0 rows have a time")
+    _refused(tmp_path / "a.jsonl", "holds 0 rows of numbers")
 
 
 def test_nothing_pickled_is_unpacked(tmp_path: Path) -> None:
@@ -59,11 +59,9 @@ def test_nothing_pickled_is_unpacked(tmp_path: Path) -> None:
     assert not (tmp_path / "ran").exists()
 
 
-def test_structs_and_complex_variables_of_matlab_are_named(tmp_path: Path) -> None:
+def test_structs_of_matlab_are_named(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "struct.mat", {"run": {"t": TIME_S, "x": X}})
-    _refused(tmp_path / "struct.mat", "no arrays of numbers: run; save the fields of a struct as variables")
-    scipy.io.savemat(tmp_path / "complex.mat", {"t": TIME_S, "x": X * (1.0 + 1.0j)})
-    _refused(tmp_path / "complex.mat", "x is complex; save its real part")
+    _refused(tmp_path / "struct.mat", r"no arrays of real numbers: run\)")
 
 
 @pytest.mark.parametrize("tick", ["ns", "us", "ms"])

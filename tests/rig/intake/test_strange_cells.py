@@ -75,13 +75,6 @@ def test_single_words_infinities_and_empty_cells_are_missing_and_counted(tmp_pat
     )
 
 
-@pytest.mark.parametrize("size", [1e300, 1e-300])
-def test_sizes_that_nothing_measures_are_refused_and_not_calculated_with(tmp_path: Path, size: float) -> None:
-    path = _table(tmp_path / "decay.csv", lambda x: f"{x * size:.6e}")
-    with pytest.raises(DataError, match=r"order of .* mm, up to .* right column \(--position\)"):
-        TableColumns().read(path)
-
-
 def test_a_second_position_that_was_never_measured_is_named(tmp_path: Path) -> None:
     rows = "".join(f"{0.05 * k:.2f},{10 * np.cos(k / 8):.4f},nan\n" for k in range(400))
     (path := tmp_path / "decay.csv").write_text(f"t_s,x_deg,y_deg\n{rows}")

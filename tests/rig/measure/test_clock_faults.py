@@ -10,7 +10,7 @@ from acquisition.record.events import EventKind
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ClockAnchor, RecordedClockStep
 from rig.analysis import analyse_record
-from rig.measure import measure_session, simulate_record
+from rig.measure import measure_session, record_plainly
 from rig.measure.phases import PhasesBeforeRecord
 from tests.rig.command_line import CONFIGS, QUICK, configured
 
@@ -70,7 +70,7 @@ def test_a_record_has_the_time_of_day_at_which_it_begins(
     config = configured(words)
     # fits and report are of no interest here
     record = tmp_path / "run-1.mcap"
-    simulate_record(config, CONFIGS / "demo.toml", record)
+    record_plainly(config, CONFIGS / "demo.toml", record)
     with RecordReader(record) as reader:
         anchors = reader.values(ClockAnchor)
         off_ns = anchors[0].utc_ns - anchors[0].time_ns - reader.epoch_offset_ns

@@ -11,7 +11,7 @@ import pytest
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from rig.archive.session_rows import session_rows
-from rig.measure import simulate_record
+from rig.measure import record_plainly
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run import MeasurementRun
 from rig.measure.session_file import RunState, SessionFile, read_session
@@ -139,7 +139,7 @@ def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.slow
 def test_results_that_are_missing_are_made_without_the_rig(tmp_path: Path) -> None:
     config = load_configuration(CONFIGS / "demo.toml", SHORT[1::2])
-    assert simulate_record(config, CONFIGS / "demo.toml", tmp_path / "run-1.mcap") == 0
+    assert record_plainly(config, CONFIGS / "demo.toml", tmp_path / "run-1.mcap") == 0
     stored = stored_configuration(config)
     stored["controller"] |= {"kind": "serial", "port": "/dev/none-is-here"}
     with closing(SessionFile.create(tmp_path, CONFIGS / "demo.toml", 1, stored)) as file:

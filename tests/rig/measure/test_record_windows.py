@@ -8,7 +8,7 @@ from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
 from processing.errors import RecordError
-from rig.measure import simulate_record
+from rig.measure import record_plainly
 from rig.view import replay_record
 from tests.rig.command_line import CONFIGS, SMALL, configured
 
@@ -22,7 +22,7 @@ def test_a_record_without_windows_is_smaller_and_replayed_but_not_tracked_again(
         overrides = {**SMALL, "session.max_duration_s": "10", "record.windows": str(kept).lower()}
         config = configured(overrides)
         records[kept] = tmp_path / f"{kept}.mcap"
-        assert simulate_record(config, CONFIGS / "demo.toml", records[kept]) == 0
+        assert record_plainly(config, CONFIGS / "demo.toml", records[kept]) == 0
     for kept, path in records.items():
         with RecordReader(path) as reader:
             counts[kept] = reader.counts

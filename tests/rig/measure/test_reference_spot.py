@@ -24,7 +24,7 @@ from rig.instrument import (
     optics_of,
     recorded_configuration,
 )
-from rig.measure import measure_session, simulate_record
+from rig.measure import measure_session, record_plainly
 from rig.measure.recent_frames import RecentFrames
 from rig.settings import ReferenceSettings, load_configuration
 from rig.view import analyse_replayed
@@ -199,7 +199,7 @@ def test_it_takes_off_the_creep_of_the_camera_which_an_analysis_without_it_shows
     )
     source, folder = CONFIGS / "demo.toml", tmp_path / "run"
     config = load_configuration(source, wanted)
-    simulate_record(config, source, folder / "run-1.mcap")
+    record_plainly(config, source, folder / "run-1.mcap")
     truth = true_path(config.simulation, 25.0)
     with RecordReader(folder / "run-1.mcap") as reader:
         less = without_beam_motion(reader, recorded_configuration(reader))

@@ -14,7 +14,7 @@ from processing.fit import drag_verdict
 from rig.analysis import AnalysedRun, analyse_record, remarks
 from rig.analysis.ambient import expected_drag
 from rig.instrument import complete, pendulum_on_ball
-from rig.measure import simulate_record
+from rig.measure import record_plainly
 from rig.prepare import Filing, calibrate_air
 from rig.settings import validate_configuration
 
@@ -44,7 +44,7 @@ def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lines = []
     for number, area_m2 in enumerate((0.0, 0.1)):
         record = folder / f"{number}.mcap"
-        assert simulate_record(configuration(area_m2), folder / "none.toml", record) == 0
+        assert record_plainly(configuration(area_m2), folder / "none.toml", record) == 0
         lines += ["[[run]]", f"record = '{record.name}'", f"area_m2 = {area_m2}"]
     (folder / "vanes.toml").write_text("\n".join(lines))
     return folder / "vanes.toml"

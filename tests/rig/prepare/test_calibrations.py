@@ -17,7 +17,7 @@ from rig.analysis import analyse_record
 from rig.instrument import complete
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
 from rig.instrument.provenance import recorded_configuration
-from rig.measure import simulate_record
+from rig.measure import record_plainly
 from rig.prepare import (
     calibrate_axes,
     calibrate_clock,
@@ -63,7 +63,7 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
     for name, simulation in runs.items():
         config = validate_configuration({"camera": {"driver": "simulated"}, "simulation": simulation}, name)
-        assert simulate_record(config, folder / "none.toml", folder / f"{name}.mcap") == 0
+        assert record_plainly(config, folder / "none.toml", folder / f"{name}.mcap") == 0
     return {name: folder / f"{name}.mcap" for name in runs}
 
 
@@ -185,7 +185,7 @@ def test_a_record_carries_its_calibration_and_says_whether_it_held(tmp_path: Pat
         simulation = {"max_duration_s": 20.0, "clock": {"frame_rate_hz": 25.0}, "sensor": {"width_px": 96}}
         tree = {"camera": camera, "simulation": simulation, "calibration": {"lever": str(path)}}
         record = tmp_path / f"{validity}.mcap"
-        assert simulate_record(validate_configuration(tree, "test"), tmp_path / "none.toml", record) == 0
+        assert record_plainly(validate_configuration(tree, "test"), tmp_path / "none.toml", record) == 0
         with RecordReader(record) as reader:
             assert reader.attachments["calibration/lever.toml"] == path.read_bytes()
         result = analyse_record(record)
@@ -289,7 +289,7 @@ def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -
     simulation = {"real_time": True, "max_duration_s": 2.0, "clock": {"drift_ppm": 30.0}}
     record = tmp_path / "clock.mcap"
     config = validate_configuration({"camera": {"driver": "simulated"}, "simulation": simulation}, "test")
-    assert simulate_record(config, tmp_path / "none.toml", record) == 0
+    assert record_plainly(config, tmp_path / "none.toml", record) == 0
     path = calibrate_clock(record, Filing(tmp_path / "c"), None)
     found = read_calibration(path)
     timebase = fill_from_files(in_use(clock=path)).timebase
@@ -352,7 +352,7 @@ def spots(record: Path, truth: SensorTruth, **sections: Any) -> np.ndarray:
         "fast": {"amplitude_arcsec": 0.0},
         "max_duration_s": 1.0,
     }
-    simulate_record(
+    record_plainly(
         validate_configuration(
             {"camera": {"driver": "simulated"}, "simulation": simulation, **sections}, "test"
         ),

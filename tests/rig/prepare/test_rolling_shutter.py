@@ -32,7 +32,7 @@ from rig.instrument import (
     pendulum_on_ball,
     recorded_configuration,
 )
-from rig.measure import simulate_record
+from rig.measure import record_plainly
 from rig.prepare import Filing, calibrate_shutter
 from rig.settings import Configuration, FitSettings, load_configuration
 from rig.view.replay import Replay
@@ -119,7 +119,7 @@ def test_a_record_gives_the_row_time_and_is_corrected_with_it(tmp_path: Path) ->
     }
     config = load_configuration(DEMO, [f"{key}={value}" for key, value in words.items()])
     record = tmp_path / "run.mcap"
-    assert simulate_record(config, DEMO, record) == 0
+    assert record_plainly(config, DEMO, record) == 0
     values = read_calibration(calibrate_shutter(record, Filing(tmp_path / "calibrations"))).values
     asked = rig("calibrate", "shutter", str(record), cwd=tmp_path)
     assert asked.returncode == 0, asked.stderr

@@ -8,7 +8,14 @@ import pytest
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from rig.instrument import check_materials, complete, pendulum_on_ball
-from rig.settings import Configuration, FaultyConfiguration, load_configuration
+from rig.settings import (
+    FITTED,
+    REPLAYED,
+    Configuration,
+    FaultyConfiguration,
+    load_configuration,
+    refuse_without_effect,
+)
 from tests.rig.command_line import CONFIGS
 from tests.rig.settings.example_configuration import TARGET, keys, text
 
@@ -256,6 +263,27 @@ def test_what_is_wrong_with_an_override_is_known_by_its_key() -> None:
     told = dict(raised.value.override_faults)
     assert set(told) == {"camera.exposure_us", "session.runs"}
     assert str(raised.value).splitlines() == [f"--set {line}" for line in told.values()]
+
+
+def test_every_key_without_effect_gets_a_line_and_those_with_one_are_keys() -> None:
+    known = [f"{key}." for key in keys()]
+    assert all(any(key.startswith(begins) for key in known) for begins in REPLAYED)
+    made_with = [
+        "lever.arm_m",
+        "lever.skew",
+        "axes.mirrored",
+        "sensor.prnu",
+        "session.runs",
+        "shutter.first_row",
+    ]
+    stated = [f"{key}=1" for key in ("fit.robust", *made_with, "lever.u_arm_m", "pendulum")]
+    with pytest.raises(ConfigurationError) as caught:
+        refuse_without_effect(stated, FITTED, "try elsewhere")
+    assert str(caught.value).split("\n") == [
+        f"--set {key}: has no effect here; try elsewhere" for key in made_with
+    ]
+    with pytest.raises(ConfigurationError, match=r"sensor\.prnu: has .*\n--set session\.runs: has no effect"):
+        refuse_without_effect(stated, REPLAYED, "try elsewhere")
 
 
 def test_conditions_name_parameters_as_people_write_them() -> None:
