@@ -235,11 +235,6 @@ class Controller:
         """Unsolicited messages of the board (TRIP, BOOT) since the last call."""
         return self._link.take_events() if self._link else ()
 
-    def line_counts(self) -> tuple[int, int, int]:
-        """Counts since `open`: invalid lines, late replies, repeated commands."""
-        link = self._link
-        return (link.junk_lines, link.late_replies, link.retried) if link else (0, 0, 0)
-
     @property
     def name(self) -> str:
         """Name of the controller in messages."""

@@ -244,9 +244,6 @@ class Link:
         """Time (`time.monotonic`) after which no command is repeated and no reply is waited for."""
         self._events: deque[BoardEvent] = deque(maxlen=_MAX_EVENTS)
         self._last_junk = b""
-        self.junk_lines = 0
-        self.late_replies = 0
-        self.retried = 0
 
     @property
     def name(self) -> str:
@@ -291,7 +288,6 @@ class Link:
             if attempt:
                 if now_s >= self.repeat_until_s:
                     break
-                self.retried += 1
                 deadline_s = min(deadline_s, self.repeat_until_s)
             self._line.write(line)
             sent += 1
@@ -334,7 +330,7 @@ class Link:
             line = self._reader.read_line(0.0)
             if line is None:
                 return
-            self.late_replies += isinstance(self._hear(line), Reply)
+            self._hear(line)
 
     def _await(self, tag: int, deadline_s: float) -> Reply | None:
         while True:
@@ -345,7 +341,6 @@ class Link:
             if isinstance(message, Reply):
                 if message.tag == tag:
                     return message
-                self.late_replies += 1
             elif message is not None and message.name == "NAK":
                 # the board received an invalid line, most likely this one, which is repeated immediately
                 return None
@@ -357,7 +352,6 @@ class Link:
         message = decode(line)
         if message is None:
             if line.strip():
-                self.junk_lines += 1
                 self._last_junk = line[:60]
         elif isinstance(message, BoardEvent) and message.name != "NAK":
             self._events.append(message)

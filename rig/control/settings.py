@@ -12,19 +12,6 @@ EnvironmentKind = Literal["none", "controller", "serial"]
 _QUANTITIES = frozenset({"temperature_c", "humidity_percent", "pressure_pa", "pressure_hpa"})
 
 
-class SerialFaults(BaseModel, frozen=True, extra="forbid"):
-    """Faults of the simulated controller's serial line; all off by default.
-
-    The probabilities apply to each transmitted block of bytes, in either direction.
-    """
-
-    junk_probability: float = Field(default=0.0, ge=0, le=1)
-    loss_probability: float = Field(default=0.0, ge=0, le=1)
-    delay_s: float = Field(default=0.0, ge=0, le=10)
-    reset_at_s: float | None = Field(default=None, ge=0)
-    unplug_at_s: float | None = Field(default=None, ge=0)
-
-
 class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
     """The rig controller: serial line, timeouts and limits checked by the host.
 
@@ -40,7 +27,6 @@ class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
     heartbeat_s: float = Field(default=0.25, gt=0, le=2)
     watchdog_s: float = Field(default=1.5, ge=0.1, le=5)
     starter_max_s: float = Field(default=5.0, gt=0)
-    faults: SerialFaults = SerialFaults()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

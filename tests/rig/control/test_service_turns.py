@@ -368,29 +368,11 @@ def test_one_missing_answer_is_no_loss_but_silence_is(service: ControlService, b
     board.to_host = bytes
     board.turn(turn(service))
     assert board.outputs()["laser"][0] == 1
-    assert service.snapshot.retried > 0
     board.to_host = lambda data: b""
     silent_from_s = board.clock.monotonic()
     while service.snapshot.state is ControlState.OPEN:
         board.turn(turn(service))
     assert WATCHDOG_S < board.clock.monotonic() - silent_from_s < 2 * WATCHDOG_S
-
-
-def test_counts_of_the_line_go_on_after_it_was_opened_again(
-    service: ControlService, board: SteppedBoard
-) -> None:
-    turn(service)
-    for _ in range(2):
-        board.inject(b"junk\n")
-        turn(service)
-    assert service.snapshot.junk_lines == 2
-    board.press(b"r")
-    board.turn()
-    turn(service)
-    turn(service)
-    board.inject(b"junk\n")
-    turn(service)
-    assert (service.snapshot.junk_lines, service.snapshot.reconnects) == (3, 1)
 
 
 @pytest.mark.parametrize("status", ["1,1,1,0.001,0,0,0,0,NONE,many", "1,maybe,1,0.001,0,0,0,0,NONE,0", "1,2"])

@@ -29,7 +29,6 @@ from rig.control import (
     sensors,
     simulated_controller,
 )
-from rig.control.settings import SerialFaults
 from rig.devices import Devices, FrameStream, OpenCamera
 from rig.devices.ground_seismometer import make_seismometer
 from rig.instrument import camera_settings, complete, make_camera, optics_of
@@ -150,11 +149,8 @@ def look_at_the_balance() -> None:
 
 
 def talk_to_the_controller() -> None:
-    """The simulated one over a bad line, and one at a port that is not there."""
-    faults = SerialFaults(
-        junk_probability=0.01, loss_probability=0.001, delay_s=0.001, reset_at_s=100.0, unplug_at_s=100.0
-    )
-    settings = ControllerSettings(kind="simulated", faults=faults)
+    """The simulated one, and one at a port that is not there."""
+    settings = ControllerSettings(kind="simulated")
     with ControlService(simulated_controller(settings, 1e-3), settings) as service:
         service.wait_open()
         service.submit(lambda c: c.starter_pulse(0.05)).result(5.0)
