@@ -1,7 +1,6 @@
 """Sections [controller], [environment_sensor] and [seismometer]."""
 
 import re
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, Field, model_validator
@@ -50,13 +49,11 @@ class SeismometerSettings(BaseModel, frozen=True, extra="forbid"):
 
     Each line that it writes holds a sample: numbers of the `columns` in their order, between commas,
     semicolons or spaces; text around them is passed over. A column `time_s` is the instrument's own clock.
-    A `file` is read as another program appends lines to it.
     """
 
-    kind: Literal["none", "simulated", "serial", "file"] = "none"
+    kind: Literal["none", "simulated", "serial"] = "none"
     port: str = ""
     baud: int = Field(default=115200, gt=0)
-    file: Path | None = Field(default=None, description="to which another program appends lines")
     columns: tuple[str, ...] = Field(
         default=("along", "across"), description="one to three, in any unit; beside them time_s"
     )
@@ -73,8 +70,6 @@ class SeismometerSettings(BaseModel, frozen=True, extra="forbid"):
     def _complete(self) -> Self:
         if self.kind == "serial" and not self.port:
             raise ValueError("port is missing; name the seismometer's serial port, or see `rig doctor`")
-        if self.kind == "file" and self.file is None:
-            raise ValueError("file is missing; name the file to which its lines are appended")
         if len(set(self.columns)) < len(self.columns) or not 1 <= len(self.components) <= _MAX_COLUMNS:
             raise ValueError(
                 f"columns = {list(self.columns)} are to be one to {_MAX_COLUMNS} different names, and "

@@ -1,6 +1,5 @@
-"""The live picture, alignment and the search of an exposure take no frame that no camera may deliver."""
+"""The search of an exposure takes no frame that no camera may deliver."""
 
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -11,7 +10,6 @@ import pytest
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame
 from processing.errors import DeviceError
 from rig.devices import find_exposure
-from rig.devices.picture import watch_latest
 
 INFO = CameraInfo("own", "Somebody", "Their own", "1", 10, 12, 255, has_clock=False)
 EXPOSED = CameraSettings(exposure_us=100.0)
@@ -72,26 +70,7 @@ STRANGE = [
 ]
 
 
-def watched(camera: Strange) -> None:
-    for _ in watch_latest(camera, math.inf, 0.0):
-        pass
-
-
-def exposed(camera: Strange) -> None:
-    find_exposure(camera, INFO, EXPOSED)
-
-
-@pytest.mark.parametrize("take", [watched, exposed])
 @pytest.mark.parametrize(("made", "said"), STRANGE)
-def test_no_frame_is_taken_that_no_camera_may_deliver(
-    take: Callable[[Strange], None], made: Callable[[int], Any], said: str
-) -> None:
+def test_no_frame_is_taken_that_no_camera_may_deliver(made: Callable[[int], Any], said: str) -> None:
     with pytest.raises(DeviceError, match=said):
-        take(Strange(made))
-
-
-def test_a_machine_that_was_slow_to_start_shows_one_picture_all_the_same() -> None:
-    def sound(number: int) -> Frame:
-        return Frame(np.zeros((12, 10), np.uint8), number, number, time.monotonic_ns())
-
-    assert len(list(watch_latest(Strange(sound), 0.0, 0.0))) == 1
+        find_exposure(Strange(made), INFO, EXPOSED)

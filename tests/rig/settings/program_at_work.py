@@ -244,21 +244,16 @@ def suffer_every_fault() -> None:
     _read(SimulatedCamera(real, FaultSettings(clock_steps_at_s=0.05), inputs), 20)
 
 
-def listen_to_the_ground(folder: Path) -> None:
-    """Seismometers at a port that is not there, in a file, and beside the simulated rig."""
-    file = folder / "seismometer.txt"
-    file.touch()
-    for settings in (
-        SeismometerSettings(kind="serial", port=NOWHERE),
-        SeismometerSettings(kind="file", file=file, columns=("time_s", "z")),
-    ):
-        with SeismometerLines(settings) as service:
-            deadline_s = time.monotonic() + 5.0
-            while time.monotonic() < deadline_s and not (service.unread_lines or service.take_events()):
-                with file.open("a") as lines:
-                    lines.write("no sample\n0.1 5\n")
-                time.sleep(0.01)
-            assert service.silent or service.last_ns
+def listen_to_the_ground() -> None:
+    """Seismometers at a port that is not there, and beside the simulated rig."""
+    with SeismometerLines(
+        SeismometerSettings(kind="serial", port=NOWHERE, columns=("time_s", "z"))
+    ) as service:
+        service._take("0.1 5", 1)
+        deadline_s = time.monotonic() + 5.0
+        while time.monotonic() < deadline_s and not service.take_events():
+            time.sleep(0.01)
+        assert service.silent
     truth = SimulationSettings.model_validate({"ground": {"model": "white"}})
     assert len(SimulatedSeismometer(truth).until(1.0, 0).counts)
     port = f"'{NOWHERE}'"
