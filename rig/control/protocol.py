@@ -224,11 +224,7 @@ class ControllerReset(DeviceError):
 
 
 class CommandRefused(DeviceError):
-    """The controller rejected a command; `code` is from its list of errors."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
+    """The controller rejected a command."""
 
 
 class Link:
@@ -278,7 +274,7 @@ class Link:
         try:
             line = encode(self._tag, command)
         except ValueError as error:
-            raise CommandRefused(f"{self._line.name}: {error}", 0) from None
+            raise CommandRefused(f"{self._line.name}: {error}") from None
         patience_s = self._timeout_s if timeout_s is None else timeout_s
         self._read_waiting_lines()
         sent = 0
@@ -302,8 +298,7 @@ class Link:
             if reply.error_code:
                 raise CommandRefused(
                     f"{self._line.name}: the controller rejected {command}: {reply.error_text}"
-                    f" ({reply.error_code})",
-                    reply.error_code,
+                    f" ({reply.error_code})"
                 )
             return reply.values
         raise ReplyTimeout(

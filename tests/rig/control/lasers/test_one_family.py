@@ -51,13 +51,6 @@ def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out(opened:
         laser.enable()
 
 
-def test_ldc500_limit_goes_into_the_instrument(opened: Opened) -> None:
-    instrument = FakeLdc500()
-    opened(instrument)
-    assert instrument.limit_ma == pytest.approx(LIMIT * 1000)
-    assert "MODU OFF" in instrument.received
-
-
 def test_a_setting_that_is_not_taken_is_refused_when_it_is_opened(ports: Ports) -> None:
     thorlabs, obis = FakeThorlabs(), FakeObis()
     thorlabs.deaf_to, obis.autostart_locked = "AM:STAT", True
@@ -158,6 +151,8 @@ def test_a_cobolt_in_autostart_names_the_remedy(ports: Ports) -> None:
 def test_an_ldc500_that_enters_its_error_late_is_heard(opened: Opened) -> None:
     instrument = FakeLdc500()
     laser = opened(instrument)
+    assert instrument.limit_ma == pytest.approx(LIMIT * 1000)
+    assert "MODU OFF" in instrument.received
     instrument.limit_ma = 1.0
     with pytest.raises(LaserRefused, match="LEXE 1"):
         laser.set_current_a(0.01)
