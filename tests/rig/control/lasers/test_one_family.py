@@ -43,7 +43,11 @@ def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out(opened:
     instrument = FakeThorlabs()
     laser = opened(instrument)
     assert instrument.limit_a == pytest.approx(LIMIT)
-    instrument.limit_a = 0.010
+    # LIGHT OFF by another program came between a question and its answer
+    interrupted = '-410,"Query INTERRUPTED"'
+    instrument.errors = [interrupted, interrupted]
+    laser.set_current_a(0.020)
+    instrument.limit_a, instrument.errors = 0.010, [interrupted]
     with pytest.raises(LaserRefused, match="Data out of range"):
         laser.set_current_a(0.020)
     instrument.overheated = True
