@@ -157,9 +157,10 @@ def align(
     seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at Ctrl-C.", min=0)] = 0.0,
     set_: Set = None,
 ) -> None:
-    """Look at the spot, for aligning, with the laser lit, if the rig switches one.
+    """Show the spot's figures, for aligning.
 
-    Its figures are shown here, the picture on the page of rig desk, which sets the camera, too.
+    With the laser lit, if the rig switches one. The picture is on the page of rig desk, which sets the
+    camera, too.
 
     \b
     Example:
