@@ -6,7 +6,7 @@ import time
 from collections import deque
 from typing import Generic, Literal, Protocol, TypeVar
 
-Policy = Literal["wait", "every", "latest"]
+Policy = Literal["wait", "every"]
 
 
 class HasSize(Protocol):
@@ -31,8 +31,7 @@ class BoundedQueue(Generic[Item]):
     """A queue that hands out its items in blocks, in order, and counts those dropped.
 
     Policies for a full queue: ``wait`` blocks the thread that puts (simulated time, files, entries of a
-    record: nothing is lost); ``every`` rejects the newest item (measurement: losses form one contiguous gap);
-    ``latest`` drops the oldest one (alignment: the display shows the present).
+    record: nothing is lost); ``every`` rejects the newest item (measurement: losses form one contiguous gap).
 
     Parameters
     ----------
@@ -59,23 +58,20 @@ class BoundedQueue(Generic[Item]):
         return len(self._items)
 
     def put(self, item: Item) -> bool:
-        """Add an item; False where it (or an older one) was dropped, or the queue is closed."""
+        """Add an item; False where it was dropped, or the queue is closed."""
         size = item.memory_bytes
         with self._changed:
             while self._policy == "wait" and self._is_full(size) and not self._closed:
                 self._changed.wait()
             if self._closed:
                 return False
-            full = self._is_full(size)
-            if full:
+            if self._is_full(size):
                 self.dropped += 1
-                if self._policy == "every":
-                    return False
-                self.waiting_bytes -= self._items.popleft().memory_bytes
+                return False
             self._items.append(item)
             self.waiting_bytes += size
             self._changed.notify_all()
-            return not full
+            return True
 
     def take(self, at_most: int, timeout_s: float) -> list[Item]:
         """Up to `at_most` items, as soon as there is one; an empty list after the timeout or when drained."""

@@ -15,7 +15,6 @@ from rig.commands.arguments import (
     loaded,
     new_file,
     new_folder,
-    old_folder,
     output_option,
     print_written,
 )
@@ -80,7 +79,7 @@ def snap(
 ) -> None:
     """Save a frame as PNG; print how good the beam is.
 
-    At its full bit depth, with its histogram.
+    At its full bit depth.
 
     \b
     Example:
@@ -88,7 +87,7 @@ def snap(
     """
     from acquisition import atomic_write
     from processing.errors import RecordError
-    from rig.devices import histogram_line, picture, take_look
+    from rig.devices import picture, take_look
     from rig.instrument import complete, optics_of
     from rig.terminal import answer, print_line
 
@@ -103,8 +102,8 @@ def snap(
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
         trackers = optics_of(stated, full_scale_dn).dual_tracker()
         look = take_look(image, full_scale_dn, trackers, None, opened.applied, stated.preflight)
-        for line in (f"pixels (logarithmic) {histogram_line(look)}", *look.lines(), look.beam_line):
-            print_line(line)
+        for name, text in look.rows():
+            print_line(f"{name:<20}{text}")
         if look.reference is not None:
             print_line(look.reference.lamp.line)
         answer(picture=look.figures, beam=look.beam)
@@ -134,15 +133,13 @@ def frames(
 @in_json
 def align(
     config: Config,
-    output: Annotated[Path, output_option("Folder for pictures (key s).", old_folder)] = Path("."),
-    seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at q.", min=0)] = 0.0,
+    seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at Ctrl-C.", min=0)] = 0.0,
     set_: Set = None,
 ) -> None:
-    """Show the live picture, for aligning.
+    """Show the spot's figures, for aligning.
 
-    With crosshair, saturation, histogram and beam, and with the laser lit, if the rig switches one. e and E
-    make the exposure shorter and longer, a finds it, g and G the gain smaller and larger, z zooms in on the
-    spot, s saves the picture, q ends. What was set holds until the camera loses its power.
+    With the laser lit, if the rig switches one. The picture is on the page of rig desk, which sets the
+    camera, too.
 
     \b
     Example:
@@ -151,7 +148,7 @@ def align(
     from rig.devices import align_camera
     from rig.instrument import complete
 
-    print_written(*align_camera(complete(loaded(config, set_)), folder=output, seconds=seconds))
+    align_camera(complete(loaded(config, set_)), seconds=seconds)
 
 
 @in_json

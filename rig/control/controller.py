@@ -9,7 +9,6 @@ from processing.errors import DeviceError
 from rig.control.protocol import (
     AirReading,
     BoardEvent,
-    CommandRefused,
     ControllerIdentity,
     ControllerReset,
     ControllerStatus,
@@ -29,7 +28,6 @@ _OTHER_BOARDS = (
     "(docs/controller.md, Flashing); with another, such as an Arduino, set controller.kind = 'none' and "
     "laser.kind = 'none', and switch by hand"
 )
-_UNKNOWN_COMMAND = -113
 
 
 class InterlockOpen(DeviceError):
@@ -163,17 +161,9 @@ class Controller:
     def set_laser_pulse(self, delay_us: float, width_us: float) -> None:
         """Set the pulse of light in each exposure, by its delay after the exposure's beginning and its width.
 
-        Raises `CommandRefused` while the laser is on, and DeviceError if the board's firmware supports no
-        pulses. A new session begins without pulses.
+        Raises `CommandRefused` while the laser is on. A new session begins without pulses.
         """
-        try:
-            self._ask(f"LAS:PULS {delay_us:.7g},{width_us:.7g}")
-        except CommandRefused as refusal:
-            if refusal.code != _UNKNOWN_COMMAND:
-                raise
-            raise DeviceError(
-                f"{self.name}: its firmware cannot pulse the laser; flash the one that came with this version"
-            ) from None
+        self._ask(f"LAS:PULS {delay_us:.7g},{width_us:.7g}")
 
     def laser_on(self) -> None:
         """Switch the laser on. Reads the interlock first and raises InterlockOpen if it is open."""
@@ -234,11 +224,6 @@ class Controller:
     def take_events(self) -> tuple[BoardEvent, ...]:
         """Unsolicited messages of the board (TRIP, BOOT) since the last call."""
         return self._link.take_events() if self._link else ()
-
-    def line_counts(self) -> tuple[int, int, int]:
-        """Counts since `open`: invalid lines, late replies, repeated commands."""
-        link = self._link
-        return (link.junk_lines, link.late_replies, link.retried) if link else (0, 0, 0)
 
     @property
     def name(self) -> str:

@@ -224,11 +224,7 @@ class ControllerReset(DeviceError):
 
 
 class CommandRefused(DeviceError):
-    """The controller rejected a command; `code` is from its list of errors."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
+    """The controller rejected a command."""
 
 
 class Link:
@@ -244,9 +240,6 @@ class Link:
         """Time (`time.monotonic`) after which no command is repeated and no reply is waited for."""
         self._events: deque[BoardEvent] = deque(maxlen=_MAX_EVENTS)
         self._last_junk = b""
-        self.junk_lines = 0
-        self.late_replies = 0
-        self.retried = 0
 
     @property
     def name(self) -> str:
@@ -281,7 +274,7 @@ class Link:
         try:
             line = encode(self._tag, command)
         except ValueError as error:
-            raise CommandRefused(f"{self._line.name}: {error}", 0) from None
+            raise CommandRefused(f"{self._line.name}: {error}") from None
         patience_s = self._timeout_s if timeout_s is None else timeout_s
         self._read_waiting_lines()
         sent = 0
@@ -291,7 +284,6 @@ class Link:
             if attempt:
                 if now_s >= self.repeat_until_s:
                     break
-                self.retried += 1
                 deadline_s = min(deadline_s, self.repeat_until_s)
             self._line.write(line)
             sent += 1
@@ -306,8 +298,7 @@ class Link:
             if reply.error_code:
                 raise CommandRefused(
                     f"{self._line.name}: the controller rejected {command}: {reply.error_text}"
-                    f" ({reply.error_code})",
-                    reply.error_code,
+                    f" ({reply.error_code})"
                 )
             return reply.values
         raise ReplyTimeout(
@@ -334,7 +325,7 @@ class Link:
             line = self._reader.read_line(0.0)
             if line is None:
                 return
-            self.late_replies += isinstance(self._hear(line), Reply)
+            self._hear(line)
 
     def _await(self, tag: int, deadline_s: float) -> Reply | None:
         while True:
@@ -345,7 +336,6 @@ class Link:
             if isinstance(message, Reply):
                 if message.tag == tag:
                     return message
-                self.late_replies += 1
             elif message is not None and message.name == "NAK":
                 # the board received an invalid line, most likely this one, which is repeated immediately
                 return None
@@ -357,7 +347,6 @@ class Link:
         message = decode(line)
         if message is None:
             if line.strip():
-                self.junk_lines += 1
                 self._last_junk = line[:60]
         elif isinstance(message, BoardEvent) and message.name != "NAK":
             self._events.append(message)

@@ -235,14 +235,17 @@ class SafetyState:
     def latch(self, cause: TripCause, why: str, lit: bool) -> LatchedTrip:
         """Latch a cause; the number grows, also if another trip is latched already.
 
+        That a person has pressed LIGHT OFF stays in the words of the trip that follows.
         The latch holds from now on even where the file cannot be written, or where its disk has not done that
         after 0.2 s (it is then written as soon as the disk answers); both raise DeviceError. A trip that
         cannot be written is left to the next program as a press, which needs no space on the disk, and `keep`
         tries again.
         """
-        latched = _LatchEntry(cause=cause, why=why, lit=lit)
         with self._state_lock:
-            number = self._stored.number + 1
+            before, number = self._stored.latched, self._stored.number + 1
+            if before is not None and before.cause is TripCause.PERSON:
+                why = f"{why}; {before.why}"
+            latched = _LatchEntry(cause=cause, why=why, lit=lit)
             self._stored = self._stored.model_copy(update={"number": number, "latched": latched})
         self._write_in_time()
         return LatchedTrip(number, cause, why, lit)

@@ -1,16 +1,14 @@
-"""Sensors of air and ground that write lines, to a serial port or into a growing file."""
+"""Sensors of air and ground that write lines to a serial port."""
 
 import contextlib
 import math
-import os
 import re
 import time
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from processing.errors import DeviceError
 from processing.units import seconds
@@ -21,7 +19,6 @@ from rig.control.worker import DeviceThread
 
 _REOPEN_S = 1.0
 _READ_S = 0.1
-_POLL_S = 0.02
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _MAX_WAITING = 200_000
 """Largest number of samples that wait for the recorder: an hour at 50 Hz."""
@@ -181,86 +178,19 @@ def sample_of(line: str, columns: Sequence[str], host_time_ns: int) -> Seismomet
     return SeismometerSample(host_time_ns, own_s, tuple(by_name.values()))
 
 
-class FileTail:
-    """A `SerialLine` of lines appended to a file, which is read from its begin if it was cut or replaced."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._file: BinaryIO | None = None
-        self._is_within_line = False
-        self._open()
-
-    @property
-    def name(self) -> str:
-        """Path of the file."""
-        return str(self._path)
-
-    def write(self, data: bytes) -> None:
-        """Raise PortLost: nothing can be written to the file."""
-        raise PortLost(f"{self._path}: nothing is written to the file of a seismometer")
-
-    def read(self, timeout_s: float) -> bytes:
-        """The appended bytes, at least one; b"" after timeout_s."""
-        deadline_s = time.monotonic() + timeout_s
-        while True:
-            try:
-                assert self._file is not None
-                data = self._file.read()
-                if not data and self._is_another():
-                    self._open()
-                    # the rest of an incomplete line does not follow in another file
-                    data = b"\n" * self._is_within_line + self._file.read()
-            except OSError as error:
-                raise PortLost(f"{self._path}: {error.strerror or error}") from error
-            left_s = deadline_s - time.monotonic()
-            if data:
-                self._is_within_line = not data.endswith(b"\n")
-            if data or left_s <= 0:
-                return data
-            time.sleep(min(_POLL_S, left_s))
-
-    def discard_input(self) -> None:
-        """Go to the end of the file."""
-        assert self._file is not None
-        self._file.seek(0, 2)
-
-    def close(self) -> None:
-        """Close the file; may be called more than once."""
-        if self._file is not None:
-            self._file.close()
-
-    def _is_another(self) -> bool:
-        """Whether the file of this name was cut, or is another than the open one."""
-        assert self._file is not None
-        now, opened = self._path.stat(), os.fstat(self._file.fileno())
-        return not os.path.samestat(now, opened) or now.st_size < self._file.tell()
-
-    def _open(self) -> None:
-        self.close()
-        try:
-            self._file = self._path.open("rb")
-        except OSError as error:
-            raise PortLost(f"{self._path}: cannot be read: {error.strerror or error}") from error
-
-
 class SeismometerLines(SensorLines):
-    """An auxiliary seismometer: every line of its serial port, or of a growing file, is a sample."""
+    """An auxiliary seismometer: every line of its serial port is a sample."""
 
     def __init__(self, settings: SeismometerSettings) -> None:
         self._settings = settings
         self._samples: deque[SeismometerSample] = deque(maxlen=_MAX_WAITING)
-        super().__init__("rig-seismometer", self._opened, settings.stale_after_s)
+        super().__init__(
+            "rig-seismometer", lambda: SerialPort(settings.port, settings.baud), settings.stale_after_s
+        )
 
     def take_samples(self) -> list[SeismometerSample]:
         """Samples since the last call, oldest first. Never blocks; only one thread may call it."""
         return [self._samples.popleft() for _ in range(len(self._samples))]
-
-    def _opened(self) -> SerialLine:
-        settings = self._settings
-        if settings.kind == "file":
-            assert settings.file is not None
-            return FileTail(settings.file)
-        return SerialPort(settings.port, settings.baud)
 
     def _take(self, text: str, now_ns: int) -> bool:
         sample = sample_of(text, self._settings.columns, now_ns)

@@ -70,9 +70,6 @@ class ControlSnapshot:
     status_time_ns: int = 0
     environment: AirReading = _NO_READING
     reconnects: int = 0
-    junk_lines: int = 0
-    late_replies: int = 0
-    retried: int = 0
     last_error: str = ""
 
 
@@ -111,7 +108,6 @@ class ControlService(DeviceThread):
         self._interlock_closed: bool | None = None
         self._heard_s = 0.0
         self._environment_due_s = 0.0
-        self._counts_before = (0, 0, 0)
         super().__init__("rig-control")
 
     def wait_open(self, timeout_s: float = 5.0) -> ControllerIdentity:
@@ -188,11 +184,6 @@ class ControlService(DeviceThread):
         self._is_open = True
         self._lit_after_offs = -1
         self._hear(time.monotonic())
-        self._counts_before = (
-            self._snapshot.junk_lines,
-            self._snapshot.late_replies,
-            self._snapshot.retried,
-        )
         reconnects = self._snapshot.reconnects + self._was_open
         self._was_open = True
         self._snapshot = replace(
@@ -247,18 +238,7 @@ class ControlService(DeviceThread):
         status = controller.status() if self._permit.stalled else controller.heartbeat()
         now_s, now_ns = time.monotonic(), time.monotonic_ns()
         self._hear(now_s)
-        junk, late, retried = (
-            before + count
-            for before, count in zip(self._counts_before, controller.line_counts(), strict=True)
-        )
-        self._snapshot = replace(
-            self._snapshot,
-            status=status,
-            status_time_ns=now_ns,
-            junk_lines=junk,
-            late_replies=late,
-            retried=retried,
-        )
+        self._snapshot = replace(self._snapshot, status=status, status_time_ns=now_ns)
         events = controller.take_events()
         for event in events:
             self._say(f"{event.name} {event.detail}".rstrip())

@@ -1,7 +1,6 @@
 """Sections [controller], [environment_sensor] and [seismometer]."""
 
 import re
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, Field, model_validator
@@ -10,19 +9,6 @@ ControllerKind = Literal["none", "simulated", "serial"]
 EnvironmentKind = Literal["none", "controller", "serial"]
 
 _QUANTITIES = frozenset({"temperature_c", "humidity_percent", "pressure_pa", "pressure_hpa"})
-
-
-class SerialFaults(BaseModel, frozen=True, extra="forbid"):
-    """Faults of the simulated controller's serial line; all off by default.
-
-    The probabilities apply to each transmitted block of bytes, in either direction.
-    """
-
-    junk_probability: float = Field(default=0.0, ge=0, le=1)
-    loss_probability: float = Field(default=0.0, ge=0, le=1)
-    delay_s: float = Field(default=0.0, ge=0, le=10)
-    reset_at_s: float | None = Field(default=None, ge=0)
-    unplug_at_s: float | None = Field(default=None, ge=0)
 
 
 class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
@@ -40,7 +26,6 @@ class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
     heartbeat_s: float = Field(default=0.25, gt=0, le=2)
     watchdog_s: float = Field(default=1.5, ge=0.1, le=5)
     starter_max_s: float = Field(default=5.0, gt=0)
-    faults: SerialFaults = SerialFaults()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -64,13 +49,11 @@ class SeismometerSettings(BaseModel, frozen=True, extra="forbid"):
 
     Each line that it writes holds a sample: numbers of the `columns` in their order, between commas,
     semicolons or spaces; text around them is passed over. A column `time_s` is the instrument's own clock.
-    A `file` is read as another program appends lines to it.
     """
 
-    kind: Literal["none", "simulated", "serial", "file"] = "none"
+    kind: Literal["none", "simulated", "serial"] = "none"
     port: str = ""
     baud: int = Field(default=115200, gt=0)
-    file: Path | None = Field(default=None, description="to which another program appends lines")
     columns: tuple[str, ...] = Field(
         default=("along", "across"), description="one to three, in any unit; beside them time_s"
     )
@@ -87,8 +70,6 @@ class SeismometerSettings(BaseModel, frozen=True, extra="forbid"):
     def _complete(self) -> Self:
         if self.kind == "serial" and not self.port:
             raise ValueError("port is missing; name the seismometer's serial port, or see `rig doctor`")
-        if self.kind == "file" and self.file is None:
-            raise ValueError("file is missing; name the file to which its lines are appended")
         if len(set(self.columns)) < len(self.columns) or not 1 <= len(self.components) <= _MAX_COLUMNS:
             raise ValueError(
                 f"columns = {list(self.columns)} are to be one to {_MAX_COLUMNS} different names, and "

@@ -1,11 +1,10 @@
-"""A simulated controller, which runs the board's firmware in this process, over a line that can fail.
+"""A simulated controller, which runs the board's firmware in this process.
 
-The host's side is the same as for real hardware, including checksums, repetitions and watchdog. Only the
+The host's side is the same as for real hardware, including checksums and watchdog. Only the
 board's pins are replaced by the inputs of the simulated rig, which switch its laser or release its pendulum.
 """
 
 import operator
-import random
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +13,7 @@ from acquisition.simulation.inputs import RigInputs
 from rig.control.controller import Controller
 from rig.control.firmware.core import Firmware
 from rig.control.serial_port import PortLost, SerialLine
-from rig.control.settings import ControllerSettings, SerialFaults
+from rig.control.settings import ControllerSettings
 
 _TURN_S = 0.005
 
@@ -27,7 +26,7 @@ def simulated_controller(
     interlock_closed: Callable[[], bool] = lambda: True,
 ) -> Controller:
     """A `Controller` whose board is simulated in this process, as `SimulatedBoard`."""
-    board = SimulatedBoard(inputs, settings.faults, laser, interlock_closed)
+    board = SimulatedBoard(inputs, laser, interlock_closed)
     return Controller(settings, laser_max_w, board.open_line)
 
 
@@ -40,8 +39,6 @@ class SimulatedBoard:
     ----------
     inputs
         The rig that the board's pins move; None: they are not connected.
-    faults
-        Faults of the line.
     laser
         Called from the board's thread, instead of the rig's, with the optical power in W, 0.0 when off; it
         must return immediately.
@@ -62,32 +59,25 @@ class SimulatedBoard:
     def __init__(
         self,
         inputs: RigInputs | None,
-        faults: SerialFaults,
         laser: Callable[[float], None] | None = None,
         interlock_closed: Callable[[], bool] = lambda: True,
     ) -> None:
-        self.faults = faults
         self.changed = threading.Condition()
         self.to_board = bytearray()
-        self.to_host: list[tuple[float, bytes]] = []
+        self.to_host = bytearray()
         self.open_lines = 0
-        self.begun_s = time.monotonic()
         inputs = inputs or RigInputs()
         self.set_pulse, self.set_magnet, self.set_starter = inputs.pulse, inputs.magnet, inputs.starter
         self.set_clamp, self.set_brake = inputs.clamp, inputs.brake
         self._laser = laser or inputs.laser
         self._interlock_closed = interlock_closed
-        self._random = random.Random(0)
         self._thread: threading.Thread | None = None
-        self._reset_done = False
         self._enabled = False
         self._latch = (0, "NONE")
         self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
 
     def open_line(self) -> SerialLine:
-        """Connect the cable; raises PortLost after `SerialFaults.unplug_at_s`."""
-        if self.unplugged():
-            raise PortLost("simulated controller: unplugged by [controller.faults]")
+        """Connect the cable."""
         with self.changed:
             self.open_lines += 1
             if self._thread is None:
@@ -95,29 +85,11 @@ class SimulatedBoard:
                 self._thread.start()
         return _SimulatedLine(self)
 
-    def unplugged(self) -> bool:
-        """Whether the cable is unplugged by `SerialFaults.unplug_at_s`."""
-        at_s = self.faults.unplug_at_s
-        return at_s is not None and time.monotonic() - self.begun_s >= at_s
-
-    def spoil(self, data: bytes) -> bytes:
-        """A block of bytes as the line's faults leave it: shortened, or with random bytes in front."""
-        faults = self.faults
-        if faults.loss_probability and self._random.random() < faults.loss_probability:
-            data = data[: self._random.randrange(len(data))]
-        if faults.junk_probability and self._random.random() < faults.junk_probability:
-            data = self._random.randbytes(self._random.randrange(1, 40)) + data
-        return data
-
     def _live(self) -> None:
         while True:
             with self.changed:
                 if not self.to_board:
                     self.changed.wait(_TURN_S)
-            at_s = self.faults.reset_at_s
-            if at_s is not None and not self._reset_done and time.monotonic() - self.begun_s >= at_s:
-                self._reset_done = True
-                self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
             self._firmware.step()
             with self.changed:
                 if not self.open_lines and not self._firmware.token:
@@ -137,7 +109,7 @@ class SimulatedBoard:
         """Send to the host, if the line is open."""
         with self.changed:
             if self.open_lines:
-                self.to_host.append((time.monotonic() + self.faults.delay_s, self.spoil(data)))
+                self.to_host += data
                 self.changed.notify_all()
 
     def set_laser(self, on: bool, power_w: float) -> None:
@@ -195,22 +167,17 @@ class _SimulatedLine:
         self._check()
         board = self._board
         with board.changed:
-            board.to_board += board.spoil(data)
+            board.to_board += data
             board.changed.notify_all()
 
     def read(self, timeout_s: float) -> bytes:
         board = self._board
-        deadline_s = time.monotonic() + timeout_s
         with board.changed:
-            while True:
-                self._check()
-                now_s = time.monotonic()
-                if board.to_host and board.to_host[0][0] <= now_s:
-                    return board.to_host.pop(0)[1]
-                if now_s >= deadline_s:
-                    return b""
-                due_s = min(deadline_s, board.to_host[0][0] if board.to_host else deadline_s)
-                board.changed.wait(max(due_s - now_s, 0.0))
+            board.changed.wait_for(lambda: board.to_host or self._closed, max(timeout_s, 0.0))
+            self._check()
+            data = bytes(board.to_host)
+            board.to_host.clear()
+        return data
 
     def discard_input(self) -> None:
         with self._board.changed:
@@ -223,5 +190,5 @@ class _SimulatedLine:
                 self._board.open_lines -= 1
 
     def _check(self) -> None:
-        if self._closed or self._board.unplugged():
+        if self._closed:
             raise PortLost("simulated controller: the serial port is no longer available; check the cable")

@@ -2,7 +2,7 @@
 
 from rig.devices import picture
 from rig.devices.acknowledgement import LightWatch, TypedAcknowledgement, ask_leave, at_terminal
-from rig.devices.aligning import align_camera, histogram_line
+from rig.devices.aligning import align_camera
 from rig.devices.alignment_look import (
     AlignmentFrame,
     ReferencePart,

@@ -24,14 +24,6 @@ _OFF_MIDDLE = "at rest it belongs to the crosshair; a swing passes there"
 _MIN_SHARPNESS = 0.95
 """Smallest sharpness of a good focus, over the best so far."""
 
-_LINES = (
-    ("peak", "saturated", "sharpness"),
-    ("spot", "off the crosshair", "nearest edge"),
-    ("sigma", "fit", "reference"),
-    ("region", "exposure"),
-)
-"""Names of the figures in each line of a terminal."""
-
 
 class ReferencePart(NamedTuple):
     """The spot in the reference's part of a frame, and the number of saturated pixels there.
@@ -99,11 +91,6 @@ class AlignmentFrame(NamedTuple):
     def found(self) -> bool:
         """Whether there is a spot."""
         return not self.spot.flags & SpotFlag.LOST
-
-    @property
-    def beam_line(self) -> str:
-        """The verdict on the beam in words; empty where it was not judged."""
-        return "" if self.beam is None else self.beam.line
 
     def lamps(self, sharpest_per_px: float = 0.0) -> list[Verdict]:
         """Verdicts, with remedies, on peak, saturation, centring, focus, beam and reference.
@@ -207,11 +194,6 @@ class AlignmentFrame(NamedTuple):
         return [
             flag.name.lower().replace("_", " ") for flag in SpotFlag if self.spot.flags & flag and flag.name
         ]
-
-    def lines(self) -> list[str]:
-        """The figures of `rows` in a few lines, without the verdict on the beam."""
-        texts = dict(self.rows())
-        return ["  ".join(f"{name} {texts[name]}" for name in line if name in texts) for line in _LINES]
 
 
 def _offset(off_px: tuple[float, float], places: int) -> str:

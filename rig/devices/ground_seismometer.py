@@ -72,7 +72,7 @@ def make_seismometer(config: Configuration) -> GroundSeismometer | None:
         if not config.simulated:
             raise ConfigurationError(
                 f"seismometer.kind = 'simulated' needs the simulated rig, but camera.driver = "
-                f"{config.camera.driver!r}: set serial, file or none"
+                f"{config.camera.driver!r}: set serial or none"
             )
         return _SimulatedSeismometer(config.simulation)
     if config.on_demand:

@@ -1,9 +1,7 @@
-"""Looks at a camera without a run: newest frames, figures of a picture, the right exposure, features."""
+"""Looks at a camera without a run: figures of a picture, the right exposure, features."""
 
 import statistics
-import threading
-import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +12,6 @@ from numpy.typing import NDArray
 from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame, Image
 from acquisition.cameras.usb3vision.node_map import READ_WRITE, WRITE_ONLY, FeatureReading
 from acquisition.frames.guard import FrameChecks
-from acquisition.frames.queue import BoundedQueue
 from processing.errors import DataError, DeviceError
 
 _FLOOR = 0.1
@@ -234,53 +231,3 @@ def _remark(reading: FeatureReading) -> str:
     if abs(low) >= _NO_LIMIT and abs(high) >= _NO_LIMIT:
         return ""
     return f"{low:.9g} to {high:.9g} {reading.unit}".strip()
-
-
-def watch_latest(
-    camera: Camera,
-    end_s: float,
-    interval_s: float,
-    on_frame: Callable[[Frame], object] = lambda _: None,
-) -> Generator[Frame]:
-    """Yield the newest frame, at most one per `interval_s`; older frames are dropped.
-
-    The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one frame
-    at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
-    camera, and frames that no camera may deliver, are raised here. `on_frame` is called with every frame,
-    dropped ones too, in the thread that reads them.
-    """
-    errors: list[Exception] = []
-    delivered, queue = FrameChecks(), BoundedQueue[Frame](1, "latest")
-
-    def acquire() -> None:
-        try:
-            while (frame := camera.read(_TIMEOUT_S)) is not None:
-                checked = delivered.check(frame)
-                on_frame(checked)
-                queue.put(checked)
-                if ended.is_set():
-                    break
-        except Exception as error:
-            errors.append(error)
-        finally:
-            queue.close()
-
-    ended = threading.Event()
-    camera.start()
-    thread = threading.Thread(target=acquire, name="camera", daemon=True)
-    thread.start()
-    try:
-        while not queue.drained:
-            if not (frames := queue.take(1, 0.1)):
-                continue
-            yield from frames
-            if time.monotonic() >= end_s:
-                break
-            time.sleep(interval_s)
-        if errors:
-            raise errors[0]
-    finally:
-        ended.set()
-        queue.close()
-        camera.stop()
-        thread.join(_TIMEOUT_S)

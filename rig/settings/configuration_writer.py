@@ -97,7 +97,7 @@ def _kind(field: FieldInfo) -> str:
 def _configuration_text(stated: ValuesByKey, now: datetime.datetime) -> str:
     """Text of the file: the stated values, and every other key of such a rig, commented out."""
     driver = stated["camera.driver"]
-    omitted = {f"camera.{name}" for name in DRIVERS if name != driver} | {"controller.faults"}
+    omitted = {f"camera.{name}" for name in DRIVERS if name != driver}
     if driver != "simulated":
         omitted |= {"simulation", "faults"}
     header = [

@@ -1,4 +1,4 @@
-"""What is shown at the terminal and in files: symbols, units, tables, colours, verdicts; keys."""
+"""What is shown at the terminal and in files: symbols, units, tables, colours, verdicts."""
 
 from processing.number_text import (
     NOT_KNOWN,
@@ -33,7 +33,6 @@ from rig.terminal.printing import (
 )
 from rig.terminal.quantities import (
     SOURCES,
-    Keys,
     QuantityDisplay,
     balance_numbers,
     balance_panels,

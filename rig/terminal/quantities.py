@@ -1,16 +1,9 @@
-"""Display of the declared quantities, their styles in Rerun, and keys read from a terminal."""
+"""Display of the declared quantities, and their styles in Rerun."""
 
-import contextlib
-import os
-import re
-import select
-import sys
-import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from types import TracebackType
-from typing import IO, TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from processing.ambient import AmbientConditions
 from processing.number_text import with_uncertainty
@@ -213,110 +206,3 @@ def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str) -> str:
         shown = quantity(key, unit)
         lines.append(f"| {shown.label} | {shown.text(value, u)} |")
     return "\n".join(lines)
-
-
-_SEQUENCES: Final = {b"[A": "up", b"[B": "down", b"[C": "right", b"[D": "left", b"OC": "right", b"OD": "left"}
-_KEY: Final = re.compile(rb"\x1b[\[O][^@-~]*[@-~]|\x1b(?=[^\[O])|[^\x1b]")
-"""An escape sequence, a single escape character before another character, or a character."""
-
-
-class KeyParser:
-    """Converts bytes from a terminal to names of keys: a character, or ``right`` and so on for arrows.
-
-    The bytes of a key may arrive in pieces. ``enter``, ``backspace``, ``space`` and ``escape`` have
-    names; escape sequences of other keys are ignored.
-    """
-
-    def __init__(self) -> None:
-        self._waiting = b""
-
-    def feed(self, data: bytes) -> list[str]:
-        """The keys that these bytes complete."""
-        self._waiting += data
-        keys: list[str] = []
-        while (found := _KEY.match(self._waiting)) is not None:
-            key, self._waiting = found[0], self._waiting[found.end() :]
-            if not key.startswith(b"\x1b"):
-                keys.append(_name(key.decode("latin-1")))
-            elif name := _SEQUENCES.get(key[1:], "escape" if len(key) == 1 else ""):
-                keys.append(name)
-        return keys
-
-    def flush(self) -> list[str]:
-        """Complete the last key if nothing follows: a single escape character is the key ``escape``."""
-        alone = self._waiting == b"\x1b"
-        self._waiting = b""
-        return ["escape"] if alone else []
-
-
-class Keys:
-    """Context manager that reads keys from the terminal at the standard input, if there is one.
-
-    `available` is True if keys can be read: this process is in the foreground of a terminal. The settings
-    of the terminal are restored at the end.
-    """
-
-    def __init__(self, stream: IO[Any] | None = None) -> None:
-        stream = sys.stdin if stream is None else stream
-        self._descriptor = -1
-        with contextlib.suppress(OSError, ValueError, AttributeError):
-            number = stream.fileno()
-            if os.isatty(number) and _in_foreground(number):
-                self._descriptor = number
-        self._parser = KeyParser()
-        self._before: list[Any] | None = None
-
-    @property
-    def available(self) -> bool:
-        return self._descriptor >= 0
-
-    def __enter__(self) -> Self:
-        if self.available:
-            import termios
-            import tty
-
-            self._before = termios.tcgetattr(self._descriptor)
-            tty.setcbreak(self._descriptor)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._before is not None:
-            import termios
-
-            with contextlib.suppress(termios.error):
-                termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
-
-    def pressed(self, wait_s: float) -> list[str]:
-        """Keys pressed since the last call; waits at most `wait_s` for the first one."""
-        if not self.available:
-            time.sleep(max(wait_s, 0.0))
-            return []
-        ready, _, _ = select.select([self._descriptor], [], [], max(wait_s, 0.0))
-        if not ready:
-            return self._parser.flush()
-        try:
-            data = os.read(self._descriptor, 1024)
-        except OSError:
-            data = b""
-        if not data:
-            # the terminal was closed; no more keys
-            self._descriptor = -1
-        return self._parser.feed(data)
-
-
-def _name(character: str) -> str:
-    names = {"\n": "enter", "\r": "enter", "\x7f": "backspace", "\b": "backspace", " ": "space"}
-    return names.get(character, character)
-
-
-def _in_foreground(number: int) -> bool:
-    """Whether this process may change the terminal; a background process would be stopped."""
-    if os.name != "posix":
-        return False
-    try:
-        return os.tcgetpgrp(number) == os.getpgrp()
-    except OSError:
-        # not the controlling terminal of this process, which therefore cannot stop it
-        return True

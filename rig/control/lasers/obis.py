@@ -14,6 +14,8 @@ from rig.control.lasers.serial_laser import LaserIdentity, LaserRefused, LaserSt
 from rig.control.serial_port import ReplyTimeout
 
 _WARMING_UP = 0x100
+_INTERLOCK = "SYSTem:LOCK?"
+"""The one question that some models answer by ``OK``."""
 
 
 class Obis(SerialLaser):
@@ -44,7 +46,7 @@ class Obis(SerialLaser):
             fault = "warming up" if (_number(self.ask("SYSTem:STATus?")) or 0) & _WARMING_UP else ""
         return LaserState(
             on=self.ask_flag("SOURce:AM:STATe?"),
-            interlock_closed=self.ask_flag("SYSTem:LOCK?"),
+            interlock_closed=self.ask_flag(_INTERLOCK),
             power_w=self.ask_float("SOURce:POWer:LEVel?"),
             fault=fault,
         )
@@ -79,13 +81,18 @@ class Obis(SerialLaser):
         self.tell("SYSTem:COMMunicate:HANDshaking ON")
         reader.read_line(time.monotonic() + self._settings.timeout_s)
 
+    def _may_answer_ok(self, command: str) -> bool:
+        return command == _INTERLOCK or super()._may_answer_ok(command)
+
     def _handshake(self, command: str) -> None:
         _, reader = self._require_open()
-        line = reader.read_line(time.monotonic() + self._settings.timeout_s)
-        if line is None:
-            raise ReplyTimeout(f"{self.name}: no OK after {command} within {self._settings.timeout_s:g} s")
-        if line.strip() != b"OK":
-            raise LaserRefused(f"{self.name}: answered {line.decode('latin-1').strip()} to {command}")
+        deadline_s = time.monotonic() + self._settings.timeout_s
+        while (line := reader.read_line(deadline_s)) is not None:
+            if line.strip() == b"OK":
+                return
+            if line.startswith(b"ERR"):
+                raise LaserRefused(f"{self.name}: answered {line.decode('latin-1').strip()} to {command}")
+        raise ReplyTimeout(f"{self.name}: no OK after {command} within {self._settings.timeout_s:g} s")
 
 
 def _number(code: str) -> int | None:

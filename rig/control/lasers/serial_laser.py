@@ -220,13 +220,22 @@ class SerialLaser(ABC):
             # a late answer to an earlier query must not be taken for the answer to this one
             reader.clear()
             line.write(command.encode("ascii") + self.terminator)
-            answer = reader.read_line(time.monotonic() + self._settings.timeout_s)
-            if answer is not None:
-                return answer.decode("latin-1").strip()
+            deadline_s = time.monotonic() + self._settings.timeout_s
+            while (heard := reader.read_line(deadline_s)) is not None:
+                answer = heard.decode("latin-1").strip()
+                if answer != "OK" or self._may_answer_ok(command):
+                    return answer
         raise ReplyTimeout(
             f"{self.name}: no reply to {command} within {self._settings.timeout_s:g} s,"
             f" sent {_RETRIES + 1} times; check port, baud rate and cable"
         )
+
+    def _may_answer_ok(self, command: str) -> bool:
+        """Whether ``OK`` can belong to a command; else it confirms what another program wrote to the port.
+
+        That is LIGHT OFF, whose confirmation comes to the program that has the port.
+        """
+        return not command.endswith("?")
 
     def ask_float(self, command: str) -> float:
         """The answer to a query as a number; raises LaserRefused if it is not a number."""

@@ -17,6 +17,7 @@ from rig.control.serial_port import SerialLine
 from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
 
 USB_VENDOR = 0x1313
+_MOST_ERRORS = 30
 
 _TRIPS = {
     "INTLock": "interlock",
@@ -79,8 +80,10 @@ class Thorlabs4000(DiodeDriver):
 
     def _command(self, command: str) -> None:
         self.tell(command)
-        code, _, text = self.ask("SYSTem:ERRor?").partition(",")
-        if code.strip().lstrip("+") != "0":
-            raise LaserRefused(
-                f"{self.name}: refused {command}: {text.strip().strip(chr(34))} ({code.strip()})"
-            )
+        for _ in range(_MOST_ERRORS):
+            code, _, text = (part.strip() for part in self.ask("SYSTem:ERRor?").partition(","))
+            if code.lstrip("+") == "0":
+                return
+            # a question that LIGHT OFF of another program interrupted (-400 to -499) is no error of a command
+            if not code.startswith("-4"):
+                raise LaserRefused(f"{self.name}: refused {command}: {text.strip(chr(34))} ({code})")

@@ -26,14 +26,6 @@ def test_every_refuses_the_newest_and_counts() -> None:
     assert sequences(queue.take(10, 0.0)) == [0, 1, 2]
 
 
-def test_latest_throws_the_oldest_away() -> None:
-    queue = BoundedQueue[Frame](3, "latest")
-    for i in range(5):
-        queue.put(frame(i))
-    assert queue.dropped == 2
-    assert sequences(queue.take(10, 0.0)) == [2, 3, 4]
-
-
 def test_wait_holds_the_camera_back_and_loses_nothing() -> None:
     queue = BoundedQueue[Frame](4, "wait")
 
@@ -66,7 +58,7 @@ def test_close_releases_a_waiting_camera() -> None:
     assert queue.drained
 
 
-@pytest.mark.parametrize("policy", ["wait", "every", "latest"])
+@pytest.mark.parametrize("policy", ["wait", "every"])
 def test_take_on_a_closed_empty_queue_returns_at_once(policy: Policy) -> None:
     queue = BoundedQueue[Frame](2, policy)
     queue.close()

@@ -124,6 +124,15 @@ def test_a_press_is_seen_by_who_only_reads_and_latched_by_who_holds(path: Path) 
         assert state.trip is None
 
 
+def test_a_press_stays_in_the_words_of_the_trip_that_follows(path: Path) -> None:
+    Presses(path.with_suffix(".off")).press("the desk")
+    with SafetyState(path) as state:
+        state.take_press(lit=True)
+        state.latch(TripCause.OUTPUT, "it stays lit", lit=True)
+        assert state.trip is not None
+        assert state.trip.text == "trip 2 (OUTPUT): it stays lit; LIGHT OFF was pressed at the desk"
+
+
 def test_a_press_while_a_trip_waits_needs_no_second_acknowledgement(path: Path) -> None:
     presses = Presses(path.with_suffix(".off"))
     with SafetyState(path) as state:

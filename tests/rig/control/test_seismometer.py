@@ -1,16 +1,14 @@
-"""An auxiliary seismometer at a pseudo-terminal, and in a file that grows."""
+"""An auxiliary seismometer at a pseudo-terminal."""
 
 import math
 import os
 import pty
 import tty
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from rig.control import SeismometerLines, SeismometerSettings
-from rig.control.sensors import FileTail, sample_of
+from rig.control.sensors import sample_of
 from rig.settings import keys_with_faults
 from tests.waiting import until
 
@@ -66,52 +64,10 @@ def test_a_serial_instrument_is_read_line_by_line() -> None:
     assert arrived == sorted(arrived)
 
 
-def test_a_file_is_read_as_it_grows_and_again_when_it_is_replaced(tmp_path: Path) -> None:
-    path = tmp_path / "station.txt"
-    settings = SeismometerSettings(kind="file", file=path, columns=("z",), stale_after_s=LIMIT_S)
-    service = SeismometerLines(settings)
-    values: list[float] = []
-    with service:
-        until(lambda: "cannot be read" in " ".join(service.take_events()))
-        path.write_text("1\n2\n")
-
-        def grown(text: str, last: float) -> Callable[[], bool]:
-            def reached() -> bool:
-                with path.open("a") as file:
-                    file.write(text)
-                values.extend(one.value[0] for one in service.take_samples())
-                return bool(values) and values[-1] == last
-
-            return reached
-
-        # what stood there before is of no run
-        until(grown("3\n", 3.0))
-        assert set(values) == {3.0}
-        path.write_text("")
-        until(grown("4\n", 4.0))
-
-
-def test_a_longer_file_in_its_place_is_read_from_its_begin(tmp_path: Path) -> None:
-    path = tmp_path / "station.txt"
-    path.write_bytes(b"1\n")
-    tail = FileTail(path)
-    tail.discard_input()
-    # its last line is never ended, and does not go on in the next file
-    path.write_bytes(b"1\n2\n3")
-    assert tail.read(0.0) == b"2\n3"
-    path.rename(tmp_path / "station-1.txt")
-    path.write_bytes(b"40\n50\n60\n")
-    assert tail.read(0.0) == b"\n40\n50\n60\n"
-    path.write_bytes(b"7\n")
-    assert tail.read(0.0) == b"7\n"
-    tail.close()
-
-
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
         ({"seismometer.kind": "serial"}, "port is missing"),
-        ({"seismometer.kind": "file"}, "file is missing"),
         ({"seismometer.columns": ("time_s",)}, "one to 3 different names"),
         ({"seismometer.columns": ("a", "a")}, "one to 3 different names"),
     ],

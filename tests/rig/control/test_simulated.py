@@ -2,7 +2,6 @@
 
 import threading
 import time
-from contextlib import ExitStack
 
 import pytest
 
@@ -10,8 +9,8 @@ from acquisition.simulation.inputs import RigInputs
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.light_permit import LightRefused
 from rig.control.protocol import AirReading
-from rig.control.service import ControlService, ControlState
-from rig.control.settings import ControllerSettings, SerialFaults
+from rig.control.service import ControlService
+from rig.control.settings import ControllerSettings
 from rig.control.simulated import simulated_controller
 from tests.waiting import until
 
@@ -75,33 +74,3 @@ def test_simulated_watchdog_needs_nobody() -> None:
     until(lambda: rig.last("laser_w") == 0.0)
     controller.close()
     until(lambda: not any(thread.name == "simulated-board" for thread in threading.enumerate()))
-
-
-def test_serial_junk_by_setting_is_survived() -> None:
-    rig = Rig()
-    faults = SerialFaults(junk_probability=0.15, loss_probability=0.15)
-    control = simulated(faults=faults, timeout_s=0.05, retries=6)
-    with ControlService(rig.controller(control), control) as service:
-        service.wait_open(20.0)
-        service.laser_on().result(10.0)
-        powers = [1e-5 * i for i in range(1, 31)]
-        for future in [service.submit(lambda c, p=p: c.set_laser_power_w(p), 60.0) for p in powers]:  # type: ignore[misc]
-            future.result(60.0)
-        until(lambda: service.snapshot.junk_lines > 0 and service.snapshot.retried > 0)
-    lit = [value for _, name, value in rig.said if name == "laser_w" and value > 0]
-    assert lit == pytest.approx(powers, rel=2e-6)
-
-
-def test_reset_and_unplug_by_setting() -> None:
-    services = []
-    with ExitStack() as stack:
-        for faults in (SerialFaults(reset_at_s=0.5), SerialFaults(unplug_at_s=1.0)):
-            control = simulated(faults=faults)
-            services.append(
-                stack.enter_context(ControlService(simulated_controller(control, 0.001), control))
-            )
-            services[-1].wait_open()
-        reset, unplugged = services
-        until(lambda: reset.snapshot.reconnects >= 1)
-        until(lambda: unplugged.snapshot.state is ControlState.LOST)
-        assert "simulated controller" in unplugged.snapshot.last_error

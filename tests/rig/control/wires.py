@@ -12,8 +12,11 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 import serial
 
+from rig.control.serial_port import PortLost
+from rig.control.simulated import _SimulatedLine
 from tests.rig.known_rig import known
 
 HERE = Path(__file__).resolve().parent
@@ -132,6 +135,18 @@ class FirmwareBoard:
             self._wire.close()
         if self._slave >= 0:
             os.close(self._slave)
+
+
+def pull_cable(monkeypatch: pytest.MonkeyPatch, pulled: Callable[[], bool]) -> None:
+    """The simulated controller's cable is out while `pulled` says so."""
+    usual = _SimulatedLine._check
+
+    def check(line: _SimulatedLine) -> None:
+        if pulled():
+            raise PortLost("simulated controller: the serial port is no longer available; check the cable")
+        usual(line)
+
+    monkeypatch.setattr(_SimulatedLine, "_check", check)
 
 
 class Wire:

@@ -16,7 +16,6 @@ import tty
 from collections.abc import Iterator
 from pathlib import Path
 
-from rig.control.settings import SerialFaults
 from rig.control.simulated import SimulatedBoard
 from tests.rig.known_rig import known
 
@@ -95,7 +94,7 @@ def main() -> None:
 
     master, slave = pty.openpty()
     tty.setraw(slave)
-    board = SimulatedBoard(None, SerialFaults(), laser, closed.is_set)
+    board = SimulatedBoard(None, laser, closed.is_set)
     line = board.open_line()
     print(os.ttyname(slave), flush=True)
     threading.Thread(target=listen, daemon=True).start()

@@ -1,44 +1,23 @@
 """Aligning by eye: what is drawn, and what the keys do, on the simulated camera."""
 
-import io
 import re
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from rich.console import Console
 
 from acquisition.camera import CameraSettings
 from processing.spot import SensorModel, SpotTracker
 from rig.devices import Devices
-from rig.devices.aligning import AlignmentTerminal, LivePicture, half_blocks, histogram_line
+from rig.devices.aligning import LivePicture
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
 from rig.instrument import DualSpotTracker
-from rig.settings import load_configuration
+from rig.settings import Configuration, load_configuration
 from rig.terminal import palette
-from rig.terminal.quantities import KeyParser, Keys
 from tests.rig.command_line import CONFIGS
 
 FULL_SCALE_DN = 255
 SHAPE = (400, 300)
-
-
-class Presses(Keys):
-    """A keyboard on which one key is pressed at each look."""
-
-    def __init__(self, keys: str) -> None:
-        super().__init__(io.StringIO())
-        self._keys = iter(keys)
-
-    @property
-    def there(self) -> bool:
-        return False
-
-    def pressed(self, wait_s: float) -> list[str]:
-        return [key for key in (next(self._keys, "q"),) if key != "."]
 
 
 def look_at(image: np.ndarray, middle_px: tuple[float, float] = (149.5, 199.5)) -> AlignmentFrame:
@@ -126,82 +105,50 @@ def test_a_spot_off_the_crosshair_is_a_matter_where_it_has_no_room() -> None:
 
 
 def test_words_say_where_the_spot_is_and_what_is_wrong() -> None:
-    light, place, shape, _ = look_at(spot_at(100.0, 250.0, 400.0)).lines()
-    assert re.search(r"saturated \d+ px", light)
-    assert "off the crosshair −49.5, +50.5 px" in place
-    assert "nearest edge 100 px" in place
-    assert "saturated" in shape
-    light, place, shape, _ = look_at(spot_at(100.0, 250.0, 150.0)).lines()
-    assert "saturated none" in light
-    assert "a clean spot" in shape
-    assert look_at(np.full(SHAPE, 10, dtype=np.uint8)).lines()[1] == "spot none found"
-
-
-def test_half_blocks_hold_two_pixels_each() -> None:
-    picture = np.zeros((3, 2, 3), dtype=np.uint8)
-    picture[0, 1] = (255, 0, 0)
-    text = half_blocks(picture)
-    assert text.plain == "▀▀\n▀▀\n"
-    assert str(text.spans[1].style) == "#ff0000 on #000000"
-    assert histogram_line(look_at(spot_at(100.0, 250.0, 150.0))).startswith("0 █")
+    bright, clean, none = (
+        dict(look_at(image).rows())
+        for image in (
+            spot_at(100.0, 250.0, 400.0),
+            spot_at(100.0, 250.0, 150.0),
+            np.full(SHAPE, 10, np.uint8),
+        )
+    )
+    assert re.fullmatch(r"\d+ px", bright["saturated"])
+    assert bright["off the crosshair"] == "−49.5, +50.5 px"
+    assert bright["nearest edge"] == "100 px"
+    assert "saturated" in bright["fit"]
+    assert clean["saturated"] == "none"
+    assert "a clean spot" in clean["fit"]
+    assert none["spot"] == "none found"
+    assert "sigma" not in none
 
 
 @pytest.fixture
-def printed() -> Iterator[io.StringIO]:
-    with io.StringIO() as text:
-        yield text
+def config() -> Configuration:
+    keys = ["simulation.sensor.width_px=160", "simulation.sensor.height_px=640", "camera.exposure_us=100"]
+    return load_configuration(CONFIGS / "demo.toml", keys)
 
 
-def test_a_setting_that_the_camera_does_not_report_is_not_stepped(
-    tmp_path: Path, printed: io.StringIO
-) -> None:
-    config = load_configuration(
-        CONFIGS / "demo.toml", ["simulation.sensor.width_px=160", "simulation.sensor.height_px=640"]
-    )
+def test_a_setting_that_the_camera_does_not_report_is_not_stepped(config: Configuration) -> None:
     with Devices(config) as devices, devices.camera(config) as opened:
         unknown = opened._replace(applied=opened.applied.model_copy(update={"gain_db": None}))
         picture = LivePicture(config, devices)
-        with AlignmentTerminal(tmp_path, Presses("G.q"), Console(file=printed)) as shown:
-            picture.show(unknown, shown)
-        assert picture.note == "the gain: this camera does not report its setting: state a value"
+        refused = picture.press("G")
+        picture.press("q")
+        picture.show(unknown)
+        assert refused.result(0) == "the gain: this camera does not report its setting: state a value"
         assert opened.camera.configure(CameraSettings()).gain_db == opened.applied.gain_db
 
 
-@pytest.mark.parametrize("terminal", [False, True])
-def test_keys_set_the_camera_and_save_pictures(
-    tmp_path: Path, printed: io.StringIO, terminal: bool, monkeypatch: pytest.MonkeyPatch
+def test_keys_set_the_camera_and_its_figures_are_shown(
+    config: Configuration, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("rig.devices.aligning._SHOWN_EACH_S", 0.0)
-    config = load_configuration(
-        CONFIGS / "demo.toml",
-        ["simulation.sensor.width_px=160", "simulation.sensor.height_px=640", "camera.exposure_us=100"],
-    )
-    console = Console(file=printed, force_terminal=terminal, width=100, height=40)
     with Devices(config) as devices, devices.camera(config) as opened:
-        with AlignmentTerminal(tmp_path, Presses(".EEezs.sq"), console) as shown:
-            LivePicture(config, devices).show(opened, shown)
+        picture = LivePicture(config, devices)
+        for key in "EEeq":
+            picture.press(key)
+        picture.show(opened)
         assert opened.camera.configure(CameraSettings()).exposure_us == pytest.approx(100 * 1.25, rel=0.01)
-    saved = shown.saved
-    assert [path.name for path in saved] == ["align-1.png", "align-2.png"]
-    picture = cv2.imread(str(saved[0]))
-    assert picture is not None
-    assert picture.shape[0] == 900
-    assert len(coloured(picture[..., ::-1], palette.YELLOW)) > 100
-    said = printed.getvalue()
-    assert ("▀" in said) is terminal
-    assert "exposure 156.25 µs" in said
-    assert "align-1.png saved" in said
-
-
-@pytest.mark.parametrize("pieces", [lambda data: [data], lambda data: [bytes([byte]) for byte in data]])
-def test_keys_are_the_same_in_one_piece_and_in_many(pieces: Callable[[bytes], list[bytes]]) -> None:
-    parser = KeyParser()
-    keys = [key for piece in pieces(b"n \x1b[C\x1b[1;5C\x1bOCg1\r\x7f\x1bq") for key in parser.feed(piece)]
-    assert keys == ["n", "space", "right", "right", "g", "1", "enter", "backspace", "escape", "q"]
-
-
-def test_an_escape_that_stands_alone_is_a_key() -> None:
-    parser = KeyParser()
-    assert parser.feed(b"\x1b") == []
-    assert parser.flush() == ["escape"]
-    assert parser.flush() == []
+        LivePicture(config, devices).show(opened, seconds=0.1)
+    # 69 % before
+    assert re.search(r"^peak +8[4-7]\.\d %, background", capsys.readouterr().out)

@@ -17,6 +17,7 @@ from rig.devices.audit import AUDIT_NAME, AuditLog
 from rig.measure.session_orders import await_acknowledgement
 from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS
+from tests.rig.control.wires import pull_cable
 from tests.waiting import until
 
 
@@ -64,7 +65,7 @@ def test_an_interlock_is_not_acknowledged_while_it_is_open_or_its_controller_sil
 ) -> None:
     closed, pulled = True, False
     monkeypatch.setattr(SimulatedBoard, "interlock_closed", lambda _: closed)
-    monkeypatch.setattr(SimulatedBoard, "unplugged", lambda _: pulled)
+    pull_cable(monkeypatch, lambda: pulled)
     config = load_configuration(
         CONFIGS / "live.toml", ("camera.driver=simulated", "laser.kind=controller", "laser.max_power_w=0.001")
     )

@@ -22,7 +22,7 @@ from acquisition.frames.guard import (
     end_within,
 )
 from processing.errors import DeviceError
-from rig.devices import Devices, OpenCamera, frame_stream
+from rig.devices import Devices, OpenCamera, find_exposure, frame_stream
 from rig.devices.frame_stream import FrameStream
 from rig.settings import validate_configuration
 
@@ -152,6 +152,26 @@ def test_the_stream_ends_with_what_was_wrong() -> None:
 
 
 INFO = CameraInfo("own", "Example", "Own", "1", 10, 12, 255, has_clock=True)
+ONE_BUFFER = np.zeros((12, 10), np.uint8)
+
+
+def again(number: int) -> Frame:
+    ONE_BUFFER[:] = number
+    return frame(number, image=ONE_BUFFER)
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (again, "the image of frame 0 has changed since it was delivered"),
+        (lambda number: frame(number, image=np.full((12, 10), 0.5)), r"shape \(12, 10\) and type float64"),
+        (lambda number: frame(number, nx=10 + number), "frame 1 has 11 x 12 pixels"),
+        (lambda number: np.ones((12, 10), np.uint8), r"read\(\) returned ndarray"),
+    ],
+)
+def test_the_search_of_an_exposure_takes_no_such_frame(made: Callable[[int], object], said: str) -> None:
+    with pytest.raises(DeviceError, match=said):
+        find_exposure(Driver(made), INFO, CameraSettings(exposure_us=100.0))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

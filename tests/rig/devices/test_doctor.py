@@ -16,31 +16,29 @@ def arrivals(rate_hz: float, count: int = 60) -> list[tuple[int, int]]:
     return [(number, round(1e9 * number / rate_hz)) for number in range(count)]
 
 
-def test_frames_at_the_rate_that_was_asked_for() -> None:
-    verdict = check_frames(arrivals(99.0), ALL, 100.0, on_demand=False)
-    assert (verdict.ok, verdict.reason) == (True, "60 at 99 frames/s, lost: none")
-
-
 @pytest.mark.parametrize(
-    ("rate_hz", "remedy"), [(50.0, "a shorter exposure"), (6000.0, "rig camera show")], ids=["slow", "fast"]
+    ("came", "status", "asked_hz", "on_demand", "ok", "said"),
+    [
+        (arrivals(99.0), ALL, 100.0, False, True, "60 at 99 frames/s, lost: none"),
+        (arrivals(50.0), ALL, 100.0, False, False, "; 100 were asked for; exposure too long"),
+        (arrivals(6000.0), ALL, 100.0, False, False, "rig camera show"),
+        (arrivals(50.0), ALL, None, False, True, "60 at 50 frames/s"),
+        (arrivals(6000.0), ALL, 100.0, True, True, "60, made on demand: no rate to judge, lost: none"),
+        ([], CameraStatus(), 100.0, False, False, "0 at 0 frames/s"),
+        (arrivals(100.0), CameraStatus(delivered=60, dropped_by_bus=3), 100.0, False, False, "another port"),
+    ],
 )
-def test_a_rate_that_was_not_asked_for_is_no_go(rate_hz: float, remedy: str) -> None:
-    verdict = check_frames(arrivals(rate_hz), ALL, 100.0, on_demand=False)
-    assert not verdict.ok
-    assert "100 were asked for" in verdict.reason
-    assert remedy in verdict.remedy
-    assert check_frames(arrivals(rate_hz), ALL, None, on_demand=False).ok
-
-
-def test_frames_made_on_demand_have_no_rate() -> None:
-    verdict = check_frames(arrivals(6000.0), ALL, 100.0, on_demand=True)
-    assert (verdict.ok, verdict.reason) == (True, "60, made on demand: no rate to judge, lost: none")
-
-
-def test_frames_that_do_not_come_are_no_go() -> None:
-    assert not check_frames([], CameraStatus(), 100.0, on_demand=False).ok
-    lost = CameraStatus(delivered=60, dropped_by_bus=3)
-    assert "another port" in check_frames(arrivals(100.0), lost, 100.0, on_demand=False).remedy
+def test_frames_are_judged_by_their_number_and_the_rate_that_was_asked_for(
+    came: list[tuple[int, int]],
+    status: CameraStatus,
+    asked_hz: float | None,
+    on_demand: bool,
+    ok: bool,
+    said: str,
+) -> None:
+    verdict = check_frames(came, status, asked_hz, on_demand=on_demand)
+    assert verdict.ok is ok
+    assert said in f"{verdict.reason}; {verdict.remedy}"
 
 
 def settings_of(tree: dict[str, dict[str, object]]) -> dict[str, str]:

@@ -1,7 +1,6 @@
 """Every path to light goes through the rig's permit: found in the code, and each walked with a trip."""
 
 import ast
-import io
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -13,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rich.console import Console
 
 import rig
 from acquisition.camera import Frame
@@ -24,14 +22,13 @@ from rig.control.light_permit import ENDED, LONGEST_PAUSE_S
 from rig.control.simulated import SimulatedBoard
 from rig.devices import Devices, LightWatch, SessionNews
 from rig.devices.acknowledgement import TypedAcknowledgement
-from rig.devices.aligning import AlignmentTerminal, LivePicture
+from rig.devices.aligning import LivePicture
 from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly
 from rig.measure.notices import PreflightWait
 from rig.measure.session_orders import Notes, orders
 from rig.prepare.balancing import BalanceView, measure
 from rig.settings import Configuration
-from rig.terminal import Keys
 from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, configured
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
@@ -196,28 +193,16 @@ def test_after_a_trip_no_path_lights(
     assert lit.at == []
 
 
-class EndsWhenTold(Keys):
-    """A keyboard on which q is pressed once `over` is set."""
-
-    def __init__(self) -> None:
-        super().__init__(io.StringIO())
-        self.over = Event()
-
-    def pressed(self, wait_s: float) -> list[str]:
-        return ["q"] if self.over.is_set() else []
-
-
 @contextmanager
-def live_picture(config: Configuration, folder: Path) -> Iterator[tuple[LivePicture, Devices]]:
+def live_picture(config: Configuration) -> Iterator[tuple[LivePicture, Devices]]:
     """A live picture in a thread, which must end without an error."""
-    keys, errors = EndsWhenTold(), list[Exception]()
+    errors = list[Exception]()
     with Devices(config) as devices, devices.camera(config) as opened:
         picture = LivePicture(config, devices)
 
         def show() -> None:
             try:
-                with AlignmentTerminal(folder, keys, Console(file=io.StringIO())) as terminal:
-                    picture.show(opened, terminal)
+                picture.show(opened)
             except Exception as error:
                 errors.append(error)
 
@@ -226,23 +211,23 @@ def live_picture(config: Configuration, folder: Path) -> Iterator[tuple[LivePict
         try:
             yield picture, devices
         finally:
-            keys.over.set()
+            picture.press("q")
             showing.join(30.0)
     assert errors == []
     assert not showing.is_alive()
 
 
 def test_after_a_trip_the_live_picture_lives_in_the_dark(
-    config: Configuration, lit: Lit, tripped: None, tmp_path: Path
+    config: Configuration, lit: Lit, tripped: None
 ) -> None:
-    with live_picture(config, tmp_path) as (picture, _):
+    with live_picture(config) as (picture, _):
         until(lambda: picture.news.picture() is not None)
         assert "trip 1 (INTERLOCK)" in picture.note
         assert lit.at == []
 
 
 def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
-    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, tmp_path: Path
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit
 ) -> None:
     """The picture hangs meanwhile; then the trip is acknowledged, which lights nothing."""
     runs = Event()
@@ -258,7 +243,7 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
         return 0 if found is None else found.number
 
     monkeypatch.setattr(SimulatedCamera, "read", read)
-    with live_picture(config, tmp_path) as (picture, devices):
+    with live_picture(config) as (picture, devices):
         until(lambda: len(lit.at) == 1 and shown() > 0)
         runs.clear()
         asked = in_thread(picture.orders["light"], "")
@@ -281,12 +266,12 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
 
 @pytest.mark.parametrize("silent", ["looked_s", "asked_s"])
 def test_a_live_picture_that_nobody_sees_at_a_desk_goes_dark_until_light_is_asked_for(
-    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, tmp_path: Path, silent: str
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, silent: str
 ) -> None:
     """No browser fetches it, or the desk is frozen or gone."""
     monkeypatch.setattr("rig.devices.aligning._UNSEEN_S", 1.0)
     monkeypatch.setattr("rig.devices.aligning._UNASKED_S", 1.0)
-    with live_picture(config, tmp_path) as (picture, devices):
+    with live_picture(config) as (picture, devices):
         told = picture.news
         until(lambda: len(lit.at) == 1 and not devices.darkness())
         told.asked_s = told.looked_s = time.monotonic() + 60.0

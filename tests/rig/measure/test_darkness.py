@@ -23,6 +23,7 @@ from rig.control.simulated import SimulatedBoard
 from rig.devices import NoSession, OrderConnection, lit_devices
 from rig.measure import recording
 from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, rig, set_words
+from tests.rig.control.wires import pull_cable
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -93,7 +94,7 @@ def events_of(folder: Path) -> list[tuple[str, str]]:
 def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SimulatedBoard, "unplugged", lambda _: apparatus.recording.is_set())
+    pull_cable(monkeypatch, apparatus.recording.is_set)
     monkeypatch.setattr(lit_devices, "_BOARD_CONFIRMS_WITHIN_S", 0.5)
     tell = f"import sys; open({str(tmp_path / 'told')!r}, 'a').write(sys.argv[1] + ' ')"
     told = {"session.notify_command": json.dumps([sys.executable, "-c", tell])}
@@ -124,11 +125,7 @@ def test_a_run_that_waits_in_the_dark_is_lit_by_who_asks_and_by_nothing_else(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch, asked: bool
 ) -> None:
     """The controller's cable is pulled and put in again."""
-
-    def unplugged(_: SimulatedBoard) -> bool:
-        return apparatus.recording.is_set() and not apparatus.dark.is_set()
-
-    monkeypatch.setattr(SimulatedBoard, "unplugged", unplugged)
+    pull_cable(monkeypatch, lambda: apparatus.recording.is_set() and not apparatus.dark.is_set())
     monkeypatch.setattr(recording, "_MIN_LOST_S", 2.0)
     waiting = {**LIVE, "laser.when_dark": '"wait"', "session.max_duration_s": "8"}
     out = tmp_path / "out"

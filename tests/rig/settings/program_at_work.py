@@ -29,7 +29,6 @@ from rig.control import (
     sensors,
     simulated_controller,
 )
-from rig.control.settings import SerialFaults
 from rig.devices import Devices, FrameStream, OpenCamera
 from rig.devices.ground_seismometer import make_seismometer
 from rig.instrument import camera_settings, complete, make_camera, optics_of
@@ -150,11 +149,8 @@ def look_at_the_balance() -> None:
 
 
 def talk_to_the_controller() -> None:
-    """The simulated one over a bad line, and one at a port that is not there."""
-    faults = SerialFaults(
-        junk_probability=0.01, loss_probability=0.001, delay_s=0.001, reset_at_s=100.0, unplug_at_s=100.0
-    )
-    settings = ControllerSettings(kind="simulated", faults=faults)
+    """The simulated one, and one at a port that is not there."""
+    settings = ControllerSettings(kind="simulated")
     with ControlService(simulated_controller(settings, 1e-3), settings) as service:
         service.wait_open()
         service.submit(lambda c: c.starter_pulse(0.05)).result(5.0)
@@ -248,21 +244,16 @@ def suffer_every_fault() -> None:
     _read(SimulatedCamera(real, FaultSettings(clock_steps_at_s=0.05), inputs), 20)
 
 
-def listen_to_the_ground(folder: Path) -> None:
-    """Seismometers at a port that is not there, in a file, and beside the simulated rig."""
-    file = folder / "seismometer.txt"
-    file.touch()
-    for settings in (
-        SeismometerSettings(kind="serial", port=NOWHERE),
-        SeismometerSettings(kind="file", file=file, columns=("time_s", "z")),
-    ):
-        with SeismometerLines(settings) as service:
-            deadline_s = time.monotonic() + 5.0
-            while time.monotonic() < deadline_s and not (service.unread_lines or service.take_events()):
-                with file.open("a") as lines:
-                    lines.write("no sample\n0.1 5\n")
-                time.sleep(0.01)
-            assert service.silent or service.last_ns
+def listen_to_the_ground() -> None:
+    """Seismometers at a port that is not there, and beside the simulated rig."""
+    with SeismometerLines(
+        SeismometerSettings(kind="serial", port=NOWHERE, columns=("time_s", "z"))
+    ) as service:
+        service._take("0.1 5", 1)
+        deadline_s = time.monotonic() + 5.0
+        while time.monotonic() < deadline_s and not service.take_events():
+            time.sleep(0.01)
+        assert service.silent
     truth = SimulationSettings.model_validate({"ground": {"model": "white"}})
     assert len(SimulatedSeismometer(truth).until(1.0, 0).counts)
     port = f"'{NOWHERE}'"

@@ -218,7 +218,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> set[Key]:
         program.choose_a_camera()
         program.suffer_every_fault()
         program.shake_the_ground(folder)
-        program.listen_to_the_ground(folder)
+        program.listen_to_the_ground()
         program.see_a_reference(folder)
         if sys.platform != "win32":
             program.light_the_lasers()

@@ -122,7 +122,12 @@ def test_more_light_or_current_than_allowed_is_seen_and_not_lit(pair: Pair) -> N
     pair.laser.open()
     pair.set(0.020)
     pair.laser.enable()
-    assert pair.laser.state().excess == ""
+    # a meter errs by some percent
+    for measured in (None, LIMIT * 1.03):
+        pair.instrument.measures = measured
+        assert pair.laser.state().excess == ""
+    pair.instrument.measures = LIMIT * 1.1
+    assert "allowed by max_" in pair.laser.state().excess
     pair.instrument.measures = 0.050
     what = r"50 m[AW] measured, 30 m[AW] allowed by max_"
     assert re.search(what, pair.laser.state().excess)
@@ -130,16 +135,3 @@ def test_more_light_or_current_than_allowed_is_seen_and_not_lit(pair: Pair) -> N
     with pytest.raises(LaserRefused, match=what):
         pair.laser.enable()
     assert not pair.instrument.on
-
-
-@pytest.mark.parametrize("kind", sorted(LASERS))
-def test_a_meter_that_errs_by_a_few_percent_is_no_alarm(ports: Ports, kind: str) -> None:
-    instrument = FAMILIES[kind][0]()
-    laser = laser_for(kind, ports.plug_in(instrument))
-    laser.open()
-    instrument.measures = LIMIT * 1.03
-    assert laser.state().excess == ""
-    instrument.measures = LIMIT * 1.1
-    assert "allowed by max_" in laser.state().excess
-    instrument.measures = None
-    laser.close()

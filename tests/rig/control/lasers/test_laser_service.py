@@ -5,10 +5,11 @@ import pytest
 from processing.errors import DeviceError
 from rig.control.controller import PowerLimit
 from rig.control.laser_service import LaserService
+from rig.control.lasers import LASERS, LaserSettings, off_line
 from rig.control.light_permit import LightPermit
 from rig.control.serial_port import PortLost
 from tests.rig.control.instruments import FakeCobolt, FakeObis
-from tests.rig.control.lasers.pairs import Ports, laser_for
+from tests.rig.control.lasers.pairs import FAMILIES, Ports, laser_for
 from tests.rig.control.stepped import turn
 
 
@@ -249,3 +250,37 @@ class TestService:
             instrument.fault = fault
             turn(service)
         assert service.take_events()[1:] == ("constant-power time-out", "temperature error")
+
+
+@pytest.mark.parametrize("kind", sorted(LASERS))
+def test_an_off_by_another_program_among_its_questions_is_no_trip(ports: Ports, kind: str) -> None:
+    """LIGHT OFF writes to the port itself, and the instrument's "OK" comes to who has the port."""
+    instrument, permit = FAMILIES[kind][0](), LightPermit(ports.clock.monotonic)
+    laser = laser_for(kind, ports.plug_in(instrument))
+    off = off_line(LaserSettings(kind=kind, port="any"))
+    assert off is not None
+    service, usual = LaserService(laser, permit=permit), instrument.hear
+    turn(service)
+    questions = 0
+    while True:
+        instrument.on, service._asked, left = True, True, questions
+        turn(service)
+
+        def hear(data: bytes) -> bytes:
+            nonlocal left
+            left -= 1
+            # it is written twice
+            return (usual(off + off) if left == -1 else b"") + usual(data)
+
+        instrument.hear = hear  # type: ignore[method-assign]
+        turn(service)
+        instrument.hear = usual  # type: ignore[method-assign]
+        turn(service)
+        assert permit.latched is None, f"off before question {questions}"
+        assert service.snapshot.state is not None
+        if left >= 0:
+            break
+        assert not instrument.on
+        assert not service.snapshot.state.on
+        questions += 1
+    assert questions > 4
