@@ -59,7 +59,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
         "session": config.session.model_copy(
             update={"max_duration_s": seconds, "final_amplitude_arcsec": _UNREACHED_ARCSEC, "stop_when": ()}
         ),
-        "view": config.view.model_copy(update={"mode": "none", "file": False}),
+        "view": config.view.model_copy(update={"mode": "none"}),
         "preflight": config.preflight.model_copy(update={"when": "never"}),
         "start": config.start.model_copy(update={"way": "at once"}),
         # a person who only looks at the picture acknowledges no trip
@@ -87,7 +87,7 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
             f"camera.driver = {config.camera.driver!r}: --record-only needs the simulated camera; "
             "rig camera record records a real one"
         )
-    quiet = config.view.model_copy(update={"mode": "none", "file": False})
+    quiet = config.view.model_copy(update={"mode": "none"})
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update={"view": quiet}))
     with ready_for_frames(live=not config.on_demand), Devices(config, task="rig run") as devices:
@@ -127,7 +127,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     at rest (start.way is not 'at once'): the pendulum must rest then.
     """
     preflight = config.preflight.model_copy(update={"when": "always"})
-    quiet = config.view.model_copy(update={"mode": "none", "file": False})
+    quiet = config.view.model_copy(update={"mode": "none"})
     config = complete(config.model_copy(update={"preflight": preflight, "view": quiet}))
     check_materials(config)
     folder, verdicts = config.session.output, list[Verdict]()

@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 
 from rig.terminal import balance_panels
 from rig.view.graticule import BACKGROUND, BOX, PLANE_REACH
-from rig.view.scratch import LayoutName
+from rig.view.running_view import LayoutName
 
 APPLICATION_ID: Final = "optical_pendulum_rig"
 TIMELINE: Final = "run_time"

@@ -38,7 +38,7 @@ from rig.terminal import (
 )
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
-from rig.view.scratch import Mode, no_window
+from rig.view.running_view import Mode, no_window
 from rig.view.show import show_records
 
 

@@ -20,7 +20,7 @@ from processing.errors import ConfigurationError, RecordError
 from rig.instrument import pendulum_on_ball
 from rig.settings import Configuration
 from rig.terminal import say
-from rig.view.scratch import LayoutName, ShowMode
+from rig.view.running_view import LayoutName, ShowMode
 
 if TYPE_CHECKING:
     from rig.view.drawing import Drawing
@@ -82,16 +82,13 @@ def show_records(
         _check_new(rrd)
     if not follow:
         _check(paths)
-    shown, attempt = None, 0
+    shown = None
     with _viewer(mode, ports) if rrd is None else nullcontext() as viewer:
         while not follow or _await_record(paths[0], shown, viewer):
             with _written_whole(rrd):
                 shown, rejected = _draw(paths, layout, rrd, viewer)
             if not (follow and rejected):
                 break
-            attempt += 1
-            if rrd is not None:
-                rrd.rename(rrd.with_stem(f"{rrd.stem}-start-{attempt}"))
         if viewer is not None and not follow:
             viewer.wait()
 

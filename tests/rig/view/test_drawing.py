@@ -1,4 +1,4 @@
-"""What is drawn into Rerun: breaks of curves, axes, lanes by kinds of events; the record of a look alone."""
+"""What is drawn into Rerun: breaks of curves, axes, lanes by kinds of events; the view of `rig balance`."""
 
 from pathlib import Path
 from typing import Any, cast
@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from acquisition.camera import Frame
 from acquisition.record.events import Event, EventKind
-from acquisition.record.reader import RecordReader
-from processing.deflections import DeflectionUnit, no_deflections
-from processing.spot import SpotFlag
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
-from rig.instrument import Block
-from rig.view import ScratchView, layout
+from rig.instrument import Block, complete, make_camera
+from rig.settings import load_configuration
+from rig.view import BalanceView, layout
 from rig.view.drawing import RunLanes
 from rig.view.graticule import PLANE_REACH
+from tests.rig.view.replay_record import CONFIG
 from tests.rig.view.rrd_contents import column, measured, scalars
 from tests.rig.view.scene import drawing_into
 
@@ -149,39 +151,17 @@ def test_a_line_that_reads_like_an_event_changes_no_lane() -> None:
     assert stream.drawn == []
 
 
-MOST_BYTES = 20_000
-EPOCH_NS = 1_700_000_000_000_000_000
-TEXTS = [f"event {number} " + 50 * "x" for number in range(400)]
-
-
-def test_a_record_that_has_grown_too_large_is_replaced_and_the_view_goes_on(tmp_path: Path) -> None:
-    unit = DeflectionUnit.PX
-    with ScratchView("looking", "none", None, "balancing", unit, max_bytes=MOST_BYTES) as view:
-        view.begin(0, epoch_offset_ns=EPOCH_NS)
-        folder, replaced = view._path.parent, 0
-        for number, text in enumerate(TEXTS):
-            before = view._writer
-            view.event(Event(number, EventKind.ADVICE, text))
-            assert view._writer is not None
-            replaced += view._writer is not before
-            view._writer.flush()
-        assert replaced > 1
-        # one record is there, and it holds what came last
-        assert [path.name for path in folder.glob("*")] == ["looking.mcap"]
-        assert view._path.stat().st_size < 2 * MOST_BYTES
-        with RecordReader(view._path) as record:
-            assert [event.text for event in record.events()][-1] == TEXTS[-1]
-    assert not folder.exists()
-
-
-def test_a_turning_point_before_the_first_frame_is_shown() -> None:
+def test_a_turning_point_before_the_first_frame_is_shown(tmp_path: Path) -> None:
     """It is fitted, and the fit may place it there."""
-    turn = HalfCycle(1, -3_000_000, 1e-6, 4e-4, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
-    with ScratchView("looking", "none", None, "balancing", DeflectionUnit.RAD) as view:
-        view.begin(0, epoch_offset_ns=EPOCH_NS)
-        view.block(Block([], no_deflections(DeflectionUnit.RAD), [turn], []), [], 0)
-        assert view._writer is not None
-        view._writer.flush()
-        with RecordReader(view._path) as record:
-            assert [swing.turn_time_ns for swing in record.swings()] == [turn.turn_time_ns]
-            assert record.utc(0).year == 2023
+    config, rrd = complete(load_configuration(CONFIG)), tmp_path / "balance.rrd"
+    camera = make_camera(config)
+    first = Frame(np.zeros((64, 64), np.uint8), 0, 5_000_000_000, 5_000_000_000)
+    turn = HalfCycle(1, first.time_ns - 3_000_000, 1e-6, 4e-4, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
+    seen = Deflections(np.array([first.time_ns]), *np.full((4, 1), 1e-5), DeflectionUnit.RAD)
+    with BalanceView(config, rrd, lambda _: "", lambda _: None) as view:
+        view.begin(first, camera.open())
+        view.block([first], Block([Spot(9.0, 9.0, *[0.1] * 8, 0)], seen, [turn], []))
+    camera.close()
+    times_s, amplitudes, _ = measured(rrd, "/amplitude")
+    assert times_s == pytest.approx([-0.003])
+    assert amplitudes == pytest.approx([turn.amplitude / ARCSEC_RAD])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig.terminal import palette
 from rig.view.layout import TIMELINE, X_STRETCH
-from rig.view.scratch import LayoutName
+from rig.view.running_view import LayoutName
 from tests.rig.view import scene as view_scene
 from tests.rig.view.headless_viewer import headless_viewer, pixels_of, require_software_vulkan
 
