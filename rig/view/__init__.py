@@ -3,4 +3,4 @@
 from rig.view.balance_view import BalanceView
 from rig.view.record_replay import analyse_replayed, replay_record
 from rig.view.running_view import LayoutName, Mode, RunningView
-from rig.view.show import show_records
+from rig.view.show import show_record

@@ -23,7 +23,7 @@ from rig.instrument import Block, configuration_attachments, session_metadata
 from rig.settings import Configuration
 from rig.terminal import say
 from rig.view.running_view import RunningView
-from rig.view.show import show_records
+from rig.view.show import show_record
 
 _PAUSE_NS, _PICTURE_INTERVAL_NS = 2_000_000_000, 300_000_000
 _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
@@ -60,7 +60,7 @@ class BalanceView:
                 self._writer.close()
             self._view.close()
             if self._rrd is not None:
-                show_records([self._writer.path], rrd=self._rrd, layout="balancing")
+                show_record(self._writer.path, rrd=self._rrd, layout="balancing")
 
     def begin(self, first: Frame, info: CameraInfo) -> None:
         """Begin a measurement; the frames' clock may have been reset."""

@@ -39,7 +39,7 @@ from rig.terminal import (
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
 from rig.view.running_view import Mode, no_window
-from rig.view.show import show_records
+from rig.view.show import show_record
 
 
 def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
@@ -138,9 +138,9 @@ def replay_record(
             answer(written=[output / RESULTS_NAME])
             print(f"results      {output / RESULTS_NAME}")
         if again is not None and mode != "none":
-            show_records([again], mode=mode)
+            show_record(again, mode=mode)
         if again is not None and rrd is not None:
-            show_records([again], rrd=rrd)
+            show_record(again, rrd=rrd)
             answer(written=[rrd])
             print(f"Rerun file   {rrd}")
     return 1 if run.problem and config.lever is not None and not replay.partial else 0

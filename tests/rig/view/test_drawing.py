@@ -29,9 +29,9 @@ def test_a_curve_does_not_cross_what_was_not_measured(tmp_path: Path) -> None:
     flags = np.zeros(len(time_s), dtype=np.int64)
     with drawing_into(path, period_s=4.0) as drawing:
         for part in (slice(0, 400), slice(400, None)):
-            drawing.samples("", time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part])
+            drawing.samples(time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part])
         for at_s in (17.0, 21.0, 953.0, 957.0):
-            drawing.balance("", at_s, {"period_ratio": (3.0, 0.1)})
+            drawing.balance(at_s, {"period_ratio": (3.0, 0.1)})
     at, x = scalars(path, "/deflection/x")
     assert at[np.isnan(x)].tolist() == [0.5 * (time_s[249] + time_s[250])]
     assert np.isfinite(x).sum() == len(time_s)
@@ -47,9 +47,9 @@ def test_the_fast_mode_is_drawn_about_the_rest_position(tmp_path: Path, unit: st
     at_rest = {"line_angle_rad": (0.0, 1e-4), "rest_x": (30 * size, size), "rest_y": (-7 * size, size)}
     with drawing_into(path, unit=unit) as drawing:
         y = 20 * np.cos(1.5 * time_s) - 7
-        drawing.samples("", time_s, 30 + fast, y, np.zeros(len(time_s), dtype=np.int64))
-        drawing.balance("", 4.0, at_rest)
-    at, drawn = scalars(path, f"/{layout.FAST}")
+        drawing.samples(time_s, 30 + fast, y, np.zeros(len(time_s), dtype=np.int64))
+        drawing.balance(4.0, at_rest)
+    at, drawn = scalars(path, layout.FAST)
     assert at == pytest.approx(time_s)
     assert drawn == pytest.approx(fast, abs=1e-6)
 
@@ -59,7 +59,7 @@ def test_samples_are_thinned_whatever_the_model_of_the_beam(tmp_path: Path) -> N
     path = tmp_path / "run.rrd"
     with drawing_into(path) as drawing:
         time_s = np.arange(500) / 500
-        drawing.samples("", time_s, np.sin(time_s), np.cos(time_s), np.full(500, SpotFlag.LEARNED))
+        drawing.samples(time_s, np.sin(time_s), np.cos(time_s), np.full(500, SpotFlag.LEARNED))
     assert len(scalars(path, "/deflection/x")[0]) == 100
 
 
@@ -83,7 +83,7 @@ def draw(rrd: Path, block: int, amplitude: float, y: np.ndarray) -> None:
         for first in range(0, len(time_s), block):
             part = slice(first, first + block)
             none = np.zeros(len(time_s[part]), dtype=np.int64)
-            drawing.samples("", time_s[part], 0 * y[part], y[part], none)
+            drawing.samples(time_s[part], 0 * y[part], y[part], none)
 
 
 @pytest.mark.parametrize("block", [8, 1024])
@@ -140,14 +140,14 @@ class Stream:
 )
 def test_a_lane_changes_with_the_kind_of_an_event(kind: str, lanes: set[str]) -> None:
     stream = Stream()
-    RunLanes(cast(rr.RecordingStream, stream)).draw("run 1", kind)
+    RunLanes(cast(rr.RecordingStream, stream)).draw(kind)
     changed = {entity for entity, thing in stream.drawn if isinstance(thing, rr.StateChange)}
-    assert changed == {layout.entity("run 1", lane) for lane in lanes}
+    assert changed == {f"/{lane}" for lane in lanes}
 
 
 def test_a_line_that_reads_like_an_event_changes_no_lane() -> None:
     stream = Stream()
-    RunLanes(cast(rr.RecordingStream, stream)).draw("", Event(0, EventKind.STOP, "time limit").line)
+    RunLanes(cast(rr.RecordingStream, stream)).draw(Event(0, EventKind.STOP, "time limit").line)
     assert stream.drawn == []
 
 

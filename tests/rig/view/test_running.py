@@ -18,7 +18,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE
 from rig.interruption import LOOPBACK, start_python
-from rig.view import RunningView, replay_record, show_records
+from rig.view import RunningView, replay_record, show_record
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 from tests.rig.view.replay_record import make_record
 from tests.rig.view.rrd_contents import column, contents, entities, scalars
@@ -59,7 +59,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_is_shown_live_is_what_is_shown_afterwards(live: Path, tmp_path: Path) -> None:
-    show_records([live / "run-1.mcap"], rrd=tmp_path / "again.rrd")
+    show_record(live / "run-1.mcap", rrd=tmp_path / "again.rrd")
     first, again = contents(live / "live.rrd"), contents(tmp_path / "again.rrd")
     assert first.keys() == again.keys()
     differing = {key for key in first if first[key] != again[key]}
@@ -210,7 +210,7 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_live_and_recorded_curves_are_the_positions_of_the_record(vault: Path, tmp_path: Path) -> None:
-    show_records([vault / "run-1.mcap"], rrd=tmp_path / "again.rrd")
+    show_record(vault / "run-1.mcap", rrd=tmp_path / "again.rrd")
     with RecordReader(vault / "run-1.mcap") as reader:
         spots = reader.table(REFERENCE.topic)
     for axis in ("x", "y"):
