@@ -1,6 +1,5 @@
 """Commands that make, replay and show records."""
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -158,10 +157,6 @@ def _refuse_all_but_a_record(
 def replay(
     record: Record,
     output: ResultsFolder = None,
-    from_s: Annotated[float, typer.Option("--from", help="Begin this many seconds after the start.")] = 0.0,
-    to_s: Annotated[
-        float | None, typer.Option("--to", help="End this many seconds after the start.", show_default=False)
-    ] = None,
     retrack: Annotated[
         bool, typer.Option("--retrack", help="Track the spot again, in the recorded pixels.")
     ] = False,
@@ -184,8 +179,6 @@ def replay(
             output,
             retrack=retrack,
             overrides=set_ or [],
-            from_s=from_s,
-            to_s=math.inf if to_s is None else to_s,
             mode=MODES[view],
             rrd=rrd,
         )
