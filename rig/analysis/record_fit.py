@@ -68,7 +68,7 @@ def analyse_record(
         # keys that this reads cannot be changed: the recorded deflections were made with them
         optics_of(key_monitor.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
         key_monitor.refuse_read()
-        blocks = _RecordedDeflections(reader)
+        blocks = RecordedDeflections(reader)
         return analyse_run(
             reader,
             key_monitor.config,
@@ -82,7 +82,7 @@ def analyse_record(
         )
 
 
-class _RecordedDeflections:
+class RecordedDeflections:
     """The deflections of a record, read anew at every iteration.
 
     `following` is the number after the last frame's, `beam` counts flags and models of the spots, each once.

@@ -12,7 +12,7 @@ from processing.fit import FitResult, fit_exact
 from processing.swing import TurningPoints
 from rig.measure import FIRST_HALF_CYCLES
 from rig.measure.end_of_run import EndOfRun
-from rig.measure.posterior_worker import next_fit_half_cycles
+from rig.measure.posterior import next_fit_half_cycles
 from rig.settings.number_input import stop_conditions
 from tests.benchmarks.cases import each_seed
 from tests.benchmarks.coverage import of_fits
