@@ -160,8 +160,6 @@ def replay(
     retrack: Annotated[
         bool, typer.Option("--retrack", help="Track the spot again, in the recorded pixels.")
     ] = False,
-    view: View = None,
-    rrd: Rrd = None,
     set_: Set = None,
 ) -> None:
     """Process a record again and compare with what was recorded.
@@ -173,16 +171,7 @@ def replay(
     """
     from rig.view import replay_record
 
-    raise typer.Exit(
-        replay_record(
-            one_record(record),
-            output,
-            retrack=retrack,
-            overrides=set_ or [],
-            mode=MODES[view],
-            rrd=rrd,
-        )
-    )
+    raise typer.Exit(replay_record(one_record(record), output, retrack=retrack, overrides=set_ or []))
 
 
 @in_json

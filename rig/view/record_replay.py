@@ -1,17 +1,13 @@
 """`rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
 
 import math
-import tempfile
 from collections.abc import Sequence
-from contextlib import closing, nullcontext
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.writer import RecordWriter
-from processing.errors import ConfigurationError
 from rig.analysis import (
     RESULTS_NAME,
     AnalysedRun,
@@ -22,7 +18,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.instrument import configuration_attachments, recorded_configuration
+from rig.instrument import recorded_configuration
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import (
     Table,
@@ -37,8 +33,6 @@ from rig.terminal import (
 )
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
-from rig.view.running_view import Mode, no_window
-from rig.view.show import show_record
 
 
 def print_comparison(comparison: ReplayDifferences) -> None:
@@ -86,32 +80,25 @@ def _largest(differences: Differences, place: str) -> str:
     return "; ".join(texts or ["only in uncertainties or flags"]) if differences.changed else ""
 
 
-def replay_record(
-    record: Path,
-    output: Path | None,
-    *,
-    retrack: bool,
-    overrides: Sequence[str],
-    mode: Mode = "none",
-    rrd: Path | None = None,
-) -> int:
+def replay_record(record: Path, output: Path | None, *, retrack: bool, overrides: Sequence[str]) -> int:
     """Replay, compare and fit a record; writes results.json into `output` if given. Returns the exit status.
 
-    The view, or the Rerun file, comes last: it shows a record of the replay that lasts as long as the view.
-    Raises RecordError for a file that cannot be replayed, before anything is written, and at the end if the
-    Rerun file is not whole.
+    Raises RecordError for a file that cannot be replayed, before anything is written.
     """
-    if mode == "spawn" and (missing := no_window()):
-        raise ConfigurationError(missing)
-    with RecordReader(record) as reader, tempfile.TemporaryDirectory(prefix="rig-replay-") as folder:
+    console = Console(stderr=True)
+    with RecordReader(record) as reader:
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
         key_monitor = KeyUseMonitor(recorded_configuration(reader, overrides), overrides, remedy)
         config = key_monitor.config
         if reader.truncated:
             say(reader.cut_notice)
         replay = Replay(reader, config, retrack=retrack)
-        again = Path(folder) / f"replay of {record.stem}.mcap" if mode != "none" or rrd is not None else None
-        result = _replayed(reader, replay, config, again)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task("replaying", total=replay.length_s)
+            for _, block in replay.blocks():
+                last_ns = int(block.deflections.times_ns[-1])
+                progress.update(task, completed=replay.elapsed_s(last_ns))
+        result = replay.finish()
         run = _analyse(reader, config, result, key_monitor)
         results = session_results([run], output or record.parent)
         _say_differences(record, result, run)
@@ -121,49 +108,7 @@ def replay_record(
             write_results(output / RESULTS_NAME, results)
             answer(written=[output / RESULTS_NAME])
             print(f"results      {output / RESULTS_NAME}")
-        if again is not None and mode != "none":
-            show_record(again, mode=mode)
-        if again is not None and rrd is not None:
-            show_record(again, rrd=rrd)
-            answer(written=[rrd])
-            print(f"Rerun file   {rrd}")
     return 1 if run.problem and config.lever is not None else 0
-
-
-def _replayed(
-    reader: RecordReader, replay: Replay, config: Configuration, again: Path | None
-) -> ReplayResult:
-    """Replay to the end, with a bar of the progress; the results are also recorded in the file `again`."""
-    console, recorded = Console(stderr=True), 0
-    with (
-        nullcontext() if again is None else closing(_writer(again, reader, config)) as writer,
-        Progress(console=console, transient=True, disable=not console.is_terminal) as progress,
-    ):
-        task = progress.add_task("replaying", total=replay.length_s)
-        for sequences, block in replay.blocks():
-            times_ns = block.deflections.times_ns.tolist()
-            if writer is not None:
-                block.write(writer, sequences.tolist(), times_ns, times_ns)
-                recorded += len(block.swings)
-            progress.update(task, completed=replay.elapsed_s(times_ns[-1]))
-        result = replay.finish()
-        if writer is not None:
-            for swing in result.swings[recorded:]:
-                writer.write_swing(swing)
-            for event in (*reader.events(), *(note.event for note in reader.notes())):
-                writer.write_event(*event)
-    return result
-
-
-def _writer(again: Path, reader: RecordReader, config: Configuration) -> RecordWriter:
-    """A new record with the head of another, but for the configuration."""
-    return RecordWriter(
-        again,
-        reader.epoch_offset_ns,
-        metadata={name: texts for name, texts in reader.metadata.items() if name != "record"},
-        attachments={**reader.attachments, **configuration_attachments(config, Path())},
-        deflection_unit=config.deflection_unit,
-    )
 
 
 def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:

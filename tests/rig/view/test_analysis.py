@@ -13,7 +13,6 @@ from processing.deflections import DeflectionUnit
 from processing.units import ARCSEC_RAD
 from rig.instrument import advice_for, complete
 from rig.settings import load_configuration
-from rig.view import replay_record
 from rig.view.analysis import analysis_curves, report_text, run_analysis
 from rig.view.show import show_record
 from tests.rig.view.replay_record import CONFIG, WITHOUT_FIT, make_record
@@ -75,23 +74,20 @@ def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
     assert advice_for(config, replace(tilted, rest_x=math.nan)).markdown == ""
 
 
-def test_advice_reaches_the_view_of_a_record_and_of_its_replay(tmp_path: Path) -> None:
-    shown, again = tmp_path / "shown.rrd", tmp_path / "again.rrd"
-    record = make_record(tmp_path / "run.mcap", 15.0)
-    show_record(record, rrd=shown, layout="balancing")
-    replay_record(record, None, retrack=False, overrides=[], rrd=again)
-    for path in (shown, again):
-        assert "balanced" in str(column(path, "/advice", "TextDocument:text"))
+def test_advice_reaches_the_view_of_a_record(tmp_path: Path) -> None:
+    rrd = tmp_path / "shown.rrd"
+    show_record(make_record(tmp_path / "run.mcap", 15.0), rrd=rrd, layout="balancing")
+    assert "balanced" in str(column(rrd, "/advice", "TextDocument:text"))
 
 
-def test_a_record_without_a_calibration_and_its_replay_are_in_px(tmp_path: Path) -> None:
+def test_a_record_without_a_calibration_is_shown_in_px(tmp_path: Path) -> None:
     path, rrd = (
         make_record(tmp_path / "px.mcap", 22.0, calibrated=False, overrides=WITHOUT_FIT),
         tmp_path / "px.rrd",
     )
     with RecordReader(path) as reader:
         names = reader.table("/balance").dtype.names or ()
-        balances = reader.balances()
+        balances, expected = reader.balances(), reader.deflections().y
     assert len(balances) > 3
     # what is in rad without a lever, too, is the angle of the line
     assert all("line_angle" in name or "rotation" in name for name in names if "rad" in name)
@@ -105,11 +101,7 @@ def test_a_record_without_a_calibration_and_its_replay_are_in_px(tmp_path: Path)
     assert measured(rrd, "/balance/rest_x")[1] == pytest.approx([b.rest_x for b in balances])
     assert static_values(rrd, "/balance/rest_x", "Measurements:names") == ["rest X / px"]
     assert column(rrd, "/advice", "TextDocument:text")[1] == []
-    again = tmp_path / "again.rrd"
-    replay_record(path, None, retrack=False, overrides=[], rrd=again)
-    with RecordReader(path) as reader:
-        expected = reader.deflections().y
     # without a lever deflections are px, and are shown as they are
-    np.testing.assert_array_equal(scalars(again, "/deflection/y")[1], expected)
+    np.testing.assert_array_equal(scalars(rrd, "/deflection/y")[1], expected)
     assert np.nanmax(np.abs(expected)) > 100.0
-    assert static_values(again, "/deflection/y", "SeriesLines:names") == ["Y / px"]
+    assert static_values(rrd, "/deflection/y", "SeriesLines:names") == ["Y / px"]

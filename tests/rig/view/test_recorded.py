@@ -104,13 +104,6 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
     assert found == warned | {"trip: happened": "CRITICAL", **alarms}
 
 
-def test_a_record_without_calibration_is_shown_in_px(tmp_path: Path) -> None:
-    rrd = tmp_path / "shown.rrd"
-    show_record(make_record(tmp_path / "run.mcap", 15.0, calibrated=False), rrd=rrd)
-    with RecordReader(tmp_path / "run.mcap") as reader:
-        np.testing.assert_array_equal(scalars(rrd, "/deflection/y")[1], reader.deflections().y)
-
-
 def test_a_record_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
     path = make_record(tmp_path / "run.mcap", 100.0)
     data = path.read_bytes()

@@ -21,7 +21,6 @@ from rig.view.record_replay import replay_record
 from rig.view.replay import Replay
 from rig.view.replay_comparison import ReplayComparison, parameter_changes
 from tests.rig.view.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, WITHOUT_FIT, make_record
-from tests.rig.view.rrd_contents import column, measured, scalars
 
 SECONDS = 100.0
 FRAMES = round(SECONDS * RATE_HZ) - 1
@@ -94,18 +93,6 @@ def test_an_unknown_uncertainty_hides_no_other_change() -> None:
     comparison.spots(rows, [Spot(10.0, 21.0, *[1.0] * 8, 0)])
     spots = comparison.finish([], []).spots
     assert (spots.largest_u, spots.largest_at) == (2.0, 7.0)
-
-
-def test_a_rerun_file_has_all_of_the_replay(record: Path, tmp_path: Path) -> None:
-    rrd = tmp_path / "replay.rrd"
-    replay_record(record, None, retrack=False, overrides=[], rrd=rrd)
-    times_s, values = scalars(rrd, "/deflection/y")
-    assert len(times_s) == FRAMES
-    assert np.nanmax(np.abs(values)) > 100.0
-    assert len(measured(rrd, "/amplitude")[0]) >= 0.4 * SECONDS
-    assert len(measured(rrd, "/balance/line_angle")[0]) >= 0.15 * SECONDS
-    # a record begins and ends with an event
-    assert len(column(rrd, "/events", "TextLog:text")[0]) == 2
 
 
 def test_windows_that_have_no_spot_do_not_hold_up_the_others(tmp_path: Path) -> None:
