@@ -43,7 +43,6 @@ ALLOWED = {
     "acquisition/cameras/v4l2/kernel.py": "a device's node",
     # other programs' own
     "rig/view/show.py": "a stream that Rerun's library writes",
-    "rig/view/scratch.py": "a record of its own, replaced by the next",
     "rig/control/firmware/board.py": "runs on the controller, with a rename of its own",
 }  # fmt: skip
 """Modules that write otherwise, and why they may."""

@@ -27,7 +27,7 @@ from rig.report.drawing import png  # noqa: E402
 from rig.settings import load_configuration  # noqa: E402
 from rig.view import LayoutName  # noqa: E402
 from rig.view.layout import TIMELINE  # noqa: E402
-from rig.view.show import show_records  # noqa: E402
+from rig.view.show import show_record  # noqa: E402
 from tests.rig.drawn_pictures import (  # noqa: E402
     CONFIGURATION,
     DRAWN,
@@ -52,7 +52,7 @@ def main(session: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for layout in get_args(LayoutName):
             rrd = Path(folder) / f"{layout}.rrd"
-            show_records([session / "run-1.mcap"], rrd=rrd, layout=layout)
+            show_record(session / "run-1.mcap", rrd=rrd, layout=layout)
             photograph(rrd, HERE / f"rerun-{layout}.png", MOMENT_S[layout])
     gather_figures(session, HERE / "result.png")
     draw_plan(HERE / "plan.png")

@@ -26,7 +26,6 @@ CONFIGURATION = HERE.parents[2] / "configs" / "demo.toml"
 SMALL = {
     "simulation.sensor.width_px": 160,
     "camera.frame_rate_hz": 50,
-    "view.file": "false",
 }
 Record = Any
 

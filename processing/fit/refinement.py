@@ -300,10 +300,7 @@ def judge_refinement(
     first: FitResult,
     fit: DecayFit,
 ) -> Refinement:
-    """The second measurement `again` if the laws describe it as well as the first `swings`.
-
-    Both may begin with earlier half-cycles, which are fitted with them and not measured a second time.
-    """
+    """The second measurement `again` if the laws describe it as well as the first `swings`."""
     shift = measurement_shift(swings, again)
     reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
     if shift.complete:
@@ -327,7 +324,6 @@ def fitted_twice(
     blocks: Iterable[Deflections],
     fit: DecayFit,
     near: FitResult | None = None,
-    before: Sequence[HalfCycle] = (),
 ) -> tuple[Refinement, FitResult]:
     """Half-cycles fitted as detected, measured a second time with that fit's waveform, and fitted again.
 
@@ -337,8 +333,6 @@ def fitted_twice(
         The deflections in rad in which they were detected.
     near
         A fit of fewer of them.
-    before
-        Earlier half-cycles, which are fitted with `swings` and not measured a second time.
 
     Returns
     -------
@@ -349,7 +343,7 @@ def fitted_twice(
     DataError
         They cannot be fitted.
     """
-    weighted = with_learned_weights([*before, *swings])
+    weighted = with_learned_weights(swings)
     first = fit.of(weighted, near)
     every, moved = up_to_rest_step(weighted, first.evidence.knocks)
     if moved:
@@ -358,7 +352,6 @@ def fitted_twice(
         motion = fit.motion(first, every)
     except DataError:
         return Refinement(every, None, doubt=moved), first
-    again = second_measurement(every[len(before) :], blocks, motion)
-    found = judge_refinement(every, [*every[: len(before)], *again], motion, first, fit)
+    found = judge_refinement(every, second_measurement(every, blocks, motion), motion, first, fit)
     found = found._replace(doubt="; ".join(filter(None, [moved, found.doubt])))
     return found, found.exact or fit.of(found.swings, first)

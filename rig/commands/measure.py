@@ -1,13 +1,11 @@
 """Commands that make, replay and show records."""
 
-import math
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from acquisition.record import records_in
 from processing.errors import ConfigurationError
 from rig.commands.arguments import (
     MODES,
@@ -26,7 +24,6 @@ from rig.commands.arguments import (
     new_file,
     one_record,
     output_option,
-    record_input,
 )
 
 Rrd = Annotated[Path | None, output_option("Write a Rerun file.", new_file(".rrd"), names=("--rrd",))]
@@ -171,15 +168,9 @@ def _refuse_all_but_a_record(
 def replay(
     record: Record,
     output: ResultsFolder = None,
-    from_s: Annotated[float, typer.Option("--from", help="Begin this many seconds after the start.")] = 0.0,
-    to_s: Annotated[
-        float | None, typer.Option("--to", help="End this many seconds after the start.", show_default=False)
-    ] = None,
     retrack: Annotated[
         bool, typer.Option("--retrack", help="Track the spot again, in the recorded pixels.")
     ] = False,
-    view: View = None,
-    rrd: Rrd = None,
     set_: Set = None,
 ) -> None:
     """Process a record again and compare with what was recorded.
@@ -191,54 +182,36 @@ def replay(
     """
     from rig.view import replay_record
 
-    raise typer.Exit(
-        replay_record(
-            one_record(record),
-            output,
-            retrack=retrack,
-            overrides=set_ or [],
-            from_s=from_s,
-            to_s=math.inf if to_s is None else to_s,
-            mode=MODES[view],
-            rrd=rrd,
-        )
-    )
+    raise typer.Exit(replay_record(one_record(record), output, retrack=retrack, overrides=set_ or []))
 
 
 @in_json
 def view(
-    records: Annotated[
-        list[Path],
-        typer.Argument(help="Records (.mcap), or their folders."),
-    ],
+    record: Annotated[Path, typer.Argument(help="Record (.mcap), or its folder.")],
     view: View = None,
     rrd: Rrd = None,
     layout: Annotated[
         Literal["balancing", "measuring", "analysing"],
-        typer.Option(help="Layout of the panels; analysing fits records that have no results yet."),
+        typer.Option(help="Layout of the panels; analysing fits a record that has no results yet."),
     ] = "measuring",
     follow: Annotated[bool, typer.Option("--follow", hidden=True)] = False,
     ports: Annotated[tuple[int, int] | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Show records in Rerun; several are overlaid.
-
-    One that is being written is followed.
+    """Show a record in Rerun; one that is being written is followed.
 
     \b
     Examples:
       rig view runs/first/run-1.mcap --view web
       rig view runs/first/run-1.mcap --layout analysing --rrd fits.rrd
     """
-    from rig.view import show_records
+    from rig.view import show_record
 
     if rrd is not None and view:
         raise ConfigurationError(f"--view {view} --rrd {rrd}: written or shown, not both; leave one out")
-    if not follow:
-        # a followed record may not exist yet
-        record_input(records)
-    found = [record for path in records for record in ([path] if follow else records_in(path))]
+    # a followed record may not exist yet
+    found = record if follow else one_record(record)
     mode: Literal["spawn", "web"] = "web" if view == "web" else "spawn"
-    show_records(found, mode=mode, rrd=rrd, layout=layout, follow=follow, ports=ports)
+    show_record(found, mode=mode, rrd=rrd, layout=layout, follow=follow, ports=ports)
     if rrd is not None and not follow:
         from rig.terminal import answer
 

@@ -57,7 +57,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
 
     Raises RigError if the recording fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
     """
-    updates: dict[str, BaseModel] = {"view": config.view.model_copy(update={"mode": "none", "file": False})}
+    updates: dict[str, BaseModel] = {"view": config.view.model_copy(update={"mode": "none"})}
     if seconds is not None:
         as_it_is = {"max_duration_s": seconds, "final_amplitude_arcsec": _UNREACHED_ARCSEC, "stop_when": ()}
         updates |= {
@@ -112,7 +112,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     at rest (start.way is not 'at once'): the pendulum must rest then.
     """
     preflight = config.preflight.model_copy(update={"when": "always"})
-    quiet = config.view.model_copy(update={"mode": "none", "file": False})
+    quiet = config.view.model_copy(update={"mode": "none"})
     config = complete(config.model_copy(update={"preflight": preflight, "view": quiet}))
     check_materials(config)
     folder, verdicts = config.session.output, list[Verdict]()

@@ -341,9 +341,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         for line in camera.notes:
             _say_if_open(line)
         posterior = live_posterior(plan.config) if plan.fitted else None
-        settings = plan.config.view
-        rrd = record.with_suffix(".rrd") if settings.file else None
-        view = RunningView(record, settings.mode, rrd, settings.layout)
+        view = RunningView(record, plan.config.view.mode, plan.config.view.layout)
         try:
             outcome = _execute(plan, devices, camera, posterior)
             ends = plan.is_last or outcome.failure is not None or outcome.stopped
@@ -355,8 +353,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         finally:
             if posterior is not None:
                 posterior.close()
-            if problem := view.close():
-                _say_if_open(problem)
+            view.close()
 
 
 def _execute(

@@ -310,10 +310,7 @@ def report(config: Configuration, folder: Path, outcome: SessionOutcome, options
     failed = outcome.failed or bool(faults)
     options.notices.failures.extend(faults)
     write_results(path, results)
-    paths = []
-    for run in runs:
-        paths.append(("record", run.path))
-        paths += [("Rerun file", rrd) for rrd in sorted(folder.glob(f"{run.path.stem}*.rrd"))]
+    paths = [("record", run.path) for run in runs]
     paths.append(("results", path))
     try:
         paths.append(("report", make_report(path)))

@@ -121,9 +121,8 @@ def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:
         records = [folder / entry.record for entry in file.state.entries]
         if any(record.exists() for record in records):
             return
-        for path in (folder / STATE_NAME, *(record.with_suffix(".rrd") for record in records)):
-            path.unlink(missing_ok=True)
-        (folder / LOCK_NAME).unlink(missing_ok=True)
+        for name in (STATE_NAME, LOCK_NAME):
+            (folder / name).unlink(missing_ok=True)
     with suppress(OSError):
         for place in made:
             place.rmdir()

@@ -1,98 +1,34 @@
 """The loop of `rig balance`: measure the balance, advise a turn of a weight, learn from it, repeat."""
 
-import contextlib
 import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
-from acquisition.camera import CameraInfo, Frame
-from acquisition.record.events import Event, EventKind
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import TrimmedPendulum, TrimWeight, imperfect_weights
 from processing.balance import Balance, Turn, balance_checks
-from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
-from processing.units import nanoseconds, seconds
+from processing.units import nanoseconds
 from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_shown_to_desk, wait_for_command
 from rig.instrument import (
     DIRECTIONS,
     WEIGHTS,
-    Block,
     Pipeline,
     advice_for,
     complete,
-    configuration_attachments,
     mass_centre_height,
     optics_of,
     prepare_kernels,
-    session_metadata,
 )
 from rig.prepare.dialogue import Reporter
 from rig.prepare.learned_turns import BalanceMeasurement, LearnedTurns, forget_last_turn, show_turns
 from rig.settings import Configuration
 from rig.terminal import answer, say
-from rig.view import ScratchView
+from rig.view import BalanceView
 
 _BAD_SPOT = SpotFlag.LOST | SpotFlag.EDGE
-_PAUSE_NS = 2_000_000_000
 _MIN_PULSE_S = 0.01
-
-
-class BalanceView(contextlib.ExitStack):
-    """The view in the balancing layout, where measurements follow each other in time; a context manager.
-
-    The view is opened at the first frame, if a live view or a Rerun file is wanted. At the end RecordError is
-    raised if that file is not whole.
-    """
-
-    def __init__(
-        self,
-        config: Configuration,
-        rrd: Path | None,
-        advise: Callable[[Balance], str],
-        way: Callable[[Deflections], None],
-    ) -> None:
-        super().__init__()
-        self._config = config
-        self._rrd = rrd
-        self._advise = advise
-        self._way = way
-        self._view: ScratchView | None = None
-        self._shift_ns = 0
-        self._shown_ns = 0
-
-    def begin(self, first: Frame, info: CameraInfo) -> None:
-        """Begin a measurement; the frames' clock may have been reset."""
-        mode = self._config.view.mode
-        if mode == "none" and self._rrd is None:
-            return
-        if self._view is None:
-            config = self._config
-            view = ScratchView("balancing", mode, self._rrd, "balancing", config.deflection_unit)
-            self._view = self.enter_context(view)
-            view.begin(
-                0,
-                epoch_offset_ns=time.time_ns(),
-                metadata=session_metadata(config, info, first),
-                attachments=configuration_attachments(config, Path()),
-            )
-            self._view.event(Event(0, EventKind.START, "first frame"))
-        else:
-            self._shown_ns += _PAUSE_NS
-            self._view.jump(self._shown_ns, f"restarted at {seconds(self._shown_ns):.1f} s")
-        self._shift_ns = first.time_ns - self._shown_ns
-
-    def block(self, frames: Sequence[Frame], block: Block) -> None:
-        """Show processed frames."""
-        self._way(block.deflections)
-        if self._view is not None and frames:
-            self._view.block(block, frames, self._shift_ns)
-            for balance in block.balances:
-                at_ns = balance.time_ns - self._shift_ns
-                self._view.event(Event(at_ns, EventKind.ADVICE, self._advise(balance)))
-            self._shown_ns = frames[-1].time_ns - self._shift_ns
 
 
 def measure(

@@ -142,11 +142,10 @@ class RecordSettings(Section, frozen=True):
 
 
 class ViewSettings(Section, frozen=True):
-    """The live view in Rerun. If `file` is true, an .rrd file is written next to the record."""
+    """The live view in Rerun."""
 
     mode: Literal["none", "spawn", "web"] = "none"
     layout: Literal["balancing", "measuring", "analysing"] = "measuring"
-    file: bool = True
     image_interval_s: float = Field(default=1.0, gt=0)
 
 

@@ -1,9 +1,9 @@
-"""The analysing layout of records: curves of fits and the report's text, drawn in Rerun.
+"""The analysing layout of a record: curves of fits and the report's text, drawn in Rerun.
 
 Its XY plots are drawn in Spatial2DViews with axes of their own.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -66,67 +66,49 @@ def run_analysis(record: Path) -> RunResults:
     return analyse_record(record) if known is None else known
 
 
-def analysis_curves(runs: Mapping[str, RunResults]) -> list[AnalysisCurve]:
-    """Curves of the decay and of T(alpha) with both fits and their residuals; only data if there is no fit.
-
-    Several runs share the axes, with the data and the residuals of the exact fit, named by the run.
-    """
-    result: list[AnalysisCurve] = []
-    single = len(runs) == 1
-    for name, run in runs.items():
-        # the unit is one of a record's, never that of a table
-        points, size = run.points, DeflectionUnit(run.stored.unit).shown_size
-        amplitude, u = points.amplitude / size, points.u_amplitude / size
-        data = "measured" if single else name
-        result.append(AnalysisCurve("decay", data, points.time_s, amplitude, u if single else None, "points"))
-        curves = curves_of(run)
-        if curves is None:
-            continue
-        at, u_period_s = curves.period_rad / size, curves.u_period_s
-        result.append(
-            AnalysisCurve("period", data, at, curves.period_s, u_period_s if single else None, "points")
-        )
-        models = {
-            FitMethod.ASYMPTOTIC: (curves.asymptotic.model_amplitude_rad / size, curves.asymptotic_period_s),
-            FitMethod.EXACT: (curves.exact.model_amplitude_rad / size, curves.exact_period_s),
-        }
-        for method, (decay, period_s) in models.items():
-            exact = method is FitMethod.EXACT
-            if not (single or exact):
-                continue
-            fit = f"{method} fit" if single else name
-            if single:
-                result += [
-                    AnalysisCurve("decay", fit, points.time_s, decay),
-                    AnalysisCurve("period", fit, at, period_s),
-                ]
-            u_bars, u_bars_ms = (u, 1e3 * u_period_s) if single and exact else (None, None)
-            residual_ms = 1e3 * (curves.period_s - period_s)
-            result += [
-                AnalysisCurve("residuals", fit, points.time_s, amplitude - decay, u_bars, "points"),
-                AnalysisCurve("period_residuals", fit, at, residual_ms, u_bars_ms, "points"),
-            ]
+def analysis_curves(run: RunResults) -> list[AnalysisCurve]:
+    """Curves of the decay and of T(alpha) with both fits and their residuals; without a fit only data."""
+    # the unit is one of a record's, never that of a table
+    points, size = run.points, DeflectionUnit(run.stored.unit).shown_size
+    amplitude, u = points.amplitude / size, points.u_amplitude / size
+    result = [AnalysisCurve("decay", "measured", points.time_s, amplitude, u, "points")]
+    curves = curves_of(run)
+    if curves is None:
+        return result
+    at, u_period_s = curves.period_rad / size, curves.u_period_s
+    result.append(AnalysisCurve("period", "measured", at, curves.period_s, u_period_s, "points"))
+    models = {
+        FitMethod.ASYMPTOTIC: (curves.asymptotic.model_amplitude_rad / size, curves.asymptotic_period_s),
+        FitMethod.EXACT: (curves.exact.model_amplitude_rad / size, curves.exact_period_s),
+    }
+    for method, (decay, period_s) in models.items():
+        fit = f"{method} fit"
+        u_bars, u_bars_ms = (u, 1e3 * u_period_s) if method is FitMethod.EXACT else (None, None)
+        residual_ms = 1e3 * (curves.period_s - period_s)
+        result += [
+            AnalysisCurve("decay", fit, points.time_s, decay),
+            AnalysisCurve("period", fit, at, period_s),
+            AnalysisCurve("residuals", fit, points.time_s, amplitude - decay, u_bars, "points"),
+            AnalysisCurve("period_residuals", fit, at, residual_ms, u_bars_ms, "points"),
+        ]
     return result
 
 
-def report_text(runs: Mapping[str, RunResults]) -> str:
-    """Results of the fits in Markdown, one run after another."""
+def report_text(results: RunResults) -> str:
+    """Results of the fits in Markdown."""
     from rig.report import instrument_table
 
-    parts: list[str] = []
-    for results in runs.values():
-        parts.append(f"## {Path(results.record).stem}")
-        parts.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
-        if results.problem:
-            parts.append(f"no fit: {results.problem}")
-        if results.fits:
-            parts.append(_markdown(parameter_table(results, full=False)))
-            parts.append(_markdown(quality_table(results)))
-        instrument = instrument_table(results)
-        if instrument.rows:
-            parts.append(_markdown(instrument))
-        parts += [f"- {line}" for line in (*remarks(results), *results.warnings)]
-    return "\n\n".join(parts)
+    parts = [f"## {Path(results.record).stem}"]
+    parts.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
+    if results.problem:
+        parts.append(f"no fit: {results.problem}")
+    if results.fits:
+        parts.append(_markdown(parameter_table(results, full=False)))
+        parts.append(_markdown(quality_table(results)))
+    instrument = instrument_table(results)
+    if instrument.rows:
+        parts.append(_markdown(instrument))
+    return "\n\n".join([*parts, *(f"- {line}" for line in (*remarks(results), *results.warnings))])
 
 
 def _markdown(table: Table) -> str:
@@ -147,9 +129,7 @@ def _markdown(table: Table) -> str:
     return "\n".join([line(head), line(["---"] * len(head)), *map(line, rows)])
 
 
-def draw_fits(
-    stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], text: str, run: str, unit: str
-) -> None:
+def draw_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], text: str, unit: str) -> None:
     """Draw axes and curves of each panel, and the report's text (Markdown).
 
     They are static entities (without a time), because they hold for the whole run.
@@ -165,7 +145,7 @@ def draw_fits(
             y_title.format(unit=unit),
             trimmed=panel in TRIMMED_PANELS,
         )
-        root = layout.entity(run, f"{layout.ANALYSIS_ROOT}/{panel}")
+        root = f"{layout.ANALYSIS_ROOT}/{panel}"
         for name, archetype in graticule_marks(graticule).items():
             stream.log(f"{root}/axes/{name}", archetype, static=True)
         entries = []
@@ -179,7 +159,7 @@ def draw_fits(
         stream.log(f"{root}/legend", legend, static=True)
     if text:
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
-        stream.log(layout.entity(run, layout.REPORT), document, static=True)
+        stream.log(layout.REPORT, document, static=True)
 
 
 def _draw_curve(

@@ -1,4 +1,4 @@
-"""Draws the values of runs into one Rerun stream."""
+"""Draws the values of a run into a Rerun stream."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -69,16 +69,16 @@ def _measurement_columns(values: Floats, u: Floats) -> Any:
 
 
 class RunLanes:
-    """Draws the lanes (conditions against time) of all runs into one stream."""
+    """Draws the lanes (conditions against time)."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._styled_lanes: set[str] = set()
 
-    def draw(self, run: str, kind: str) -> None:
+    def draw(self, kind: str) -> None:
         """Change the lanes by an event of this kind; the stream's time must be set."""
         for lane, state in _STATES_OF_EVENT.get(kind, {}).items():
-            entity = layout.entity(run, lane)
+            entity = f"/{lane}"
             if entity not in self._styled_lanes:
                 self._styled_lanes.add(entity)
                 colours = [palette.rgba(colour) for colour in _STATES.values()]
@@ -88,9 +88,9 @@ class RunLanes:
 
 
 class Drawing:
-    """Draws the values of runs into one stream; curves are gathered and sent in blocks.
+    """Draws the values of a run into one stream; curves are gathered and sent in blocks.
 
-    Times are seconds since the start of a run; `run` is its name if several are overlaid, else empty.
+    Times are seconds since the start of the run.
 
     Parameters
     ----------
@@ -109,68 +109,59 @@ class Drawing:
         self.stream = stream
         self._gathered = SendBuffer(stream, gather_s, gather_rows)
         self._lanes = RunLanes(stream)
-        single = len(setup.runs) < 2
-        self._lissajous = Lissajous(
-            stream, self._gathered, setup.unit, setup.amplitude, setup.period_s if single else None
-        )
+        self._lissajous = Lissajous(stream, self._gathered, setup.unit, setup.amplitude, setup.period_s)
         self._breaks = GapBreaker()
-        self._decimators: dict[str, Decimator] = {}
+        self._decimator = Decimator(MAX_SAMPLE_RATE_HZ)
+        self._reference_decimator = Decimator(MAX_REFERENCE_RATE_HZ)
         self._named: set[str] = set()
-        self._transverse_curves: dict[str, TransverseCurves] = {}
-        self._reference_origin_px: dict[str, tuple[float, float]] = {}
+        self._transverse = TransverseCurves()
+        self._reference_origin_px: tuple[float, float] | None = None
 
     def send(self, *, now: bool = False) -> None:
         """Send the gathered values if a limit of `SendBuffer` is reached, or in any case if `now`."""
         self._gathered.send(now=now)
 
-    def samples(self, run: str, time_s: Floats, x: Floats, y: Floats, flags: NDArray[np.int64]) -> None:
+    def samples(self, time_s: Floats, x: Floats, y: Floats, flags: NDArray[np.int64]) -> None:
         """Draw deflections (n,) in the shown unit, NaN where the spot was lost; `flags` of the spots."""
-        decimator = self._decimators.setdefault(run, Decimator(MAX_SAMPLE_RATE_HZ))
         # flags of the beam's model, which all spots of a run have, do not force a sample to be drawn
-        chosen = decimator.choose(time_s, flags & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED))
+        chosen = self._decimator.choose(time_s, flags & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED))
         if not chosen.any():
             return
-        gap_s, entity = SAMPLES_GAP_PERIODS * self.setup.period_s, layout.entity(run, layout.X)
-        drawn_s, drawn_x, drawn_y = self._breaks.broken(entity, gap_s, time_s[chosen], x[chosen], y[chosen])
-        single, unit = len(self.setup.runs) < 2, self.setup.unit
-        colour = palette.GREY if single else palette.X_COLOUR
-        self._curve(run, layout.X, f"X / {unit}", colour, drawn_s, drawn_x)
-        if single:
-            self._draw_transverse(run, drawn_s, drawn_x, drawn_y)
-        self._curve(run, layout.Y, f"Y / {unit}", palette.Y_COLOUR, drawn_s, drawn_y)
-        colour = self._run_colour(run, palette.TRAJECTORY_COLOUR)
-        self._lissajous.draw(run, drawn_s, drawn_x, drawn_y, colour)
+        gap_s, unit = SAMPLES_GAP_PERIODS * self.setup.period_s, self.setup.unit
+        drawn_s, drawn_x, drawn_y = self._breaks.broken(layout.X, gap_s, time_s[chosen], x[chosen], y[chosen])
+        self._curve(layout.X, f"X / {unit}", palette.GREY, drawn_s, drawn_x)
+        self._draw_transverse(drawn_s, drawn_x, drawn_y)
+        self._curve(layout.Y, f"Y / {unit}", palette.Y_COLOUR, drawn_s, drawn_y)
+        self._lissajous.draw(drawn_s, drawn_x, drawn_y)
         self._lissajous.follow(time_s, x, y)
 
-    def _draw_transverse(self, run: str, time_s: Floats, x: Floats, y: Floats) -> None:
+    def _draw_transverse(self, time_s: Floats, x: Floats, y: Floats) -> None:
         """Draw the two parts of X: the fast mode, and the leakage of the slow mode."""
-        parts = self._transverse_curves.setdefault(run, TransverseCurves()).samples(time_s, x, y)
+        parts = self._transverse.samples(time_s, x, y)
         if parts is not None:
             time_s, fast, leakage = parts
-            self._curve(run, layout.LEAKAGE, "slow mode's leakage", palette.BLUE, time_s, leakage)
-            self._curve(run, layout.FAST, "fast mode", palette.X_COLOUR, time_s, fast)
+            self._curve(layout.LEAKAGE, "slow mode's leakage", palette.BLUE, time_s, leakage)
+            self._curve(layout.FAST, "fast mode", palette.X_COLOUR, time_s, fast)
 
-    def reference(self, run: str, time_s: Floats, x_px: Floats, y_px: Floats) -> None:
+    def reference(self, time_s: Floats, x_px: Floats, y_px: Floats) -> None:
         """Draw the reference spot (n,) relative to its first position; NaN where it was lost."""
         found = np.flatnonzero(np.isfinite(x_px + y_px))
-        if run not in self._reference_origin_px:
+        if self._reference_origin_px is None:
             if not len(found):
                 return
-            self._reference_origin_px[run] = (float(x_px[found[0]]), float(y_px[found[0]]))
-        origin_x, origin_y = self._reference_origin_px[run]
-        entity = layout.entity(run, layout.REFERENCE)
-        decimator = self._decimators.setdefault(entity, Decimator(MAX_REFERENCE_RATE_HZ))
-        chosen = decimator.choose(time_s, np.zeros(len(time_s), dtype=np.int64))
+            self._reference_origin_px = float(x_px[found[0]]), float(y_px[found[0]])
+        origin_x, origin_y = self._reference_origin_px
+        chosen = self._reference_decimator.choose(time_s, np.zeros(len(time_s), dtype=np.int64))
         if not chosen.any():
             return
         gap_s = SAMPLES_GAP_PERIODS * self.setup.period_s
         x, y = x_px[chosen] - origin_x, y_px[chosen] - origin_y
-        drawn_s, x, y = self._breaks.broken(entity, gap_s, time_s[chosen], x, y)
+        drawn_s, x, y = self._breaks.broken(layout.REFERENCE, gap_s, time_s[chosen], x, y)
         for path, values, colour in (("x", x, palette.X_COLOUR), ("y", y, palette.Y_COLOUR)):
-            self._curve(run, f"{layout.REFERENCE}/{path}", f"{path} / px", colour, drawn_s, values)
+            self._curve(f"{layout.REFERENCE}/{path}", f"{path} / px", colour, drawn_s, values)
 
     def half_cycles(
-        self, run: str, time_s: Floats, amplitudes: tuple[Floats, Floats], periods_s: tuple[Floats, Floats]
+        self, time_s: Floats, amplitudes: tuple[Floats, Floats], periods_s: tuple[Floats, Floats]
     ) -> None:
         """Draw amplitude (shown unit) and full period in s at turning points (n,), each with its u."""
         for path, (value, u), colour, unit in (
@@ -180,24 +171,24 @@ class Drawing:
             good = np.isfinite(value)
             if good.any():
                 columns = time_s[good], value[good], u[good]
-                self._curve(run, path, f"{path} / {unit}", colour, *columns, gap_periods=POINTS_GAP_PERIODS)
+                self._curve(path, f"{path[1:]} / {unit}", colour, *columns, gap_periods=POINTS_GAP_PERIODS)
 
-    def balance(self, run: str, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:
+    def balance(self, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:
         """Draw the balance at one moment (see `balance_numbers`), as curves and as a table."""
         unit = self.setup.unit
         size = ARCSEC_RAD if unit == "arcsec" else 1.0
-        self._transverse_curves.setdefault(run, TransverseCurves()).balance(time_s, numbers, size)
+        self._transverse.balance(time_s, numbers, size)
         # draw the samples that have waited for the first balance
-        self._draw_transverse(run, *[np.empty(0)] * 3)
+        self._draw_transverse(*[np.empty(0)] * 3)
         for name, (value, u) in numbers.items():
             shown, drawn = quantity(name, unit), balance_style(name)
             if np.isfinite(value):
                 columns = time_s, shown.factor * value, shown.factor * u
                 path, label = f"{layout.BALANCE_ROOT}/{drawn.entity}", shown.label
-                self._curve(run, path, label, drawn.colour, *columns, gap_periods=POINTS_GAP_PERIODS)
-        self.text(run, layout.BALANCE_TABLE, time_s, balance_table(numbers, unit))
+                self._curve(path, label, drawn.colour, *columns, gap_periods=POINTS_GAP_PERIODS)
+        self.text(layout.BALANCE_TABLE, time_s, balance_table(numbers, unit))
 
-    def estimates(self, run: str, time_s: float, numbers: Mapping[str, Estimate]) -> None:
+    def estimates(self, time_s: float, numbers: Mapping[str, Estimate]) -> None:
         """Draw parameters of the contact at one moment, by key, in the unit in which they are stored.
 
         Only values that `is_drawn` accepts are drawn: the first ones would hide all later ones.
@@ -207,47 +198,46 @@ class Drawing:
             value, u = (factor * one for one in numbers.get(key, Estimate(np.nan, np.nan)))
             if is_drawn(value, u):
                 path, colour = f"{layout.PARAMETERS_ROOT}/{key}", palette.SEQUENCE[number]
-                self._curve(run, path, label, colour, time_s, value, u)
+                self._curve(path, label, colour, time_s, value, u)
 
-    def clock(self, run: str, time_s: float, drift_ppm: float, u_drift_ppm: float) -> None:
+    def clock(self, time_s: float, drift_ppm: float, u_drift_ppm: float) -> None:
         """Draw the rate of the camera's clock against the computer's, minus 1."""
         label = "camera's clock / ppm"
-        self._curve(run, layout.CLOCK, label, palette.SKY_BLUE, time_s, drift_ppm, u_drift_ppm)
+        self._curve(layout.CLOCK, label, palette.SKY_BLUE, time_s, drift_ppm, u_drift_ppm)
 
     def picture(
-        self, run: str, time_s: float, jpeg: bytes, shape: tuple[int, int], spot_px: tuple[float, float]
+        self, time_s: float, jpeg: bytes, shape: tuple[int, int], spot_px: tuple[float, float]
     ) -> None:
         """Draw a camera image (ny, nx) and the spot (x, y) in it, NaN if it was lost."""
         self._set_time(time_s)
         encoded = rr.EncodedImage(contents=jpeg, media_type="image/jpeg")
-        self.stream.log(layout.entity(run, layout.IMAGE), encoded)
+        self.stream.log(layout.IMAGE, encoded)
         found = np.isfinite(spot_px).all()
         mark = spot_cross(*spot_px, shape) if found else rr.Clear(recursive=False)
-        self.stream.log(layout.entity(run, layout.SPOT), mark)
+        self.stream.log(layout.SPOT, mark)
 
-    def losses(self, run: str, time_s: float, counts: Mapping[str, int]) -> None:
+    def losses(self, time_s: float, counts: Mapping[str, int]) -> None:
         """Draw counts since the start of the run, by name."""
         for index, (name, count) in enumerate(sorted(counts.items())):
             colour = palette.LOSSES[index % len(palette.LOSSES)]
             path, label = f"{layout.LOSSES_ROOT}/{name}", name.replace("_", " ")
-            self._curve(run, path, label, colour, time_s, float(count), steps=True)
+            self._curve(path, label, colour, time_s, float(count), steps=True)
 
-    def event(self, run: str, time_s: float, event: Event) -> None:
+    def event(self, time_s: float, event: Event) -> None:
         """Draw an event: a line of the log, and its changes of the lanes."""
         self._set_time(time_s)
         log = rr.TextLog(event.line, level=LEVELS[event.level])
-        self.stream.log(layout.entity(run, layout.EVENTS), log)
-        self._lanes.draw(run, event.kind)
+        self.stream.log(layout.EVENTS, log)
+        self._lanes.draw(event.kind)
 
-    def text(self, run: str, path: str, time_s: float, text: str) -> None:
+    def text(self, path: str, time_s: float, text: str) -> None:
         """Draw a text in Markdown, the contents of a panel."""
         self._set_time(time_s)
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
-        self.stream.log(layout.entity(run, path), document)
+        self.stream.log(path, document)
 
     def _curve(
         self,
-        run: str,
         path: str,
         label: str,
         colour: str,
@@ -259,28 +249,20 @@ class Drawing:
         steps: bool = False,
     ) -> None:
         """Gather values (n,) of a curve, with `u` in a band of one standard uncertainty on either side."""
-        full = layout.entity(run, path)
-        if full not in self._named:
-            self._named.add(full)
-            name, colours = f"{run} {label}".strip(), [palette.rgba(self._run_colour(run, colour))]
-            style: rr.AsComponents = rr.Measurements.from_fields(names=name, colors=colours, widths=[1.5])
+        if path not in self._named:
+            self._named.add(path)
+            colours = [palette.rgba(colour)]
+            style: rr.AsComponents = rr.Measurements.from_fields(names=label, colors=colours, widths=[1.5])
             if u is None:
                 mode = rr.components.InterpolationMode.StepAfter if steps else None
-                style = rr.SeriesLines(colors=colours, names=name, widths=1.5, interpolation_mode=mode)
-            self.stream.log(full, style, static=True)
+                style = rr.SeriesLines(colors=colours, names=label, widths=1.5, interpolation_mode=mode)
+            self.stream.log(path, style, static=True)
         drawn = self._breaks.broken(
-            full,
+            path,
             gap_periods * self.setup.period_s,
             *(np.atleast_1d(one) for one in (time_s, value, u) if one is not None),
         )
-        self._gathered.add(full, _scalar_columns if u is None else _measurement_columns, *drawn)
-
-    def _run_colour(self, run: str, colour: str) -> str:
-        """The colour of the run if several are overlaid, otherwise the colour of the quantity."""
-        runs = self.setup.runs
-        if len(runs) < 2 or run not in runs or colour == palette.GREY:
-            return colour
-        return palette.SEQUENCE[runs.index(run) % len(palette.SEQUENCE)]
+        self._gathered.add(path, _scalar_columns if u is None else _measurement_columns, *drawn)
 
     def _set_time(self, time_s: float) -> None:
         self.stream.set_time(layout.TIMELINE, duration=time_s)

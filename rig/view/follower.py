@@ -7,7 +7,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -42,15 +41,13 @@ _MAX_PIECES = 64
 
 
 class RecordDrawer:
-    """Draws a record under the name of a run (empty for a single one).
+    """Draws a record.
 
     `picture_interval_s` is the shortest interval of pictures in run time.
     """
 
-    def __init__(
-        self, reader: RecordReader, drawing: Drawing, run: str = "", *, picture_interval_s: float
-    ) -> None:
-        self._reader, self._drawing, self._run = reader, drawing, run
+    def __init__(self, reader: RecordReader, drawing: Drawing, *, picture_interval_s: float) -> None:
+        self._reader, self._drawing = reader, drawing
         self._picture_interval_ns = nanoseconds(picture_interval_s)
         self._config = configuration_of(reader)
         self._shape = reader.picture_shape
@@ -89,17 +86,6 @@ class RecordDrawer:
             self._draw_state()
         self._drawing.send(now=True)
 
-    @property
-    def summary(self) -> str:
-        """End and contents of the record, in Markdown."""
-        reader = self._reader
-        end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"
-        start = datetime.fromtimestamp(seconds((self._start_ns or 0) + reader.epoch_offset_ns), UTC)
-        return (
-            f"**{reader.path.stem}**: {end}\n\n- start {start:%Y-%m-%d %H:%M:%S} UTC\n- {self.frames} spots\n"
-            f"- {self._now.half_cycles} half-cycles\n"
-        )
-
     def _first_ns(self, piece: Piece) -> int | None:
         """Time of the run's first frame, from the first piece that contains it; else None."""
         if SPOT.topic in piece:
@@ -111,7 +97,7 @@ class RecordDrawer:
         return seconds(times_ns - (self._start_ns or 0))
 
     def _draw(self, piece: Piece) -> None:
-        reader, drawing, run = self._reader, self._drawing, self._run
+        reader, drawing = self._reader, self._drawing
         contents = piece_contents(reader, piece, self._start_ns or 0, self._last_ns)
         before, self._now = self._now, self._now.after(contents, reader.deflection_unit)
         # balances first: their lines separate the samples of the same piece
@@ -123,20 +109,20 @@ class RecordDrawer:
         for event in contents.events:
             if event.kind == EventKind.ADVICE:
                 self._advised = True
-                drawing.text(run, layout.ADVICE, self._run_s(event.time_ns), event.text)
+                drawing.text(layout.ADVICE, self._run_s(event.time_ns), event.text)
             else:
-                drawing.event(run, self._run_s(event.time_ns), event)
+                drawing.event(self._run_s(event.time_ns), event)
         self._draw_session(contents, before)
 
     def _draw_spots(self, rows: NDArray[Any]) -> None:
         deflections = self._reader.deflections(rows)
         time_s = self._times_s(deflections.times_ns)
         flags = rows["flags"].astype(np.int64)
-        self._drawing.samples(self._run, time_s, deflections.shown_x, deflections.shown_y, flags)
+        self._drawing.samples(time_s, deflections.shown_x, deflections.shown_y, flags)
         self._spots.append(rows[["sequence", "x_px", "y_px"]])
         sequence = rows["sequence"]
         if not self.frames:
-            # a replayed part of a record begins at a later frame
+            # a damaged record may begin at a later frame
             self._next_sequence = int(sequence[0])
         self.missing += int(sequence[-1]) + 1 - self._next_sequence - len(rows)
         self.lost += int(np.count_nonzero(flags & SpotFlag.LOST))
@@ -151,7 +137,7 @@ class RecordDrawer:
     def _draw_references(self, rows: NDArray[Any]) -> None:
         lost = (rows["flags"] & SpotFlag.LOST) != 0
         x_px, y_px = (np.where(lost, np.nan, rows[name]) for name in ("x_px", "y_px"))
-        self._drawing.reference(self._run, self._times_s(rows["time_ns"]), x_px, y_px)
+        self._drawing.reference(self._times_s(rows["time_ns"]), x_px, y_px)
 
     def _draw_half_cycles(self, half_cycles: Sequence[HalfCycle]) -> None:
         size = self._reader.deflection_unit.shown_size
@@ -159,30 +145,30 @@ class RecordDrawer:
         amplitude, u_amplitude, half_s, u_half_s = np.array(rows).reshape(-1, 4).T
         time_s = self._times_s(np.array([h.turn_time_ns for h in half_cycles], dtype=np.int64))
         self._drawing.half_cycles(
-            self._run, time_s, (amplitude / size, u_amplitude / size), (2.0 * half_s, 2.0 * u_half_s)
+            time_s, (amplitude / size, u_amplitude / size), (2.0 * half_s, 2.0 * u_half_s)
         )
 
     def _draw_balances(self, balances: Sequence[Balance]) -> None:
         for balance in balances:
             at_s = self._run_s(balance.time_ns)
-            self._drawing.balance(self._run, at_s, balance_numbers(balance))
+            self._drawing.balance(at_s, balance_numbers(balance))
             if self._config is not None and not self._advised:
                 advice = advice_for(self._config, balance).markdown
                 if advice:
-                    self._drawing.text(self._run, layout.ADVICE, at_s, advice)
+                    self._drawing.text(layout.ADVICE, at_s, advice)
 
     def _draw_session(self, contents: RecordContents, before: RunNow) -> None:
         """Draw messages on the session: phase, clock, estimates."""
-        clock, drawing, run = self._now.clock, self._drawing, self._run
+        clock, drawing = self._now.clock, self._drawing
         for health in contents.messages_of_kind(RecordedHealth):
             if clock.known and clock != before.clock:
-                drawing.clock(run, self._run_s(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
+                drawing.clock(self._run_s(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
         rows = contents.messages_of_kind(RecordedEstimate)
         for time_ns in dict.fromkeys(row.time_ns for row in rows):
             estimates = {
                 row.quantity: Estimate(row.value, row.u_value) for row in rows if row.time_ns == time_ns
             }
-            drawing.estimates(run, self._run_s(time_ns), estimates)
+            drawing.estimates(self._run_s(time_ns), estimates)
         if contents.messages_of_kind(RecordedPhase):
             self._draw_state()
 
@@ -195,7 +181,7 @@ class RecordDrawer:
             shape, step = self._shape
             x_px, y_px = self._spot_of(sequence)
             # each pixel of a reduced picture is the first of `step` pixels
-            self._drawing.picture(self._run, self._run_s(time_ns), jpeg, shape, (x_px / step, y_px / step))
+            self._drawing.picture(self._run_s(time_ns), jpeg, shape, (x_px / step, y_px / step))
 
     def _spot_of(self, sequence: int) -> tuple[float, float]:
         for rows in reversed(self._spots):
@@ -210,13 +196,11 @@ class RecordDrawer:
         self._shown_losses = self.missing, self.lost
         self._losses_due_ns = self._last_ns + _LOSSES_INTERVAL_NS
         counts = {"missing_frames": self.missing, "lost_spots": self.lost}
-        self._drawing.losses(self._run, self._run_s(self._last_ns), counts)
+        self._drawing.losses(self._run_s(self._last_ns), counts)
 
     def _draw_state(self) -> None:
         self._state_due_ns = self._last_ns + _STATE_INTERVAL_NS
-        # several runs share one panel, which shows their summaries at the end
-        if len(self._drawing.setup.runs) < 2:
-            self._drawing.text(self._run, layout.STATE, self._run_s(self._last_ns), self._state())
+        self._drawing.text(layout.STATE, self._run_s(self._last_ns), self._state())
 
     def _state(self) -> str:
         """Phase, amplitude, frames and losses, in Markdown.

@@ -1,8 +1,7 @@
 """Entity paths of Rerun, and the three layouts of panels.
 
-The entities of a run are below its name (empty for a single run), so that several runs can be overlaid. The y
-axis of Rerun's spatial views points down: points are therefore drawn at -Y, while the labels of the graticule
-show +Y.
+The y axis of Rerun's spatial views points down: points are therefore drawn at -Y, while the labels of the
+graticule show +Y.
 
 The trajectory is stored once, in the unit of the setup, and shown in two views. Its entity TRAJECTORY has a
 transform that scales the present amplitude to the axes (150, 100, 70, 50 arcsec ... as the swing decays); its
@@ -18,7 +17,7 @@ import rerun.blueprint as rrb
 
 from rig.terminal import balance_panels
 from rig.view.graticule import BACKGROUND, BOX, PLANE_REACH
-from rig.view.scratch import LayoutName
+from rig.view.running_view import LayoutName
 
 APPLICATION_ID: Final = "optical_pendulum_rig"
 TIMELINE: Final = "run_time"
@@ -31,31 +30,30 @@ TRAIL: Final = {"recent": (0.0, 2.0), "older": (2.0, 8.0), "oldest": (8.0, 28.0)
 """Parts of the trajectory of decreasing brightness, and the periods before the time cursor that they show."""
 POSITION: Final = "position"
 
-# entities of one run, below its name
-X: Final = "deflection/x"
-FAST: Final = "deflection/x/fast_mode"
-LEAKAGE: Final = "deflection/x/leakage"
+X: Final = "/deflection/x"
+FAST: Final = "/deflection/x/fast_mode"
+LEAKAGE: Final = "/deflection/x/leakage"
 """The two parts of X, entities below it."""
-Y: Final = "deflection/y"
-AMPLITUDE: Final = "amplitude"
-PERIOD: Final = "period"
-CAMERA: Final = "camera"
-IMAGE: Final = "camera/image"
-SPOT: Final = "camera/spot"
-REFERENCE: Final = "reference"
+Y: Final = "/deflection/y"
+AMPLITUDE: Final = "/amplitude"
+PERIOD: Final = "/period"
+CAMERA: Final = "/camera"
+IMAGE: Final = "/camera/image"
+SPOT: Final = "/camera/spot"
+REFERENCE: Final = "/reference"
 """Parent of x and y of the reference spot."""
-BALANCE_ROOT: Final = "balance"
-LOSSES_ROOT: Final = "losses"
-PARAMETERS_ROOT: Final = "parameters"
-CLOCK: Final = "clock"
-LANES: Final = ("run", "spot", "frames", "laser")
-"""Conditions of a run against time, directly below its name: the viewer titles a lane with its whole path."""
-STATE: Final = "state"
-ADVICE: Final = "advice"
-BALANCE_TABLE: Final = "balance_table"
-EVENTS: Final = "events"
-ANALYSIS_ROOT: Final = "analysis"
-REPORT: Final = "analysis/report"
+BALANCE_ROOT: Final = "/balance"
+LOSSES_ROOT: Final = "/losses"
+PARAMETERS_ROOT: Final = "/parameters"
+CLOCK: Final = "/clock"
+LANES: Final = ("/run", "/spot", "/frames", "/laser")
+"""Conditions of a run against time; the viewer titles a lane with its whole path."""
+STATE: Final = "/state"
+ADVICE: Final = "/advice"
+BALANCE_TABLE: Final = "/balance_table"
+EVENTS: Final = "/events"
+ANALYSIS_ROOT: Final = "/analysis"
+REPORT: Final = "/analysis/report"
 
 WINDOW_S: Final = 30.0
 """Time span of X(t) and Y(t) that is shown before the time cursor."""
@@ -69,30 +67,18 @@ WHOLE_RUN: Final = rrb.TimeAxis(
 class Setup(NamedTuple):
     """Title, layout, expected values and panels that a drawing needs before its first value.
 
-    `runs` are the names of the runs that are overlaid, one empty name for a single run. `period_s` (of the
-    slow mode) and `amplitude` (of the first axes) are expected values, `unit` is that of all deflections.
-    `parameters`, with their labels, are estimated while the run is measured, and each has a panel of the
-    measuring layout. With `has_reference` there is a panel for the spot of a mirror on the base.
+    `period_s` (of the slow mode) and `amplitude` (of the first axes) are expected values, `unit` is that of
+    all deflections. `parameters`, with their labels, are estimated while the run is measured, and each has a
+    panel of the measuring layout. With `has_reference` there is a panel for the spot of a mirror on the base.
     """
 
     title: str
     layout: LayoutName = "measuring"
-    runs: tuple[str, ...] = ("",)
     period_s: float = 4.07
     amplitude: float = 125.0
     unit: str = "arcsec"
     parameters: Mapping[str, str] = {}
     has_reference: bool = False
-
-
-def entity(run: str, path: str) -> str:
-    """Path of an entity of a run, below the run's name if it has one."""
-    return f"/{rr.escape_entity_path_part(run)}/{path}" if run else f"/{path}"
-
-
-def trail_entity(run: str, part: str) -> str:
-    """Path of a part of a run's trajectory, below TRAJECTORY, which scales those of all runs."""
-    return f"{TRAJECTORY}/{rr.escape_entity_path_part(run)}/{part}" if run else f"{TRAJECTORY}/{part}"
 
 
 def until_now(seconds: float) -> rrb.TimeAxis:
@@ -106,7 +92,7 @@ def until_now(seconds: float) -> rrb.TimeAxis:
 
 
 def blueprint(setup: Setup) -> rrb.Blueprint:
-    """Layout of the panels for one run or several overlaid ones."""
+    """Layout of the panels."""
     views = _Views(setup)
     layouts = {"balancing": views.balancing, "measuring": views.measuring, "analysing": views.analysing}
     root = layouts[setup.layout]()
@@ -121,10 +107,9 @@ def blueprint(setup: Setup) -> rrb.Blueprint:
 
 
 class _Views:
-    """Builds the panels, each from the entities of all runs."""
+    """Builds the panels."""
 
     def __init__(self, setup: Setup) -> None:
-        self._runs = setup.runs
         self._unit = setup.unit
         self._period_s = setup.period_s
         self._parameters = setup.parameters
@@ -201,14 +186,13 @@ class _Views:
 
     def _lissajous(self, origin: str, title: str) -> rrb.View:
         ranges: dict[rr.encodings.EntityPath | str, rrb.VisibleTimeRanges] = {}
-        for run in self._runs:
-            for part, (newest, oldest) in TRAIL.items():
-                span = rrb.VisibleTimeRange(
-                    TIMELINE,
-                    start=rrb.TimeRangeBoundary.cursor_relative(seconds=-oldest * self._period_s),
-                    end=rrb.TimeRangeBoundary.cursor_relative(seconds=-newest * self._period_s),
-                )
-                ranges[trail_entity(run, part)] = rrb.VisibleTimeRanges([span])
+        for part, (newest, oldest) in TRAIL.items():
+            span = rrb.VisibleTimeRange(
+                TIMELINE,
+                start=rrb.TimeRangeBoundary.cursor_relative(seconds=-oldest * self._period_s),
+                end=rrb.TimeRangeBoundary.cursor_relative(seconds=-newest * self._period_s),
+            )
+            ranges[f"{TRAJECTORY}/{part}"] = rrb.VisibleTimeRanges([span])
         # the labels need space below and to the left of the axes
         return rrb.Spatial2DView(
             name=title,
@@ -223,15 +207,10 @@ class _Views:
         )
 
     def deflection(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
-        return self._curves(f"{title} / {self._unit}", self._below(path), until_now(WINDOW_S), has_legend)
+        return _curves(f"{title} / {self._unit}", [path], until_now(WINDOW_S), has_legend)
 
     def history(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
-        return self._curves(title, self._below(path), WHOLE_RUN, has_legend)
-
-    def _curves(self, title: str, contents: list[str], axis: rrb.TimeAxis, has_legend: bool) -> rrb.View:
-        """Curves against time; those of several runs have a legend in any case."""
-        legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend or len(self._runs) > 1)
-        return rrb.TimeSeriesView(name=title, contents=contents, axis_x=axis, plot_legend=legend)
+        return _curves(title, [path], WHOLE_RUN, has_legend)
 
     def parameters(self) -> list[rrb.Container]:
         """A grid of small panels for the parameters; empty without parameters."""
@@ -245,20 +224,20 @@ class _Views:
         return [self.history(REFERENCE, "Reference spot / px", has_legend=True)]
 
     def balance(self, title: str, names: Sequence[str]) -> rrb.View:
-        contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]
-        return self._curves(title, contents, until_now(BALANCE_WINDOW_S), len(names) > 1)
+        paths = [f"{BALANCE_ROOT}/{name}" for name in names]
+        return _curves(title, paths, until_now(BALANCE_WINDOW_S), len(names) > 1)
 
     def lanes(self) -> rrb.View:
-        contents = [f"+ {entity(run, lane)}" for run in self._runs for lane in LANES]
+        contents = [f"+ {lane}" for lane in LANES]
         return rrb.StateTimelineView(name="Conditions", contents=contents, time_view=WHOLE_RUN)
 
     def camera(self) -> rrb.View:
-        return rrb.Spatial2DView(name="Camera", contents=self._below(CAMERA)[:1])
+        return rrb.Spatial2DView(name="Camera", contents=[_below(CAMERA)])
 
     def plane(self, panel: str, title: str) -> rrb.View:
         return rrb.Spatial2DView(
             name=title,
-            contents=self._below(f"{ANALYSIS_ROOT}/{panel}"),
+            contents=[_below(f"{ANALYSIS_ROOT}/{panel}")],
             visual_bounds=rrb.VisualBounds2D(
                 x_range=(-0.2 * BOX[0], 1.03 * BOX[0]), y_range=(-1.11 * BOX[1], 0.19 * BOX[1])
             ),
@@ -268,12 +247,19 @@ class _Views:
     def events(self) -> rrb.View:
         return rrb.TextLogView(
             name="Events",
-            contents=self._below(EVENTS),
+            contents=[_below(EVENTS)],
             columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
         )
 
     def text(self, path: str, title: str) -> rrb.View:
-        return rrb.TextDocumentView(name=title, origin=entity(self._runs[0], path))
+        return rrb.TextDocumentView(name=title, origin=path)
 
-    def _below(self, path: str) -> list[str]:
-        return [f"+ {entity(run, path)}/**" for run in self._runs]
+
+def _curves(title: str, paths: Sequence[str], axis: rrb.TimeAxis, has_legend: bool) -> rrb.View:
+    """Curves against time."""
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend)
+    return rrb.TimeSeriesView(name=title, contents=list(map(_below, paths)), axis_x=axis, plot_legend=legend)
+
+
+def _below(path: str) -> str:
+    return f"+ {path}/**"

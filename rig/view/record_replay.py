@@ -1,18 +1,13 @@
 """`rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
 
 import math
-import tempfile
 from collections.abc import Sequence
-from contextlib import closing, nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.writer import RecordWriter
-from processing.errors import ConfigurationError
 from rig.analysis import (
     RESULTS_NAME,
     AnalysedRun,
@@ -23,7 +18,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.instrument import configuration_attachments, recorded_configuration
+from rig.instrument import recorded_configuration
 from rig.settings import REPLAYED, Configuration, refuse_without_effect
 from rig.terminal import (
     Table,
@@ -38,11 +33,9 @@ from rig.terminal import (
 )
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
-from rig.view.scratch import Mode, no_window
-from rig.view.show import show_records
 
 
-def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
+def print_comparison(comparison: ReplayDifferences) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
     spots, half_cycles = comparison.spots, comparison.half_cycles
     if comparison.identical:
@@ -62,11 +55,6 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
     ]
     head = ("", "recorded", "replayed", "changed", "largest change")
     print_tables([Table("comparison", "", head, head, [TableRow(row, row) for row in rows])])
-    if partial:
-        say(
-            "half-cycles of a part differ in any case: they are numbered from its beginning, "
-            "and the pipeline adapts to the frames before"
-        )
 
 
 def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
@@ -92,95 +80,35 @@ def _largest(differences: Differences, place: str) -> str:
     return "; ".join(texts or ["only in uncertainties or flags"]) if differences.changed else ""
 
 
-def replay_record(
-    record: Path,
-    output: Path | None,
-    *,
-    retrack: bool,
-    overrides: Sequence[str],
-    from_s: float = 0.0,
-    to_s: float = math.inf,
-    mode: Mode = "none",
-    rrd: Path | None = None,
-) -> int:
+def replay_record(record: Path, output: Path | None, *, retrack: bool, overrides: Sequence[str]) -> int:
     """Replay, compare and fit a record; writes results.json into `output` if given. Returns the exit status.
 
-    The view, or the Rerun file, comes last: it shows a record of the replay that lasts as long as the view.
-    Raises ConfigurationError for invalid times, and RecordError for a file that cannot be replayed, before
-    anything is written; RecordError at the end if the Rerun file is not whole.
+    Raises RecordError for a file that cannot be replayed, before anything is written.
     """
-    if not 0 <= from_s < to_s:
-        raise ConfigurationError(
-            f"--from {from_s:g} --to {to_s:g}: the part must begin before it ends, from 0 on"
-        )
-    if mode == "spawn" and (missing := no_window()):
-        raise ConfigurationError(missing)
-    with RecordReader(record) as reader, tempfile.TemporaryDirectory(prefix="rig-replay-") as folder:
+    console = Console(stderr=True)
+    with RecordReader(record) as reader:
         config = recorded_configuration(reader, overrides)
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
         refuse_without_effect(overrides, (*REPLAYED, *(["sensor."] if retrack else [])), remedy)
         if reader.truncated:
             say(reader.cut_notice)
-        replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s)
-        again = Path(folder) / f"replay of {record.stem}.mcap" if mode != "none" or rrd is not None else None
-        result = _replayed(reader, replay, config, again)
+        replay = Replay(reader, config, retrack=retrack)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task("replaying", total=replay.length_s)
+            for _, block in replay.blocks():
+                last_ns = int(block.deflections.times_ns[-1])
+                progress.update(task, completed=replay.elapsed_s(last_ns))
+        result = replay.finish()
         run = _analyse(reader, config, result)
-        if replay.partial:
-            part = f"replayed from {replay.from_s:.2f} s to {replay.to_s:.2f} s of the record"
-            # a part has another end than the record
-            run = replace(run, ended=None, warnings=(part, *run.warnings))
         results = session_results([run], output or record.parent)
-        _say_differences(record, replay, result, run)
+        _say_differences(record, result, run)
         print_results(results, [])
         if output is not None:
             output.mkdir(parents=True, exist_ok=True)
             write_results(output / RESULTS_NAME, results)
             answer(written=[output / RESULTS_NAME])
             print(f"results      {output / RESULTS_NAME}")
-        if again is not None and mode != "none":
-            show_records([again], mode=mode)
-        if again is not None and rrd is not None:
-            show_records([again], rrd=rrd)
-            answer(written=[rrd])
-            print(f"Rerun file   {rrd}")
-    return 1 if run.problem and config.lever is not None and not replay.partial else 0
-
-
-def _replayed(
-    reader: RecordReader, replay: Replay, config: Configuration, again: Path | None
-) -> ReplayResult:
-    """Replay to the end, with a bar of the progress; the results are also recorded in the file `again`."""
-    console, recorded = Console(stderr=True), 0
-    with (
-        nullcontext() if again is None else closing(_writer(again, reader, config)) as writer,
-        Progress(console=console, transient=True, disable=not console.is_terminal) as progress,
-    ):
-        task = progress.add_task("replaying", total=replay.to_s - replay.from_s)
-        for sequences, block in replay.blocks():
-            times_ns = block.deflections.times_ns.tolist()
-            if writer is not None:
-                block.write(writer, sequences.tolist(), times_ns, times_ns)
-                recorded += len(block.swings)
-            progress.update(task, completed=replay.elapsed_s(times_ns[-1]) - replay.from_s)
-        result = replay.finish()
-        if writer is not None:
-            for swing in result.swings[recorded:]:
-                writer.write_swing(swing)
-            for event in (*reader.events(), *(note.event for note in reader.notes())):
-                if not replay.partial or replay.from_s <= replay.elapsed_s(event.time_ns) <= replay.to_s:
-                    writer.write_event(*event)
-    return result
-
-
-def _writer(again: Path, reader: RecordReader, config: Configuration) -> RecordWriter:
-    """A new record with the head of another, but for the configuration."""
-    return RecordWriter(
-        again,
-        reader.epoch_offset_ns,
-        metadata={name: texts for name, texts in reader.metadata.items() if name != "record"},
-        attachments={**reader.attachments, **configuration_attachments(config, Path())},
-        deflection_unit=config.deflection_unit,
-    )
+    return 1 if run.problem and config.lever is not None else 0
 
 
 def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:
@@ -208,12 +136,10 @@ def _analyse(reader: RecordReader, config: Configuration, result: ReplayResult) 
     )
 
 
-def _say_differences(record: Path, replay: Replay, result: ReplayResult, run: AnalysedRun) -> None:
+def _say_differences(record: Path, result: ReplayResult, run: AnalysedRun) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
     answer(comparison=result.comparison)
-    print_comparison(result.comparison, partial=replay.partial)
-    if replay.partial:
-        return
+    print_comparison(result.comparison)
     source, recorded = recorded_results(record, run.sha256)
     if recorded is None and not result.comparison.identical:
         source, recorded = "fitted", analyse_record(record)

@@ -1,4 +1,4 @@
-"""The replay of a record through the pipeline of a run, of all of it or of a part."""
+"""The replay of a record through the pipeline of a run."""
 
 import math
 from collections.abc import Iterator
@@ -11,10 +11,10 @@ from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
 from processing.deflections import Deflections
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import HalfCycle
-from processing.units import nanoseconds, seconds
+from processing.units import seconds
 from rig.instrument import Block, Pipeline, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.settings import Configuration
 from rig.view.replay_comparison import ReplayComparison, ReplayDifferences
@@ -48,26 +48,14 @@ class Replay:
         Must stay open during the replay.
     config
         The recorded or a changed configuration.
-    from_s, to_s
-        The part to be replayed, in seconds from the first frame.
 
     Raises
     ------
     RecordError
-        There are no spots in the record or in the wanted part, or data that are needed are missing.
-    ConfigurationError
-        The wanted part begins after the end of the record.
+        There are no spots in the record, or data that are needed are missing.
     """
 
-    def __init__(
-        self,
-        reader: RecordReader,
-        config: Configuration,
-        *,
-        retrack: bool,
-        from_s: float = 0.0,
-        to_s: float = math.inf,
-    ) -> None:
+    def __init__(self, reader: RecordReader, config: Configuration, *, retrack: bool) -> None:
         self._reader = reader
         self._retrack = retrack
         recorded = recorded_configuration(reader)
@@ -93,25 +81,14 @@ class Replay:
         self.start_ns = int(head["time_ns"][0])
         last_ns = max(reader.numbers.end_ns - reader.epoch_offset_ns, self.start_ns)
         self.length_s = self.elapsed_s(last_ns)
-        if from_s > self.length_s:
-            raise ConfigurationError(
-                f"--from {from_s:g}: beyond the end of {reader.path}, "
-                f"which goes from 0 to {self.length_s:.1f} s"
-            )
-        self.from_s, self.to_s = from_s, min(to_s, self.length_s)
         self._pipeline = Pipeline(optics_of(config, reader.full_scale_dn), self._shape)
         self._window: RecordedWindow | None = None
         self._swings: list[HalfCycle] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
-        self._first_sequence = self._last_sequence = -1
+        self._last_sequence = -1
         is_one_unit = config.deflection_unit is reader.deflection_unit
         self._comparison = ReplayComparison(self.start_ns, is_one_unit=is_one_unit)
-
-    @property
-    def partial(self) -> bool:
-        """Whether only a part of the record is replayed."""
-        return self.from_s > 0 or self.to_s < self.length_s
 
     def elapsed_s(self, time_ns: int) -> float:
         """Time from the first frame of the record."""
@@ -119,13 +96,8 @@ class Replay:
 
     def blocks(self) -> Iterator[tuple[NDArray[np.int64], Block]]:
         """The numbers of some frames and the pipeline's block of them, one after the other."""
-        from_ns = None if self.from_s <= 0 else self.start_ns + nanoseconds(self.from_s)
-        to_ns = self.start_ns + nanoseconds(self.to_s)
-        windows = self._reader.windows(from_ns)
-        for table in self._reader.spot_blocks(from_ns):
-            rows = table[: int(np.searchsorted(table["time_ns"], to_ns, side="right"))]
-            if not len(rows):
-                return
+        windows = self._reader.windows()
+        for rows in self._reader.spot_blocks():
             spots = self._track_again(rows, windows) if self._retrack else _spots(rows)
             block = self._block(rows, spots)
             sequences = rows["sequence"].astype(np.int64)
@@ -133,23 +105,14 @@ class Replay:
             self._deflections.append(block.deflections)
             self._beam.take(sequences, [spot.flags for spot in spots])
             self._comparison.spots(rows, spots)
-            if self._first_sequence < 0:
-                self._first_sequence = int(sequences[0])
             self._last_sequence = int(sequences[-1])
             yield sequences, block
 
     def finish(self) -> ReplayResult:
         """Complete the last half-cycles; returns all results."""
-        swings, _ = self._pipeline.finish()
-        to_end = self.to_s >= self.length_s
-        self._swings += swings
-        first = self._first_sequence if self.partial else 0
-        dropped = self._last_sequence + 1 - first - sum(map(len, self._deflections))
-        # at the end of a part the last half-cycle lacks samples that the recorded one had
-        compared = self._swings if to_end else self._swings[: len(self._swings) - len(swings)]
-        comparison = self._comparison.finish(
-            self._reader.swings(), compared, from_start=self.from_s <= 0, to_end=to_end
-        )
+        self._swings += self._pipeline.finish()[0]
+        dropped = self._last_sequence + 1 - sum(map(len, self._deflections))
+        comparison = self._comparison.finish(self._reader.swings(), self._swings)
         return ReplayResult(self._swings, self._deflections, dropped, comparison, self._beam)
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:

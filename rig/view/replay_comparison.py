@@ -98,28 +98,14 @@ class ReplayComparison:
             largest_at,
         )
 
-    def finish(
-        self, recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle], *, from_start: bool, to_end: bool
-    ) -> ReplayDifferences:
-        """Compare the half-cycles, too; returns all differences.
-
-        If only a part was replayed (`from_start` or `to_end` False), recorded half-cycles before the first or
-        after the last replayed one are ignored.
-        """
-        max_difference_ns = _max_time_difference_ns(recorded)
-        first_ns = min((swing.turn_time_ns for swing in replayed), default=0) - max_difference_ns
-        last_ns = max((swing.turn_time_ns for swing in replayed), default=0) + max_difference_ns
-        wanted = [
-            swing
-            for swing in recorded
-            if (from_start or swing.turn_time_ns >= first_ns) and (to_end or swing.turn_time_ns <= last_ns)
-        ]
-        pairs = _pairs(wanted, replayed, max_difference_ns)
+    def finish(self, recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle]) -> ReplayDifferences:
+        """Compare the half-cycles, too; returns all differences."""
+        pairs = _pairs(recorded, replayed)
         changes = [(self._swing_change_u(old, new), old.turn_time_ns) for old, new in pairs]
         largest_u, at_ns = max(changes, key=lambda change: change[0], default=(0.0, 0))
-        once = len(wanted) + len(replayed) - 2 * len(pairs)
+        once = len(recorded) + len(replayed) - 2 * len(pairs)
         half_cycles = Differences(
-            len(wanted),
+            len(recorded),
             len(replayed),
             sum(not _equal(old, new) for old, new in pairs) + once,
             once,
@@ -145,18 +131,12 @@ def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[Parame
     return [ParameterDifference(*key, old[key], new[key]) for key in new if key in old]
 
 
-def _max_time_difference_ns(swings: Sequence[HalfCycle]) -> float:
-    """Largest time difference of two turning points that count as the same."""
-    half_s = [swing.half_period_s for swing in swings if math.isfinite(swing.half_period_s)]
-    return _MAX_TIME_DIFFERENCE * NS_PER_S * float(np.median(half_s)) if half_s else 0.0
-
-
-def _pairs(
-    recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle], max_difference_ns: float
-) -> list[tuple[HalfCycle, HalfCycle]]:
+def _pairs(recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle]) -> list[tuple[HalfCycle, HalfCycle]]:
     """Pairs of half-cycles with the same turning point; their numbers may differ."""
     if not recorded:
         return []
+    half_s = [swing.half_period_s for swing in recorded if math.isfinite(swing.half_period_s)]
+    max_difference_ns = _MAX_TIME_DIFFERENCE * NS_PER_S * float(np.median(half_s)) if half_s else 0.0
     times_ns = np.array([swing.turn_time_ns for swing in recorded])
     pairs: list[tuple[HalfCycle, HalfCycle]] = []
     taken: set[int] = set()

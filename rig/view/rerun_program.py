@@ -24,7 +24,7 @@ import rerun_cli
 
 from processing.errors import ConfigurationError
 from rig.interruption import LOOPBACK, free_port, own_group
-from rig.view.scratch import ShowMode, no_window, page_address, ports_of_view
+from rig.view.running_view import ShowMode, no_window, page_address, ports_of_view
 
 _CHECK_INTERVAL_S, _MAX_START_S = 0.05, 30.0
 _SERVER_MEMORY = "200MiB"

@@ -1,14 +1,12 @@
-"""`rig view`: draws records into a window, a page or a Rerun file, and follows one that is being written."""
+"""`rig view`: draws a record into a window, a page or a Rerun file, and follows one that is being written."""
 
 import os
 import time
 import uuid
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from acquisition.record.digest import is_being_written
 from acquisition.record.events import EventKind, end_of
@@ -20,11 +18,9 @@ from processing.errors import ConfigurationError, RecordError
 from rig.instrument import pendulum_on_ball
 from rig.settings import Configuration
 from rig.terminal import say
-from rig.view.scratch import LayoutName, ShowMode
+from rig.view.running_view import LayoutName, ShowMode
 
 if TYPE_CHECKING:
-    from rig.view.drawing import Drawing
-    from rig.view.follower import RecordDrawer
     from rig.view.layout import Setup
     from rig.view.rerun_program import ViewerProgram
 
@@ -37,8 +33,8 @@ _ANALYSIS_NICENESS = 5
 _Identity = tuple[int, int]
 
 
-def show_records(
-    paths: Sequence[Path],
+def show_record(
+    path: Path,
     *,
     mode: ShowMode = "spawn",
     rrd: Path | None = None,
@@ -46,14 +42,14 @@ def show_records(
     follow: bool = False,
     ports: tuple[int, int] | None = None,
 ) -> None:
-    """Show records; returns when the viewer is closed.
+    """Show a record; returns when the viewer is closed.
 
     A record that is being written is followed to its end.
 
     Parameters
     ----------
-    paths
-        Records; several are overlaid in different colours, each from time 0 on.
+    path
+        The record.
     mode
         A window, or a page for a browser on this machine.
     rrd
@@ -69,8 +65,8 @@ def show_records(
     Raises
     ------
     RecordError
-        A file is missing, is not a record, or contains no spots; nothing has been written then. Or the Rerun
-        file could not be written.
+        The file is missing, is not a record, or contains no spots; nothing has been written then. Or the
+        Rerun file could not be written.
     processing.errors.ConfigurationError
         No screen for a window, or `rrd` exists already.
     """
@@ -81,17 +77,14 @@ def show_records(
     if rrd is not None:
         _check_new(rrd)
     if not follow:
-        _check(paths)
-    shown, attempt = None, 0
+        _check(path)
+    shown = None
     with _viewer(mode, ports) if rrd is None else nullcontext() as viewer:
-        while not follow or _await_record(paths[0], shown, viewer):
+        while not follow or _await_record(path, shown, viewer):
             with _written_whole(rrd):
-                shown, rejected = _draw(paths, layout, rrd, viewer)
+                shown, rejected = _draw(path, layout, rrd, viewer)
             if not (follow and rejected):
                 break
-            attempt += 1
-            if rrd is not None:
-                rrd.rename(rrd.with_stem(f"{rrd.stem}-start-{attempt}"))
         if viewer is not None and not follow:
             viewer.wait()
 
@@ -120,11 +113,11 @@ def _written_whole(rrd: Path | None) -> Iterator[None]:
 
 
 def _draw(
-    paths: Sequence[Path], name: LayoutName, rrd: Path | None, viewer: "ViewerProgram | None"
+    path: Path, name: LayoutName, rrd: Path | None, viewer: "ViewerProgram | None"
 ) -> tuple[_Identity | None, bool]:
-    """Draw records into one recording of Rerun, in a viewer or else a file, with constant memory.
+    """Draw a record into a recording of Rerun, in a viewer or else a file, with constant memory.
 
-    Returns the identity of the first record's file, and whether the start of the last was rejected.
+    Returns the identity of the record's file, and whether its start was rejected.
     """
     import rerun as rr
 
@@ -132,130 +125,83 @@ def _draw(
     from rig.view.drawing import Drawing
     from rig.view.follower import RecordDrawer, configuration_of
 
-    names = run_names(paths)
-    with ExitStack() as stack:
-        readers = [stack.enter_context(_open_reader(path)) for path in paths]
-        shown = _identity(readers[0].files[0].file.fileno())
-        setup = setup_of(readers, names, name)
+    with _open_reader(path) as reader:
+        shown = _identity(reader.files[0].file.fileno())
+        setup = setup_of(reader, name)
         stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=str(uuid.uuid4()))
         sink = rr.FileSink(str(rrd)) if viewer is None else rr.GrpcSink(viewer.url)
         stream.set_sinks(sink, default_blueprint=layout.blueprint(setup))
         stream.send_recording_name(setup.title)
-        config = configuration_of(readers[0])
+        config = configuration_of(reader)
         interval_s = 0.0 if config is None else config.view.image_interval_s
         gather_s, rows = _LIVE_GATHER_S, _LIVE_GATHER_ROWS
         if viewer is None:
             gather_s, rows, interval_s = _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S
         drawing = Drawing(stream, setup, gather_s=gather_s, gather_rows=rows)
-        drawers = []
-        for reader, run in zip(readers, names, strict=True):
-            drawer = RecordDrawer(reader, drawing, run, picture_interval_s=interval_s)
-            drawers.append(drawer)
-            for _ in reader.follow(_LOOK_INTERVAL_S):
-                drawer.take()
-                if viewer is not None:
-                    drawing.send(now=True)
-                    # a stalled viewer is not waited for
-                    with suppress(RuntimeError, TimeoutError):
-                        stream.flush(timeout_sec=_MAX_FLUSH_S)
-                    if not viewer.is_open:
-                        return shown, False
-            drawer.finish()
-            if reader.truncated:
-                say(reader.cut_notice)
-        _draw_ends(paths, names, drawers, drawing)
+        drawer = RecordDrawer(reader, drawing, picture_interval_s=interval_s)
+        for _ in reader.follow(_LOOK_INTERVAL_S):
+            drawer.take()
+            if viewer is not None:
+                drawing.send(now=True)
+                # a stalled viewer is not waited for
+                with suppress(RuntimeError, TimeoutError):
+                    stream.flush(timeout_sec=_MAX_FLUSH_S)
+                if not viewer.is_open:
+                    return shown, False
+        drawer.finish()
+        if reader.truncated:
+            say(reader.cut_notice)
+        if name == "analysing":
+            from rig.view.analysis import analysis_curves, draw_fits, report_text, run_analysis
+
+            run = run_analysis(path)
+            draw_fits(stream, analysis_curves(run), report_text(run), setup.unit)
         with suppress(RuntimeError, TimeoutError) if viewer is not None else nullcontext():
             stream.flush(timeout_sec=_MAX_FLUSH_S)
-        end = end_of(readers[-1].events())
+        end = end_of(reader.events())
         stream.disconnect()
         return shown, end is not None and end.kind == EventKind.REJECTED
 
 
-def _draw_ends(
-    paths: Sequence[Path], names: Sequence[str], drawers: Sequence["RecordDrawer"], drawing: "Drawing"
-) -> None:
-    """Draw what only complete records have: summaries, and their fits."""
-    from rig.view import layout
-    from rig.view.analysis import analysis_curves, draw_fits, report_text, run_analysis
-
-    if len(drawers) > 1:
-        text = "\n".join(drawer.summary for drawer in drawers)
-        drawing.text(names[0], layout.STATE, 0.0, text)
-    if drawing.setup.layout == "analysing":
-        runs = {name: run_analysis(path) for path, name in zip(paths, names, strict=True)}
-        draw_fits(drawing.stream, analysis_curves(runs), report_text(runs), names[0], drawing.setup.unit)
-
-
-def setup_of(readers: Sequence[RecordReader], names: Sequence[str], layout: LayoutName) -> "Setup":
-    """The setup of a drawing of these records; raises RecordError if their units differ."""
+def setup_of(reader: RecordReader, layout: LayoutName) -> "Setup":
+    """The setup of the drawing of a record."""
     from rig.view.drawing import parameter_shown
     from rig.view.follower import configuration_of
     from rig.view.layout import Setup
 
-    units = {reader.deflection_unit for reader in readers}
-    if len(units) > 1:
-        raise RecordError(
-            f"{', '.join(str(reader.path) for reader in readers)}: some are in px (no calibration) and some "
-            "in arcsec; they cannot be overlaid, show them separately"
-        )
-    config = configuration_of(readers[0])
-    title = ", ".join(reader.path.stem for reader in readers)
+    config = configuration_of(reader)
+    title = reader.path.stem
     return Setup(
         title=f"SIMULATED {title}" if config is not None and config.simulated else title,
         layout=layout,
-        runs=tuple(names),
-        # the axes adapt to a single run; for several runs they are fixed
-        amplitude=1.0 if len(readers) == 1 else max(map(_amplitude, readers)),
-        unit=readers[0].deflection_unit.shown,
-        parameters={key: parameter_shown(key).label for key in _parameters(readers, config)},
-        has_reference=any(REFERENCE.topic in reader.counts for reader in readers)
+        # the axes adapt
+        amplitude=1.0,
+        unit=reader.deflection_unit.shown,
+        parameters={key: parameter_shown(key).label for key in _parameters(reader, config)},
+        has_reference=REFERENCE.topic in reader.counts
         or (config is not None and config.reference is not None),
     )
 
 
-def run_names(paths: Sequence[Path]) -> list[str]:
-    """A short unique name for each record; an empty name for a single record."""
-    if len(paths) == 1:
-        return [""]
-    names = [path.stem for path in paths]
-    if len(set(names)) < len(names):
-        names = [f"{path.resolve().parent.name} {path.stem}" for path in paths]
-    return [
-        f"{name} ({names[:n].count(name) + 1})" if name in names[:n] else name for n, name in enumerate(names)
-    ]
-
-
-def _amplitude(reader: RecordReader) -> float:
-    """The largest deflection among the first spots, in the shown unit."""
-    head = next(reader.spot_blocks(), None)
-    if head is None:
-        return 1.0
-    deflections = reader.deflections(head)
-    with np.errstate(invalid="ignore"):
-        reach = np.fmax(np.abs(deflections.shown_x), np.abs(deflections.shown_y))
-    return max(float(np.nanmax(reach)), 1e-3) if np.isfinite(reach).any() else 1.0
-
-
-def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -> tuple[str, ...]:
+def _parameters(reader: RecordReader, config: Configuration | None) -> tuple[str, ...]:
     """Keys of the contact's parameters that are fitted while a run is measured."""
-    if len(readers) > 1 or config is None:
+    if config is None:
         return ()
     fitted = (
         config.deflection_unit is DeflectionUnit.RAD
         and config.instrument.description().report == "contact"
         and pendulum_on_ball(config) is not None
     )
-    if not fitted or (readers[0].numbers.whole and KIND_OF[RecordedHealth].topic not in readers[0].counts):
+    if not fitted or (reader.numbers.whole and KIND_OF[RecordedHealth].topic not in reader.counts):
         return ()
     return DEFAULT_LAW.fit_names(drag=config.fit.fits_drag)[:-2]
 
 
-def _check(paths: Sequence[Path]) -> None:
+def _check(path: Path) -> None:
     """Raise RecordError for a record without spots, before anything is opened."""
-    for path in paths:
-        with RecordReader(path) as reader:
-            if not is_being_written(path) and next(reader.spot_blocks(), None) is None:
-                raise RecordError(f"{path}: contains no spots; nothing can be shown")
+    with RecordReader(path) as reader:
+        if not is_being_written(path) and next(reader.spot_blocks(), None) is None:
+            raise RecordError(f"{path}: contains no spots; nothing can be shown")
 
 
 def _check_new(rrd: Path) -> None:

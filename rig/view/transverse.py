@@ -12,6 +12,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from processing.arrays import Floats
+from rig.terminal import palette
 from rig.view import layout
 from rig.view.graticule import PLANE_REACH, faded, graticule_marks, reach_beyond, trajectory_graticule
 from rig.view.layout import TIMELINE
@@ -205,7 +206,7 @@ HYSTERESIS = 0.9
 
 
 class Lissajous:
-    """Draws the trajectory (X, Y) of one or several runs, shown at equal scales and with X stretched.
+    """Draws the trajectory (X, Y), shown at equal scales and with X stretched.
 
     Parameters
     ----------
@@ -217,7 +218,6 @@ class Lissajous:
         Expected amplitude at the start; sets the initial range of the axes.
     period_s
         Period of the slow mode; the range of the axes follows the largest deflection in the last two periods.
-        None: the range is fixed, because overlaid runs share one set of axes.
     """
 
     def __init__(
@@ -226,7 +226,7 @@ class Lissajous:
         buffer: SendBuffer,
         unit: str,
         amplitude: float,
-        period_s: float | None,
+        period_s: float,
     ) -> None:
         self._stream = stream
         self._buffer = buffer
@@ -234,34 +234,37 @@ class Lissajous:
         self._period_s = period_s
         self._extents: deque[tuple[float, float]] = deque()
         self._reach = reach_beyond(amplitude)
-        self._trails: dict[str, Trail] = {}
+        self._trail = Trail()
         stretch = rr.Transform3D(scale=[layout.X_STRETCH, 1.0, 1.0])
         stream.log(layout.EQUAL, stretch, static=True)
-        if period_s is None:
-            self._draw_axes(static=True)
-        else:
-            stream.set_time(layout.TIMELINE, duration=0.0)
-            self._draw_axes(static=False)
+        for order, (part, brightness) in enumerate(BRIGHTNESS.items()):
+            style = rr.LineStrips2D.from_fields(
+                colors=faded(palette.TRAJECTORY_COLOUR, brightness),
+                radii=rr.Radius.ui_points(0.9),
+                draw_order=float(10 - order),
+            )
+            stream.log(f"{layout.TRAJECTORY}/{part}", style, static=True)
+        dot = rr.Points2D.from_fields(colors=(255, 255, 255), radii=rr.Radius.ui_points(4.0), draw_order=20.0)
+        stream.log(f"{layout.TRAJECTORY}/{layout.POSITION}", dot, static=True)
+        stream.set_time(layout.TIMELINE, duration=0.0)
+        self._draw_axes()
 
-    def draw(self, run: str, time_s: Floats, x: Floats, y: Floats, colour: str) -> None:
-        """Continue the trajectory of a run with the points (x, y), each (n,); NaN interrupts the line."""
+    def draw(self, time_s: Floats, x: Floats, y: Floats) -> None:
+        """Continue the trajectory with the points (x, y), each (n,); NaN interrupts the line."""
         # y points down in Rerun's spatial views.
-        ends, pieces = self._trail(run, colour).pieces(time_s, np.column_stack((x, -y)))
+        ends, pieces = self._trail.pieces(time_s, np.column_stack((x, -y)))
         if not pieces:
             return
         for part in layout.TRAIL:
-            self._buffer.add(layout.trail_entity(run, part), _strip_columns, ends, pieces)
+            self._buffer.add(f"{layout.TRAJECTORY}/{part}", _strip_columns, ends, pieces)
         newest = np.array([piece[-1] for piece in pieces])
-        self._buffer.add(layout.trail_entity(run, layout.POSITION), _point_columns, ends, newest)
+        self._buffer.add(f"{layout.TRAJECTORY}/{layout.POSITION}", _point_columns, ends, newest)
 
     def follow(self, time_s: Floats, x: Floats, y: Floats) -> None:
         """Adapt the range of the axes to the largest recent deflection."""
         far = np.fmax(np.abs(x), np.abs(y))
-        if self._period_s is None or not np.isfinite(far).any():
+        if not np.isfinite(far).any():
             return
-        # a replay may have jumped back in time
-        while self._extents and self._extents[-1][0] > time_s[-1]:
-            self._extents.pop()
         self._extents.append((float(time_s[-1]), float(np.nanmax(far))))
         while self._extents[0][0] < time_s[0] - FOLLOWED_PERIODS * self._period_s:
             self._extents.popleft()
@@ -274,29 +277,12 @@ class Lissajous:
             return
         self._reach = reach
         self._stream.set_time(layout.TIMELINE, duration=float(time_s[0]))
-        self._draw_axes(static=False)
+        self._draw_axes()
 
-    def _trail(self, run: str, colour: str) -> Trail:
-        if run not in self._trails:
-            self._trails[run] = Trail()
-            for order, (part, brightness) in enumerate(BRIGHTNESS.items()):
-                style = rr.LineStrips2D.from_fields(
-                    colors=faded(colour, brightness),
-                    radii=rr.Radius.ui_points(0.9),
-                    draw_order=float(10 - order),
-                )
-                self._stream.log(layout.trail_entity(run, part), style, static=True)
-            dot = rr.Points2D.from_fields(
-                colors=(255, 255, 255), radii=rr.Radius.ui_points(4.0), draw_order=20.0
-            )
-            self._stream.log(layout.trail_entity(run, layout.POSITION), dot, static=True)
-        return self._trails[run]
-
-    def _draw_axes(self, *, static: bool) -> None:
+    def _draw_axes(self) -> None:
         scale = PLANE_REACH / self._reach
-        zoom = rr.Transform3D(scale=[scale, scale, 1.0])
-        self._stream.log(layout.TRAJECTORY, zoom, static=static)
+        self._stream.log(layout.TRAJECTORY, rr.Transform3D(scale=[scale, scale, 1.0]))
         for root, stretch in ((layout.EQUAL, 1.0), (layout.STRETCHED, layout.X_STRETCH)):
             graticule = trajectory_graticule(self._reach, self._unit, stretch)
             for name, mark in graticule_marks(graticule).items():
-                self._stream.log(f"{root}/graticule/{name}", mark, static=static)
+                self._stream.log(f"{root}/graticule/{name}", mark)

@@ -114,8 +114,7 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         if viewed:
-            record = Path(folder) / "run.mcap"
-            view = RunningView(record, "web", record.with_suffix(".rrd"), "measuring")
+            view = RunningView(Path(folder) / "run.mcap", "web", "measuring")
             stack.callback(view.close)
         camera = MemoryCamera(frames, rate_hz, duration_s)
         opened = OpenCamera(camera, camera.open(), ())
@@ -173,7 +172,7 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
 
 @contextmanager
 def desk_and_viewer() -> Iterator[Company]:
-    """A desk that asks for ten pictures a second, a Rerun file and a live page, as with mode "web"."""
+    """A desk that asks for ten pictures a second, and a live page, as with mode "web"."""
     with tempfile.TemporaryDirectory() as place, ExitStack() as stack:
         folder = Path(place) / "session"
         folder.mkdir()

@@ -31,7 +31,6 @@ SHORT = {
     "balance.seconds": "9.1",
     "start.way": '"at once"',
     "laser.when_dark": '"end"',
-    "view.file": "false",
 }
 
 

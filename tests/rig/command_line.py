@@ -26,7 +26,6 @@ SMALL: dict[str, str] = {
     "simulation.sensor.width_px": "160",
     "simulation.sensor.height_px": "640",
     "camera.frame_rate_hz": "50",
-    "view.file": "false",
 }
 """A fifth of the demonstration's work a second, the same swing."""
 QUICK: dict[str, str] = {**SMALL, "instrument.kind": '"tomlinson"', "session.max_duration_s": "24"}

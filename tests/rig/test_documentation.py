@@ -29,9 +29,7 @@ DOCUMENTS = [
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "docs" / "reference").glob("*.md")),
 ]
-SHORT = set_words(
-    {key: value for key, value in SMALL.items() if key != "view.file"} | {"session.max_duration_s": "24"}
-)
+SHORT = set_words(SMALL | {"session.max_duration_s": "24"})
 
 
 def indented(document: Path, section: str = "") -> list[str]:

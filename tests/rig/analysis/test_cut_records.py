@@ -16,7 +16,7 @@ from rig.instrument import recorded_configuration
 from rig.measure import resume_session
 from rig.report import make_report
 from rig.view.record_replay import replay_record
-from rig.view.show import show_records
+from rig.view.show import show_record
 from tests.rig.command_line import rig
 from tests.rig.view.replay_record import WITHOUT_FIT, make_record
 
@@ -33,7 +33,7 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
 READERS: dict[str, Callable[[Path, Path], object]] = {
     "replay": lambda record, folder: replay_record(record, None, retrack=False, overrides=[]),
     "fit": lambda record, folder: fit_records([record], folder / "fit", []),
-    "view": lambda record, folder: show_records([record], rrd=folder / "view.rrd"),
+    "view": lambda record, folder: show_record(record, rrd=folder / "view.rrd"),
 }
 
 

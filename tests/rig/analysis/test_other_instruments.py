@@ -23,7 +23,7 @@ from rig.settings import load_configuration
 from rig.terminal import with_uncertainty
 from tests.rig.command_line import CONFIGS, figures_are_drawn
 
-FAST_DECAY = ["simulation.contact.b=0.04", "view.mode=none", "view.file=false"]
+FAST_DECAY = ["simulation.contact.b=0.04", "view.mode=none"]
 """A soft coating: 17 half-cycles from 6 to 3 degrees."""
 
 
@@ -40,7 +40,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
     source, folder = CONFIGS / "instruments" / "koenig.toml", tmp_path_factory.mktemp("places")
     found = {b: folder / f"place-{b}.mcap" for b in (0.02, 0.04, 0.05)}
     for b, record in found.items():
-        config = load_configuration(source, [f"simulation.contact.b={b}", "view.file=false"])
+        config = load_configuration(source, [f"simulation.contact.b={b}"])
         assert record_plainly(config, source, record) == 0
     return found
 
@@ -132,7 +132,6 @@ def test_two_balls_from_frames(tmp_path: Path) -> None:
         "simulation.sensor.width_px=160",
         "camera.frame_rate_hz=50",
         "view.mode=none",
-        "view.file=false",
     )
     assert status == 0
     run = results["runs"][0]
@@ -171,9 +170,7 @@ def test_amplitudes_that_are_not_reached(
 def test_report_of_a_turning_plane(tmp_path: Path) -> None:
     """The truth's 2 mrad/s within four uncertainties, and the figures that go with it."""
     folder = tmp_path / "one"
-    status, results = measure(
-        "kuznetsov_one", folder, "simulation.contact.b=0.03", "view.file=false", figures=True
-    )
+    status, results = measure("kuznetsov_one", folder, "simulation.contact.b=0.03", figures=True)
     assert status == 0
     (rate,) = [row for row in results["runs"][0]["table"] if row["quantity"] == "plane_rate_deg_per_min"]
     expected = math.degrees(2e-3) * 60

@@ -14,7 +14,6 @@ DEMO = str(CONFIGS / "demo.toml")
 NEW_FILES = {
     ("archive", "list"): ("out.csv", "-o"),
     ("camera", "snap", DEMO): ("out.png", "-o"),
-    ("replay", "no.mcap"): ("out.rrd", "--rrd"),
     ("view", "no.mcap"): ("out.rrd", "--rrd"),
     ("run", DEMO, "--record-only"): ("out.mcap", "-o"),
     ("record", "recover", "no.mcap"): ("out.mcap", "-o"),
@@ -86,7 +85,7 @@ def test_the_folder_of_a_page_is_not_written_into(tmp_path: Path) -> None:
 
 def test_every_path_that_a_command_reads_is_looked_for_first() -> None:
     # a record that is followed may not be there yet
-    written = {("init", "file"), ("view", "records")}
+    written = {("init", "file"), ("view", "record")}
     unchecked = {
         (*name, item.name)
         for name, command in commands(typer.main.get_command(app))

@@ -46,7 +46,6 @@ def command(folder: Path, board: FirmwareBoard, **changes: str) -> list[str]:
         "simulation.sensor.height_px": "640",
         "camera.frame_rate_hz": "25",
         "preflight.when": '"never"',
-        "view.file": "false",
         "instrument.kind": '"tomlinson"',
         **{key.replace("__", "."): value for key, value in changes.items()},
     }

@@ -27,8 +27,9 @@ from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly
 from rig.measure.notices import PreflightWait
 from rig.measure.session_orders import Notes, orders
-from rig.prepare.balancing import BalanceView, measure
+from rig.prepare.balancing import measure
 from rig.settings import Configuration
+from rig.view import BalanceView
 from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, configured
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration

@@ -27,7 +27,7 @@ from tests.waiting import until
 pytestmark = pytest.mark.timeout(120)
 LIVE = CONFIGS / "live.toml"
 WITHOUT = "--set controller.kind=none --set laser.kind=none"
-SHORT = {**SMALL, "session.max_duration_s": "2", "view.file": "false"}
+SHORT = {**SMALL, "session.max_duration_s": "2"}
 
 
 @contextmanager

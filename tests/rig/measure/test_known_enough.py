@@ -31,7 +31,7 @@ from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
 from rig.terminal import plain_values
-from rig.view.show import show_records
+from rig.view.show import show_record
 from tests.rig.command_line import CONFIGS, SMALL, configured
 from tests.rig.view.rrd_contents import column
 
@@ -105,7 +105,7 @@ def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
     assert run["ended"].endswith(" < 0.9")
     # fits of 40, 42, 44 and 46 half-cycles; the turning point of one is known some frames after it
     assert 46 <= run["half_cycles"] <= 48
-    show_records([record], rrd=folder / "run-1.rrd")
+    show_record(record, rrd=folder / "run-1.rrd")
     _, drawn = column(folder / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
     assert drawn[0][0] == pytest.approx(4.071, rel=0.02)
     # who reads the record sees what the screen has shown; that it is closed it cannot say

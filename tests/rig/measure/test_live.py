@@ -33,7 +33,6 @@ LIVE = {
     "camera.frame_rate_hz": "25",
     "start.way": '"at once"',
     "preflight.when": '"never"',
-    "view.file": "false",
     # of a pendulum that loses half its swing in less than half a minute, as the twin does
     "simulation.contact.b": "0.03",
     "session.final_amplitude_arcsec": "52",

@@ -13,7 +13,7 @@ from processing.errors import RigError
 from rig.devices import NoSession, OrderConnection
 from rig.measure.session_orders import NOTES_NAME, Notes
 from rig.report.source import read_source
-from rig.view.show import show_records
+from rig.view.show import show_record
 from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, rig, set_words
 from tests.rig.view.rrd_contents import column
 
@@ -65,7 +65,7 @@ def test_a_note_goes_into_the_record_the_report_and_the_view(tmp_path: Path) -> 
     lines = read_source(out / "results.json").runs[0].notes
     assert any(line.endswith("s, Ada: the lamp in the corridor is on") for line in lines)
     rrd = tmp_path / "run.rrd"
-    show_records([out / "run-1.mcap"], rrd=rrd)
+    show_record(out / "run-1.mcap", rrd=rrd)
     texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
     assert "note: Ada: the lamp in the corridor is on" in texts
 

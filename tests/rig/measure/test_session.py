@@ -98,30 +98,6 @@ def test_a_folder_that_holds_a_run_is_never_written_over(measured_series: Path) 
     assert {path: path.stat().st_mtime_ns for path in measured_series.iterdir()} == before
 
 
-@pytest.mark.parametrize(
-    ("words", "status", "message"),
-    [
-        (("run", "nowhere.toml"), 2, "no such file; rig init writes a configuration"),
-        (("replay", "nowhere.mcap"), 2, "no such record; give the path of a record, which rig run makes"),
-        (("run",), 2, "Missing argument"),
-        (("rnu",), 2, "Did you mean"),
-        (("run", CONFIGS / "demo.toml", "--set", "session.rnus=3"), 2, "did you mean runs?"),
-        (("replay", CONFIGS / "demo.toml"), 1, "is not an MCAP file"),
-        (("fit", "nowhere.mcap"), 2, "no such record"),
-        (("fit", "nowhere.csv"), 2, "no such file"),
-    ],
-)
-def test_wrong_usage_is_one_line(
-    words: tuple[str | Path, ...], status: int, message: str, tmp_path: Path
-) -> None:
-    done = rig(*words, cwd=tmp_path)
-    assert done.returncode == status
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
 def test_too_few_swings_are_said_and_the_record_kept(tmp_path: Path) -> None:
     words = set_words({**SMALL, "session.max_duration_s": "9"})
     done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *words)

@@ -37,9 +37,10 @@ from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunPlan
 from rig.measure.session import measure_session, session_folder
-from rig.prepare.balancing import BalanceView, measure
+from rig.prepare.balancing import measure
 from rig.settings import Configuration, load_configuration
-from rig.view.show import show_records
+from rig.view import BalanceView
+from rig.view.show import show_record
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.rig.control.instruments import FakeObis, FakeThorlabs
 from tests.rig.known_rig import known
@@ -56,10 +57,10 @@ def configuration(**changes: str | float | bool) -> Configuration:
 
 def measure_one_session(folder: Path) -> None:
     """Camera to report: session, record, view, fit, pendulum, lever."""
-    config = configuration(session__max_duration_s=2, view__file="true")
+    config = configuration(session__max_duration_s=2)
     measure_session(config, DEMO, folder / "out")
     # as the viewer's own process does
-    show_records([folder / "out" / "run-1.mcap"], rrd=folder / "again.rrd")
+    show_record(folder / "out" / "run-1.mcap", rrd=folder / "again.rrd")
     session_folder(config.model_copy(update={"session": _in(config, folder)}), DEMO, None)
 
 

@@ -45,13 +45,13 @@ def test_overrides_take_any_dotted_path() -> None:
         [
             "simulation.contact.b=1e-3",
             "session.operator=A. Nother",
-            "view.file=false",
+            "record.windows=false",
             'session.sample="x = 1"',
         ],
     )
     assert config.simulation.contact.b == 1e-3
     assert config.session.operator == "A. Nother"
-    assert config.view.file is False
+    assert config.record.windows is False
     assert config.session.sample == "x = 1"
 
 

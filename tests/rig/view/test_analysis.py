@@ -13,9 +13,8 @@ from processing.deflections import DeflectionUnit
 from processing.units import ARCSEC_RAD
 from rig.instrument import advice_for, complete
 from rig.settings import load_configuration
-from rig.view import replay_record
 from rig.view.analysis import analysis_curves, report_text, run_analysis
-from rig.view.show import show_records
+from rig.view.show import show_record
 from tests.rig.view.replay_record import CONFIG, WITHOUT_FIT, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values
 
@@ -31,7 +30,7 @@ def balance(tmp_path_factory: pytest.TempPathFactory) -> Balance:
 
 def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_series: Path) -> None:
     run = run_analysis(measured_series / "run-1.mcap")
-    curves = analysis_curves({"": run})
+    curves = analysis_curves(run)
     assert {curve.panel for curve in curves} == PANELS
     by_name = {(curve.panel, curve.name): curve for curve in curves}
     measured, exact = by_name["decay", "measured"], by_name["decay", "exact fit"]
@@ -40,7 +39,7 @@ def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_
     assert measured.u_y is not None
     # a good fit: nearly all residuals within four of their uncertainties
     assert np.mean(np.abs(residual.y) < 4 * measured.u_y) > 0.95
-    text = report_text({"": run})
+    text = report_text(run)
     assert text.startswith("## run-1")
     assert f"{run.half_cycles} half-cycles" in text
     assert f"| γ / MPa | {run['gamma'].text} |" in text
@@ -48,7 +47,7 @@ def test_every_panel_has_its_curves_from_the_results_beside_the_record(measured_
 
 def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:
     rrd = tmp_path / "fitted.rrd"
-    show_records([make_record(tmp_path / "alone.mcap", 100.0)], rrd=rrd, layout="analysing")
+    show_record(make_record(tmp_path / "alone.mcap", 100.0), rrd=rrd, layout="analysing")
     drawn = entities(rrd)
     for panel in PANELS:
         assert f"/analysis/{panel}/axes/grid" in drawn, panel
@@ -58,20 +57,8 @@ def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:
 
 def test_a_run_too_short_for_a_fit_shows_its_data_and_says_why(tmp_path: Path) -> None:
     run = run_analysis(make_record(tmp_path / "short.mcap", 15.0))
-    assert [(curve.panel, curve.name) for curve in analysis_curves({"": run})] == [("decay", "measured")]
-    assert "no fit: " in report_text({"": run})
-
-
-def test_runs_laid_over_each_other_share_their_axes(measured_series: Path, tmp_path: Path) -> None:
-    paths = [measured_series / f"run-{number}.mcap" for number in (1, 2)]
-    runs = {path.stem: run_analysis(path) for path in paths}
-    curves = analysis_curves(runs)
-    for panel in PANELS:
-        assert [curve.name for curve in curves if curve.panel == panel] == ["run-1", "run-2"]
-    rrd = tmp_path / "both.rrd"
-    show_records(paths, rrd=rrd, layout="analysing")
-    graticules = [name for name in entities(rrd) if name.endswith("/decay/axes/grid")]
-    assert len(graticules) == 1
+    assert [(curve.panel, curve.name) for curve in analysis_curves(run)] == [("decay", "measured")]
+    assert "no fit: " in report_text(run)
 
 
 def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
@@ -87,28 +74,25 @@ def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
     assert advice_for(config, replace(tilted, rest_x=math.nan)).markdown == ""
 
 
-def test_advice_reaches_the_view_of_a_record_and_of_its_replay(tmp_path: Path) -> None:
-    shown, again = tmp_path / "shown.rrd", tmp_path / "again.rrd"
-    record = make_record(tmp_path / "run.mcap", 15.0)
-    show_records([record], rrd=shown, layout="balancing")
-    replay_record(record, None, retrack=False, overrides=[], rrd=again)
-    for path in (shown, again):
-        assert "balanced" in str(column(path, "/advice", "TextDocument:text"))
+def test_advice_reaches_the_view_of_a_record(tmp_path: Path) -> None:
+    rrd = tmp_path / "shown.rrd"
+    show_record(make_record(tmp_path / "run.mcap", 15.0), rrd=rrd, layout="balancing")
+    assert "balanced" in str(column(rrd, "/advice", "TextDocument:text"))
 
 
-def test_a_record_without_a_calibration_and_its_replay_are_in_px(tmp_path: Path) -> None:
+def test_a_record_without_a_calibration_is_shown_in_px(tmp_path: Path) -> None:
     path, rrd = (
         make_record(tmp_path / "px.mcap", 22.0, calibrated=False, overrides=WITHOUT_FIT),
         tmp_path / "px.rrd",
     )
     with RecordReader(path) as reader:
         names = reader.table("/balance").dtype.names or ()
-        balances = reader.balances()
+        balances, expected = reader.balances(), reader.deflections().y
     assert len(balances) > 3
     # what is in rad without a lever, too, is the angle of the line
     assert all("line_angle" in name or "rotation" in name for name in names if "rad" in name)
     assert not any("arcsec" in name for name in names)
-    show_records([path], rrd=rrd, layout="balancing")
+    show_record(path, rrd=rrd, layout="balancing")
     tables = str(column(rrd, "/balance_table", "TextDocument:text"))
     assert "| rest X / px |" in tables
     assert "| drift Y / (px/min) |" in tables
@@ -117,11 +101,7 @@ def test_a_record_without_a_calibration_and_its_replay_are_in_px(tmp_path: Path)
     assert measured(rrd, "/balance/rest_x")[1] == pytest.approx([b.rest_x for b in balances])
     assert static_values(rrd, "/balance/rest_x", "Measurements:names") == ["rest X / px"]
     assert column(rrd, "/advice", "TextDocument:text")[1] == []
-    again = tmp_path / "again.rrd"
-    replay_record(path, None, retrack=False, overrides=[], rrd=again)
-    with RecordReader(path) as reader:
-        expected = reader.deflections().y
     # without a lever deflections are px, and are shown as they are
-    np.testing.assert_array_equal(scalars(again, "/deflection/y")[1], expected)
+    np.testing.assert_array_equal(scalars(rrd, "/deflection/y")[1], expected)
     assert np.nanmax(np.abs(expected)) > 100.0
-    assert static_values(again, "/deflection/y", "SeriesLines:names") == ["Y / px"]
+    assert static_values(rrd, "/deflection/y", "SeriesLines:names") == ["Y / px"]

@@ -1,4 +1,4 @@
-"""What is drawn into Rerun: breaks of curves, axes, lanes by kinds of events; the record of a look alone."""
+"""What is drawn into Rerun: breaks of curves, axes, lanes by kinds of events; the view of `rig balance`."""
 
 from pathlib import Path
 from typing import Any, cast
@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from acquisition.camera import Frame
 from acquisition.record.events import Event, EventKind
-from acquisition.record.reader import RecordReader
-from processing.deflections import DeflectionUnit, no_deflections
-from processing.spot import SpotFlag
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
-from rig.instrument import Block
-from rig.view import ScratchView, layout
+from rig.instrument import Block, complete, make_camera
+from rig.settings import load_configuration
+from rig.view import BalanceView, layout
 from rig.view.drawing import RunLanes
 from rig.view.graticule import PLANE_REACH
+from tests.rig.view.replay_record import CONFIG
 from tests.rig.view.rrd_contents import column, measured, scalars
 from tests.rig.view.scene import drawing_into
 
@@ -27,9 +29,9 @@ def test_a_curve_does_not_cross_what_was_not_measured(tmp_path: Path) -> None:
     flags = np.zeros(len(time_s), dtype=np.int64)
     with drawing_into(path, period_s=4.0) as drawing:
         for part in (slice(0, 400), slice(400, None)):
-            drawing.samples("", time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part])
+            drawing.samples(time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part])
         for at_s in (17.0, 21.0, 953.0, 957.0):
-            drawing.balance("", at_s, {"period_ratio": (3.0, 0.1)})
+            drawing.balance(at_s, {"period_ratio": (3.0, 0.1)})
     at, x = scalars(path, "/deflection/x")
     assert at[np.isnan(x)].tolist() == [0.5 * (time_s[249] + time_s[250])]
     assert np.isfinite(x).sum() == len(time_s)
@@ -45,9 +47,9 @@ def test_the_fast_mode_is_drawn_about_the_rest_position(tmp_path: Path, unit: st
     at_rest = {"line_angle_rad": (0.0, 1e-4), "rest_x": (30 * size, size), "rest_y": (-7 * size, size)}
     with drawing_into(path, unit=unit) as drawing:
         y = 20 * np.cos(1.5 * time_s) - 7
-        drawing.samples("", time_s, 30 + fast, y, np.zeros(len(time_s), dtype=np.int64))
-        drawing.balance("", 4.0, at_rest)
-    at, drawn = scalars(path, f"/{layout.FAST}")
+        drawing.samples(time_s, 30 + fast, y, np.zeros(len(time_s), dtype=np.int64))
+        drawing.balance(4.0, at_rest)
+    at, drawn = scalars(path, layout.FAST)
     assert at == pytest.approx(time_s)
     assert drawn == pytest.approx(fast, abs=1e-6)
 
@@ -57,7 +59,7 @@ def test_samples_are_thinned_whatever_the_model_of_the_beam(tmp_path: Path) -> N
     path = tmp_path / "run.rrd"
     with drawing_into(path) as drawing:
         time_s = np.arange(500) / 500
-        drawing.samples("", time_s, np.sin(time_s), np.cos(time_s), np.full(500, SpotFlag.LEARNED))
+        drawing.samples(time_s, np.sin(time_s), np.cos(time_s), np.full(500, SpotFlag.LEARNED))
     assert len(scalars(path, "/deflection/x")[0]) == 100
 
 
@@ -81,7 +83,7 @@ def draw(rrd: Path, block: int, amplitude: float, y: np.ndarray) -> None:
         for first in range(0, len(time_s), block):
             part = slice(first, first + block)
             none = np.zeros(len(time_s[part]), dtype=np.int64)
-            drawing.samples("", time_s[part], 0 * y[part], y[part], none)
+            drawing.samples(time_s[part], 0 * y[part], y[part], none)
 
 
 @pytest.mark.parametrize("block", [8, 1024])
@@ -138,50 +140,28 @@ class Stream:
 )
 def test_a_lane_changes_with_the_kind_of_an_event(kind: str, lanes: set[str]) -> None:
     stream = Stream()
-    RunLanes(cast(rr.RecordingStream, stream)).draw("run 1", kind)
+    RunLanes(cast(rr.RecordingStream, stream)).draw(kind)
     changed = {entity for entity, thing in stream.drawn if isinstance(thing, rr.StateChange)}
-    assert changed == {layout.entity("run 1", lane) for lane in lanes}
+    assert changed == {f"/{lane}" for lane in lanes}
 
 
 def test_a_line_that_reads_like_an_event_changes_no_lane() -> None:
     stream = Stream()
-    RunLanes(cast(rr.RecordingStream, stream)).draw("", Event(0, EventKind.STOP, "time limit").line)
+    RunLanes(cast(rr.RecordingStream, stream)).draw(Event(0, EventKind.STOP, "time limit").line)
     assert stream.drawn == []
 
 
-MOST_BYTES = 20_000
-EPOCH_NS = 1_700_000_000_000_000_000
-TEXTS = [f"event {number} " + 50 * "x" for number in range(400)]
-
-
-def test_a_record_that_has_grown_too_large_is_replaced_and_the_view_goes_on(tmp_path: Path) -> None:
-    unit = DeflectionUnit.PX
-    with ScratchView("looking", "none", None, "balancing", unit, max_bytes=MOST_BYTES) as view:
-        view.begin(0, epoch_offset_ns=EPOCH_NS)
-        folder, replaced = view._path.parent, 0
-        for number, text in enumerate(TEXTS):
-            before = view._writer
-            view.event(Event(number, EventKind.ADVICE, text))
-            assert view._writer is not None
-            replaced += view._writer is not before
-            view._writer.flush()
-        assert replaced > 1
-        # one record is there, and it holds what came last
-        assert [path.name for path in folder.glob("*")] == ["looking.mcap"]
-        assert view._path.stat().st_size < 2 * MOST_BYTES
-        with RecordReader(view._path) as record:
-            assert [event.text for event in record.events()][-1] == TEXTS[-1]
-    assert not folder.exists()
-
-
-def test_a_turning_point_before_the_first_frame_is_shown() -> None:
+def test_a_turning_point_before_the_first_frame_is_shown(tmp_path: Path) -> None:
     """It is fitted, and the fit may place it there."""
-    turn = HalfCycle(1, -3_000_000, 1e-6, 4e-4, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
-    with ScratchView("looking", "none", None, "balancing", DeflectionUnit.RAD) as view:
-        view.begin(0, epoch_offset_ns=EPOCH_NS)
-        view.block(Block([], no_deflections(DeflectionUnit.RAD), [turn], []), [], 0)
-        assert view._writer is not None
-        view._writer.flush()
-        with RecordReader(view._path) as record:
-            assert [swing.turn_time_ns for swing in record.swings()] == [turn.turn_time_ns]
-            assert record.utc(0).year == 2023
+    config, rrd = complete(load_configuration(CONFIG)), tmp_path / "balance.rrd"
+    camera = make_camera(config)
+    first = Frame(np.zeros((64, 64), np.uint8), 0, 5_000_000_000, 5_000_000_000)
+    turn = HalfCycle(1, first.time_ns - 3_000_000, 1e-6, 4e-4, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
+    seen = Deflections(np.array([first.time_ns]), *np.full((4, 1), 1e-5), DeflectionUnit.RAD)
+    with BalanceView(config, rrd, lambda _: "", lambda _: None) as view:
+        view.begin(first, camera.open())
+        view.block([first], Block([Spot(9.0, 9.0, *[0.1] * 8, 0)], seen, [turn], []))
+    camera.close()
+    times_s, amplitudes, _ = measured(rrd, "/amplitude")
+    assert times_s == pytest.approx([-0.003])
+    assert amplitudes == pytest.approx([turn.amplitude / ARCSEC_RAD])

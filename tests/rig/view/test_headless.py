@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig.terminal import palette
 from rig.view.layout import TIMELINE, X_STRETCH
-from rig.view.scratch import LayoutName
+from rig.view.running_view import LayoutName
 from tests.rig.view import scene as view_scene
 from tests.rig.view.headless_viewer import headless_viewer, pixels_of, require_software_vulkan
 
@@ -138,7 +138,7 @@ def test_the_trajectory_points_up_and_fades(tmp_path: Path) -> None:
         y = np.where(late > 0, 90 * late, -60 + 20 * np.cos(time_s))
         # A lost spot between the two: no line may lead from one to the other.
         x[(late == 0) & (time_s > 5.8 * period_s)] = np.nan
-        drawing.samples("", time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
+        drawing.samples(time_s, x, y, np.zeros(len(time_s), dtype=np.int64))
     with headless_viewer(str(path)) as shown:
         shown.wait_loaded()
         view = shown.picture_once(

@@ -243,9 +243,3 @@ def test_without_a_balance_nothing_is_separated_and_little_is_kept() -> None:
     assert len(time_s) < 300
     assert np.isnan(fast[0])
     assert fast[-1] == pytest.approx(0.0)
-
-
-def test_a_balance_of_an_older_record_without_a_rest_position_is_none() -> None:
-    across = TransverseCurves()
-    across.balance(5.0, {"line_angle_rad": (0.1, 1e-6)}, ARCSEC_RAD)
-    assert across.samples(np.array([6.0]), np.array([0.0]), np.array([1.0])) is None

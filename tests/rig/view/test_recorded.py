@@ -1,4 +1,4 @@
-"""Display of records: content, alignment, overlay, bad input, and what the State panel says."""
+"""Display of records: content, bad input, and what the State panel says."""
 
 import math
 import sys
@@ -24,15 +24,15 @@ from processing.units import ARCSEC_RAD
 from rig.instrument import complete, configuration_attachments
 from rig.settings import load_configuration
 from rig.view.drawing import is_drawn
-from rig.view.show import run_names, setup_of, show_records
+from rig.view.show import setup_of, show_record
 from tests.rig.view import scene as view_scene
 from tests.rig.view.replay_record import CONFIG, EPOCH_NS, WITHOUT_FIT, make_record
-from tests.rig.view.rrd_contents import column, entities, measured, scalars
+from tests.rig.view.rrd_contents import column, measured, scalars
 
 
 def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     rrd, record = tmp_path / "shown.rrd", make_record(tmp_path / "run.mcap", 20.0, windows=True)
-    show_records([record], rrd=rrd)
+    show_record(record, rrd=rrd)
     with RecordReader(record) as reader:
         seen, swings, balances = reader.deflections(), reader.swings(), reader.balances()
     times_s, x = scalars(rrd, "/deflection/x")
@@ -63,7 +63,7 @@ def test_a_cross_stands_where_the_spot_of_a_preview_is(tmp_path: Path) -> None:
         image = view_scene.spot_image((420.0, 160.0), np.random.default_rng(0))
         writer.write_spots([0], [0], [0], [spot], nowhere(1))
         writer.write_preview(Frame(image, 0, 0, 0))
-    show_records([tmp_path / "run.mcap"], rrd=tmp_path / "shown.rrd")
+    show_record(tmp_path / "run.mcap", rrd=tmp_path / "shown.rrd")
     (crosses,) = column(tmp_path / "shown.rrd", "/camera/spot", "LineStrips2D:strips")[1]
     # of a frame half as large; the cross' arms are symmetric about the spot, half a pixel further in Rerun's
     # coordinates
@@ -82,7 +82,7 @@ def test_what_is_drawn_of_a_record_does_not_depend_on_how_much_was_there_at_firs
     begun.write_bytes(data[: len(data) // 3])
     with RecordReader(begun) as early, RecordReader(tmp_path / "run.mcap") as late:
         assert len(early.spots()) < len(late.spots())
-        assert setup_of([early], [""], "measuring") == setup_of([late], [""], "measuring")
+        assert setup_of(early, "measuring") == setup_of(late, "measuring")
 
 
 def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
         writer.write_spots([0], [0], [0], [Spot(*[math.nan] * 10, SpotFlag.LOST)], nowhere(1))
         for kind in ("start", "trip", *lost_light, *warnings):
             writer.write_event(0, kind, "happened")
-    show_records([path], rrd=rrd)
+    show_record(path, rrd=rrd)
     texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
     levels = [level for (level,) in column(rrd, "/events", "TextLog:level")[1]]
     found = dict(zip(texts, levels, strict=True))
@@ -104,38 +104,12 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
     assert found == warned | {"trip: happened": "CRITICAL", **alarms}
 
 
-def test_records_are_laid_over_each_other(tmp_path: Path) -> None:
-    rrd = tmp_path / "shown.rrd"
-    paths = [
-        make_record(tmp_path / "run-1.mcap", 15.0),
-        make_record(tmp_path / "run-2.mcap", 15.0, start_ns=10**11),
-    ]
-    show_records(paths, rrd=rrd)
-    assert scalars(rrd, "/run-1/deflection/y")[0][0] == 0.0
-    assert scalars(rrd, "/run-2/deflection/y")[0][0] == 0.0
-    assert {
-        "/lissajous/equal/trajectory/run-1/recent",
-        "/lissajous/equal/trajectory/run-2/recent",
-    } <= entities(rrd)
-
-
-def test_a_record_without_calibration_is_shown_in_px_and_not_laid_over_another(tmp_path: Path) -> None:
-    rrd = tmp_path / "shown.rrd"
-    show_records([make_record(tmp_path / "run.mcap", 15.0, calibrated=False)], rrd=rrd)
-    with RecordReader(tmp_path / "run.mcap") as reader:
-        np.testing.assert_array_equal(scalars(rrd, "/deflection/y")[1], reader.deflections().y)
-    paths = [make_record(tmp_path / "a.mcap", 15.0), tmp_path / "run.mcap"]
-    with pytest.raises(RecordError, match="cannot be overlaid"):
-        show_records(paths, rrd=tmp_path / "both.rrd")
-    assert not (tmp_path / "both.rrd").exists()
-
-
 def test_a_record_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
     path = make_record(tmp_path / "run.mcap", 100.0)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
     rrd = tmp_path / "shown.rrd"
-    show_records([path], rrd=rrd)
+    show_record(path, rrd=rrd)
     assert 1000 < len(scalars(rrd, "/deflection/x")[0]) < 5_000
 
 
@@ -145,12 +119,12 @@ def test_a_record_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
 def test_bad_files_are_named_and_nothing_is_written(
     tmp_path: Path, content: bytes | None, message: str
 ) -> None:
-    good, bad, rrd = make_record(tmp_path / "good.mcap", 15.0), tmp_path / "bad.mcap", tmp_path / "shown.rrd"
+    bad, rrd = tmp_path / "bad.mcap", tmp_path / "shown.rrd"
     if content is not None:
         bad.write_bytes(content)
     before = set(tmp_path.iterdir())
     with pytest.raises(RecordError, match=f"bad.mcap.*{message}"):
-        show_records([good, bad], rrd=rrd)
+        show_record(bad, rrd=rrd)
     assert set(tmp_path.iterdir()) == before
 
 
@@ -163,7 +137,7 @@ def test_a_rerun_file_that_exists_or_cannot_be_made_is_refused(tmp_path: Path) -
         (tmp_path, "a folder"),
     ):
         with pytest.raises(ConfigurationError, match=said):
-            show_records([record], rrd=path)
+            show_record(record, rrd=path)
     assert rrd.read_bytes() == b"kept"
 
 
@@ -172,7 +146,7 @@ def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path) -> None:
     rrd = tmp_path / "shown.rrd"
     rrd.symlink_to("/dev/full")
     with pytest.raises(RecordError, match=r"shown\.rrd is not whole: .*No space left"):
-        show_records([make_record(tmp_path / "run.mcap", 15.0)], rrd=rrd)
+        show_record(make_record(tmp_path / "run.mcap", 15.0), rrd=rrd)
 
 
 def test_without_a_screen_nothing_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,14 +155,7 @@ def test_without_a_screen_nothing_opens(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ConfigurationError, match="no screen"):
-        show_records([make_record(tmp_path / "run.mcap", 15.0)])
-
-
-def test_names_of_runs() -> None:
-    assert run_names([Path("a/run-1.mcap")]) == [""]
-    assert run_names([Path("a/run-1.mcap"), Path("a/run-2.mcap")]) == ["run-1", "run-2"]
-    assert run_names([Path("a/run-1.mcap"), Path("b/run-1.mcap")]) == ["a run-1", "b run-1"]
-    assert len(set(run_names([Path("a/run-1.mcap")] * 3))) == 3
+        show_record(make_record(tmp_path / "run.mcap", 15.0))
 
 
 HEALTHY = RecordedHealth(0, 1000, 4, 0, 0, 0, 10**6, 0.0123, 1e9, 0.0, 31.204, 0.052, "", "one Gaussian")
@@ -206,7 +173,7 @@ def test_the_state_says_how_the_session_keeps_up(tmp_path: Path) -> None:
         writer.write(RecordedClockStep(0, 130_000_000, 1000))
         writer.write(RecordedLosses(0, 0, 3, 1, 0, 0))
         writer.write(HEALTHY)
-    show_records([tmp_path / "run.mcap"], rrd=tmp_path / "run.rrd")
+    show_record(tmp_path / "run.mcap", rrd=tmp_path / "run.rrd")
     ((text,),) = column(tmp_path / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
     assert text.startswith("**measuring**\n\nlook at the laser\n\n- state of ")
     assert "- frames were 12 ms old when they were processed\n" in text

@@ -1,4 +1,4 @@
-"""Replay: independent of blocks, of a part, and the report of differences."""
+"""Replay: independent of blocks, and the report of differences."""
 
 import math
 import re
@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError
 from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle
 from rig.analysis import RunResults
@@ -22,7 +21,6 @@ from rig.view.record_replay import replay_record
 from rig.view.replay import Replay
 from rig.view.replay_comparison import ReplayComparison, parameter_changes
 from tests.rig.view.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, WITHOUT_FIT, make_record
-from tests.rig.view.rrd_contents import column, measured, scalars
 
 SECONDS = 100.0
 FRAMES = round(SECONDS * RATE_HZ) - 1
@@ -35,10 +33,9 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def replay_of(record: Path, **words: float | bool) -> Iterator[Replay]:
+def replay_of(record: Path, *, retrack: bool = False) -> Iterator[Replay]:
     with RecordReader(record) as reader:
-        settings = {"retrack": False, **words}
-        yield Replay(reader, recorded_configuration(reader), **settings)  # type: ignore[arg-type]
+        yield Replay(reader, recorded_configuration(reader), retrack=retrack)
 
 
 def test_a_replay_gives_the_record_bit_for_bit(record: Path) -> None:
@@ -52,21 +49,6 @@ def test_a_replay_gives_the_record_bit_for_bit(record: Path) -> None:
     assert result.comparison.frames == FRAMES
     assert result.comparison.half_cycles.recorded == result.comparison.half_cycles.replayed >= 25
     assert result.dropped_frames == 1
-
-
-def test_a_part_begins_and_ends_where_it_is_told(record: Path) -> None:
-    with replay_of(record, from_s=10.0, to_s=40.0) as replay:
-        numbers = [number for sequences, _ in replay.blocks() for number in sequences.tolist()]
-        result = replay.finish()
-    assert replay.partial
-    assert numbers == [n for n in range(10 * RATE_HZ, 40 * RATE_HZ + 1) if n != GAP_FRAME]
-    assert sum(map(len, result.deflections)) == 30 * RATE_HZ + 1 - 1
-    assert result.dropped_frames == 1
-    comparison = result.comparison
-    assert (comparison.frames, comparison.spots.changed) == (30 * RATE_HZ, 0)
-    # the same turning points, found by a pipeline that began later: within some of their uncertainties
-    assert comparison.half_cycles.replayed == comparison.half_cycles.recorded >= 12
-    assert comparison.half_cycles.largest_u < 8.0
 
 
 def test_what_is_replayed_is_said_to_be_the_record(record: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -102,31 +84,15 @@ def test_an_unknown_uncertainty_hides_no_other_change() -> None:
     old = HalfCycle(1, 2_000_000_000, 1e-5, 100.0, math.nan, 2.0, 1e-5, 0.0, 1, 0)
     new = replace(old, turn_time_ns=old.turn_time_ns + 30_000)
     comparison = ReplayComparison(0, is_one_unit=True)
-    found = comparison.finish([old], [new], from_start=True, to_end=True).half_cycles
+    found = comparison.finish([old], [new]).half_cycles
     assert found.largest_u == pytest.approx(3.0)
     rows = np.array(
         [(7, 10.0, math.nan, 20.0, 0.5)],
         dtype=[("sequence", int), *((name, float) for name in ("x_px", "u_x_px", "y_px", "u_y_px"))],
     )
     comparison.spots(rows, [Spot(10.0, 21.0, *[1.0] * 8, 0)])
-    spots = comparison.finish([], [], from_start=True, to_end=True).spots
+    spots = comparison.finish([], []).spots
     assert (spots.largest_u, spots.largest_at) == (2.0, 7.0)
-
-
-@pytest.mark.parametrize("part_s", [(0.0, math.inf), (20.0, 60.0)])
-def test_a_rerun_file_has_all_of_the_part(record: Path, tmp_path: Path, part_s: tuple[float, float]) -> None:
-    rrd, (from_s, to_s) = tmp_path / "replay.rrd", part_s
-    replay_record(record, None, retrack=False, overrides=[], from_s=from_s, to_s=to_s, rrd=rrd)
-    length_s = min(to_s, SECONDS) - from_s
-    times_s, values = scalars(rrd, "/deflection/y")
-    # one frame is missing before 20 s
-    assert len(times_s) == round(length_s * RATE_HZ) + (1 if from_s else -1)
-    assert np.nanmax(np.abs(values)) > 100.0
-    assert len(measured(rrd, "/amplitude")[0]) >= 0.4 * length_s
-    assert len(measured(rrd, "/balance/line_angle")[0]) >= 0.15 * length_s
-    # the events of the part alone: a record begins and ends with one
-    events_s, _ = column(rrd, "/events", "TextLog:text")
-    assert len(events_s) == (0 if from_s else 2)
 
 
 def test_windows_that_have_no_spot_do_not_hold_up_the_others(tmp_path: Path) -> None:
@@ -187,22 +153,3 @@ def test_a_cut_record_is_replayed_and_the_remedy_named(
     said = capsys.readouterr()
     (line,) = (line for line in said.err.splitlines() if "cut short" in line)
     assert f"rig record recover {cut}" in line
-
-
-@pytest.mark.parametrize(
-    ("words", "error", "message"),
-    [
-        ({"from_s": -1.0}, ConfigurationError, "must begin before it ends"),
-        ({"from_s": 5.0, "to_s": 5.0}, ConfigurationError, "must begin before it ends"),
-        (
-            {"from_s": 500.0},
-            ConfigurationError,
-            r"^--from 500: beyond the end of .*, which goes from 0 to 100\.0 s$",
-        ),
-    ],
-)
-def test_a_part_that_is_none(
-    record: Path, words: dict[str, float], error: type[Exception], message: str
-) -> None:
-    with pytest.raises(error, match=message):
-        replay_record(record, None, retrack=False, overrides=[], **words)  # type: ignore[arg-type]

@@ -1,6 +1,6 @@
 """A run and its view, with the real program.
 
-The same is shown live, afterwards and in a replay; whatever happens to the view, the run goes on.
+The same is shown live and afterwards; whatever happens to the view, the run goes on.
 """
 
 import os
@@ -18,7 +18,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE
 from rig.interruption import LOOPBACK, start_python
-from rig.view import RunningView, replay_record, show_records
+from rig.view import RunningView, show_record
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 from tests.rig.view.replay_record import make_record
 from tests.rig.view.rrd_contents import column, contents, entities, scalars
@@ -27,7 +27,6 @@ from tests.waiting import until
 SHORT = {
     **SMALL,
     "session.max_duration_s": "20",
-    "view.file": "true",
     "instrument.kind": '"tomlinson"',
 }
 """Without a fit of the contact, which takes long for a short run."""
@@ -40,45 +39,40 @@ IN_REAL_TIME = {
     "session.max_duration_s": "6",
     "instrument.kind": '"tomlinson"',
 }
-CURVES = ("/deflection/x", "/deflection/y", "/amplitude", "/period", "/balance/line_angle")
 posix_only = pytest.mark.skipif(os.name != "posix", reason="stops a process with POSIX signals")
+
+
+def drawn_live(folder: Path, config: str, settings: dict[str, str]) -> Path:
+    """A folder with a run, and `live.rrd`, which was drawn while it was measured."""
+    record = folder / "run-1.mcap"
+    view = start_python("-m", "rig", "view", str(record), "--follow", "--rrd", str(folder / "live.rrd"))
+    done = rig("run", CONFIGS / config, "-o", folder, *set_words(settings), cwd=folder)
+    assert record.exists(), done.stderr
+    assert view.wait(60.0) == 0
+    return folder
 
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a run and the Rerun file that was drawn while it was measured."""
-    folder = tmp_path_factory.mktemp("live")
-    done = rig("run", CONFIGS / "demo.toml", "-o", "out", *set_words(SHORT), cwd=folder)
-    assert (folder / "out" / "run-1.rrd").exists(), done.stderr
-    return folder / "out"
+    return drawn_live(tmp_path_factory.mktemp("live"), "demo.toml", SHORT)
 
 
 def test_what_is_shown_live_is_what_is_shown_afterwards(live: Path, tmp_path: Path) -> None:
-    show_records([live / "run-1.mcap"], rrd=tmp_path / "again.rrd")
-    first, again = contents(live / "run-1.rrd"), contents(tmp_path / "again.rrd")
+    show_record(live / "run-1.mcap", rrd=tmp_path / "again.rrd")
+    first, again = contents(live / "live.rrd"), contents(tmp_path / "again.rrd")
     assert first.keys() == again.keys()
     differing = {key for key in first if first[key] != again[key]}
     assert differing == {("/__properties", "RecordingInfo:start_time")}
-    (last_state,) = column(live / "run-1.rrd", "/state", "TextDocument:text")[1][-1]
+    (last_state,) = column(live / "live.rrd", "/state", "TextDocument:text")[1][-1]
     assert last_state.startswith("**done**: time limit of")
     # a rig without a reference spot has no such curve
-    assert not [path for path in entities(live / "run-1.rrd") if "reference" in path]
-
-
-def test_a_replay_shows_the_same_curves(live: Path, tmp_path: Path) -> None:
-    rrd = tmp_path / "replay.rrd"
-    replay_record(live / "run-1.mcap", None, retrack=False, overrides=[], rrd=rrd)
-    first, again = contents(live / "run-1.rrd"), contents(rrd)
-    for entity in CURVES:
-        for component in ("Scalars:scalars", "Measurements:values", "Measurements:variances"):
-            if (entity, component) in first:
-                assert first[entity, component] == again[entity, component], entity
+    assert not [path for path in entities(live / "live.rrd") if "reference" in path]
 
 
 IMPATIENT = """
 from rig.cli import main
-from rig.view import scratch
-scratch._MAX_SHOW_END_S = scratch._MAX_WRITE_END_S = 2.0
+from rig.view import running_view
+running_view._MAX_SHOW_END_S = 2.0
 main()
 """
 """`rig`, which waits for less long for what draws its last."""
@@ -87,7 +81,7 @@ main()
 @pytest.mark.slow
 @posix_only
 def test_a_view_that_is_stopped_costs_no_frame(tmp_path: Path) -> None:
-    words = set_words(IN_REAL_TIME | {"view.file": "true", "view.mode": '"web"'})
+    words = set_words(IN_REAL_TIME | {"view.mode": '"web"'})
     run = start_python(
         "-c", IMPATIENT, "run", str(CONFIGS / "demo.toml"), "-o", "out", *words,
         cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
@@ -97,12 +91,10 @@ def test_a_view_that_is_stopped_costs_no_frame(tmp_path: Path) -> None:
     try:
         until(lambda: record.exists() and record.stat().st_size > 100_000)
         views = children_of(run.pid, "view")
-        assert len(views) == 2
+        assert len(views) == 1
         for pid in views:
             os.kill(pid, signal.SIGSTOP)
-        assert run.stderr is not None
-        said = run.stderr.read()
-        run.wait(120.0)
+        run.communicate(timeout=120.0)
     finally:
         run.kill()
         run.communicate()
@@ -116,57 +108,26 @@ def test_a_view_that_is_stopped_costs_no_frame(tmp_path: Path) -> None:
         sequence = reader.spots()["sequence"]
         assert np.array_equal(sequence, np.arange(len(sequence)))
         assert len(sequence) >= 6 * 50
-    assert "run-1.rrd is not whole: its writer was ended" in said
-
-
-@posix_only
-def test_a_view_that_is_killed_is_said(tmp_path: Path) -> None:
-    record = make_record(tmp_path / "run.mcap", 20.0)
-    view = RunningView(record, "none", tmp_path / "run.rrd", "measuring")
-    assert view._file_process is not None
-    os.kill(view._file_process.pid, signal.SIGKILL)
-    assert view.close().endswith("run.rrd is not whole: its writer was ended")
-
-
-@pytest.mark.slow
-@posix_only
-def test_the_rerun_file_of_a_run_that_was_killed_is_whole(tmp_path: Path) -> None:
-    words = set_words(IN_REAL_TIME | {"view.file": "true", "session.max_duration_s": "60"})
-    run = start_python(
-        "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", "out", *words,
-        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    record = tmp_path / "out" / "run-1.mcap"
-    until(lambda: record.exists() and record.stat().st_size > 200_000)
-    (view,) = children_of(run.pid, "view")
-    run.kill()
-    run.wait()
-    until(lambda: not Path(f"/proc/{view}").exists())
-    with RecordReader(record) as reader:
-        count = len(reader.spots())
-    assert len(scalars(record.with_suffix(".rrd"), "/deflection/x")[0]) == count > 0
 
 
 @posix_only
 def test_a_view_whose_record_never_comes_ends_with_what_started_it(tmp_path: Path) -> None:
-    view = RunningView(tmp_path / "run.mcap", "none", tmp_path / "run.rrd", "measuring")
-    assert view._file_process is not None
-    assert view.close() == ""
-    assert not (tmp_path / "run.rrd").exists()
+    view = RunningView(tmp_path / "run.mcap", "web", "measuring")
+    assert view._process is not None
+    view.close()
     with pytest.raises(ProcessLookupError):
-        os.kill(view._file_process.pid, 0)
+        os.kill(view._process.pid, 0)
 
 
 def test_another_record_after_a_rejected_start_is_drawn_too(tmp_path: Path) -> None:
     record, rrd = tmp_path / "run.mcap", tmp_path / "run.rrd"
-    view = RunningView(record, "none", rrd, "measuring")
+    view = start_python("-m", "rig", "view", str(record), "--follow", "--rrd", str(rrd))
     make_record(record, 20.0, end="rejected")
-    until(lambda: rrd.with_stem("run-start-1").exists())
+    until(rrd.exists)
     record.rename(tmp_path / "run-start-1.mcap")
     make_record(tmp_path / "made.mcap", 15.0).rename(record)
-    assert view.close() == ""
+    assert view.wait(60.0) == 0
     assert len(scalars(rrd, "/deflection/x")[0]) == 749
-    assert len(scalars(rrd.with_stem("run-start-1"), "/deflection/x")[0]) == 999
 
 
 @pytest.mark.slow
@@ -234,14 +195,11 @@ BESIDE_REFERENCE = SHORT | {
 
 @pytest.fixture(scope="module")
 def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("vault")
-    done = rig("run", CONFIGS / "vault.toml", "-o", "out", *set_words(BESIDE_REFERENCE), cwd=folder)
-    assert (folder / "out" / "run-1.rrd").exists(), done.stderr
-    return folder / "out"
+    return drawn_live(tmp_path_factory.mktemp("vault"), "vault.toml", BESIDE_REFERENCE)
 
 
 def test_live_and_recorded_curves_are_the_positions_of_the_record(vault: Path, tmp_path: Path) -> None:
-    show_records([vault / "run-1.mcap"], rrd=tmp_path / "again.rrd")
+    show_record(vault / "run-1.mcap", rrd=tmp_path / "again.rrd")
     with RecordReader(vault / "run-1.mcap") as reader:
         spots = reader.table(REFERENCE.topic)
     for axis in ("x", "y"):
@@ -250,6 +208,6 @@ def test_live_and_recorded_curves_are_the_positions_of_the_record(vault: Path, t
         expected = spots[f"{axis}_px"] - spots[f"{axis}_px"][0]
         assert values == pytest.approx(expected[rows], abs=1e-9)
         assert len(values) == pytest.approx(10 * times_s[-1], abs=2)
-        live = scalars(vault / "run-1.rrd", f"/reference/{axis}")
+        live = scalars(vault / "live.rrd", f"/reference/{axis}")
         assert np.array_equal(live[1], values)
         assert live[0] == pytest.approx(times_s)
