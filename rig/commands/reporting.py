@@ -33,9 +33,7 @@ def report(
         output_option("HTML file to write; default: report.html in the folder, overwritten.", new_page),
     ] = None,
 ) -> None:
-    """Write a report: HTML page, figures, tables.
-
-    Figures as SVG and PNG, tables as CSV.
+    """Write a report: an HTML page, and its figures as SVG and PNG.
 
     \b
     Example:
@@ -86,7 +84,7 @@ def compare(
     output: Annotated[
         Path | None,
         output_option(
-            "Folder for campaign.json, page, figures and tables.",
+            "Folder for campaign.json, page and figures.",
             folder_without("campaign.json", "campaign.html"),
         ),
     ] = None,
@@ -180,9 +178,6 @@ def plan(
         float | None,
         typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: from SOURCE."),
     ] = None,
-    output: Annotated[
-        Path | None, output_option("Folder for the table and the picture.", folder_without("plan.*"))
-    ] = None,
     set_: Set = None,
     runs: Annotated[
         list[int] | None, typer.Option(min=1, help="Number of runs; may be repeated; default: 1.")
@@ -210,7 +205,7 @@ def plan(
 
     \b
     Examples:
-      rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
+      rig plan runs/first/run-1.mcap --first 124 --last 2
       rig plan configs/basement.toml --runs 1 --runs 3
       rig plan fits/decay
       rig plan configs/basement.toml --seismometer 0.05
@@ -229,9 +224,8 @@ def plan(
         planned_contact_of_file,
         planned_contact_of_run,
         planned_contact_of_table,
-        save_plan,
     )
-    from rig.terminal import print_tables, say
+    from rig.terminal import answer, print_tables, say
 
     if source.suffix.lower() == ".toml":
         expected = planned_contact_of_file(source, set_ or [], noise, contact)
@@ -254,6 +248,5 @@ def plan(
         expected = planned_contact_of_run(run)
         refuse_unread([run])
     planned = make_plan(expected, firsts, lasts, ground, counts, seismometer)
+    answer(plan=planned.numbers)
     print_tables([plan_table(planned)])
-    if output is not None:
-        save_plan(planned, output)

@@ -42,7 +42,7 @@ from rig.report.likelihoods import (
 )
 from rig.terminal import plain_values, quantity
 
-MIN_BAD_PROBABILITY = 0.5
+_MIN_BAD_PROBABILITY = 0.5
 _SIMULATED = "SIMULATED: runs come from the simulated rig; nothing was measured"
 _MIN_EFFECTIVE_FRACTION = 0.05
 """Fraction of the draws that must be effective."""
@@ -350,7 +350,7 @@ def _warnings(found: SeriesPosterior, without_priors: SeriesPosterior) -> list[s
     texts += [
         f"{run.label} is a bad run with probability {100 * bad:.0f} % and counts for little"
         for run, bad in zip(found.runs, found.bad, strict=True)
-        if bad > MIN_BAD_PROBABILITY
+        if bad > _MIN_BAD_PROBABILITY
     ]
     texts += [
         f"{what} is not well described: {one.effective:.0f} of {len(one.h)} draws count; ask for more draws, "

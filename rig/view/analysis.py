@@ -123,7 +123,7 @@ def report_text(runs: Mapping[str, RunResults]) -> str:
             parts.append(_markdown(parameter_table(results, full=False)))
             parts.append(_markdown(quality_table(results)))
         instrument = instrument_table(results)
-        if instrument.rows:
+        if instrument.shown:
             parts.append(_markdown(instrument))
         parts += [f"- {line}" for line in (*remarks(results), *results.warnings)]
     return "\n\n".join(parts)

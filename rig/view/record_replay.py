@@ -27,7 +27,6 @@ from rig.instrument import configuration_attachments, recorded_configuration
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import (
     Table,
-    TableRow,
     answer,
     plain,
     print_line,
@@ -61,7 +60,7 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool) -> None:
         )
     ]
     head = ("", "recorded", "replayed", "changed", "largest change")
-    print_tables([Table("comparison", "", head, head, [TableRow(row, row) for row in rows])])
+    print_tables([Table("comparison", "", head, rows)])
     if partial:
         say(
             "half-cycles of a part differ in any case: they are numbered from its beginning, "
@@ -82,7 +81,7 @@ def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
         shown, by_u = quantity(change.quantity), change.change_u
         size = "?" if math.isnan(by_u) else signed(by_u)
         rows.append([shown.label, change.fit, shown.text(*change.recorded), size])
-    print_tables([Table("changes", "", head, head, [TableRow(row, row) for row in rows])])
+    print_tables([Table("changes", "", head, rows)])
 
 
 def _largest(differences: Differences, place: str) -> str:
