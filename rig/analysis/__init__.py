@@ -12,7 +12,6 @@ from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import law_table, parameter_table, quality_table
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named, plain_row
 from rig.analysis.results import (
-    AveragedCurves,
     ComparedLaws,
     Correlation,
     Fit,

@@ -20,7 +20,7 @@ from processing.fit import (
 )
 from rig.analysis.decay_values import DECAY
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
-from rig.analysis.results import Correlation, RunResults, Series
+from rig.analysis.results import RunResults, Series
 from rig.terminal import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
 
 _MIN_NAMED_VARIANCE_SHARE = 0.25
@@ -225,7 +225,6 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
         yield Remark("drag", detail, _drag_sentence(run.drag, run.rows, fitted=is_fitted))
     if exact is not None:
         yield Remark("waveform", detail, _waveform_sentence(exact.information_gain))
-        yield Remark("correlation", detail, _correlation_sentence(exact.correlation))
         yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
     for row in run.contact:
         if not row.determined and row.quantity not in ENERGIES:
@@ -249,13 +248,6 @@ def _advice(result: WholeResult) -> str:
     if result.symbol:
         return f"{result.symbol} is limited by: {result.limits[0].name}. To improve it: {steps}."
     return f"{result.text}. To improve it: {steps}."
-
-
-def _correlation_sentence(correlation: Correlation) -> str:
-    if not (pairs := correlation.strong):
-        return ""
-    names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
-    return f"Strongly correlated in this run: {names}.".replace("-", "−")
 
 
 def ground_sentence(ground: Ground) -> str:

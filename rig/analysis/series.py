@@ -10,9 +10,7 @@ import numpy as np
 
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
-from processing.contact import DRAG, PendulumOnBall
 from processing.errors import ConfigurationError, DataError
-from processing.estimate import Estimate
 from processing.fit import (
     DRIFTS,
     Budget,
@@ -24,7 +22,6 @@ from processing.fit import (
     RigQuantities,
     budgets,
     drift_effects,
-    fit_asymptotic,
 )
 from processing.instruments import (
     Check,
@@ -35,12 +32,12 @@ from processing.instruments import (
     over_places,
     ratio,
 )
-from processing.series import CombinedValue, SeriesResult, average_curves, combine_runs
+from processing.series import CombinedValue, SeriesResult, combine_runs
 from processing.swing import HalfCycle
 from rig.analysis.decay_values import InstrumentSeries
 from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import ResultRow, series_rows, withheld
-from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
+from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.settings import InstrumentSettings, KeyUseMonitor
 from rig.terminal import with_uncertainty
@@ -83,11 +80,6 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
             combined[method] = combine_runs([run.fitted[method] for run in fitted])
         except DataError as error:
             problems.append(f"{method}: {error}")
-    averaged = None
-    try:
-        averaged = _averaged_curves(fitted, pendulum, combined.get(FitMethod.ASYMPTOTIC))
-    except DataError as error:
-        problems.append(f"averaged curves: {error}")
     default = combined.get(FitMethod.EXACT)
     measured, rig = None if default is None else default.measured, fitted[0].rig
     if measured is not None:
@@ -115,7 +107,6 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
         disagreements=tuple(
             replace(each, run=numbers[each.run - 1]) for each in (default.disagreements if default else ())
         ),
-        averaged_curves=averaged,
         problems=tuple(problems),
     )
 
@@ -132,28 +123,6 @@ def _with_means(
         else item
         for name, item in combined.items()
     }
-
-
-def _averaged_curves(
-    runs: Sequence[AnalysedRun], pendulum: PendulumOnBall, of_runs: SeriesResult | None
-) -> AveragedCurves:
-    """Eqs. 5 and 6 of the average curve, with the drag of the runs' own fits of them.
-
-    The average cannot show drive, drag and scatter of the runs it is made of: u is at least theirs.
-    """
-    combined = {} if of_runs is None else of_runs.parameters
-    drag = combined.get(DRAG.key)
-    found = fit_asymptotic(
-        average_curves([run.points for run in runs]),
-        pendulum,
-        drag=drag is not None,
-        known_drag=None if drag is None else drag.estimate,
-    )
-    parameters = {
-        name: Estimate(value, max(u, combined[name].standard_uncertainty) if name in combined else u)
-        for name, (value, u) in found.estimates().items()
-    }
-    return AveragedCurves(parameters, found.arae_decay, found.arae_period)
 
 
 def _with_run_sources(

@@ -224,8 +224,7 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     ]
     if not shown_effects:
         return []
-    margins = {"left": 0.1, "wspace": 0.42, "hspace": 0.5}
-    figure, panels = three_columns(len(shown_effects), lambda rows: 0.6 + 2.3 * rows, **margins)
+    figure, panels = three_columns(len(shown_effects), lambda rows: 0.6 + 2.3 * rows)
     contacts = list(results.contacts)
     colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
     for axes, (effect, name) in zip(panels, shown_effects, strict=True):
@@ -261,9 +260,7 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
         reference = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
         title = _change_label(name)[0]
         axes.set_title(f"{title}{reference}, from its middle" if name in POSITIVE else title, fontsize=7.5)
-    whole_in = figure.get_figheight()
-    figure.subplots_adjust(bottom=0.5 / whole_in, top=1 - 0.6 / whole_in)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     title = "Parameters over what the runs were measured under"
     words = (
         "Points: each run alone with its standard uncertainty. Lines and bands: the campaign's median, 68 "

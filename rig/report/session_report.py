@@ -108,13 +108,12 @@ def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
 
 
 _ORDER = (
-    "kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane", "instrument",
+    "kind-damping", "kind-decrement", "kind-period", "kind-plane", "instrument",
     "parameters", "decay",
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
     "fig13-period", "residuals", "position-errors",
-    "spectrum", "table4-loops", "work", "losses", "laws", "moments",
- "correlation", "budget",
+    "table4-loops", "work", "losses", "laws", "moments", "correlation", "budget",
 )  # fmt: skip
 """Order of the tables and figures of a run; small tables in a tuple stand side by side."""
 
@@ -182,9 +181,6 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         for work in run.results.work_per_cycle[:1] if exact.p >= 0 else ():
             known = not math.isnan(work.adhesive_4at_j.value)
             drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, has_c=known))
-        if run.spectrum is not None:
-            unit = motion.unit
-            drawings.append(figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size))
     return drawings
 
 

@@ -6,14 +6,13 @@ from dataclasses import fields, replace
 from typing import Final
 
 from processing.contact import weight_moment
-from processing.estimate import NOT_DETERMINED, Estimate
+from processing.estimate import Estimate
 from processing.fit import Budget, FitMethod
 from processing.quantity import InstrumentQuantities
 from processing.units import ARCSEC_RAD
 from rig.analysis import (
     DECAY,
     INSTRUMENT,
-    AveragedCurves,
     InstrumentSeries,
     ResultRow,
     RunResults,
@@ -77,17 +76,12 @@ def _part(contribution: float) -> str:
 
 
 def series_table(series: Series) -> Table:
-    """Table of a series' parameters: exact and asymptotic fits, and curves averaged as in the paper."""
+    """Table of a series' parameters: exact and asymptotic fits."""
     lines = []
     exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
-    average = series.averaged_curves or AveragedCurves()
     for name in exact or asymptotic:
         shown_as, row = quantity(name), series.rows.get(name)
         item = asymptotic.get(name)
-        others = [
-            NOT_DETERMINED if item is None else item.estimate,
-            average.parameters.get(name, NOT_DETERMINED),
-        ]
         between = getattr(exact.get(name), "between_runs", math.nan) * shown_as.factor
         is_determined = row is None or row.determined
         texts = [
@@ -95,16 +89,14 @@ def series_table(series: Series) -> Table:
             "" if row is None else row.text,
             "" if row is None else row.interval_text,
             plain(between, 2) if between else "none seen",
-            *(shown_as.text(value, u) if is_determined else "" for value, u in others),
+            shown_as.text(*item.estimate) if is_determined and item is not None else "",
         ]
         lines.append(texts)
     return Table(
         "series", "The series",
-        ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading,
-         "curves averaged first"), lines,
+        ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading), lines,
         "Runs combined with their own and the between-run scatter, Student's t for the 95 % interval, and "
-        "with the apparatus as far as stated; beside it, of the swings alone, Eqs. 5 and 6, and the paper's "
-        "way: the runs' curves averaged, then Eqs. 5 and 6 fitted with their drag.",
+        "with the apparatus as far as stated; beside it Eqs. 5 and 6, of the swings alone.",
     )  # fmt: skip
 
 

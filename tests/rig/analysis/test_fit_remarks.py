@@ -26,7 +26,7 @@ from rig.analysis import RunResults
 from rig.analysis.contact_verdicts import fit_results, with_contact
 from rig.analysis.decay_values import amplitude_damping
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
-from rig.analysis.results import Correlation, Fit
+from rig.analysis.results import Fit
 from rig.analysis.run_remarks import (
     RemarkLevel,
     drag_headline,
@@ -141,21 +141,17 @@ def test_what_the_waveform_gave_is_said() -> None:
     )
 
 
-_CORRELATED = Correlation(("p", "b"), ((1.0, -0.998), (-0.998, 1.0)))
-
-
 def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
     known = ResultRow(quantity="b", value=1e-3, lower=9e-4, upper=1.1e-3)
     bound = ResultRow(quantity="c", verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=2e-9)
     results = RunResults(
         record="run-1.mcap",
-        fits={"exact": Fit(ground=_DRIVEN, correlation=_CORRELATED)},
+        fits={"exact": Fit(ground=_DRIVEN)},
         table=(known, bound),
         notes=("a note",),
     )
     assert remarks(results) == [
         ground_sentence(_DRIVEN),
-        "Strongly correlated in this run: b and p (−0.998).",
         "Not determined: c, < 2.0 × 10⁻⁹ (95 %).",
         "a note",
     ]
