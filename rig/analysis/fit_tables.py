@@ -1,13 +1,17 @@
 """Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from math import isnan
+from typing import Final
 
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import FitMethod, FitQuality
-from processing.quantity import quantities_of
-from rig.analysis.result_rows import SURFACE_ENERGY
+from processing.instruments import Check
+from processing.quantity import InstrumentQuantities, quantities_of
+from rig.analysis.decay_values import INSTRUMENT, InstrumentSeries
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row
 from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
 from rig.analysis.run_remarks import limits_of, main_sources
 from rig.terminal import Table, decimals, plain, quantity
@@ -31,7 +35,7 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     if not any(line[-1] for line in lines):
         head, lines = head[:-1], [line[:-1] for line in lines]
     title = "Parameters of the contact, exact fit"
-    return Table("parameters", title, head, lines, _whole_result_text(run))
+    return Table("parameters", title, tuple(head), lines, _whole_result_text(run))
 
 
 _SOURCES = "main sources of its variance"
@@ -127,3 +131,58 @@ def law_table(compared: ComparedLaws) -> Table:
         "needs, in rad/s²/√Hz; what a law fails to describe appears as a stronger drive. Residuals: whether "
         "they exceed the noise.",
     )
+
+
+_ORDER: Final = [field.name for field in fields(InstrumentQuantities)]
+_HIDDEN: Final = ("damping_start_deg", "damping_end_deg")
+
+
+def instrument_rows(results: RunResults) -> list[tuple[str, ResultRow]]:
+    """Rows of the quantities that this kind of pendulum reports, in the order of their declaration.
+
+    Each has its name in words, with its part of the decay.
+    """
+    found = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in _HIDDEN]
+    found.sort(key=lambda row: _ORDER.index(row.quantity))
+    return [(f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}", row) for row in found]
+
+
+_INSTRUMENT_HEAD: Final = ("", "value ± u", "unit", "standard")
+
+
+def instrument_table(results: RunResults) -> Table:
+    """Table of every number with its unit, and of the standard's limits for environment and apparatus."""
+    checks = () if results.instrument is None else results.instrument.checks
+    lines = [[name, row.text, row.shown.unit, ""] for name, row in instrument_rows(results)]
+    lines += map(_check_line, checks)
+    width = 4 if checks else 3
+    title = "What this kind of pendulum reports"
+    return Table("instrument", title, _INSTRUMENT_HEAD[:width], [line[:width] for line in lines])
+
+
+def _check_line(check: Check) -> list[str]:
+    limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
+    return [check.name, f"{check.value:.5g}", check.unit, limits]
+
+
+def instrument_series_rows(series: InstrumentSeries, *, with_places: bool) -> Iterator[tuple[str, ResultRow]]:
+    """Ratios to a reference, and the means over places, each with its name in words."""
+    for name, ratio in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
+        if ratio is not None:
+            yield f"ratio of {name}, sample to reference", plain_row("damping_swings", ratio, "")
+    for key, mean in (("damping_time_s", series.time_s), ("damping_swings", series.swings)):
+        if mean is not None and with_places:
+            row = plain_row(key, Estimate(mean.value, mean.standard_uncertainty), "")
+            many = f"{mean.places} place{'' if mean.places == 1 else f's, spread {mean.spread:.3g}'}"
+            yield f"{row.shown.name}, mean of {many}", row
+
+
+def instrument_series_table(series: InstrumentSeries) -> Table:
+    """Table of means over the places of a sample, their ratio to a reference, and the apparatus on glass."""
+    found = [*instrument_series_rows(series, with_places=True)]
+    if series.reference_time_s is not None:
+        row = plain_row("damping_time_s", series.reference_time_s, "")
+        found.append(("damping time of the reference", row))
+    lines = [[name, row.text, row.shown.unit, ""] for name, row in found]
+    lines += map(_check_line, series.acceptance or ())
+    return Table("series", "The series", _INSTRUMENT_HEAD, lines)

@@ -26,7 +26,6 @@ from processing.fit import (
 from processing.instruments import (
     Check,
     Description,
-    MeanOverPlaces,
     ValueWithSharedErrors,
     check,
     over_places,
@@ -40,7 +39,6 @@ from rig.analysis.result_rows import ResultRow, series_rows, withheld
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.settings import InstrumentSettings, KeyUseMonitor
-from rig.terminal import with_uncertainty
 
 _PLANE: Final = "plane_of_swing_rad"
 
@@ -172,18 +170,6 @@ def _mean(readings: _Readings, name: str) -> ValueWithSharedErrors:
     return over_places([one[name] for one in readings])[0]
 
 
-def _over_places(readings: _Readings, name: str, what: str, unit: str, lines: list[str]) -> MeanOverPlaces:
-    mean, found = over_places([one[name] for one in readings])
-    of = f"{found.places} place{'s' if found.places > 1 else ''}"
-    line = f"{what} over {of}: {with_uncertainty(*mean.estimate)}{unit}"
-    if found.places > 1:
-        line += f", spread {found.spread:.3g}{unit}"
-        if mean.u_shared > mean.own:
-            line += f"; {mean.u_shared:.2g}{unit} of the uncertainty is common to all (scale, clock)"
-    lines.append(line)
-    return found
-
-
 def _reference(settings: InstrumentSettings, glass: _Readings) -> ValueWithSharedErrors | None:
     if glass:
         return _mean(glass, "time_s")
@@ -208,19 +194,17 @@ def _reference_fault(settings: InstrumentSettings, numbered: _NumberedReadings) 
     return ""
 
 
-def _acceptance(description: Description, glass: _Readings, lines: list[str]) -> tuple[Check, ...]:
+def _acceptance(description: Description, glass: _Readings) -> tuple[Check, ...]:
     """Checks of the apparatus on glass against the standard."""
-    checks = []
-    for name, key, limits in (
+    wanted = (
         ("period on glass", "period_s", description.period_s),
         ("damping time on glass", "time_s", description.glass_time_s),
-    ):
-        if limits is not None:
-            checks.append(check(name, _mean(glass, key).estimate, limits, "s"))
-    lines += [item.text for item in checks]
-    if description.note and checks:
-        lines.append(f"note: {description.note}")
-    return tuple(checks)
+    )
+    return tuple(
+        check(name, _mean(glass, key).estimate, limits, "s")
+        for name, key, limits in wanted
+        if limits is not None
+    )
 
 
 def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
@@ -256,26 +240,21 @@ def _compared_places(settings: InstrumentSettings, numbered: _NumberedReadings) 
     description = settings.description()
     places = [one for number, one in numbered if one and number not in settings.reference_runs]
     glass = [one for number, one in numbered if one and number in settings.reference_runs]
-    lines: list[str] = []
     values: dict[str, Any] = {"kind": description.kind}
     if places:
-        values["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
-        values["swings"] = _over_places(places, "swings", "swings", "", lines)
+        values |= {name: over_places([one[name] for one in places])[1] for name in ("time_s", "swings")}
     reference, problem = _reference(settings, glass), _reference_fault(settings, numbered)
     if reference is None:
-        problem += ": no ratio"
-        return InstrumentSeries(**values, problem=problem, text=(*lines, problem))
-    lines += [problem] if problem else []
-    values["reference_time_s"] = reference.estimate
+        return InstrumentSeries(**values, problem=f"{problem}: no ratio")
+    values |= {"reference_time_s": reference.estimate, "problem": problem or None}
     if glass:
-        values["acceptance"] = _acceptance(description, glass, lines)
+        values["acceptance"] = _acceptance(description, glass)
+        values["text"] = (f"note: {description.note}",) if description.note else ()
     if places:
-        values["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
-        lines.append(f"ratio of damping times, sample to reference: {with_uncertainty(*relative)}")
+        values["ratio"] = ratio(_mean(places, "time_s"), reference)
     if places and glass:
-        values["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
-        lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
-    return InstrumentSeries(**values, text=tuple(lines))
+        values["ratio_of_swings"] = ratio(_mean(places, "swings"), _mean(glass, "swings"))
+    return InstrumentSeries(**values)
 
 
 def refuse_unread(runs: Sequence[AnalysedRun]) -> None:

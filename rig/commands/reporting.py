@@ -99,9 +99,6 @@ def compare(
         Path | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")
     ] = None,
     where: Where = "",
-    by_sample: Annotated[
-        bool, typer.Option("--by-sample", help="Folders with the same session.sample are one contact.")
-    ] = False,
     sample: Annotated[
         bool, typer.Option("--sample", help="Sample the full posterior (emcee), with its R-hat.")
     ] = False,
@@ -123,8 +120,6 @@ def compare(
         raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
     if where and archive is None:
         raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
-    if by_sample and archive is not None:
-        raise ConfigurationError("--by-sample: has no effect with --archive, where each sample is a contact")
     from rig.analysis import encoded
     from rig.report import (
         StatedCampaign,
@@ -140,7 +135,7 @@ def compare(
 
     stated = StatedCampaign() if model is None else read_campaign(model)
     if archive is None:
-        runs = runs_of_folders(folders or [], by_sample=by_sample)
+        runs = runs_of_folders(folders or [])
     else:
         from rig.archive import ordered_runs
 

@@ -15,4 +15,3 @@ from rig.report.planned_run import (
     planned_contact_of_table,
 )
 from rig.report.session_report import draw_run, make_report, make_table_report
-from rig.report.tables import instrument_table

@@ -133,9 +133,9 @@ def _budget_table(results: CampaignResults) -> Table:
     for contact, budgets in results.budgets.items():
         for rank, (name, parts) in enumerate(budgets.items()):
             words = "; ".join(
-                f"{_source_words(part.source)} {100 * part.share:.0f} %"
-                for part in parts[:_MAX_SHOWN_SOURCES]
-                if part.share > 0.005
+                f"{_source_words(source)} {100 * share:.0f} %"
+                for source, share in list(parts.items())[:_MAX_SHOWN_SOURCES]
+                if share > 0.005
             )
             rows.append([contact if not rank else "", quantity(name).symbol, words])
     return Table(
@@ -295,13 +295,13 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
 
 
 def _page(campaign: Campaign, tables: list[Table], figures: Mapping[str, str], sha256: str) -> str:
-    results, sampler = campaign.results, campaign.results.sampler
+    results = campaign.results
     count = len(results.runs)
     words = f"{count} run{'s' if count != 1 else ''} of {', '.join(results.contacts)}"
     method = "Laplace's method over the scatters;"
-    if sampler is not None:
+    if isfinite(results.worst_r_hat):
         method = (
-            f"Sampled by emcee (worst R-hat {sampler.worst_r_hat:.3f}, at least {sampler.fewest_draws:.0f} "
+            f"Sampled by emcee (worst R-hat {results.worst_r_hat:.3f}, at least {results.fewest_draws:.0f} "
             "independent draws);"
         )
     first, *others = [html.table(content) for content in tables]

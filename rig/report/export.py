@@ -193,11 +193,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     exported = _exported_data(source)
     if len({_item_name(one.name) if kind == "hdf5" else one.name for one in exported}) < len(exported):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
-    tables = [output / f"{one.name}-{name}.{kind}" for one in exported for name in (*one.columns, "table")]
     other = "name" if kind == "hdf5" else "folder"
-    for path in [output] if kind == "hdf5" else tables:
-        if path.exists():
-            raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {other}")
     for one in exported:
         for note in one.notes if one.columns else ():
             say(f"{one.name}: {note}" if source.is_dir() else note)

@@ -94,7 +94,7 @@ def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
         disagreements = ["No run disagrees with the others."]
     disagreements += series.problems
     if series.instrument is not None:
-        disagreements += series.instrument.text
+        disagreements += series.instrument.lines
     if not (tables or disagreements):
         return []
     body = [html.heading("Series")]

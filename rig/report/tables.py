@@ -1,25 +1,24 @@
 """Tables of a run and of a series: parameters, budget, adhesion, work, correlations."""
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import replace
 
 from processing.contact import weight_moment
-from processing.estimate import Estimate
 from processing.fit import Budget, FitMethod
-from processing.quantity import InstrumentQuantities
 from processing.units import ARCSEC_RAD
 from rig.analysis import (
     DECAY,
-    INSTRUMENT,
     InstrumentSeries,
     ResultRow,
     RunResults,
     Series,
+    instrument_rows,
+    instrument_series_rows,
+    instrument_series_table,
+    instrument_table,
     law_table,
     parameter_table,
-    plain_row,
     quality_table,
 )
 from rig.terminal import (
@@ -194,19 +193,6 @@ def correlation_table(results: RunResults) -> Table:
 
 
 _MAX_HEADLINES = 4
-_ORDER: Final = [field.name for field in fields(InstrumentQuantities)]
-
-
-def _rows(results: RunResults) -> list[ResultRow]:
-    """Rows of the quantities that this kind of pendulum reports, in the order of their declaration."""
-    hidden = ("damping_start_deg", "damping_end_deg")
-    found = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in hidden]
-    return sorted(found, key=lambda row: _ORDER.index(row.quantity))
-
-
-def _row_name(row: ResultRow) -> str:
-    """Name of a quantity with its part of the decay, in words."""
-    return f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}"
 
 
 def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple[str, str]]:
@@ -214,23 +200,11 @@ def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple
 
     They are those of a series with several places, else of the run; the ratio to a reference is the series'.
     """
-    found = [(_row_name(row), row) for row in _rows(results)]
+    found = instrument_rows(results)
     if series is not None:
         many = series.time_s is not None and series.time_s.places > 1
-        found = [*_series_rows(series, with_places=many), *([] if many else found)]
+        found = [*instrument_series_rows(series, with_places=many), *([] if many else found)]
     return [(replace(row.shown, symbol=name).label, row.text) for name, row in found[:_MAX_HEADLINES]]
-
-
-def instrument_table(results: RunResults) -> Table:
-    """Table of every number with its unit, and of the standard's limits for environment and apparatus."""
-    checks = () if results.instrument is None else results.instrument.checks
-    more = [""] if checks else []
-    lines = [_line(_row_name(row), row, *more) for row in _rows(results)]
-    for check in checks:
-        limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
-        lines.append([check.name, f"{check.value:.5g}", check.unit, limits])
-    head = (*_VALUES, *(["standard"] if checks else []))
-    return Table("instrument", "What this kind of pendulum reports", head, lines)
 
 
 def decay_table(results: RunResults) -> Table:
@@ -244,24 +218,3 @@ _VALUES = ("", "value ± u", "unit")
 
 def _line(name: str, row: ResultRow, *more: str) -> list[str]:
     return [name, row.text, row.shown.unit, *more]
-
-
-def instrument_series_table(series: InstrumentSeries) -> Table:
-    """Table of means over the places of a sample, and their ratio to a reference."""
-    found = [*_series_rows(series, with_places=True)]
-    if series.reference_time_s is not None:
-        row = plain_row("damping_time_s", series.reference_time_s, "")
-        found.append(("damping time of the reference", row))
-    return Table("series", "The series", _VALUES, [_line(name, row) for name, row in found])
-
-
-def _series_rows(series: InstrumentSeries, *, with_places: bool) -> Iterator[tuple[str, ResultRow]]:
-    """Ratios to a reference, and the means over places, each with its name in words."""
-    for name, ratio in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
-        if ratio is not None:
-            yield f"ratio of {name}, sample to reference", plain_row("damping_swings", ratio, "")
-    means = (("damping_time_s", series.time_s), ("damping_swings", series.swings))
-    for key, mean in means if with_places else ():
-        if mean is not None:
-            row = plain_row(key, Estimate(mean.value, mean.standard_uncertainty), "")
-            yield f"{row.shown.name}, mean of {mean.places} places", row

@@ -18,6 +18,7 @@ from rig.analysis import (
     RunResults,
     analyse_record,
     curves_of,
+    instrument_table,
     parameter_table,
     quality_table,
     recorded_results,
@@ -111,8 +112,6 @@ def analysis_curves(runs: Mapping[str, RunResults]) -> list[AnalysisCurve]:
 
 def report_text(runs: Mapping[str, RunResults]) -> str:
     """Results of the fits in Markdown, one run after another."""
-    from rig.report import instrument_table
-
     parts: list[str] = []
     for results in runs.values():
         parts.append(f"## {Path(results.record).stem}")

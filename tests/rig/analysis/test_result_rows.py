@@ -272,21 +272,6 @@ _RUN = RunResults(
 )
 
 
-def test_the_terminal_shows_the_report_s_tables_where_asked(
-    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(logging.INFO, logger="rig.analysis.screen")
-    print_results(SessionResults(runs=(_RUN,)), [])
-    printed = capsys.readouterr().out
-    tables = [
-        parameter_table(_RUN),
-        quality_table(_RUN),
-    ]
-    for table in tables:
-        for row in table.shown:
-            assert all(cell in printed for cell in row), row
-
-
 def with_apparatus() -> RunResults:
     """The run where E of the flat makes most of the doubt of b."""
     sources = (
