@@ -21,19 +21,14 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
-from rig.instrument import complete  # noqa: E402
-from rig.report import draw_run, make_plan, plan_figure, planned_contact, styled  # noqa: E402
+from rig.report import draw_run, styled  # noqa: E402
 from rig.report.drawing import png  # noqa: E402
-from rig.settings import load_configuration  # noqa: E402
 from rig.view import LayoutName  # noqa: E402
 from rig.view.layout import TIMELINE  # noqa: E402
 from rig.view.show import show_record  # noqa: E402
 from tests.rig.drawn_pictures import (  # noqa: E402
     CONFIGURATION,
     DRAWN,
-    PLANNED,
-    PLANNED_FROM_ARCSEC,
-    PLANNED_RUNS,
     RESULT_FIGURES,
     drawn_now,
 )
@@ -55,7 +50,6 @@ def main(session: Path) -> None:
             show_record(session / "run-1.mcap", rrd=rrd, layout=layout)
             photograph(rrd, HERE / f"rerun-{layout}.png", MOMENT_S[layout])
     gather_figures(session, HERE / "result.png")
-    draw_plan(HERE / "plan.png")
     DRAWN.write_text(json.dumps(drawn_now(), indent=2) + "\n", encoding="utf-8")
 
 
@@ -68,16 +62,6 @@ def photograph(rrd: Path, picture: Path, at_s: float) -> None:
         window = shown.picture(picture)
     # without the viewer's own bar, whose warnings are about this way of drawing
     save(window[BAR_PX:, :, ::-1], picture)
-
-
-def draw_plan(picture: Path) -> None:
-    """Save what runs of the basement's rig will tell."""
-    expected = planned_contact(complete(load_configuration(PLANNED)))
-    lasts = [60.0, 30.0, 15.0, 8.0, 4.0, 2.0]
-    plan = make_plan(expected, PLANNED_FROM_ARCSEC, lasts, counts=PLANNED_RUNS)
-    with styled():
-        picture.write_bytes(png(plan_figure(plan)))
-    print(f"{picture.name}: {picture.stat().st_size / 1000:.0f} kB")
 
 
 def figures_of(session: Path) -> dict[str, bytes]:

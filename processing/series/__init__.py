@@ -4,7 +4,6 @@ from processing.series.combined import (
     CombinedValue,
     Disagreement,
     SeriesResult,
-    average_curves,
     combine,
     combine_runs,
     combined_limits,

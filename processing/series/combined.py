@@ -11,8 +11,6 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import AIR, DISCREPANCY, FitResult
 from processing.quantity import PART
-from processing.swing import TurningPoints
-from processing.units import ARCSEC_RAD
 
 _HOMOGENEOUS_ABOVE = 0.05
 """Probability above which the scatter of the runs is attributed to their own uncertainties."""
@@ -288,43 +286,3 @@ def _without_air(found: Estimate, by_air: float) -> Estimate:
     """A value with the part of its uncertainty that is not by the air."""
     u = found.standard_uncertainty
     return Estimate(found.value, sqrt(max(u**2 - by_air**2, (_LEAST_OWN * u) ** 2)))
-
-
-def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
-    """The average of the runs' curves, which the paper fits as a single run.
-
-    The half-cycles of each run are counted from the first one at or below the largest amplitude that all runs
-    contain, and are averaged where no run lacks one. Uncertainties are those of the mean, from the runs'
-    own. The runs do not start at exactly the same amplitude: for starts within one half-cycle's loss this
-    changes the parameters by less than their uncertainties.
-    """
-    if len(runs) < 2:
-        raise DataError(f"{len(runs)} run: there is nothing to average")
-    common = min(float(run.amplitude[0]) for run in runs)
-    counted = []
-    for number, run in enumerate(runs, start=1):
-        below = np.flatnonzero(run.amplitude <= common)
-        if not len(below):
-            raise DataError(
-                f"run {number} ends at {float(run.amplitude.min()) / ARCSEC_RAD:.3g} arcsec, above the "
-                f"{common / ARCSEC_RAD:.3g} arcsec at which another begins: nothing to average"
-            )
-        own = run.index - run.index[below[0]]
-        counted.append(np.where(own >= 0, own, -1))
-    shared = counted[0]
-    for own in counted:
-        shared = np.intersect1d(shared, own)
-    shared = shared[shared >= 0]
-    if len(shared) < 3:
-        raise DataError(f"the runs share {len(shared)} half-cycles: too few to average")
-    rows = []
-    for run, own in zip(runs, counted, strict=True):
-        at = np.searchsorted(own, shared)
-        time_s = run.time_s[at] - run.time_s[at[0]]
-        rows.append((time_s, run.amplitude[at], run.u_time_s[at] ** 2, run.u_amplitude[at] ** 2))
-    time_s, amplitude, u2_time_s, u2_amplitude = np.mean(rows, axis=0)
-    u_of_mean = 1 / sqrt(len(runs))
-    return TurningPoints(
-        index=shared, time_s=time_s, u_time_s=np.sqrt(u2_time_s) * u_of_mean, amplitude=amplitude,
-        u_amplitude=np.sqrt(u2_amplitude) * u_of_mean,
-    )  # fmt: skip

@@ -11,11 +11,9 @@ from processing.swing.half_cycle_harmonics import (
 )
 from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import (
-    ResidualSpectrum,
     SampleScatter,
     estimate_noise,
     estimate_scatter,
-    residual_spectrum,
     with_learned_weights,
 )
 from processing.swing.prediction import KnownMotion

@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 from rig.analysis.decay_values import DECAY, INSTRUMENT, InstrumentResults, InstrumentSeries
 from rig.analysis.encoding import JsonObject
-from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table
+from rig.analysis.fit_tables import (
+    instrument_rows,
+    instrument_series_rows,
+    instrument_series_table,
+    instrument_table,
+    law_table,
+    parameter_table,
+    quality_table,
+)
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named, plain_row
 from rig.analysis.results import (
-    AveragedCurves,
     ComparedLaws,
     Correlation,
     Fit,

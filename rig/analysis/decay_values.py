@@ -217,3 +217,8 @@ class InstrumentSeries:
     ratio: Estimate | None = None
     ratio_of_swings: Estimate | None = None
     text: tuple[str, ...] = ()
+
+    @property
+    def lines(self) -> list[str]:
+        """The problem, and what no number says."""
+        return [*filter(None, [self.problem]), *self.text]

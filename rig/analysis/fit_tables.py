@@ -1,16 +1,20 @@
 """Tables of the fitted parameters and of the quality of the fits, for terminal, report and Rerun."""
 
-from collections.abc import Mapping, Sequence
-from math import isnan, nan
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from math import isnan
+from typing import Final
 
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import FitMethod, FitQuality
-from processing.quantity import quantities_of
-from rig.analysis.result_rows import SURFACE_ENERGY
+from processing.instruments import Check
+from processing.quantity import InstrumentQuantities, quantities_of
+from rig.analysis.decay_values import INSTRUMENT, InstrumentSeries
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row
 from rig.analysis.results import ComparedLaws, Fit, RunResults, SessionResults
 from rig.analysis.run_remarks import limits_of, main_sources
-from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity
+from rig.terminal import Table, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
@@ -21,28 +25,17 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     lines = []
     for row in (row for row in run.contact if full or row.quantity in named):
         found = [by_others.get((method, row.quantity), NOT_DETERMINED) for method in others]
-        numbers = [row.value, row.u, row.u_total, row.lower, row.upper]
-        cells: list[Cell] = [
-            row.quantity,
-            *numbers,
-            str(row.verdict),
-            row.unit,
-            *(each for one in found for each in one),
-        ]
         texts = [row.shown.symbol, row.text, row.shown.unit]
         if full:
             alone = row.u * row.shown.factor
             texts.append(plain(alone, 2) if alone > 0 else "")
             texts += ["" if isnan(one.value) else row.shown.text(*one) for one in found]
-        lines.append(TableRow(cells, [*texts, main_sources(row, run.budget)]))
+        lines.append([*texts, main_sources(row, run.budget)])
     head = ["", "value", "unit", *(["u of the swings", *map(_heading, others)] if full else []), _SOURCES]
-    if not any(line.shown[-1] for line in lines):
-        head, lines = head[:-1], [line._replace(shown=line.shown[:-1]) for line in lines]
-    return Table(
-        "parameters", "Parameters of the contact, exact fit",
-        (*_COLUMNS, *(column for method in others for column in (method, f"u_{method}"))),
-        tuple(head), lines, _whole_result_text(run),
-    )  # fmt: skip
+    if not any(line[-1] for line in lines):
+        head, lines = head[:-1], [line[:-1] for line in lines]
+    title = "Parameters of the contact, exact fit"
+    return Table("parameters", title, tuple(head), lines, _whole_result_text(run))
 
 
 _SOURCES = "main sources of its variance"
@@ -51,7 +44,6 @@ _PERIOD_NOTE = (
     "The uncertainty of the mean period contains that of the clock, and the change of the period with the "
     "amplitude."
 )
-_COLUMNS = ("parameter", "value", "u", "u_total", "lower_95", "upper_95", "verdict", "unit")
 
 
 def _whole_result_text(run: RunResults) -> str:
@@ -73,16 +65,11 @@ def combined_table(results: SessionResults) -> Table | None:
     lines = []
     for whole in series.table:
         found = [run.rows.get(whole.quantity) for _, run in runs] + [whole]
-        cells: list[Cell] = [whole.quantity, *(number for row in found for number in (row or (nan, nan)))]
         texts = ["" if row is None else row.text for row in found]
-        lines.append(TableRow(cells, [whole.shown.symbol, *texts, whole.shown.unit]))
-    heads = [f"run {number}" for number, _ in runs]
-    return Table(
-        "combined", "Parameters of the contact, exact fits",
-        ("parameter", *(column for head in (*heads, "together") for column in (head, f"u_total_{head}"))),
-        ("", *heads, "together", "unit"), lines,
-        f"{_whole_result_text(runs[0][1])} Together, also of what scatters between the runs.",
-    )  # fmt: skip
+        lines.append([whole.shown.symbol, *texts, whole.shown.unit])
+    head = ("", *(f"run {number}" for number, _ in runs), "together", "unit")
+    note = f"{_whole_result_text(runs[0][1])} Together, also of what scatters between the runs."
+    return Table("combined", "Parameters of the contact, exact fits", head, lines, note)
 
 
 def quality_table(run: RunResults) -> Table:
@@ -95,26 +82,18 @@ def quality_table(run: RunResults) -> Table:
     methods = _in_order(fits)
     lines = []
     if (period := run.rows.get(_PERIOD)) is not None:
-        lines.append(
-            TableRow(
-                [_PERIOD, *[period.value] * len(methods)],
-                [period.shown.name, *[period.text] * len(methods), period.shown.unit],
-            )
-        )
-        lines.append(TableRow([f"u_{_PERIOD}", *[period.u_total] * len(methods)]))
+        lines.append([period.shown.name, *[period.text] * len(methods), period.shown.unit])
     for key in quantities_of(FitQuality):
         form = quantity(key)
         if key == _PERIOD or not form.symbol:
             continue
         values = [getattr(fits[method], key) for method in methods]
         numbers = [str(v) if isinstance(v, int) else plain(v * form.factor, 3) for v in values]
-        lines.append(TableRow([key, *values], [form.name, *numbers, form.unit]))
-    outliers = [fits[method].outliers for method in methods]
-    cells = ["outlying_half_cycles", *(" ".join(map(str, found)) for found in outliers)]
-    lines.append(TableRow(cells, ["outlying half-cycles", *map(_list_text, outliers), ""]))
+        lines.append([form.name, *numbers, form.unit])
+    lines.append(["outlying half-cycles", *(_list_text(fits[method].outliers) for method in methods), ""])
     head = ("", *map(_heading, methods), "unit")
     note = "" if period is None else _PERIOD_NOTE
-    return Table("quality", "Quality of the fits", ("quantity", *methods), head, lines, note)
+    return Table("quality", "Quality of the fits", head, lines, note)
 
 
 def _in_order(fits: Mapping[str, Fit]) -> list[str]:
@@ -132,26 +111,20 @@ def _list_text(items: Sequence[int]) -> str:
     return f"{len(items)}: {text}{', …' if len(items) > 8 else ''}" if items else "none"
 
 
-_LAW_NUMBERS = ("bic_above_best", "ground_rad_per_s2_rthz")
-
-
 def law_table(compared: ComparedLaws) -> Table:
     """The laws, with the distance of each from the best one and the drive of the ground that it needs."""
     lines = []
     for name, law in compared.laws.items():
-        numbers = [getattr(law, key) for key in _LAW_NUMBERS]
-        cells: list[Cell] = [name, *numbers, law.problem]
         if law.problem:
-            lines.append(TableRow(cells, [name, law.title, *[""] * 2, law.problem.partition(";")[0]]))
+            lines.append([name, law.title, *[""] * 2, law.problem.partition(";")[0]])
             continue
         texts = [decimals(law.bic_above_best, 1), plain(law.ground_rad_per_s2_rthz, 2)]
         residuals = "as noise" if law.residuals_are_noise else "more than noise"
         verdict = f"{residuals}; {'excluded' if law.excluded else 'remains'}"
-        lines.append(TableRow(cells, [name, law.title, *texts, verdict]))
+        lines.append([name, law.title, *texts, verdict])
     return Table(
         "laws",
         "Laws of the contact",
-        ("law", *_LAW_NUMBERS, "problem"),
         ("law", "", "BIC", "drive", "residuals; verdict"),
         lines,
         "BIC: distance from the best law; above 10 it excludes a law. Drive of the ground that the law "
@@ -160,15 +133,56 @@ def law_table(compared: ComparedLaws) -> Table:
     )
 
 
-def moments_table(compared: ComparedLaws) -> Table:
-    """The contact's moments without a law and those of the fitted laws, for a file."""
-    free = compared.without_law
-    columns = ["phi_rad", "friction_n_m", "u_friction_n_m", "elastic_n_m", "u_elastic_n_m"]
-    lines = []
-    if free is not None:
-        parts = [getattr(free, name) for name in columns]
-        for name, law in free.laws.items():
-            columns += [f"{name}_friction_n_m", f"{name}_elastic_n_m"]
-            parts += [law.friction_n_m, law.elastic_n_m]
-        lines = [TableRow(row) for row in zip(*(part.tolist() for part in parts), strict=True)]
-    return Table("moments", "Moments of the contact without a law", columns, (), lines)
+_ORDER: Final = [field.name for field in fields(InstrumentQuantities)]
+_HIDDEN: Final = ("damping_start_deg", "damping_end_deg")
+
+
+def instrument_rows(results: RunResults) -> list[tuple[str, ResultRow]]:
+    """Rows of the quantities that this kind of pendulum reports, in the order of their declaration.
+
+    Each has its name in words, with its part of the decay.
+    """
+    found = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in _HIDDEN]
+    found.sort(key=lambda row: _ORDER.index(row.quantity))
+    return [(f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}", row) for row in found]
+
+
+_INSTRUMENT_HEAD: Final = ("", "value ± u", "unit", "standard")
+
+
+def instrument_table(results: RunResults) -> Table:
+    """Table of every number with its unit, and of the standard's limits for environment and apparatus."""
+    checks = () if results.instrument is None else results.instrument.checks
+    lines = [[name, row.text, row.shown.unit, ""] for name, row in instrument_rows(results)]
+    lines += map(_check_line, checks)
+    width = 4 if checks else 3
+    title = "What this kind of pendulum reports"
+    return Table("instrument", title, _INSTRUMENT_HEAD[:width], [line[:width] for line in lines])
+
+
+def _check_line(check: Check) -> list[str]:
+    limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
+    return [check.name, f"{check.value:.5g}", check.unit, limits]
+
+
+def instrument_series_rows(series: InstrumentSeries, *, with_places: bool) -> Iterator[tuple[str, ResultRow]]:
+    """Ratios to a reference, and the means over places, each with its name in words."""
+    for name, ratio in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
+        if ratio is not None:
+            yield f"ratio of {name}, sample to reference", plain_row("damping_swings", ratio, "")
+    for key, mean in (("damping_time_s", series.time_s), ("damping_swings", series.swings)):
+        if mean is not None and with_places:
+            row = plain_row(key, Estimate(mean.value, mean.standard_uncertainty), "")
+            many = f"{mean.places} place{'' if mean.places == 1 else f's, spread {mean.spread:.3g}'}"
+            yield f"{row.shown.name}, mean of {many}", row
+
+
+def instrument_series_table(series: InstrumentSeries) -> Table:
+    """Table of means over the places of a sample, their ratio to a reference, and the apparatus on glass."""
+    found = [*instrument_series_rows(series, with_places=True)]
+    if series.reference_time_s is not None:
+        row = plain_row("damping_time_s", series.reference_time_s, "")
+        found.append(("damping time of the reference", row))
+    lines = [[name, row.text, row.shown.unit, ""] for name, row in found]
+    lines += map(_check_line, series.acceptance or ())
+    return Table("series", "The series", _INSTRUMENT_HEAD, lines)

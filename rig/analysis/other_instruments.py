@@ -49,7 +49,8 @@ Found = TypeVar("Found", bound=NamedTuple)
 
 
 class Reduction:
-    """Results of one run of such a pendulum, collected while it is evaluated: rows, curves, lines of text.
+    """Results of one run of such a pendulum, collected while it is evaluated: rows, curves, lines of text on
+    what no row says.
 
     `problem` names in one line the quantities that are missing, with the reason. `points` were made of
     `swings`, `errors` are those that they share. `readings` are the values that a series compares, empty
@@ -90,7 +91,6 @@ class Reduction:
     def check(self, name: str, value: float, limits: Limits, unit: str) -> None:
         """Compare a value with the limits of the standard."""
         self.checks.append(check(name, Estimate(value, 0.0), limits, unit))
-        self.lines.append(self.checks[-1].text)
 
     @property
     def values(self) -> InstrumentResults:
@@ -109,10 +109,6 @@ def _damping(report: Reduction) -> None:
         lambda at: damping(at, description.start_amplitude_rad, description.end_amplitude_rad)
     )
     start_deg, end_deg = found.start_rad / DEGREE_RAD, found.end_rad / DEGREE_RAD
-    report.lines.append(
-        f"from {start_deg:g} to {end_deg:g} degrees: damping time "
-        f"{with_uncertainty(*found.time_s)} s, {with_uncertainty(*found.swings)} swings"
-    )
     report.add(
         f"{start_deg:g}° to {end_deg:g}°",
         damping_time_s=found.time_s,
@@ -126,14 +122,8 @@ def _damping(report: Reduction) -> None:
 def _hardness(report: Reduction) -> None:
     divisions = report.settings.scale_divisions
     hardness, _ = report.evaluated(lambda at: herbert_hardness(at, divisions))
-    if hardness.ten_swings_s is not None:
-        report.lines.append(f"time hardness (ten single swings) {with_uncertainty(*hardness.ten_swings_s)} s")
-    else:
+    if hardness.ten_swings_s is None:
         report.lines.append(hardness.missing)
-    report.lines.append(
-        f"time hardness (first swing x 10) {with_uncertainty(*hardness.first_swing_times_ten_s)} s, "
-        f"scale hardness {with_uncertainty(*hardness.scale_hardness)} of {divisions:g}"
-    )
     report.add(
         time_hardness_s=hardness.ten_swings_s,
         scale_hardness=hardness.scale_hardness,
@@ -144,7 +134,7 @@ def _hardness(report: Reduction) -> None:
 
 def _circular(report: Reduction) -> None:
     law, _ = report.evaluated(circular_error)
-    report.lines += [f"period at vanishing amplitude {with_uncertainty(*law.period0_s)} s", law.sentence]
+    report.lines.append(law.sentence)
     report.add(period0_s=law.period0_s, circular_factor=law.factor, chi2_per_dof=law.chi2_per_dof)
     report.curves["period"] = {
         "amplitude_deg": law.amplitude_rad / DEGREE_RAD,
@@ -162,13 +152,9 @@ def _rolling(report: Reduction) -> None:
         description.support_radius_m, settings.u_support_radius_m
     )
     found, _ = report.evaluated(lambda at: rolling_friction(at, lever or None, radius or None))
-    at = found.law.reference_rad / DEGREE_RAD
-    report.lines.append(f"log decrement at {at:.4g} degrees {with_uncertainty(*found.decrement)}")
     if found.coefficient is not None:
-        report.lines.append(
-            f"rolling-friction coefficient at {at:.4g} degrees {with_uncertainty(*found.coefficient)}"
-        )
-        report.add(f"at {at:.3g}°", rolling_friction_coefficient=found.coefficient)
+        at = f"at {found.law.reference_rad / DEGREE_RAD:.3g}°"
+        report.add(at, rolling_friction_coefficient=found.coefficient)
     else:
         report.lines.append(
             "no rolling-friction coefficient: state instrument.lever_m and instrument.support_radius_m"
@@ -191,12 +177,7 @@ def _friction(points: TurningPoints) -> _Friction:
 
 def _decrements(report: Reduction) -> None:
     decrement, moment, exponent, law = with_drive(_friction, report.points)
-    law = replace(law, moment=moment, exponent=exponent)
-    report.lines.append(
-        f"log decrement at {law.reference_rad / DEGREE_RAD:.4g} degrees {with_uncertainty(*decrement)}, "
-        f"friction goes as amplitude^({with_uncertainty(*law.exponent)})"
-    )
-    _law(law, decrement, report)
+    _law(replace(law, moment=moment, exponent=exponent), decrement, report)
 
 
 def _law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
@@ -216,19 +197,6 @@ def _law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
 
 _REPORTERS: Final = {"hardness": _hardness, "circular": _circular, "rolling": _rolling}
 """Functions that add the rows of a kind of report; for all others `_damping`."""
-
-
-def _range_and_period(report: Reduction) -> None:
-    """Add range and period, which may be known where the quantity of the report is not."""
-    points = report.points
-    if len(points) < 2:
-        return
-    first, last = (float(points.amplitude[at]) / DEGREE_RAD for at in (0, -1))
-    report.lines.append(
-        f"what there is: {len(points)} half-cycles from {first:.4g} to {last:.4g} degrees, "
-        f"mean period {mean_period(points):.6g} s"
-    )
-    report.add(mean_period_s=mean_period(points))
 
 
 _MAX_NEGLIGIBLE_ERROR_U: Final = 0.01
@@ -277,7 +245,8 @@ def reduce_run(
         _REPORTERS.get(description.report, _damping)(report)
     except DataError as error:
         problems.append(str(error))
-        _range_and_period(report)
+        if len(report.points) > 1:
+            report.add(mean_period_s=mean_period(report.points))
     _check_conditions(report, air)
     report.problem = "; ".join(dict.fromkeys(problems))
     return report
@@ -292,10 +261,6 @@ def _swing_plane(followed: FollowedPlane, report: Reduction) -> None:
     per_minute, turned_deg = (
         Estimate(*(factor / DEGREE_RAD * value for value in rate))
         for factor in (60.0, seconds(followed.swings[-1].turn_time_ns - plane.start_ns))
-    )
-    report.lines.append(
-        f"the swing plane turns by {with_uncertainty(*per_minute)} degrees/min, "
-        f"{turned_deg.value:.3g} degrees in all"
     )
     angles = np.unwrap([one.line_angle_rad for one in followed.balances], period=math.pi)
     times_ns = np.array([one.time_ns for one in followed.balances])
@@ -328,9 +293,6 @@ def _with_inferred(
         return swings
     whole = joined_swings(swings, off)
     kept = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in whole)
-    report.lines.append(
-        f"{kept} of {len(whole)} turning points lay off the sensor, inferred from the crossings' speeds"
-    )
     report.add(inferred_half_cycles=kept)
     return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in whole]
 

@@ -32,8 +32,6 @@ SCHEMA = 1
 _RECORD_NAME = re.compile(r"run-(\d+)(-recovered)?\.mcap")
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
-_MIN_STRONG_CORRELATION = 0.99
-"""Minimum correlation of two parameters that the data hardly distinguish."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +40,6 @@ class Correlation:
 
     names: tuple[str, ...] = ()
     matrix: tuple[tuple[float, ...], ...] = ()
-
-    @property
-    def strong(self) -> list[tuple[str, str, float]]:
-        """Pairs of parameters that the data hardly distinguish, strongest correlation first."""
-        pairs = [
-            (self.names[i], self.names[j], self.matrix[i][j])
-            for i in range(len(self.matrix))
-            for j in range(i)
-            if abs(self.matrix[i][j]) >= _MIN_STRONG_CORRELATION
-        ]
-        return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,15 +227,6 @@ class RunResults(RowsByName):
         )
 
 
-@dataclass(frozen=True, slots=True)
-class AveragedCurves:
-    """The paper's procedure: Eqs. 5 and 6 fitted to the average of the runs' curves."""
-
-    parameters: Annotated[Mapping[str, Estimate], Entries] = field(default_factory=dict)
-    arae_decay: float = nan
-    arae_period: float = nan
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Series(RowsByName):
     """A series of runs: each fit's parameters combined, in `fits` by the fit's name.
@@ -263,7 +241,6 @@ class Series(RowsByName):
     fits: Annotated[Mapping[str, Mapping[str, CombinedValue]], Entries] = field(default_factory=dict)
     budget: Mapping[str, Budget] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
-    averaged_curves: Annotated[AveragedCurves, MergedField("parameters")] | None = None
     problems: tuple[str, ...] = ()
     instrument: InstrumentSeries | None = None
 

@@ -20,7 +20,7 @@ from processing.fit import (
 )
 from rig.analysis.decay_values import DECAY
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
-from rig.analysis.results import Correlation, RunResults, Series
+from rig.analysis.results import RunResults, Series
 from rig.terminal import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
 
 _MIN_NAMED_VARIANCE_SHARE = 0.25
@@ -57,23 +57,6 @@ def main_sources(row: ResultRow, budget: Mapping[str, Budget]) -> str:
     limits = limits_of(budget.get(row.quantity)) if row.determined else []
     named = [one for one in limits if one.share >= _MIN_NAMED_VARIANCE_SHARE] or limits[:1]
     return ", ".join(map(str, named))
-
-
-def drag_headline(drag: Drag | None, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
-    """Sentence on a drag that is seen, or on a fit without a drag; empty otherwise."""
-    shown = quantity("drag_s")
-    if not fitted:
-        text = "Fitted without a drag, as in vacuum: if there was air, its drag is in b and c"
-        if drag is not None and drag.significant:
-            text += f"; the data show a drag of {shown.text(*drag.of_data_s)} s"
-        return f"{text}."
-    if drag is None or not drag.significant:
-        return ""
-    row, seen = rows.get("drag_s"), "The drag of the air is seen"
-    if row is None or row.verdict is not Determinacy.UNDETERMINED:
-        seen += f", {shown.text(*drag.drag_s) if row is None else row.text} s"
-    shifts = shifts_by_drag(drag, rows)
-    return f"{seen}; without it b would differ by {shifts['b']}." if "b" in shifts else f"{seen}."
 
 
 def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
@@ -209,8 +192,9 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
     exact, result, detail = run.fits.get(FitMethod.EXACT), RemarkLevel.RESULT, RemarkLevel.DETAIL
     parameters = {} if exact is None else exact.parameters
     is_fitted, ground = DRAG.key in parameters, None if exact is None else exact.ground
-    if parameters:
-        yield Remark("drag", result, drag_headline(run.drag, run.rows, fitted=is_fitted))
+    if parameters and not is_fitted:
+        in_vacuum = "Fitted without a drag, as in vacuum: if there was air, its drag is in b and c."
+        yield Remark("drag", result, in_vacuum)
     if run.beam is not None:
         yield Remark("beam", detail, run.beam.sentence)
     if run.clock is not None:
@@ -219,13 +203,11 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
         yield Remark("ground", result if ground.seen else detail, ground_sentence(ground))
     for line in () if run.seismometer is None else seismometer_sentences(run.seismometer):
         yield Remark("seismometer", result, line)
-    row = run.rows.get(DRAG.key)
-    is_withheld = row is not None and row.verdict is Determinacy.UNDETERMINED
-    if run.drag is not None and not (run.drag.significant and is_withheld):
-        yield Remark("drag", detail, _drag_sentence(run.drag, run.rows, fitted=is_fitted))
+    if run.drag is not None:
+        said = _drag_sentence(run.drag, run.rows, fitted=is_fitted)
+        yield Remark("drag", result if run.drag.significant else detail, said)
     if exact is not None:
         yield Remark("waveform", detail, _waveform_sentence(exact.information_gain))
-        yield Remark("correlation", detail, _correlation_sentence(exact.correlation))
         yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
     for row in run.contact:
         if not row.determined and row.quantity not in ENERGIES:
@@ -249,13 +231,6 @@ def _advice(result: WholeResult) -> str:
     if result.symbol:
         return f"{result.symbol} is limited by: {result.limits[0].name}. To improve it: {steps}."
     return f"{result.text}. To improve it: {steps}."
-
-
-def _correlation_sentence(correlation: Correlation) -> str:
-    if not (pairs := correlation.strong):
-        return ""
-    names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
-    return f"Strongly correlated in this run: {names}.".replace("-", "−")
 
 
 def ground_sentence(ground: Ground) -> str:
@@ -369,6 +344,8 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
     changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
     moved = f"; it changes {changes}" if changes else ""
     match drag.finding:
+        case DragFinding.SEEN if row is not None and row.verdict is Determinacy.UNDETERMINED:
+            return f"{_FINDINGS[drag.finding]}{moved}.".replace("-", "−")
         case DragFinding.SEEN:
             drag_text = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
         case DragFinding.OPEN if _by_the_data(drag):

@@ -8,7 +8,14 @@ from pathlib import Path
 
 from processing.swing import HalfCycleFlag, turning_points
 from processing.units import seconds
-from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table
+from rig.analysis.fit_tables import (
+    combined_table,
+    instrument_series_table,
+    instrument_table,
+    law_table,
+    parameter_table,
+    quality_table,
+)
 from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import encoded
 from rig.analysis.run_remarks import RemarkLevel, decay_lines, remark_rows
@@ -63,6 +70,8 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
     if run.fits and not short:
         parameters = parameter_table(run, full=full)
         print_tables([parameters, quality_table(run)] if full else [parameters])
+    if run.instrument is not None:
+        print_tables([instrument_table(run)])
     if run.laws is not None:
         print_tables([law_table(run.laws)])
         print_line(f"  {run.laws.verdict}")
@@ -110,7 +119,8 @@ def print_table(path: Path, table: AnalysedTable) -> None:
 def print_series(series: Series | None) -> None:
     """Print the comparison of the places on a sample, of another instrument."""
     if series is not None and series.instrument is not None:
-        for line in series.instrument.text:
+        print_tables([instrument_series_table(series.instrument)])
+        for line in series.instrument.lines:
             print_line(line)
 
 

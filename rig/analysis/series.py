@@ -10,9 +10,7 @@ import numpy as np
 
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
-from processing.contact import DRAG, PendulumOnBall
 from processing.errors import ConfigurationError, DataError
-from processing.estimate import Estimate
 from processing.fit import (
     DRIFTS,
     Budget,
@@ -24,26 +22,23 @@ from processing.fit import (
     RigQuantities,
     budgets,
     drift_effects,
-    fit_asymptotic,
 )
 from processing.instruments import (
     Check,
     Description,
-    MeanOverPlaces,
     ValueWithSharedErrors,
     check,
     over_places,
     ratio,
 )
-from processing.series import CombinedValue, SeriesResult, average_curves, combine_runs
+from processing.series import CombinedValue, SeriesResult, combine_runs
 from processing.swing import HalfCycle
 from rig.analysis.decay_values import InstrumentSeries
 from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import ResultRow, series_rows, withheld
-from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
+from rig.analysis.results import RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.settings import InstrumentSettings
-from rig.terminal import with_uncertainty
 
 _PLANE: Final = "plane_of_swing_rad"
 
@@ -82,11 +77,6 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
             combined[method] = combine_runs([run.fitted[method] for run in fitted])
         except DataError as error:
             problems.append(f"{method}: {error}")
-    averaged = None
-    try:
-        averaged = _averaged_curves(fitted, pendulum, combined.get(FitMethod.ASYMPTOTIC))
-    except DataError as error:
-        problems.append(f"averaged curves: {error}")
     default = combined.get(FitMethod.EXACT)
     measured, rig = None if default is None else default.measured, fitted[0].rig
     if measured is not None:
@@ -114,7 +104,6 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
         disagreements=tuple(
             replace(each, run=numbers[each.run - 1]) for each in (default.disagreements if default else ())
         ),
-        averaged_curves=averaged,
         problems=tuple(problems),
     )
 
@@ -131,28 +120,6 @@ def _with_means(
         else item
         for name, item in combined.items()
     }
-
-
-def _averaged_curves(
-    runs: Sequence[AnalysedRun], pendulum: PendulumOnBall, of_runs: SeriesResult | None
-) -> AveragedCurves:
-    """Eqs. 5 and 6 of the average curve, with the drag of the runs' own fits of them.
-
-    The average cannot show drive, drag and scatter of the runs it is made of: u is at least theirs.
-    """
-    combined = {} if of_runs is None else of_runs.parameters
-    drag = combined.get(DRAG.key)
-    found = fit_asymptotic(
-        average_curves([run.points for run in runs]),
-        pendulum,
-        drag=drag is not None,
-        known_drag=None if drag is None else drag.estimate,
-    )
-    parameters = {
-        name: Estimate(value, max(u, combined[name].standard_uncertainty) if name in combined else u)
-        for name, (value, u) in found.estimates().items()
-    }
-    return AveragedCurves(parameters, found.arae_decay, found.arae_period)
 
 
 def _with_run_sources(
@@ -202,18 +169,6 @@ def _mean(readings: _Readings, name: str) -> ValueWithSharedErrors:
     return over_places([one[name] for one in readings])[0]
 
 
-def _over_places(readings: _Readings, name: str, what: str, unit: str, lines: list[str]) -> MeanOverPlaces:
-    mean, found = over_places([one[name] for one in readings])
-    of = f"{found.places} place{'s' if found.places > 1 else ''}"
-    line = f"{what} over {of}: {with_uncertainty(*mean.estimate)}{unit}"
-    if found.places > 1:
-        line += f", spread {found.spread:.3g}{unit}"
-        if mean.u_shared > mean.own:
-            line += f"; {mean.u_shared:.2g}{unit} of the uncertainty is common to all (scale, clock)"
-    lines.append(line)
-    return found
-
-
 def _reference(settings: InstrumentSettings, glass: _Readings) -> ValueWithSharedErrors | None:
     if glass:
         return _mean(glass, "time_s")
@@ -238,19 +193,17 @@ def _reference_fault(settings: InstrumentSettings, numbered: _NumberedReadings) 
     return ""
 
 
-def _acceptance(description: Description, glass: _Readings, lines: list[str]) -> tuple[Check, ...]:
+def _acceptance(description: Description, glass: _Readings) -> tuple[Check, ...]:
     """Checks of the apparatus on glass against the standard."""
-    checks = []
-    for name, key, limits in (
+    wanted = (
         ("period on glass", "period_s", description.period_s),
         ("damping time on glass", "time_s", description.glass_time_s),
-    ):
-        if limits is not None:
-            checks.append(check(name, _mean(glass, key).estimate, limits, "s"))
-    lines += [item.text for item in checks]
-    if description.note and checks:
-        lines.append(f"note: {description.note}")
-    return tuple(checks)
+    )
+    return tuple(
+        check(name, _mean(glass, key).estimate, limits, "s")
+        for name, key, limits in wanted
+        if limits is not None
+    )
 
 
 def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
@@ -284,26 +237,21 @@ def _compared_places(settings: InstrumentSettings, numbered: _NumberedReadings) 
     description = settings.description()
     places = [one for number, one in numbered if one and number not in settings.reference_runs]
     glass = [one for number, one in numbered if one and number in settings.reference_runs]
-    lines: list[str] = []
     values: dict[str, Any] = {"kind": description.kind}
     if places:
-        values["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
-        values["swings"] = _over_places(places, "swings", "swings", "", lines)
+        values |= {name: over_places([one[name] for one in places])[1] for name in ("time_s", "swings")}
     reference, problem = _reference(settings, glass), _reference_fault(settings, numbered)
     if reference is None:
-        problem += ": no ratio"
-        return InstrumentSeries(**values, problem=problem, text=(*lines, problem))
-    lines += [problem] if problem else []
-    values["reference_time_s"] = reference.estimate
+        return InstrumentSeries(**values, problem=f"{problem}: no ratio")
+    values |= {"reference_time_s": reference.estimate, "problem": problem or None}
     if glass:
-        values["acceptance"] = _acceptance(description, glass, lines)
+        values["acceptance"] = _acceptance(description, glass)
+        values["text"] = (f"note: {description.note}",) if description.note else ()
     if places:
-        values["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
-        lines.append(f"ratio of damping times, sample to reference: {with_uncertainty(*relative)}")
+        values["ratio"] = ratio(_mean(places, "time_s"), reference)
     if places and glass:
-        values["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
-        lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
-    return InstrumentSeries(**values, text=tuple(lines))
+        values["ratio_of_swings"] = ratio(_mean(places, "swings"), _mean(glass, "swings"))
+    return InstrumentSeries(**values)
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:

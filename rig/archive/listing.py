@@ -1,7 +1,9 @@
 """The archive's file, and queries of its runs: listed, shown, or found by words."""
 
 import contextlib
+import csv
 import datetime
+import io
 import json
 import os
 import re
@@ -19,9 +21,8 @@ from rig.analysis import ResultRow
 from rig.archive.session_rows import COLUMNS, IMPORTANT, IS_SIMULATED, SHORT_NAMES, SHOWN, row_columns
 from rig.terminal import (
     NOT_KNOWN,
-    Cell,
     Table,
-    TableRow,
+    harmless_text,
     plain,
     print_json_line,
     print_tables,
@@ -200,13 +201,15 @@ def list_runs(
         for row in rows:
             print_json_line("run", dict(zip(names, row, strict=True)))
         return
-    table = _table(names, rows)
     if output is None:
+        table = _table(names, rows)
         more = "" if columns or shown is SHOWN else "; a wider window, --columns, --json and -o show more"
         print_tables([replace(table, note=f"{table.note}{more}")])
         return
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([names, *(map(_cell, row) for row in rows)])
     with written(output, "name"):
-        atomic_write.write_new(output, f"{table.csv().rstrip()}\n".encode())
+        atomic_write.write_new(output, text.getvalue().encode())
 
 
 def show_runs(archive: Path, names: Sequence[str]) -> None:
@@ -220,7 +223,7 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
             for name, value in row.items()
             if (value not in (None, "") or row.get(f"verdict_{name}")) and name not in _NUMBERS
         ]
-        print_tables([Table(row["sha256"][:8], title, (), ("", ""), [TableRow((), text) for text in texts])])
+        print_tables([Table(row["sha256"][:8], title, ("", ""), texts)])
 
 
 def named_runs(archive: Path, names: Sequence[str]) -> str:
@@ -310,14 +313,11 @@ def _hashes_of(archive: Path, name: str) -> list[str]:
 
 
 def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
-    """Table of runs: on screen values with total u or bounds in one cell, in the file in separate columns."""
+    """Table of runs, with a value and its total u, or its bound, in one cell."""
     found = [dict(zip(names, row, strict=True)) for row in rows]
     head = [name for name in names if name not in _NUMBERS or _PREFIX.sub("", name, count=1) not in names]
-    lines = [
-        TableRow([_cell(value) for value in row.values()], [_cell_text(name, row) for name in head])
-        for row in found
-    ]
-    return Table("runs", "", names, head, lines, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
+    shown = [[_cell_text(name, row) for name in head] for row in found]
+    return Table("runs", "", head, shown, f"{len(rows)} run{'s' if len(rows) != 1 else ''}")
 
 
 _PREFIX = re.compile("(u_total|u|lower|upper|verdict)_")
@@ -342,9 +342,8 @@ def _cell_text(name: str, row: Mapping[str, Any]) -> str:
     return plain(value, 5) if u is None else with_uncertainty(value, u)
 
 
-def _cell(value: Any) -> Cell:
-    if value is None:
-        return nan
+def _cell(value: Any) -> Any:
+    """A value of a CSV file; what is not known is an empty cell."""
     if isinstance(value, datetime.datetime | datetime.date):
         return value.isoformat()
-    return value if isinstance(value, int | float) else str(value)
+    return harmless_text(str(value)) if isinstance(value, str) else value

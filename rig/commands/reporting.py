@@ -33,9 +33,7 @@ def report(
         output_option("HTML file to write; default: report.html in the folder, overwritten.", new_page),
     ] = None,
 ) -> None:
-    """Write a report: HTML page, figures, tables.
-
-    Figures as SVG and PNG, tables as CSV.
+    """Write a report: an HTML page, and its figures as SVG and PNG.
 
     \b
     Example:
@@ -86,7 +84,7 @@ def compare(
     output: Annotated[
         Path | None,
         output_option(
-            "Folder for campaign.json, page, figures and tables.",
+            "Folder for campaign.json, page and figures.",
             folder_without("campaign.json", "campaign.html"),
         ),
     ] = None,
@@ -101,9 +99,6 @@ def compare(
         Path | None, typer.Option(help="Take the runs of an archive; each sample is a contact.")
     ] = None,
     where: Where = "",
-    by_sample: Annotated[
-        bool, typer.Option("--by-sample", help="Folders with the same session.sample are one contact.")
-    ] = False,
     sample: Annotated[
         bool, typer.Option("--sample", help="Sample the full posterior (emcee), with its R-hat.")
     ] = False,
@@ -125,8 +120,6 @@ def compare(
         raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
     if where and archive is None:
         raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
-    if by_sample and archive is not None:
-        raise ConfigurationError("--by-sample: has no effect with --archive, where each sample is a contact")
     from rig.analysis import encoded
     from rig.report import (
         StatedCampaign,
@@ -142,7 +135,7 @@ def compare(
 
     stated = StatedCampaign() if model is None else read_campaign(model)
     if archive is None:
-        runs = runs_of_folders(folders or [], by_sample=by_sample)
+        runs = runs_of_folders(folders or [])
     else:
         from rig.archive import ordered_runs
 
@@ -180,9 +173,6 @@ def plan(
         float | None,
         typer.Option(min=0.0, help="Drive of another ground, rad/s2/sqrt(Hz); default: from SOURCE."),
     ] = None,
-    output: Annotated[
-        Path | None, output_option("Folder for the table and the picture.", folder_without("plan.*"))
-    ] = None,
     set_: Set = None,
     runs: Annotated[
         list[int] | None, typer.Option(min=1, help="Number of runs; may be repeated; default: 1.")
@@ -210,7 +200,7 @@ def plan(
 
     \b
     Examples:
-      rig plan runs/first/run-1.mcap --first 124 --last 2 -o plans
+      rig plan runs/first/run-1.mcap --first 124 --last 2
       rig plan configs/basement.toml --runs 1 --runs 3
       rig plan fits/decay
       rig plan configs/basement.toml --seismometer 0.05
@@ -229,9 +219,8 @@ def plan(
         planned_contact_of_file,
         planned_contact_of_run,
         planned_contact_of_table,
-        save_plan,
     )
-    from rig.terminal import print_tables, say
+    from rig.terminal import answer, print_tables, say
 
     if source.suffix.lower() == ".toml":
         expected = planned_contact_of_file(source, set_ or [], noise, contact)
@@ -252,6 +241,5 @@ def plan(
             )
         expected = planned_contact_of_run(analyse_record(one_record(source), set_ or []))
     planned = make_plan(expected, firsts, lasts, ground, counts, seismometer)
+    answer(plan=planned.numbers)
     print_tables([plan_table(planned)])
-    if output is not None:
-        save_plan(planned, output)

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from calibration import CalibrationFile, read_calibration, toml_value
 from processing.units import ARCSEC_RAD
-from rig.terminal import Table, TableRow
+from rig.terminal import Table
 
 _ROUNDING_DN2 = 1.0 / 12.0
 """Variance of the rounding to whole DN."""
@@ -189,8 +189,5 @@ def _allan(axis: str, details: Mapping[str, Any]) -> Table:
 def _table(
     name: str, title: str, head: Sequence[str], rows: Sequence[Sequence[Any]], note: str = ""
 ) -> Table:
-    lines = [
-        TableRow(row, [f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row])
-        for row in rows
-    ]
-    return Table(name, title, head, head, lines, note)
+    shown = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    return Table(name, title, head, shown, note)

@@ -13,7 +13,6 @@ from rig.instrument import swing_text, turn_text
 from rig.terminal import (
     NOT_KNOWN,
     Table,
-    TableRow,
     judged_number,
     print_json_line,
     print_line,
@@ -159,7 +158,7 @@ def print_checks(checks: Sequence[BalanceCheck], before: Sequence[BalanceCheck])
         if before:
             row.append(_number(before[k]))
         rows.append([*row, f"{check.limit:g} {check.unit}".rstrip(), "" if check.ok else check.meaning])
-    print_tables([Table("balance", "", head, head, [TableRow(row, row) for row in rows])])
+    print_tables([Table("balance", "", head, rows)])
 
 
 def _number(check: BalanceCheck) -> str:

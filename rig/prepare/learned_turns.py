@@ -26,7 +26,7 @@ from processing.balance import (
 )
 from rig.instrument import WEIGHTS, mass_centre_height, nominal_effects, sensor_room
 from rig.settings import Configuration
-from rig.terminal import Table, TableRow, answer, print_line, print_tables, say, with_uncertainty
+from rig.terminal import Table, answer, print_line, print_tables, say, with_uncertainty
 
 Floats = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ def show_turns(config: Configuration, path: Path) -> None:
             )
     answer(turns=[dict(zip(_HEAD, row, strict=True)) for row in rows], learned=learned)
     note = "" if rows else f"{path}: no turn of a weight is noted yet; rig balance asks for them"
-    print_tables([Table("turns", "", _HEAD, _HEAD, [TableRow(row, row) for row in rows], note)])
+    print_tables([Table("turns", "", _HEAD, rows, note)])
     for line in learned:
         print_line(line)
 

@@ -7,7 +7,7 @@ from rig.report.drawing import styled
 from rig.report.export import export_session
 from rig.report.html import check_report
 from rig.report.paper_tables import reproduce_paper
-from rig.report.plan import make_plan, plan_figure, plan_table, save_plan
+from rig.report.plan import make_plan, plan_table
 from rig.report.planned_run import (
     planned_contact,
     planned_contact_of_file,
@@ -15,4 +15,3 @@ from rig.report.planned_run import (
     planned_contact_of_table,
 )
 from rig.report.session_report import draw_run, make_report, make_table_report
-from rig.report.tables import instrument_table

@@ -1,9 +1,9 @@
 """The fit of a campaign: from runs and the stated campaign to its results."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
-from math import inf, isfinite, nan, sqrt
+from math import inf, isfinite, nan
 
 import numpy as np
 
@@ -35,14 +35,12 @@ from rig.report.likelihoods import (
     CampaignEffect,
     CampaignResults,
     CampaignRun,
-    CampaignSource,
     CampaignValue,
-    SamplerFindings,
     compress,
 )
-from rig.terminal import plain_values, quantity
+from rig.terminal import quantity
 
-MIN_BAD_PROBABILITY = 0.5
+_MIN_BAD_PROBABILITY = 0.5
 _SIMULATED = "SIMULATED: runs come from the simulated rig; nothing was measured"
 _MIN_EFFECTIVE_FRACTION = 0.05
 """Fraction of the draws that must be effective."""
@@ -106,14 +104,9 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     }
     simulated = any(bool(source.run.simulated) for source, _ in entered)
     warnings = [*_covariate_warnings(stated, runs), *_warnings(posterior, without_priors)]
-    sampler = None
-    if sampled is not None:
-        worst = max(sampled.r_hat.values())
-        sampler = SamplerFindings(
-            worst_r_hat=worst, fewest_draws=min(sampled.effective.values()), settled=sampled.converged
-        )
-        if not sampled.converged:
-            warnings.append(f"the sampler's chains differ (R-hat {worst:.2f}): do not trust its answer")
+    worst = nan if sampled is None else max(sampled.r_hat.values())
+    if sampled is not None and not sampled.converged:
+        warnings.append(f"the sampler's chains differ (R-hat {worst:.2f}): do not trust its answer")
     results = CampaignResults(
         parameters=model.names,
         reference_arcsec=stated.reference_arcsec,
@@ -135,7 +128,8 @@ def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         },
         draws=len(posterior.weight),
         draws_that_count=posterior.effective,
-        sampler=sampler,
+        worst_r_hat=worst,
+        fewest_draws=nan if sampled is None else min(sampled.effective.values()),
         left_out=left_out,
         warnings=(*([_SIMULATED] if simulated else []), *warnings),
         simulated=simulated,
@@ -292,8 +286,6 @@ def _runs(
     values, u_values = found.run_values(reference_rad)
     names, out = found.model.names, []
     for row, (source, run) in enumerate(entered):
-        fit, own = source.run.fits[FitMethod.EXACT], [name for name in names if name in run.names]
-        likelihood = plain_values(asdict(run))
         out.append(
             CampaignRun(
                 label=run.label,
@@ -301,17 +293,17 @@ def _runs(
                 record=source.run.record,
                 sha256=source.run.sha256,
                 results_sha256=source.results_sha256,
-                likelihood={
-                    key: value for key, value in likelihood.items() if key not in ("label", "contact")
-                },
-                alone={name: fit.estimate(name) for name in own},
                 together={
                     name: Estimate(float(values[row, place]), float(u_values[row, place]))
                     if _bounded_side(found, run.contact, name) is None
                     else NOT_DETERMINED
                     for place, name in enumerate(names)
                 },
-                residuals={name: float(found.residuals[row, names.index(name)]) for name in own},
+                residuals={
+                    name: float(found.residuals[row, place])
+                    for place, name in enumerate(names)
+                    if name in run.names
+                },
                 bad=float(found.bad[row]),
             )
         )
@@ -348,7 +340,7 @@ def _warnings(found: SeriesPosterior, without_priors: SeriesPosterior) -> list[s
     texts += [
         f"{run.label} is a bad run with probability {100 * bad:.0f} % and counts for little"
         for run, bad in zip(found.runs, found.bad, strict=True)
-        if bad > MIN_BAD_PROBABILITY
+        if bad > _MIN_BAD_PROBABILITY
     ]
     texts += [
         f"{what} is not well described: {one.effective:.0f} of {len(one.h)} draws count; ask for more draws, "
@@ -365,8 +357,8 @@ def _warnings(found: SeriesPosterior, without_priors: SeriesPosterior) -> list[s
     return texts
 
 
-def _budget(found: SeriesPosterior, name: str, contact: str) -> tuple[CampaignSource, ...]:
-    """Parts of the variance of a contact's level of a coordinate, largest first.
+def _budget(found: SeriesPosterior, name: str, contact: str) -> dict[str, float]:
+    """Shares of the variance of a contact's level of a coordinate by source, largest first.
 
     The part of a shared input or an effect is the variance that would vanish if it were known. The rest
     belongs to the runs: their own uncertainties and their scatter, which more runs reduce.
@@ -394,9 +386,5 @@ def _budget(found: SeriesPosterior, name: str, contact: str) -> tuple[CampaignSo
             "swings": rest * swings / (between + swings),
         }
     whole = sum(parts.values()) or 1.0
-    found_parts = [
-        CampaignSource(source=source, contribution=sqrt(part), share=part / whole)
-        for source, part in parts.items()
-        if part > 0
-    ]
-    return tuple(sorted(found_parts, key=lambda one: -one.share))
+    largest_first = sorted(parts.items(), key=lambda one: -one[1])
+    return {source: part / whole for source, part in largest_first if part > 0}

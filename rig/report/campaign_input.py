@@ -1,6 +1,5 @@
 """The input of a campaign: campaign.toml, which states its model, and the runs of folders or an archive."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import log
@@ -170,16 +169,12 @@ class FoundRun:
     run: RunResults
 
 
-_SESSION = "session.json"
-
-
-def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list[FoundRun]:
-    """All runs of sessions, in the order of the folders; each folder is a contact, or with `by_sample` each
-    sample.
+def runs_of_folders(folders: Sequence[Path]) -> list[FoundRun]:
+    """All runs of sessions, in the order of the folders; each folder is a contact.
 
     A folder without results of its own stands for all series in its subfolders, as one contact.
 
-    Raises ConfigurationError for a run or folder that occurs twice, or no stated sample, and RecordError.
+    Raises ConfigurationError for a run or folder that occurs twice, and RecordError.
     """
     names = [folder.resolve().name if folder.is_dir() else folder.resolve().parent.name for folder in folders]
     found: list[FoundRun] = []
@@ -189,28 +184,8 @@ def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list
             sessions = sorted({path.parent for path in folder.glob("*/results*.json")}) or sessions
         for session in sessions:
             own = label if session == folder else f"{label}/{session.name}"
-            contact = _sample(session) if by_sample else label
-            found += _runs(results_path(session), own, contact)
+            found += _runs(results_path(session), own, label)
     return _without_duplicates(found)
-
-
-def _sample(folder: Path) -> str:
-    """The sample stated in the configuration of a session or of a table's fit."""
-    runs = read_results(results_path(folder)).runs
-    stated = [run.decay.session for run in runs if run.decay is not None]
-    place = folder if folder.is_dir() else folder.parent
-    path = results_path(folder) if stated else place / _SESSION
-    try:
-        session = stated[0] if stated else json.loads(path.read_bytes())["configuration"]["session"]
-        sample = session.get("sample", "")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigurationError(
-            f"{path}: names no sample ({type(error).__name__}); leave out --by-sample, then each folder is a "
-            "contact"
-        ) from None
-    if not sample:
-        raise ConfigurationError(f"{path}: its session.sample is empty; leave out --by-sample")
-    return str(sample)
 
 
 def runs_of_archive(listed: Sequence[Sequence[str]]) -> list[FoundRun]:

@@ -1,4 +1,4 @@
-"""Tables of a campaign for terminal, page, CSV and LaTeX, and its files: campaign.json, page, figures."""
+"""Tables of a campaign for terminal, page and LaTeX, and its files: campaign.json, page, figures."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,7 +6,6 @@ from math import isfinite, nan
 from pathlib import Path
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from acquisition import atomic_write
 from acquisition.record.digest import sha256_of
@@ -15,15 +14,13 @@ from processing.estimate import Estimate
 from processing.series import ABSENT, POSITIVE, Form, LatentNumber
 from rig.analysis import encoded
 from rig.report import html
-from rig.report.campaign import MIN_BAD_PROBABILITY, Campaign
+from rig.report.campaign import Campaign
 from rig.report.campaign_input import FoundRun
-from rig.report.drawing import INK, ReportFigure, canvas, three_columns
+from rig.report.drawing import INK, ReportFigure, three_columns
 from rig.report.likelihoods import CampaignEffect, CampaignResults
 from rig.terminal import (
     SOURCES,
-    Cell,
     Table,
-    TableRow,
     latex_table,
     palette,
     plain,
@@ -53,18 +50,10 @@ def _contacts_table(results: CampaignResults) -> Table:
         for rank, (name, posterior) in enumerate(values.items()):
             form, ends = quantity(name), (posterior.lower_95, posterior.upper_95)
             band = " … ".join(plain(end * form.factor, 4) for end in ends)
-            rows.append(
-                TableRow(
-                    [contact, name, *posterior.estimate, *ends, *posterior.without_priors],
-                    [
-                        contact if not rank else "", form.label, form.text(*posterior.estimate), band,
-                        form.text(*posterior.without_priors),
-                    ],
-                )
-            )  # fmt: skip
+            texts = [form.text(*posterior.estimate), band, form.text(*posterior.without_priors)]
+            rows.append([contact if not rank else "", form.label, *texts])
     return Table(
         "contacts", "Contacts",
-        ["contact", "quantity", "value", "u", "lower_95", "upper_95", "without_priors", "u_without_priors"],
         ("contact", "", "value", "95 %", "without priors"), rows,
         f"{len(results.runs)} run{'' if len(results.runs) == 1 else 's'}. Median and half of the 68 % band, "
         "at the reference of all effects; includes the inputs that runs share, counted once.",
@@ -72,31 +61,19 @@ def _contacts_table(results: CampaignResults) -> Table:
 
 
 def _differences_table(results: CampaignResults) -> Table | None:
-    """Table of pairs of contacts that differ, all pairs in the CSV; None for a single contact."""
+    """Table of pairs of contacts that differ; None for a single contact."""
     if not results.differences:
         return None
     rows = []
-    for one in results.differences:
+    for one in (one for one in results.differences if one.seen):
         label, factor = _change_label(one.parameter)
-        rows.append(
-            TableRow(
-                [
-                    one.first, one.second, one.parameter, *one.difference, one.lower_95, one.upper_95,
-                    one.chance, "differ" if one.seen else "no difference seen",
-                ],
-                [f"{one.first} − {one.second}", label, _text(one.difference, factor), plain(one.chance, 2)]
-                if one.seen
-                else (),
-            )
-        )  # fmt: skip
-    count = sum(one.seen for one in results.differences)
-    return Table(
-        "differences", "Differences of contacts",
-        ["first", "second", "quantity", "difference", "u", "lower_95", "upper_95", "chance", "verdict"],
-        ("", "", "difference", "chance"), rows,
-        f"{count} of {len(rows)} differ (-o writes all as CSV); the 5 % level is shared by all. What "
-        f"runs share cancels. b and γ at {results.reference_arcsec:g} arcsec.",
-    )  # fmt: skip
+        pair = f"{one.first} − {one.second}"
+        rows.append([pair, label, _text(one.difference, factor), plain(one.chance, 2)])
+    note = (
+        f"{len(rows)} of {len(results.differences)} differ (all are in campaign.json, -o); the 5 % "
+        f"level is shared by all. What runs share cancels. b and γ at {results.reference_arcsec:g} arcsec."
+    )
+    return Table("differences", "Differences of contacts", ("", "", "difference", "chance"), rows, note)
 
 
 def effects_table(results: CampaignResults) -> Table | None:
@@ -104,17 +81,11 @@ def effects_table(results: CampaignResults) -> Table | None:
     if not results.effects:
         return None
     rows = [
-        TableRow(
-            [
-                one.label, *one.slope, one.lower_95, one.upper_95, *one.over_span, one.chance,
-                "seen" if one.seen else "not seen", one.equivalent, *one.slope_without_priors,
-            ],
-            [
-                _effect_words(one), with_uncertainty(*one.over_span, signed=True),
-                f"{'< ' if one.chance_is_limit else ''}{plain(one.chance, 2)}",
-                _verdict_text(one), _text(one.slope_without_priors),
-            ],
-        )
+        [
+            _effect_words(one), with_uncertainty(*one.over_span, signed=True),
+            f"{'< ' if one.chance_is_limit else ''}{plain(one.chance, 2)}",
+            _verdict_text(one), _text(one.slope_without_priors),
+        ]
         for one in results.effects
     ]  # fmt: skip
     note = (
@@ -122,10 +93,7 @@ def effects_table(results: CampaignResults) -> Table | None:
         f"large if there is none; the 5 % level is shared by the {len(results.effects)} that were tried."
     )
     return Table(
-        "effects", "Effects",
-        ("effect", "slope", "u_slope", "lower_95", "upper_95", "over_span", "u_over_span", "chance",
-         "verdict", "equivalent", "slope_without_priors", "u_slope_without_priors"),
-        ("", "over the span", "chance", "judged", "slope without priors"), rows, note,
+        "effects", "Effects", ("", "over the span", "chance", "judged", "slope without priors"), rows, note,
     )  # fmt: skip
 
 
@@ -146,20 +114,14 @@ def _effect_words(effect: CampaignEffect) -> str:
 
 
 def _runs_table(results: CampaignResults) -> Table:
-    """Table with a row for each run: residuals and probability of being bad; values in the CSV."""
-    names, unknown, rows = results.parameters, (nan, nan), []
-    columns = ["run", "contact", "sha256", "results_sha256", "bad"]
-    for name in names:
-        columns += [name, f"u_{name}", f"together_{name}", f"u_together_{name}", f"residual_{name}"]
+    """Table with a row for each run: residuals and probability of being bad."""
+    names, rows = results.parameters, []
     for run in results.runs:
-        cells: list[Cell] = [run.label, run.contact, run.sha256, run.results_sha256, run.bad]
-        residuals = [run.residuals.get(name, nan) for name in names]
-        for name, z in zip(names, residuals, strict=True):
-            cells += [*run.alone.get(name, unknown), *run.together.get(name, unknown), z]
+        residuals = [plain(run.residuals.get(name, nan), 2) for name in names]
         bad = f"{100 * run.bad:.0f} %" if run.bad > 0.05 else ""
-        rows.append(TableRow(cells, [run.label, run.contact, *(plain(z, 2) for z in residuals), bad]))
+        rows.append([run.label, run.contact, *residuals, bad])
     return Table(
-        "runs", "Residuals by run", columns,
+        "runs", "Residuals by run",
         ("run", "contact", *(quantity(name).symbol for name in names), "bad"), rows,
         "Deviation from the model over its uncertainty from the run and the scatter between runs.",
     )  # fmt: skip
@@ -171,17 +133,13 @@ def _budget_table(results: CampaignResults) -> Table:
     for contact, budgets in results.budgets.items():
         for rank, (name, parts) in enumerate(budgets.items()):
             words = "; ".join(
-                f"{_source_words(part.source)} {100 * part.share:.0f} %"
-                for part in parts[:_MAX_SHOWN_SOURCES]
-                if part.share > 0.005
+                f"{_source_words(source)} {100 * share:.0f} %"
+                for source, share in list(parts.items())[:_MAX_SHOWN_SOURCES]
+                if share > 0.005
             )
-            shown = [contact if not rank else "", quantity(name).symbol, words]
-            for order, part in enumerate(parts):
-                cells: list[Cell] = [contact, name, part.source, part.contribution, part.share]
-                rows.append(TableRow(cells, () if order else shown))
+            rows.append([contact if not rank else "", quantity(name).symbol, words])
     return Table(
-        "budget", "What limits the answer now", ["contact", "quantity", "source", "contribution", "share"],
-        ("contact", "", "verdict"), rows,
+        "budget", "What limits the answer now", ("contact", "", "verdict"), rows,
         "Shares of the variance of each level, in its coordinate. Shared inputs do not shrink with the "
         "number of runs; scatter and swings do.",
     )  # fmt: skip
@@ -202,18 +160,9 @@ def _changes_table(results: CampaignResults) -> Table | None:
     for change in results.changes:
         place = f"from {labels[change.first_run]} on ({labels[change.at_least]} to {labels[change.at_most]})"
         where = place if change.probability > 0.5 else "none seen"
-        rows.append(
-            TableRow(
-                [change.parameter, change.probability, change.first_run, change.at_least, change.at_most],
-                [quantity(change.parameter).symbol, plain(change.probability, 2), where],
-            )
-        )
-    return Table(
-        "changes", "Changes", ["quantity", "probability", "first_run", "at_least", "at_most"],
-        ("", "probability", "where"), rows,
-        "Probability of a change at some run, against none, allowing for the choice of the run. Runs that "
-        "entered count from 0.",
-    )  # fmt: skip
+        rows.append([quantity(change.parameter).symbol, plain(change.probability, 2), where])
+    note = "Probability of a change at some run, against none, allowing for the choice of the run."
+    return Table("changes", "Changes", ("", "probability", "where"), rows, note)
 
 
 def _priors_table(campaign: Campaign) -> Table:
@@ -224,30 +173,24 @@ def _priors_table(campaign: Campaign) -> Table:
         label, factor = _change_label(name)
         after = "" if now is None else _text(now, factor)
         before = f"half-normal, {plain(size * factor, 2)}"
-        rows.append(TableRow([name, size, *(now or (nan, nan))], [f"scatter of {label}", before, after]))
+        rows.append([f"scatter of {label}", before, after])
     for source, estimate in results.shared.items():
-        texts = [_source_words(source), "0 ± 1 of its u", _text(estimate)]
-        rows.append(TableRow([source, 1.0, *estimate], texts))
+        rows.append([_source_words(source), "0 ± 1 of its u", _text(estimate)])
     for key, prior in campaign.stated.prior.items():
-        shown = [quantity(key).label, quantity(key).text(prior.value, prior.u), "see Contacts"]
-        rows.append(TableRow([key, prior.value, prior.u, nan], shown))
+        rows.append([quantity(key).label, quantity(key).text(prior.value, prior.u), "see Contacts"])
     return Table(
-        "priors", "Prior and posterior", ("what", "before", "now", "u_now"), ("", "prior", "posterior"), rows,
+        "priors", "Prior and posterior", ("", "prior", "posterior"), rows,
         "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",
     )  # fmt: skip
 
 
 def decays_table(runs: Sequence[FoundRun]) -> Table:
     """Table of period and decrement of runs without a fit, which no model can compare."""
-    names, lines = ("mean_period_s", "log_decrement"), []
-    for one in runs:
-        rows = [one.run[name] for name in names]
-        texts = [one.label, *(row.text for row in rows)]
-        lines.append(TableRow([one.label, *(number for row in rows for number in row)], texts))
+    names = ("mean_period_s", "log_decrement")
+    lines = [[one.label, *(one.run[name].text for name in names)] for one in runs]
     title = "SIMULATED: decays" if any(one.run.simulated for one in runs) else "Decays"
     return Table(
-        "decays", title, ("run", *(column for name in names for column in (name, f"u_{name}"))),
-        ("", *(quantity(name).label for name in names)), lines,
+        "decays", title, ("", *(quantity(name).label for name in names)), lines,
         "Value ± standard uncertainty. No run is fitted, and the model is one of the laws of the contact.",
     )  # fmt: skip
 
@@ -281,8 +224,7 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     ]
     if not shown_effects:
         return []
-    margins = {"left": 0.1, "wspace": 0.42, "hspace": 0.5}
-    figure, panels = three_columns(len(shown_effects), lambda rows: 0.6 + 2.3 * rows, **margins)
+    figure, panels = three_columns(len(shown_effects), lambda rows: 0.6 + 2.3 * rows)
     contacts = list(results.contacts)
     colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
     for axes, (effect, name) in zip(panels, shown_effects, strict=True):
@@ -318,9 +260,7 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
         reference = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
         title = _change_label(name)[0]
         axes.set_title(f"{title}{reference}, from its middle" if name in POSITIVE else title, fontsize=7.5)
-    whole_in = figure.get_figheight()
-    figure.subplots_adjust(bottom=0.5 / whole_in, top=1 - 0.6 / whole_in)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     title = "Parameters over what the runs were measured under"
     words = (
         "Points: each run alone with its standard uncertainty. Lines and bands: the campaign's median, 68 "
@@ -329,34 +269,6 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     return [ReportFigure("covariates", title, words, figure)]
 
 
-def _residual_figure(campaign: Campaign) -> ReportFigure:
-    """Figure of the deviations of the runs from the model; bad runs are shaded."""
-    results = campaign.results
-    names = results.parameters
-    figure = canvas(2.6)
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.08, right=0.86, bottom=0.17, top=0.96)
-    x = np.arange(1, len(results.runs) + 1)
-    for band, alpha in ((2, 0.1), (1, 0.15)):
-        axes.axhspan(-band, band, color=palette.GREY, alpha=alpha, lw=0)
-    for rank, name in enumerate(names):
-        z = np.array([run.residuals.get(name, np.nan) for run in results.runs])
-        axes.plot(
-            x + 0.08 * (rank - 0.5 * len(names)), z, "o", ms=3.2, label=quantity(name).symbol,
-            color=palette.SEQUENCE[rank % len(palette.SEQUENCE)],
-        )  # fmt: skip
-    for number, run in zip(x.tolist(), results.runs, strict=True):
-        if run.bad > MIN_BAD_PROBABILITY:
-            axes.axvspan(number - 0.4, number + 0.4, color=palette.VERMILLION, alpha=0.25, lw=0)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlabel="run", ylabel="deviation / u")
-    axes.set_yscale("symlog", linthresh=4)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return ReportFigure(
-        "residuals", "Residuals by run",
-        "Deviation from the model over its uncertainty from run and scatter between runs; red: bad runs.",
-        figure,
-    )  # fmt: skip
 
 
 _NAME = "campaign.json"
@@ -373,22 +285,20 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
         text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
         atomic_write.write_new(path, text.encode())
         tables = campaign_tables(campaign)
-        figures = html.save_parts(
-            files, tables, lambda: [*_covariate_figures(campaign), _residual_figure(campaign)]
-        )
+        figures = html.save_figures(files, lambda: _covariate_figures(campaign))
         atomic_write.replace(files / "contacts.tex", latex_table(_contacts_table(campaign.results)).encode())
         atomic_write.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
     return [path, target]
 
 
 def _page(campaign: Campaign, tables: list[Table], figures: Mapping[str, str], sha256: str) -> str:
-    results, sampler = campaign.results, campaign.results.sampler
+    results = campaign.results
     count = len(results.runs)
     words = f"{count} run{'s' if count != 1 else ''} of {', '.join(results.contacts)}"
     method = "Laplace's method over the scatters;"
-    if sampler is not None:
+    if isfinite(results.worst_r_hat):
         method = (
-            f"Sampled by emcee (worst R-hat {sampler.worst_r_hat:.3f}, at least {sampler.fewest_draws:.0f} "
+            f"Sampled by emcee (worst R-hat {results.worst_r_hat:.3f}, at least {results.fewest_draws:.0f} "
             "independent draws);"
         )
     first, *others = [html.table(content) for content in tables]

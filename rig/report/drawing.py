@@ -26,9 +26,6 @@ ASYMPTOTIC: Final = palette.ASYMPTOTIC_FIT_COLOUR
 SMOOTH: Final = palette.BLUISH_GREEN
 INK: Final = "#222831"
 _GAP_STEPS = 5.0
-_EDGE_IN = 0.02
-_MAX_ADJUSTMENTS = 3
-"""Adjustments of the margins: labels of ticks change with the size of the axes, and so the space needed."""
 _MAX_LOW_FROM_ZERO = 0.3
 """An axis begins at zero if the lowest value is below this fraction of the highest."""
 _DIGITS: Final = re.compile(r"(\.\d\d)\d+")
@@ -81,10 +78,6 @@ class ReportFigure:
     caption: str
     figure: Figure
 
-    def __post_init__(self) -> None:
-        with styled():
-            _make_room(self.figure)
-
 
 _STYLING = threading.RLock()
 
@@ -100,29 +93,25 @@ def styled() -> Iterator[None]:
 
 
 def canvas(height_in: float) -> Figure:
-    """An empty figure as wide as the page."""
-    figure = Figure(figsize=(WIDTH_IN, height_in))
+    """An empty figure as wide as the page, in which no label is cut."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def one_axes(
-    height_in: float, x_label: str, y_label: str, *, left: float = 0.12, right: float = 0.97, bottom: float
-) -> tuple[Figure, Axes]:
+def one_axes(height_in: float, x_label: str, y_label: str) -> tuple[Figure, Axes]:
     """A figure with one pair of axes and their labels."""
     figure = canvas(height_in)
     axes = figure.subplots()
-    figure.subplots_adjust(left=left, right=right, bottom=bottom, top=0.95)
     axes.set(xlabel=x_label, ylabel=y_label)
     return figure, axes
 
 
-def three_columns(count: int, rows_in: Callable[[int], float], **margins: float) -> tuple[Figure, list[Axes]]:
+def three_columns(count: int, rows_in: Callable[[int], float]) -> tuple[Figure, list[Axes]]:
     """A figure with `count` panels, up to three in a row; `rows_in` is its height by the number of rows."""
     rows = (count + 2) // 3
     figure = canvas(rows_in(rows))
     panels = list(figure.subplots(rows, min(count, 3), squeeze=False).flat)
-    figure.subplots_adjust(right=0.985, **margins)
     for spare in panels[count:]:
         spare.set_visible(False)
     return figure, panels[:count]
@@ -165,27 +154,6 @@ def _style_once(found: re.Match[str]) -> str:
         return found[0]
     (style,) = styles
     return f"<g{found[1] or ''}{style}>{found[2].replace(style, '')}</g>"
-
-
-def _make_room(figure: Figure) -> None:
-    """Move the outer edges of the axes inwards if labels would be cut off, and fix the labels' positions."""
-    width, height = figure.get_figwidth(), figure.get_figheight()
-    for _ in range(_MAX_ADJUSTMENTS):
-        box, margins = figure.get_tightbbox(), figure.subplotpars
-        over = (_EDGE_IN - box.x0, box.x1 - width + _EDGE_IN, _EDGE_IN - box.y0, box.y1 - height + _EDGE_IN)
-        left, right, bottom, top = (max(0.0, inches) for inches in over)
-        if not any((left, right, bottom, top)):
-            for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-                # fixed positions of labels save half of the time of drawing
-                place = axis.label.get_transform().transform(axis.label.get_position())
-                axis.set_label_coords(*axis.axes.transAxes.inverted().transform(place))
-            return
-        figure.subplots_adjust(
-            left=margins.left + left / width,
-            right=margins.right - right / width,
-            bottom=margins.bottom + bottom / height,
-            top=margins.top - top / height,
-        )
 
 
 def dots(axes: Axes, x: NDArray[Any], y: Floats, colour: str) -> None:

@@ -31,7 +31,6 @@ from rig.analysis import (
 )
 from rig.instrument import CONFIGURATION_NAME
 from rig.intake import read_positions
-from rig.report.source import read_source
 from rig.report.tables import run_tables, series_tables
 from rig.terminal import Table, harmless_text, latex_table, say, written
 
@@ -194,11 +193,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     exported = _exported_data(source)
     if len({_item_name(one.name) if kind == "hdf5" else one.name for one in exported}) < len(exported):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
-    tables = [output / f"{one.name}-{name}.{kind}" for one in exported for name in (*one.columns, "table")]
     other = "name" if kind == "hdf5" else "folder"
-    for path in [output] if kind == "hdf5" else tables:
-        if path.exists():
-            raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {other}")
     for one in exported:
         for note in one.notes if one.columns else ():
             say(f"{one.name}: {note}" if source.is_dir() else note)
@@ -214,14 +209,13 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
 def latex_tables(folder: Path) -> Mapping[str, str]:
     """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`).
 
-    Raises RecordError for a folder without results, or whose record is missing.
+    Raises RecordError for a folder without results.
     """
-    source = read_source(folder)
-    found = dict[str, Table]()
-    for number, run in enumerate(source.runs, start=1):
-        found |= {f"run-{number}-{each.name}.tex": each for each in run_tables(run, None)}
-    if source.series is not None:
-        found |= {f"{each.name}.tex": each for each in series_tables(source.series)}
+    results, found = read_results(folder), dict[str, Table]()
+    for number, run in enumerate(results.runs, start=1):
+        found |= {f"run-{number}-{each.name}.tex": each for each in run_tables(run)}
+    if results.series is not None:
+        found |= {f"{each.name}.tex": each for each in series_tables(results.series)}
     return {name: latex_table(each, Path(name).stem) for name, each in found.items() if each.shown}
 
 

@@ -38,7 +38,6 @@ def loop_figure(parameters: ContactParameters, pendulum: PendulumOnBall, work: W
     closed = np.append(phi, phi[0])
     figure = canvas(2.75)
     panels = figure.subplots(1, 3)
-    figure.subplots_adjust(left=0.075, right=0.99, bottom=0.165, top=0.9, wspace=0.3)
     for axes, values, title in zip(
         panels,
         (loop.friction_n_m, loop.elastic_n_m, loop.total_n_m),
@@ -79,15 +78,7 @@ def series_figure(series: Series) -> ReportFigure:
     method = FitMethod.EXACT if FitMethod.EXACT in series.fits else next(iter(series.fits))
     combined = series.fits[method]
     names = list(combined)
-    figure, panels = three_columns(
-        len(names),
-        lambda rows: 0.35 + 1.55 * rows,
-        left=0.115,
-        bottom=0.11,
-        top=0.93,
-        wspace=0.55,
-        hspace=0.5,
-    )
+    figure, panels = three_columns(len(names), lambda rows: 0.35 + 1.55 * rows)
     for axes, name in zip(panels, names, strict=True):
         scale = quantity(name).factor
         item = combined[name]
@@ -121,8 +112,6 @@ def instrument_figures(results: RunResults, points: TurningPoints) -> list[Repor
     drawings = []
     if "damping_time_s" in rows:
         drawings.append(_damping(rows, points))
-    if "scale_hardness" in rows and len(points) > 1:
-        drawings.append(_ten_swings(rows.get("time_hardness_s"), points))
     for name, draw in (("decrement", _decrement), ("period", _period), ("plane", _plane)):
         if name in curves:
             drawings.append(draw(curves[name]))
@@ -130,7 +119,7 @@ def instrument_figures(results: RunResults, points: TurningPoints) -> list[Repor
 
 
 def _damping(rows: Mapping[str, ResultRow], points: TurningPoints) -> ReportFigure:
-    figure, axes = one_axes(3.0, "t / s", "amplitude / degrees", bottom=0.16)
+    figure, axes = one_axes(3.0, "t / s", "amplitude / degrees")
     amplitude = points.amplitude / DEGREE_RAD
     time, swings = rows["damping_time_s"], rows["damping_swings"]
     start_deg, end_deg = rows["damping_start_deg"].value, rows["damping_end_deg"].value
@@ -160,24 +149,8 @@ def _damping(rows: Mapping[str, ResultRow], points: TurningPoints) -> ReportFigu
     )
 
 
-def _ten_swings(hardness: ResultRow | None, points: TurningPoints) -> ReportFigure:
-    figure, axes = one_axes(3.0, "t / s", "turning angle / degrees", bottom=0.16)
-    number = points.index - points.index[0]
-    angle = points.amplitude / DEGREE_RAD * np.where(number % 2, -1.0, 1.0)
-    axes.plot(points.time_s, angle, color=INK, lw=0.5)
-    axes.plot(points.time_s, angle, "o", color=DATA, ms=3.5)
-    if hardness is not None:
-        end = float(points.time_s[int(np.searchsorted(number, 10))])
-        axes.axvspan(float(points.time_s[0]), end, color=EXACT, alpha=0.12, lw=0)
-    axes.axhline(0, color=INK, lw=0.5)
-    ten = "" if hardness is None else f"; shaded: ten single swings, {hardness.value:.4f} s"
-    return ReportFigure(
-        "kind-hardness", "Single swings", f"Turning points from the release on, on both sides{ten}.", figure
-    )
-
-
 def _decrement(table: Mapping[str, Floats]) -> ReportFigure:
-    figure, axes = one_axes(2.8, "amplitude / degrees", "log decrement of a whole swing", bottom=0.17)
+    figure, axes = one_axes(2.8, "amplitude / degrees", "log decrement of a whole swing")
     bars = _dots(axes, table["amplitude_deg"], table["log_decrement"], table["u_log_decrement"])
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -191,7 +164,7 @@ def _decrement(table: Mapping[str, Floats]) -> ReportFigure:
 
 
 def _period(table: Mapping[str, Floats]) -> ReportFigure:
-    figure, axes = one_axes(3.2, "amplitude / degrees", "period / s", bottom=0.15)
+    figure, axes = one_axes(3.2, "amplitude / degrees", "period / s")
     amplitude = table["amplitude_deg"]
     order = np.argsort(amplitude)
     bars = _dots(axes, amplitude, table["period_s"], table["u_period_s"], label="measured")
@@ -213,7 +186,7 @@ def _period(table: Mapping[str, Floats]) -> ReportFigure:
 
 
 def _plane(table: Mapping[str, Floats]) -> ReportFigure:
-    figure, axes = one_axes(2.6, "time / s", "direction / degrees", bottom=0.18)
+    figure, axes = one_axes(2.6, "time / s", "direction / degrees")
     axes.plot(table["time_s"], table["direction_deg"], "o", color=DATA)
     return ReportFigure(
         "kind-plane",

@@ -41,11 +41,9 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
     time, size = points.time_s[shown], unit.shown_size
     if curves is None:
         top = figure.subplots()
-        figure.subplots_adjust(left=0.095, right=0.985, bottom=0.15, top=0.97)
         top.set_xlabel("t / s")
     else:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
-        figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.98, hspace=0.06)
         residual = curves.asymptotic.amplitude_residual_rad / size * 1e3
         exact_residual = curves.exact.amplitude_residual_rad / size * 1e3
         dots(bottom, time, residual[shown], ASYMPTOTIC)
@@ -96,7 +94,6 @@ def period_figure(curves: Curves) -> ReportFigure:
     }
     figure = canvas(4.0)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
-    figure.subplots_adjust(left=0.105, right=0.985, bottom=0.105, top=0.98, hspace=0.06)
     order = np.argsort(curves.period_rad)
     alpha = curves.period_rad[order] / ARCSEC_RAD
     period, u = curves.period_s[order], curves.u_period_s[order]
@@ -131,7 +128,6 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
     """Residuals of the exact fit in units of their standard uncertainty."""
     figure = canvas(3.6)
     grid = figure.add_gridspec(2, 2, width_ratios=[3.2, 1.0])
-    figure.subplots_adjust(left=0.08, right=0.985, bottom=0.115, top=0.93, hspace=0.16, wspace=0.05)
     both = {
         "amplitude": curves.exact.amplitude_residual_rad / points.u_amplitude,
         "time": curves.exact.time_residual_s / points.u_time_s,
@@ -181,7 +177,6 @@ def loss_figure(
     """Logarithmic decrement and quality factor against amplitude, measured and by the exact map."""
     figure = canvas(2.9)
     left, right = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.085, right=0.985, bottom=0.155, top=0.97, wspace=0.24)
     cycles = max(1, len(points) // 120)
     try:
         found = measured_losses(points, cycles=cycles)
@@ -221,7 +216,6 @@ def moments_figure(laws: ComparedLaws, free: ModelFreeMoments) -> ReportFigure:
     """The contact's model-free moments with their bands, and the moments of the laws not excluded."""
     figure = canvas(4.6)
     panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.6, 1.0])
-    figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.94, hspace=0.07, wspace=0.28)
     phi = free.phi_rad / ARCSEC_RAD
     shown = [name for name in free.laws if not laws.laws[name].excluded]
     for column, (title, values, u, of_laws) in enumerate(

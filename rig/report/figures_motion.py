@@ -9,7 +9,6 @@ from matplotlib.patches import Circle
 
 from processing.arrays import Floats
 from processing.damping import amplitude_at
-from processing.swing import ResidualSpectrum
 from rig.analysis import PositionErrors, RunResults
 from rig.report.drawing import (
     DATA,
@@ -26,17 +25,12 @@ from rig.report.drawing import (
 from rig.report.source import RecordedPicture, ShownTrajectory, ShownUnit
 from rig.terminal import palette
 
-_LEFT_MARGIN = 0.11
-"""Left edge of a wide figure's axes, as a fraction of its width."""
-
 
 def position_error_figure(found: PositionErrors) -> ReportFigure:
     """The map of position errors that was subtracted, with its standard uncertainty."""
     size, unit = found.unit.shown_size, found.unit.shown
     place, error, u_error = found.place / size, found.error / size, found.u_error / size
-    figure, axes = one_axes(
-        2.3, f"deflection / {unit}", f"error / {unit}", left=0.11, right=0.985, bottom=0.2
-    )
+    figure, axes = one_axes(2.3, f"deflection / {unit}", f"error / {unit}")
     axes.axhline(0.0, color=INK, lw=0.6, ls=":")
     axes.fill_between(place, error - u_error, error + u_error, color=DATA, alpha=0.3, lw=0)
     axes.plot(place, error, color=DATA, lw=0.9)
@@ -62,7 +56,6 @@ def frame_figure(picture: RecordedPicture) -> ReportFigure:
     figure = canvas(3.3)
     tall = rows > columns
     left, right = figure.subplots(1, 2, width_ratios=[columns / rows if tall else 1.4, 1.0])
-    figure.subplots_adjust(left=0.09, right=0.93, bottom=0.14, top=0.93, wspace=0.3)
     top = float(np.max(image)) or 1.0
     step = max(1, max(rows, columns) // 640)
     # the square root of the grey values makes the foot of the beam and the background visible
@@ -145,7 +138,6 @@ def _motion_figure(
         axes.set_xlabel("t / s")
     for axes in (whole, first):
         axes.set_ylabel(f"{name} / {unit}")
-    figure.subplots_adjust(left=0.105, right=0.985, bottom=0.115, top=0.975, hspace=0.38, wspace=0.22)
     figure.align_ylabels([whole, first])
     return figure
 
@@ -161,7 +153,6 @@ def _trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure
     """(X, Y) at equal scales, and with X stretched."""
     figure = canvas(3.6)
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
-    figure.subplots_adjust(left=0.09, right=0.985, bottom=0.12, top=0.93, wspace=0.28)
     length = motion.time_s[-1] - motion.time_s[0]
     cycles = 3 * period_s
     starts = {
@@ -195,7 +186,6 @@ def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
     amplitude, u_amplitude = points.amplitude / unit.shown_size, points.u_amplitude / unit.shown_size
     figure = canvas(4.6)
     ((top, tau), (below, period)) = figure.subplots(2, 2, height_ratios=[1.5, 1.0])
-    figure.subplots_adjust(left=_LEFT_MARGIN, right=0.985, bottom=0.1, top=0.98, hspace=0.28, wspace=0.32)
     bars: dict[str, Any] = {"color": DATA, "ecolor": DATA, "elinewidth": 0.7}
     top.errorbar(
         points.time_s, amplitude, u_amplitude, fmt="o", mfc="none", mec=DATA, ecolor=DATA, ms=3.5, lw=0.7
@@ -231,41 +221,4 @@ def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
         "Amplitude of every half-cycle with the damping that was fitted, its residuals, the time constant "
         "against the amplitude with its standard uncertainty, and twice the time between turning points.",
         figure,
-    )
-
-
-_BINS_PER_DECADE = 40
-
-
-def spectrum_figure(spectrum: ResidualSpectrum, shown_unit: str, shown_size: float) -> ReportFigure:
-    """Spectrum of the deflection minus the swing.
-
-    `shown_size` is the size of `shown_unit`, in which deflections are shown, in the spectrum's unit.
-    """
-    figure, axes = one_axes(
-        2.7, "frequency / Hz", f"deflection / {shown_unit}/√Hz", left=0.12, right=0.985, bottom=0.17
-    )
-    frequency_hz, density = _bin_spectrum(spectrum)
-    axes.loglog(frequency_hz, np.sqrt(density) / shown_size, color=DATA, lw=0.9)
-    axes.axvline(spectrum.pendulum_hz, color=INK, lw=0.7, ls=":")
-    axes.set_xlim(0.5 * spectrum.pendulum_hz, float(spectrum.frequency_hz[-1]))
-    return ReportFigure(
-        "spectrum",
-        "What remains after subtracting the swing",
-        "Deflections of the slow mode after subtracting the swing, from 2.2 times the pendulum's frequency "
-        "(dotted) on, without its odd harmonics: sensor, air and ground.",
-        figure,
-    )
-
-
-def _bin_spectrum(
-    spectrum: ResidualSpectrum,
-) -> tuple[Floats, Floats]:
-    """Frequency and density averaged over bins of equal width in log frequency."""
-    bins = np.round(np.log10(spectrum.frequency_hz) * _BINS_PER_DECADE)
-    _, start = np.unique(bins, return_index=True)
-    count = np.diff([*start, len(bins)])
-    return (
-        np.asarray(np.add.reduceat(spectrum.frequency_hz, start) / count),
-        np.asarray(np.add.reduceat(spectrum.density, start) / count),
     )

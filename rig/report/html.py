@@ -154,17 +154,13 @@ def check_report(results: Path) -> list[Finding]:
     return [Finding("note", f"{report.name} was made from {results.name}")]
 
 
-def save_parts(
-    files: Path, tables: Sequence[Table], draw: Callable[[], Sequence[ReportFigure]] = tuple
-) -> dict[str, str]:
-    """Write tables as CSV, and figures, frames as PNG, others as SVG, into a folder, which is made.
+def save_figures(files: Path, draw: Callable[[], Sequence[ReportFigure]]) -> dict[str, str]:
+    """Write figures, frames as PNG, others as SVG, into a folder, which is made.
 
-    `draw` makes the figures in the style of reports. Returns the HTML of each figure by name.
+    `draw` makes them in the style of reports. Returns the HTML of each figure by name.
     """
     files.mkdir(parents=True, exist_ok=True)
     atomic_write.take_away_leftovers(files)
-    for content in tables:
-        atomic_write.replace(files / f"{content.name}.csv", content.csv().encode())
     found = {}
     with styled():
         for drawing in draw():

@@ -223,15 +223,6 @@ class CampaignValue:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CampaignSource:
-    """The contribution of one source to the uncertainty of a contact's quantity, and its share."""
-
-    source: str
-    contribution: float
-    share: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignEffect:
     """One effect: slope in its coordinate (of b, c and gamma the logarithm) per unit of its form.
 
@@ -279,10 +270,10 @@ class CampaignDifference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignRun:
-    """One run: its parameters alone and together with the campaign, and its probability of being bad.
+    """One run of the results with hash `results_sha256`: its parameters together with the campaign, and its
+    probability of being bad.
 
     What all runs of its contact only bound has no value together, and their contact no budget of it.
-    `likelihood` is the input of the model, in coordinates, made of the results with hash `results_sha256`.
     `residuals` are deviations from the model in units of the uncertainty of run and scatter.
     """
 
@@ -291,20 +282,9 @@ class CampaignRun:
     record: str
     sha256: str
     results_sha256: str
-    likelihood: JsonObject
-    alone: Annotated[Mapping[str, Estimate], PART] = field(default_factory=dict)
     together: Annotated[Mapping[str, Estimate], PART] = field(default_factory=dict)
     residuals: Mapping[str, float] = field(default_factory=dict)
     bad: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SamplerFindings:
-    """Convergence of the sampler's chains: the worst R-hat, the fewest independent draws, the verdict."""
-
-    worst_r_hat: float
-    fewest_draws: float
-    settled: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -312,9 +292,10 @@ class CampaignResults:
     """The contents of campaign.json.
 
     `between_runs` and `between_contacts` are standard deviations, of b, c and gamma as fractions. `shared`
-    are posteriors of inputs that runs have in common, in their standard uncertainties. `draws_that_count`
-    (effective draws) tells how well Laplace's method describes the posterior. `stated` is the contents of
-    campaign.toml.
+    are posteriors of inputs that runs have in common, in their standard uncertainties, `budgets` the shares
+    of sources in the variance of each contact's quantity. `draws_that_count` (effective draws) tells how well
+    Laplace's method describes the posterior. `worst_r_hat` and `fewest_draws` (independent ones) are those of
+    the sampler's chains, NaN without it. `stated` is the contents of campaign.toml.
     """
 
     schema: int = SCHEMA
@@ -328,10 +309,11 @@ class CampaignResults:
     effects: tuple[CampaignEffect, ...] = ()
     changes: tuple[ChangePoint, ...] = ()
     shared: Mapping[str, Estimate] = field(default_factory=dict)
-    budgets: Mapping[str, Mapping[str, tuple[CampaignSource, ...]]] = field(default_factory=dict)
+    budgets: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     draws: int = 0
     draws_that_count: float = nan
-    sampler: SamplerFindings | None = None
+    worst_r_hat: float = nan
+    fewest_draws: float = nan
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     simulated: bool = False

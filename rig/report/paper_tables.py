@@ -25,7 +25,6 @@ from rig.report.paper_simulation import (
 )
 from rig.terminal import (
     Table,
-    TableRow,
     plain,
     power,
     print_line,
@@ -37,7 +36,6 @@ CONTRADICTION: Final = "known contradiction"
 _AGREES: Final = "agrees"
 _SEED: Final = 1
 _EXACT, _ASYMPTOTIC = FitMethod.EXACT, FitMethod.ASYMPTOTIC
-_DIFFERENCES: Final = (f"relative_difference_{_EXACT}", f"relative_difference_{_ASYMPTOTIC}")
 _FITS_HEAD: Final = (_EXACT.heading, "difference", _ASYMPTOTIC.heading, "difference", "verdict")
 CONTRADICTIONS: Final = (
     (
@@ -67,7 +65,11 @@ def reproduce_paper() -> None:
     paper's."""
     seeds = {pair: _SEED + 1000 * place for place, pair in enumerate(PAIRS, start=1)}
     found = [simulate_pair(pair, seed) for pair, seed in seeds.items()]
-    print_tables([table1(), table2(found), table3(found)])
+    friction = [row for series in found for row in friction_rows(series)]
+    elastic = [row for series in found for row in elastic_rows(series)]
+    table2 = _comparison_table("table2", "Table 2: friction", friction)
+    table3 = _comparison_table("table3", "Table 3: elastic rolling resistance", elastic)
+    print_tables([table1(), table2, table3])
     print_line("Known contradictions of the printed text:")
     for line in CONTRADICTIONS:
         print_line(f"- {line}")
@@ -86,52 +88,38 @@ def table1() -> Table:
             ("contact angle", "arcmin", pair.contact_angle_arcmin, angle_arcmin, 1.0),
         )):  # fmt: skip
             verdict = _agreement(found - printed, 0.0, last_digit) or "differs"
-            difference = found / printed - 1
             label, name = f"{what} / {unit}", "" if place else pair.flat_name
-            texts = [name, label, f"{printed:g}", plain(found, 4), _percent(difference), verdict]
-            lines.append(TableRow([pair.name, what, unit, printed, found, difference, verdict], texts))
-    return Table(
-        "table1", "Table 1: contact after Hertz",
-        ("pair", "quantity", "unit", "printed", "calculated", "relative_difference", "verdict"),
-        ("", "", "printed", "calculated", "difference", "verdict"), lines,
-    )  # fmt: skip
+            texts = [name, label, f"{printed:g}", plain(found, 4), _percent(found / printed - 1), verdict]
+            lines.append(texts)
+    head = ("", "", "printed", "calculated", "difference", "verdict")
+    return Table("table1", "Table 1: contact after Hertz", head, lines)
 
 
-def table2(found: Sequence[PairSeries]) -> Table:
-    """Table 2, friction: b, p, c, surface energy in both forms, ARAE."""
+def friction_rows(series: PairSeries) -> list["PrintedRow"]:
+    """A pair's rows of Table 2, friction: b, p, c, surface energy in both forms, ARAE."""
     left_out = f"with the power of ten set to {B_EXPONENT}, which the paper leaves out"
     unit, scale = f"{power(B_EXPONENT)} rad⁻ᵖ", 10.0**B_EXPONENT
-    rows = [
-        row
-        for series in found
-        for row in (
-            _fitted_row(series, "b", unit, series.pair.b_printed, scale, note=left_out),
-            _fitted_row(series, "p", "1", series.pair.p, note="printed in the row labelled b"),
-            _fitted_row(series, "c", power(-9), series.pair.c * 1e9, 1e-9),
-            _energy(series, "table2"),
-            _energy(series, "eq2"),
-            _arae(series, "arae_decay", "ARAE, Eq. 8"),
-        )
-    ]  # fmt: skip
-    return _comparison_table("table2", "Table 2: friction", rows)
-
-
-def table3(found: Sequence[PairSeries]) -> Table:
-    """Table 3, elastic rolling resistance: n, T0, gamma, ARAE."""
-    rows = [
-        row
-        for series in found
-        for row in (
-            _fitted_row(series, "n", "1", series.pair.n),
-            _fitted_row(series, "period0_s", "s", series.pair.period0_s),
-            _fitted_row(series, "gamma_pa", "MPa", series.pair.gamma_pa * 1e-6, 1e6, last_digit=0.01),
-            _arae(series, "arae_period", "ARAE, Eq. 9"),
-        )
+    return [
+        _fitted_row(series, "b", unit, series.pair.b_printed, scale, note=left_out),
+        _fitted_row(series, "p", "1", series.pair.p, note="printed in the row labelled b"),
+        _fitted_row(series, "c", power(-9), series.pair.c * 1e9, 1e-9),
+        _energy(series, "table2"),
+        _energy(series, "eq2"),
+        _arae(series, "arae_decay", "ARAE, Eq. 8"),
     ]
-    return _comparison_table("table3", "Table 3: elastic rolling resistance", rows)
 
 
-class _PrintedRow(NamedTuple):
+def elastic_rows(series: PairSeries) -> list["PrintedRow"]:
+    """A pair's rows of Table 3, elastic rolling resistance: n, T0, gamma, ARAE."""
+    return [
+        _fitted_row(series, "n", "1", series.pair.n),
+        _fitted_row(series, "period0_s", "s", series.pair.period0_s),
+        _fitted_row(series, "gamma_pa", "MPa", series.pair.gamma_pa * 1e-6, 1e6, last_digit=0.01),
+        _arae(series, "arae_period", "ARAE, Eq. 9"),
+    ]
+
+
+class PrintedRow(NamedTuple):
     """A printed value and its fitted values; `other` is the asymptotic one, NaN `u` means not comparable."""
 
     pair: PrintedPair
@@ -142,7 +130,6 @@ class _PrintedRow(NamedTuple):
     u: float
     other: float
     verdict: str
-    remark: str = ""
     note: str = ""
 
     @property
@@ -156,7 +143,7 @@ class _PrintedRow(NamedTuple):
 def _fitted_row(
     series: PairSeries, parameter: str, unit: str, printed: float, scale: float = 1.0,
     last_digit: float = 0.001, note: str = "",
-) -> _PrintedRow:  # fmt: skip
+) -> PrintedRow:  # fmt: skip
     """Row of one fitted parameter: it agrees within its 95 % interval, or within the rounding of the
     paper."""
     exact, other = (series.series.fits[method][parameter] for method in (_EXACT, _ASYMPTOTIC))
@@ -165,7 +152,7 @@ def _fitted_row(
     verdict = _agreement(off, exact.expanded_uncertainty_95 / scale, last_digit)
     verdict = verdict or f"differs by {abs(off) / u:.1f} u"
     label, of_other = PARAMETERS[parameter], other.value / scale
-    return _PrintedRow(series.pair, label, unit, printed, value, u, of_other, verdict, note=note)
+    return PrintedRow(series.pair, label, unit, printed, value, u, of_other, verdict, note=note)
 
 
 def _agreement(difference: float, half_width: float, last_digit: float) -> str:
@@ -175,7 +162,7 @@ def _agreement(difference: float, half_width: float, last_digit: float) -> str:
     return f"{_AGREES} as rounded" if abs(difference) <= 0.5 * last_digit else ""
 
 
-def _energy(series: PairSeries, form: str) -> _PrintedRow:
+def _energy(series: PairSeries, form: str) -> PrintedRow:
     """Row of the surface energy: the form of Table 2 must agree, Eq. 2 as printed is known to differ."""
     printed = series.pair.surface_energy_j_per_m2 * 1e3
     exact, asymptotic = (series.series.fits[method]["c"] for method in (_EXACT, _ASYMPTOTIC))
@@ -184,8 +171,8 @@ def _energy(series: PairSeries, form: str) -> _PrintedRow:
     )
     other = value / exact.value * asymptotic.value
     if form == "eq2":
-        label, remark = "σ, Eq. 2: m g c/(2a)", " with Table 2"
-        return _PrintedRow(series.pair, label, "mJ/m²", printed, value, u, other, CONTRADICTION, remark)
+        verdict = f"{CONTRADICTION} with Table 2"
+        return PrintedRow(series.pair, "σ, Eq. 2: m g c/(2a)", "mJ/m²", printed, value, u, other, verdict)
     half_width = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
     of_printed_c = surface_energy(Estimate(series.pair.c, 0.0), series.pair.pendulum).table2.value * 1e3
     verdict = _agreement(value - printed, half_width, 0.1)
@@ -193,19 +180,19 @@ def _energy(series: PairSeries, form: str) -> _PrintedRow:
         off = f"{100 * abs(printed / of_printed_c - 1):.1f} %"
         verdict = f"{_AGREES} with the printed c (σ {of_printed_c:.2f}, {off} off)"
     verdict = verdict or f"differs by {abs(value - printed) / u:.1f} u"
-    return _PrintedRow(series.pair, "σ, m g R c/(2a²)", "mJ/m²", printed, value, u, other, verdict)
+    return PrintedRow(series.pair, "σ, m g R c/(2a²)", "mJ/m²", printed, value, u, other, verdict)
 
 
-def _arae(series: PairSeries, key: str, label: str) -> _PrintedRow:
+def _arae(series: PairSeries, key: str, label: str) -> PrintedRow:
     """Row of a relative error, which is not comparable, because it depends on the noise."""
     printed = getattr(series.pair, key)
     exact, other = (float(getattr(series.run.fits[method], key)) for method in (_EXACT, _ASYMPTOTIC))
-    return _PrintedRow(
-        series.pair, label, "1", printed, exact, math.nan, other, "not comparable", ": another noise"
+    return PrintedRow(
+        series.pair, label, "1", printed, exact, math.nan, other, "not comparable: another noise"
     )
 
 
-def _comparison_table(name: str, title: str, rows: Sequence[_PrintedRow]) -> Table:
+def _comparison_table(name: str, title: str, rows: Sequence[PrintedRow]) -> Table:
     lines = []
     before: PrintedPair | None = None
     for row in rows:
@@ -215,16 +202,12 @@ def _comparison_table(name: str, title: str, rows: Sequence[_PrintedRow]) -> Tab
             f"{row.label} / {row.unit.removeprefix(' × ')}" if row.unit != "1" else row.label,
             f"{row.printed:.6g}",
             plain(row.exact, 2) if without_u else with_uncertainty(row.exact, row.u),
-            off[0], plain(row.other, 2 if without_u else 5), off[1], f"{row.verdict}{row.remark}",
+            off[0], plain(row.other, 2 if without_u else 5), off[1], row.verdict,
         ]  # fmt: skip
-        lines.append(TableRow([row.pair.name, *row[1:-3], *row.differences, row.verdict], texts))
+        lines.append(texts)
         before = row.pair
     notes = dict.fromkeys(f"{row.label}: {row.note}. " for row in rows if row.note)
-    return Table(
-        name, title,
-        ("pair", "quantity", "unit", "printed", _EXACT, f"u_{_EXACT}", _ASYMPTOTIC, *_DIFFERENCES, "verdict"),
-        ("", "", "printed", *_FITS_HEAD), lines, "".join(notes).rstrip(),
-    )  # fmt: skip
+    return Table(name, title, ("", "", "printed", *_FITS_HEAD), lines, "".join(notes).rstrip())
 
 
 def _percent(share: float) -> str:

@@ -1,26 +1,15 @@
-"""Table and figure of `rig plan`: uncertainties of planned runs."""
+"""Table of `rig plan`: uncertainties of planned runs."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from acquisition import atomic_write
 from processing.contact import DRAG
 from processing.errors import DataError
 from processing.fit import PlannedRun, planned_run
 from processing.units import ARCSEC_RAD
 from rig.report.planned_run import PlannedContact
-from rig.terminal import Table, TableRow, answer, palette, percent, plain, quantity
-
-if TYPE_CHECKING:
-    from rig.report.drawing import ReportFigure
-
-_LINE_STYLES = ("-", "--", ":", "-.")
+from rig.terminal import Table, percent, plain, quantity
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +34,20 @@ class Plan:
         """Uncertainty by parameter after so many such runs."""
         return run.u_after(count, self.assumed.conditions.known_drag_s)
 
-    def relative(self, run: PlannedRun, count: int) -> dict[str, float]:
-        """Relative uncertainty by parameter after so many runs; infinite where the reference value is 0."""
-        scales, u_after = self.scales, self.u_after(run, count)
-        return {name: u / abs(scales[name]) if scales[name] else math.inf for name, u in u_after.items()}
+    @property
+    def numbers(self) -> list[dict[str, float]]:
+        """Every planned run, as often as each count says: its amplitudes, its duration, uncertainties."""
+        return [
+            {
+                "first_arcsec": run.first_rad / ARCSEC_RAD,
+                "last_arcsec": run.last_rad / ARCSEC_RAD,
+                "duration_s": run.duration_s,
+                "half_cycles": run.half_cycles,
+                "runs": count,
+                **{f"u_{name}": u for name, u in self.u_after(run, count).items()},
+            }
+            for run, count in product(self.runs, self.counts)
+        ]
 
 
 def make_plan(
@@ -100,7 +99,7 @@ def plan_table(plan: Plan) -> Table:
         remark += "" if run.duration_s <= plan.assumed.longest_s else " *"
         shares = [_share(one, scales[name], quantity(name).unit) for name, one in zip(names, u, strict=True)]
         texts = [f"{first:g} to {last:g}{remark}", f"{count}", f"{all_s / 60:.1f}", *shares]
-        rows.append(TableRow([first, last, run.duration_s, run.half_cycles, count, all_s, *u], texts))
+        rows.append(texts)
     note = ""
     if plan.assumed.unknown:
         unknown = ", ".join(quantity(name).symbol for name in plan.assumed.unknown)
@@ -121,69 +120,5 @@ def plan_table(plan: Plan) -> Table:
         note += (
             f" * session.max_duration_s = {plan.assumed.longest_s:g} would end it earlier: raise it for this."
         )
-    columns = ("first_arcsec", "last_arcsec", "duration_s", "half_cycles", "runs", "rig_time_s")
-    symbols = [f"u({quantity(name).symbol})" for name in names]
-    return Table(
-        "plan", "Expected uncertainties", (*columns, *(f"u_{name}" for name in names)),
-        ("amplitudes, arcsec", "runs", "min", *symbols), rows, note,
-    )  # fmt: skip
-
-
-def save_plan(plan: Plan, folder: Path) -> None:
-    """Write plan.csv, .png and .svg to a folder, which is made if needed; none may exist."""
-    from rig.report.drawing import png, styled, svg
-
-    folder.mkdir(parents=True, exist_ok=True)
-    with styled():
-        drawing = plan_figure(plan)
-        contents = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}
-    for suffix, content in contents.items():
-        path = folder / f"plan{suffix}"
-        atomic_write.write_new(path, content)
-        answer(written=[path])
-        print(f"{'plan':<12} {path}")
-
-
-def plan_figure(plan: Plan) -> "ReportFigure":
-    """Uncertainty against last amplitude and against time: a colour for each parameter, a line style for each
-    first amplitude."""
-    from matplotlib.lines import Line2D
-
-    from rig.report.drawing import INK, ReportFigure, canvas
-
-    figure = canvas(3.4)
-    by_amplitude, by_time = figure.subplots(1, 2, sharey=True)
-    starts = sorted({run.first_rad for run in plan.runs}, reverse=True)
-    for style, first in zip(_LINE_STYLES, starts, strict=False):
-        runs = sorted((run for run in plan.runs if run.first_rad == first), key=lambda run: run.duration_s)
-        last = [run.last_rad / ARCSEC_RAD for run in runs]
-        for colour, name in zip(palette.SEQUENCE, plan.runs[0].u, strict=False):
-            label = quantity(name).symbol if first == starts[0] else None
-            for rank, count in enumerate(plan.counts):
-                u_percent = np.array([100 * plan.relative(run, count)[name] for run in runs])
-                if not np.all(np.isfinite(u_percent)):
-                    continue
-                if rank == 0:
-                    by_amplitude.plot(last, u_percent, style, color=colour, marker=".", label=label)
-                minutes = [count * run.duration_s / 60 for run in runs]
-                opacity = 1.0 if rank == 0 else 0.45
-                by_time.plot(minutes, u_percent, style, color=colour, marker=".", alpha=opacity)
-    by_amplitude.set(xscale="log", yscale="log")
-    by_amplitude.invert_xaxis()
-    last_arcsec = sorted({run.last_rad / ARCSEC_RAD for run in plan.runs})
-    by_amplitude.set_xticks(last_arcsec, [f"{last:g}" for last in last_arcsec])
-    by_amplitude.set_xticks([], minor=True)
-    by_amplitude.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    by_amplitude.set_xlabel("last amplitude / arcsec")
-    by_time.set_xlabel("time of all runs / min")
-    by_amplitude.set_ylabel("u / value, %")
-    by_amplitude.legend(ncols=2)
-    styles = [Line2D([], [], color=INK, ls=style) for style in _LINE_STYLES[: len(starts)]]
-    by_time.legend(styles, [f"from {first / ARCSEC_RAD:g}″" for first in starts])
-    figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
-    plural = "s" if plan.counts[0] > 1 else ""
-    others = ", ".join(str(count) for count in plan.counts[1:])
-    caption = f"Relative standard uncertainty of every parameter after {plan.counts[0]} run{plural}" + (
-        f"; on the right, faint: {others} runs." if others else "."
-    )
-    return ReportFigure("plan", "Expected uncertainties", caption, figure)
+    head = ("amplitudes, arcsec", "runs", "min", *(f"u({quantity(name).symbol})" for name in names))
+    return Table("plan", "Expected uncertainties", head, rows, note)

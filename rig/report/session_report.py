@@ -1,4 +1,4 @@
-"""`rig report`: a session's HTML page, its figures as SVG, its tables as CSV."""
+"""`rig report`: a session's HTML page, and its figures as SVG."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -83,7 +83,7 @@ def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
 
 
 def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
-    tables = [table for table in series_tables(series) if table.rows]
+    tables = [table for table in series_tables(series) if table.shown]
     disagreements = [
         f"{source.runs[item.run - 1].title} disagrees with the others in {quantity(item.name).symbol}: "
         f"{item.deviation:+.1f} standard uncertainties."
@@ -93,27 +93,26 @@ def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
         disagreements = ["No run disagrees with the others."]
     disagreements += series.problems
     if series.instrument is not None:
-        disagreements += series.instrument.text
+        disagreements += series.instrument.lines
     if not (tables or disagreements):
         return []
     body = [html.heading("Series")]
     if tables:
         body.append(html.table(tables[0]))
     body.append(html.notes(disagreements))
-    drawings = html.save_parts(
-        files, tables, lambda: [figures_contact.series_figure(series)] if series.fits else []
+    drawings = html.save_figures(
+        files, lambda: [figures_contact.series_figure(series)] if series.fits else []
     )
     return [*body, *drawings.values(), *(html.table(table) for table in tables[1:])]
 
 
 _ORDER = (
-    "kind-damping", "kind-hardness", "kind-decrement", "kind-period", "kind-plane", "instrument",
+    "kind-damping", "kind-decrement", "kind-period", "kind-plane", "instrument",
     "parameters", "decay",
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
     "fig13-period", "residuals", "position-errors",
-    "spectrum", "table4-loops", "work", "losses", "laws", "moments",
- "correlation", "budget",
+    "table4-loops", "work", "losses", "laws", "moments", "correlation", "budget",
 )  # fmt: skip
 """Order of the tables and figures of a run; small tables in a tuple stand side by side."""
 
@@ -121,9 +120,8 @@ _ORDER = (
 def _run(run: RunData, files: Path, *, single: bool) -> dict[str, str]:
     """The parts of a run in their order, figures and tables by their names."""
     curves = curves_of(run.results)
-    tables = run_tables(run, curves)
-    tables_shown = {table.name: html.table(table) for table in tables if table.shown}
-    figures = html.save_parts(files, tables, lambda: _drawings(run, curves))
+    tables = {table.name: html.table(table) for table in run_tables(run.results)}
+    figures = html.save_figures(files, lambda: _drawings(run, curves))
     body = {"heading": html.heading(run.title)}
     if not single:
         body["said"] = html.paragraph(_run_sentence(run)) + html.notes(_notes_of(run))
@@ -132,12 +130,12 @@ def _run(run: RunData, files: Path, *, single: bool) -> dict[str, str]:
     for part in _ORDER:
         if isinstance(part, tuple):
             # small tables next to each other where the page is wide enough
-            popped = (_pop(name, tables_shown, figures) for name in part)
+            popped = (_pop(name, tables, figures) for name in part)
             inside = "".join(f"<div>{content}</div>" for content in popped if content)
             body["+".join(part)] = f'<div class="side">{inside}</div>' if inside else ""
         else:
-            body[part] = _pop(part, tables_shown, figures)
-    return {name: text for name, text in {**body, **tables_shown, **figures}.items() if text}
+            body[part] = _pop(part, tables, figures)
+    return {name: text for name, text in {**body, **tables, **figures}.items() if text}
 
 
 def _pop(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
@@ -181,9 +179,6 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         # with a negative power there is no friction moment at rest, and no closed loop
         for work in run.results.work_per_cycle[:1] if exact.p >= 0 else ():
             drawings.append(figures_contact.loop_figure(exact, pendulum, work))
-        if run.spectrum is not None:
-            unit = motion.unit
-            drawings.append(figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size))
     return drawings
 
 

@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +15,8 @@ from acquisition.record.digest import RecordedCamera, cached_sha256
 from acquisition.record.reader import RecordReader
 from processing.arrays import Floats
 from processing.deflections import DeflectionUnit
-from processing.errors import DataError, RecordError, RigError
+from processing.errors import RecordError, RigError
 from processing.instruments import DEGREE_RAD
-from processing.swing import ResidualSpectrum, residual_spectrum
 from processing.units import NS_PER_S, conversion
 from rig.analysis import (
     JsonObject,
@@ -66,7 +64,7 @@ class RunData:
     """One run: its results with the fitted turning points, and its motion.
 
     `motion` counts time from the first turning point, as the turning points do. `provenance` is text by
-    section and key. `spectrum` is that of the deflections minus the swing; None for short runs.
+    section and key.
     """
 
     title: str
@@ -74,7 +72,6 @@ class RunData:
     motion: ShownTrajectory
     picture: RecordedPicture | None
     provenance: Mapping[str, Mapping[str, str]]
-    spectrum: ResidualSpectrum | None = None
     notes: Sequence[str] = ()
 
     @property
@@ -131,10 +128,6 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         provenance: dict[str, Mapping[str, str]] = {"file": file, **reader.metadata}
         configuration = reader.attachments.get(CONFIGURATION_NAME)
         rate = _clock_rate(reader, notes)
-        spectrum = None
-        with suppress(DataError):
-            if results.fits:
-                spectrum = residual_spectrum(deflections.times_ns, deflections.y, reader.swings())
         if len(spots):
             file["began"] = f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC"
         for note in reader.notes():
@@ -158,7 +151,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     )
     if results.calibration:
         provenance["calibration"] = _flat(results.calibration)
-    return RunData(f"Run {number}", results, motion, picture, provenance, spectrum, notes)
+    return RunData(f"Run {number}", results, motion, picture, provenance, notes)
 
 
 def _hashes(run: RunResults) -> dict[str, str]:
@@ -228,7 +221,7 @@ def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, numbe
         motion = ShownTrajectory(np.empty(0), np.empty(0), np.empty(0), unit)
     file = {"table": decay.record, **_hashes(decay)}
     title = f"Decay {number}" if len(table.runs) > 1 else "Decay"
-    return RunData(title, decay, motion, None, {"file": file, "session": place.session}, None, notes)
+    return RunData(title, decay, motion, None, {"file": file, "session": place.session}, notes)
 
 
 def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: ShownUnit) -> ShownTrajectory:

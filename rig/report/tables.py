@@ -1,37 +1,30 @@
-"""Tables of a run and of a series: parameters, budget, adhesion, work, correlations, half-cycles."""
+"""Tables of a run and of a series: parameters, budget, adhesion, work, correlations."""
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import replace
 
 from processing.contact import weight_moment
-from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, FitMethod
-from processing.quantity import InstrumentQuantities
 from processing.units import ARCSEC_RAD
 from rig.analysis import (
     DECAY,
-    INSTRUMENT,
-    AveragedCurves,
-    Curves,
     InstrumentSeries,
     ResultRow,
     RunResults,
     Series,
+    instrument_rows,
+    instrument_series_rows,
+    instrument_series_table,
+    instrument_table,
     law_table,
-    moments_table,
     parameter_table,
-    plain_row,
     quality_table,
 )
-from rig.report.source import RunData
 from rig.terminal import (
     NOT_KNOWN,
     SOURCES,
-    Cell,
     Table,
-    TableRow,
     Verdict,
     decimals,
     plain,
@@ -51,38 +44,29 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
     lines = []
     for key, item in budget.items():
         scale = quantity(key).factor
-        u, row = item.standard_uncertainty, known.get(key)
-        text = quantity(key).text(item.value, u) if row is None else row.text
+        row = known.get(key)
+        text = quantity(key).text(item.value, item.standard_uncertainty) if row is None else row.text
         ends = row.interval_text if row is not None and row.determined else ""
         head = [quantity(key).label, text, ends]
         small = []
         for line in item.sources:
-            contribution, share = line.contribution, line.share
-            cells: list[Cell] = [
-                key, item.value, u, line.source, line.type, line.u_source, line.sensitivity, contribution,
-                share,
-            ]  # fmt: skip
-            if share < _MIN_SHOWN_SHARE:
+            if line.share < _MIN_SHOWN_SHARE:
                 small.append(line)
-                lines.append(TableRow(cells))
                 continue
             source = [SOURCES.get(line.source, line.source), line.type]
-            texts = [*head, *source, _part(contribution * scale), f"{100 * share:.1f} %"]
-            lines.append(TableRow(cells, texts))
+            lines.append([*head, *source, _part(line.contribution * scale), f"{100 * line.share:.1f} %"])
             head = [""] * 3
         if small:
             rest = math.hypot(*(line.contribution for line in small)) * scale
             count = f"{len(small)} more" if len(small) < len(item.sources) else f"{len(small)} sources"
             share = sum(line.share for line in small)
-            lines.append(TableRow((), [*head, count, "", _part(rest), f"{100 * share:.2f} %"]))
+            lines.append([*head, count, "", _part(rest), f"{100 * share:.2f} %"])
     return Table(
         name, "Uncertainty budget (GUM)",
-        ("quantity", "value", "u_total", "source", "type", "u_source", "sensitivity",
-         "contribution", "share"),
         ("", "value ± u", "95 %", "source", "type", "u", "share"), lines,
         "Largest contribution first. Type A: from the swings; B: stated in the configuration. Sources "
         "without a stated uncertainty contribute nothing; those below 0.5 % of the variance are summed here "
-        "and listed one by one in budget.csv. What is not determined has a bound and no contributions.",
+        "and listed one by one in results.json. What is not determined has a bound and no contributions.",
     )  # fmt: skip
 
 
@@ -91,48 +75,33 @@ def _part(contribution: float) -> str:
 
 
 def series_table(series: Series) -> Table:
-    """Table of a series' parameters: exact and asymptotic fits, and curves averaged as in the paper."""
+    """Table of a series' parameters: exact and asymptotic fits."""
     lines = []
     exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
-    average = series.averaged_curves or AveragedCurves()
     for name in exact or asymptotic:
         shown_as, row = quantity(name), series.rows.get(name)
-        cells = [getattr(exact.get(name), key, math.nan) for key in _SERIES_KEYS]
         item = asymptotic.get(name)
-        others = [
-            NOT_DETERMINED if item is None else item.estimate,
-            average.parameters.get(name, NOT_DETERMINED),
-        ]
-        known = (row.value, row.u_total, row.lower, row.upper) if row is not None else [math.nan] * 4
-        between = cells[1] * shown_as.factor
+        between = getattr(exact.get(name), "between_runs", math.nan) * shown_as.factor
         is_determined = row is None or row.determined
         texts = [
             shown_as.label,
             "" if row is None else row.text,
             "" if row is None else row.interval_text,
             plain(between, 2) if between else "none seen",
-            *(shown_as.text(value, u) if is_determined else "" for value, u in others),
+            shown_as.text(*item.estimate) if is_determined and item is not None else "",
         ]
-        lines.append(TableRow([name, *known, *cells, *others[0], *others[1]], texts))
+        lines.append(texts)
     return Table(
         "series", "The series",
-        ("parameter", "value", "u_total", "lower_95", "upper_95", *_SERIES_KEYS, "asymptotic_value",
-         "asymptotic_u", "averaged_curves_value", "averaged_curves_u"),
-        ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading,
-         "curves averaged first"), lines,
+        ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading), lines,
         "Runs combined with their own and the between-run scatter, Student's t for the 95 % interval, and "
-        "with the apparatus as far as stated; beside it, of the swings alone, Eqs. 5 and 6, and the paper's "
-        "way: the runs' curves averaged, then Eqs. 5 and 6 fitted with their drag.",
+        "with the apparatus as far as stated; beside it Eqs. 5 and 6, of the swings alone.",
     )  # fmt: skip
 
 
-_SERIES_KEYS = ("within_runs", "between_runs", "p_homogeneous")
-
-
-def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
+def run_tables(results: RunResults) -> list[Table]:
     """All tables of one run; a table without content is left out."""
-    results = run.results
-    tables = [instrument_table(results), conditions_table(results), half_cycle_table(run, curves)]
+    tables = [instrument_table(results), conditions_table(results)]
     if not results.fits and results.instrument is None:
         tables = [decay_table(results), *tables]
     if results.fits:
@@ -146,8 +115,8 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
             *tables,
         ]
     if results.laws is not None:
-        tables += [law_table(results.laws), moments_table(results.laws)]
-    return [table for table in tables if table.rows]
+        tables.append(law_table(results.laws))
+    return [table for table in tables if table.shown]
 
 
 def series_tables(series: Series) -> list[Table]:
@@ -166,8 +135,7 @@ def conditions_table(results: RunResults) -> Table:
         (item.name, _verdict_text(item), item.measured, item.limit, item.reason)
         for item in results.conditions
     ]
-    lines = [TableRow(row, row) for row in rows]
-    return Table("conditions", "Conditions of the run", _CONDITIONS, _CONDITIONS, lines)
+    return Table("conditions", "Conditions of the run", _CONDITIONS, rows)
 
 
 def _verdict_text(item: Verdict) -> str:
@@ -182,13 +150,13 @@ _THEORIES = ("JKR", "Maugis-Dugdale", "DMT")
 def adhesion_table(results: RunResults) -> Table:
     """Table of the contact with adhesion, if c is determined; Hertz's contact is in the table of results."""
     rows = [row for row in results.table if row.fit in _THEORIES]
-    lines = [_line(f"{row.quantity} ({row.fit})", f"{row.shown.symbol}, {row.fit}", row) for row in rows]
+    lines = [_line(f"{row.shown.symbol}, {row.fit}", row) for row in rows]
     note = (
         "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor parameter "
         f"of {results.number('tabor').value:.2g} (equilibrium separation 0.3 nm) selects {results.adhesion}; "
         "all other values follow the paper, with Hertz's theory."
     )
-    return Table("adhesion", "Contact with adhesion", _VALUE_COLUMNS, ("", "value", "unit"), lines, note)
+    return Table("adhesion", "Contact with adhesion", ("", "value", "unit"), lines, note)
 
 
 def work_table(results: RunResults) -> Table:
@@ -197,7 +165,6 @@ def work_table(results: RunResults) -> Table:
     c = results.rows.get("c")
     for item in results.work_per_cycle:
         pairs = (item.dissipated_4a_j, item.adhesive_4at_j)
-        cells: list[Cell] = [item.amplitude_arcsec, *pairs[0], *pairs[1]]
         texts = [with_uncertainty(value * 1e15, u * 1e15) for value, u in pairs]
         share = f"{100 * pairs[1].value / pairs[0].value:.1f} %" if pairs[0].value else NOT_KNOWN
         if math.isnan(pairs[1].value):
@@ -206,11 +173,9 @@ def work_table(results: RunResults) -> Table:
             if c is not None and results.pendulum is not None:
                 moment_n_m = weight_moment(results.pendulum)
                 texts[1] = c.scaled_text(1e15 * 4 * moment_n_m * item.amplitude_arcsec * ARCSEC_RAD)
-        lines.append(TableRow(cells, [plain(item.amplitude_arcsec, 4), *texts, share]))
-    return Table(
-        "work", "Work over one cycle", ("amplitude_arcsec", "4A_j", "u_4A_j", "4A_t_j", "u_4A_t_j"),
-        ("α / arcsec", "4A / fJ", "4Aₜ / fJ", "share of adhesion"), lines,
-    )  # fmt: skip
+        lines.append([plain(item.amplitude_arcsec, 4), *texts, share])
+    head = ("α / arcsec", "4A / fJ", "4Aₜ / fJ", "share of adhesion")
+    return Table("work", "Work over one cycle", head, lines)
 
 
 def correlation_table(results: RunResults) -> Table:
@@ -218,49 +183,16 @@ def correlation_table(results: RunResults) -> Table:
     found = results.fits[FitMethod.EXACT].correlation
     symbols = [quantity(name).symbol for name in found.names]
     lines = [
-        TableRow([name, *row], [symbol, *(decimals(one, 3) for one in row)])
-        for name, symbol, row in zip(found.names, symbols, found.matrix, strict=True)
+        [symbol, *(decimals(one, 3) for one in row)]
+        for symbol, row in zip(symbols, found.matrix, strict=True)
     ]
     return Table(
-        "correlation", "Correlations of the exact fit", ("", *found.names), ("", *symbols), lines,
+        "correlation", "Correlations of the exact fit", ("", *symbols), lines,
         "What two parameters share: near ±1 the data hardly distinguish them, though each may be determined.",
     )  # fmt: skip
 
 
-def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
-    """Table of every fitted half-cycle with the models' values, for the CSV file."""
-    points, unit = run.results.points, run.motion.unit
-    size = unit.shown_size
-    columns = ["index", "time_s", "u_time_s", f"amplitude_{unit.shown}", f"u_amplitude_{unit.shown}"]
-    arrays = [
-        points.index, points.time_s, points.u_time_s,
-        points.amplitude / size, points.u_amplitude / size,
-    ]  # fmt: skip
-    if curves is not None:
-        columns += [f"asymptotic_{unit.shown}", f"exact_{unit.shown}", "exact_time_s"]
-        arrays += [
-            curves.asymptotic.model_amplitude_rad / size,
-            curves.exact.model_amplitude_rad / size,
-            curves.exact.model_time_s,
-        ]
-    lines = [TableRow(row) for row in zip(*(array.tolist() for array in arrays), strict=True)]
-    return Table("half-cycles", "Half-cycles", columns, (), lines)
-
-
 _MAX_HEADLINES = 4
-_ORDER: Final = [field.name for field in fields(InstrumentQuantities)]
-
-
-def _rows(results: RunResults) -> list[ResultRow]:
-    """Rows of the quantities that this kind of pendulum reports, in the order of their declaration."""
-    hidden = ("damping_start_deg", "damping_end_deg")
-    found = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in hidden]
-    return sorted(found, key=lambda row: _ORDER.index(row.quantity))
-
-
-def _row_name(row: ResultRow) -> str:
-    """Name of a quantity with its part of the decay, in words."""
-    return f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}"
 
 
 def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple[str, str]]:
@@ -268,57 +200,21 @@ def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple
 
     They are those of a series with several places, else of the run; the ratio to a reference is the series'.
     """
-    found = [(_row_name(row), row) for row in _rows(results)]
+    found = instrument_rows(results)
     if series is not None:
         many = series.time_s is not None and series.time_s.places > 1
-        found = [*_series_rows(series, with_places=many), *([] if many else found)]
+        found = [*instrument_series_rows(series, with_places=many), *([] if many else found)]
     return [(replace(row.shown, symbol=name).label, row.text) for name, row in found[:_MAX_HEADLINES]]
-
-
-def instrument_table(results: RunResults) -> Table:
-    """Table of every number with its unit, and of the standard's limits for environment and apparatus."""
-    checks = () if results.instrument is None else results.instrument.checks
-    more = [""] if checks else []
-    lines = [_line(row.quantity, _row_name(row), row, *more) for row in _rows(results)]
-    for check in checks:
-        limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
-        cells: list[Cell] = [check.name, check.value, check.standard_uncertainty]
-        lines.append(TableRow(cells, [check.name, f"{check.value:.5g}", check.unit, limits]))
-    head = ("", "value ± u", "unit", *(["standard"] if checks else []))
-    return Table("instrument", "What this kind of pendulum reports", _VALUE_COLUMNS, head, lines)
 
 
 def decay_table(results: RunResults) -> Table:
     """Table of what is known of a decay without a law."""
     rows = [row for row in results.table if row.fit == DECAY and math.isfinite(row.value)]
-    lines = [_line(row.quantity, row.shown.name, row) for row in rows]
-    return Table("decay", "The decay", _VALUE_COLUMNS, ("", "value ± u", "unit"), lines)
+    return Table("decay", "The decay", _VALUES, [_line(row.shown.name, row) for row in rows])
 
 
-_VALUE_COLUMNS = ("quantity", "value", "standard_uncertainty")
+_VALUES = ("", "value ± u", "unit")
 
 
-def _line(key: str, name: str, row: ResultRow, *more: str) -> TableRow:
-    return TableRow([key, *row], [name, row.text, row.shown.unit, *more])
-
-
-def instrument_series_table(series: InstrumentSeries) -> Table:
-    """Table of means over the places of a sample, and their ratio to a reference."""
-    found = [*_series_rows(series, with_places=True)]
-    if series.reference_time_s is not None:
-        row = plain_row("damping_time_s", series.reference_time_s, "")
-        found.append(("damping time of the reference", row))
-    lines = [_line(name, name, row) for name, row in found]
-    return Table("series", "The series", _VALUE_COLUMNS, ("", "value ± u", "unit"), lines)
-
-
-def _series_rows(series: InstrumentSeries, *, with_places: bool) -> Iterator[tuple[str, ResultRow]]:
-    """Ratios to a reference, and the means over places, each with its name in words."""
-    for name, ratio in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
-        if ratio is not None:
-            yield f"ratio of {name}, sample to reference", plain_row("damping_swings", ratio, "")
-    means = (("damping_time_s", series.time_s), ("damping_swings", series.swings))
-    for key, mean in means if with_places else ():
-        if mean is not None:
-            row = plain_row(key, Estimate(mean.value, mean.standard_uncertainty), "")
-            yield f"{row.shown.name}, mean of {mean.places} places", row
+def _line(name: str, row: ResultRow, *more: str) -> list[str]:
+    return [name, row.text, row.shown.unit, *more]

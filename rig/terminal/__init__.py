@@ -15,10 +15,8 @@ from processing.number_text import (
 from rig.terminal import palette
 from rig.terminal.latex import latex_rows, latex_table
 from rig.terminal.printing import (
-    Cell,
     ProgressLine,
     Table,
-    TableRow,
     answer,
     harmless_text,
     loud,

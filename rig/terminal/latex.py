@@ -46,7 +46,7 @@ def latex_table(content: Table, label: str = "") -> str:
     Rows are those of the report: rounded, with standard uncertainties. `label` distinguishes tables of
     several runs; empty: the table's name.
     """
-    head, rows = content.head or content.columns, content.shown
+    head, rows = content.head, content.shown
     unit_column = next((place for place, cell in enumerate(head) if cell == "unit"), -1)
     lines = [
         "% needs \\usepackage{booktabs,siunitx} and \\sisetup{separate-uncertainty=true}",

@@ -1,10 +1,8 @@
-"""Tables and lines: their values, files and JSON, and their output on the terminal."""
+"""Tables and lines: their output on the terminal and as JSON."""
 
 import contextlib
-import csv
 import dataclasses
 import datetime
-import io
 import json
 import math
 import os
@@ -17,7 +15,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from typing import IO, Any, Final
 
 import numpy as np
 from pydantic import BaseModel
@@ -27,57 +25,23 @@ from rich.table import Table as RichTable
 
 from processing.errors import ConfigurationError, RecordError
 
-Cell = float | int | str
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
-
-
-class TableRow(NamedTuple):
-    """A line of a table: cells for the file, texts for the user; empty where it is not in one of these."""
-
-    cells: Sequence[Cell]
-    shown: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table: its lines, with headings for the CSV file (`columns`) and for the user (`head`)."""
+    """A table as a person reads it: its headings, and the texts of its lines; numbers are rows of results."""
 
     name: str
     title: str
-    columns: Sequence[str]
     head: Sequence[str]
-    lines: Sequence[TableRow]
+    shown: Sequence[Sequence[str]]
     note: str = ""
-
-    @property
-    def rows(self) -> Sequence[Sequence[Cell]]:
-        """The values for the CSV file."""
-        return [line.cells for line in self.lines if line.cells]
-
-    @property
-    def shown(self) -> Sequence[Sequence[str]]:
-        """The texts for the user; empty if the table is only written to a file, being too long to print."""
-        return [line.shown for line in self.lines if line.shown]
-
-    def csv(self) -> str:
-        """Comma-separated values with one header line; numbers have all digits, NaN is an empty cell."""
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(self.columns)
-        for row in self.rows:
-            writer.writerow([_cell(value) for value in row])
-        return out.getvalue()
 
 
 def harmless_text(text: str) -> str:
     """A text for a cell of a CSV file, after ``'`` if a spreadsheet would take it for a formula."""
     return f"'{text}" if text.startswith(_FORMULA_STARTS) else text
-
-
-def _cell(value: Cell) -> Cell:
-    if isinstance(value, str):
-        return harmless_text(value)
-    return "" if isinstance(value, float) and math.isnan(value) else value
 
 
 DEFAULT_COLUMNS: Final = 80
@@ -205,9 +169,6 @@ def plain_values(value: Any) -> Any:
     """Nested values as plain JSON values; NaN and infinity become null (not determined)."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, Table):
-        about = {"name": value.name, "title": value.title, "columns": value.columns, "rows": value.rows}
-        return plain_values(about)
     if isinstance(value, BaseModel):
         return plain_values(value.model_dump(mode="json"))
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -278,7 +239,7 @@ def print_tables(tables: Sequence[Table]) -> None:
     """Print tables; columns that consist mostly of numbers are right-aligned.
 
     Numbers are never broken, texts only between words; columns that do not fit follow below, after the first
-    column again. A table without lines for the user is its title and its note.
+    column again. A table without lines is its title and its note.
     """
     answer(tables=list(tables))
     width = screen_width()

@@ -18,6 +18,7 @@ from rig.analysis import (
     RunResults,
     analyse_record,
     curves_of,
+    instrument_table,
     parameter_table,
     quality_table,
     recorded_results,
@@ -96,8 +97,6 @@ def analysis_curves(run: RunResults) -> list[AnalysisCurve]:
 
 def report_text(results: RunResults) -> str:
     """Results of the fits in Markdown."""
-    from rig.report import instrument_table
-
     parts = [f"## {Path(results.record).stem}"]
     parts.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
     if results.problem:
@@ -106,7 +105,7 @@ def report_text(results: RunResults) -> str:
         parts.append(_markdown(parameter_table(results, full=False)))
         parts.append(_markdown(quality_table(results)))
     instrument = instrument_table(results)
-    if instrument.rows:
+    if instrument.shown:
         parts.append(_markdown(instrument))
     return "\n\n".join([*parts, *(f"- {line}" for line in (*remarks(results), *results.warnings))])
 

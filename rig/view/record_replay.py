@@ -22,7 +22,6 @@ from rig.instrument import recorded_configuration
 from rig.settings import REPLAYED, Configuration, refuse_without_effect
 from rig.terminal import (
     Table,
-    TableRow,
     answer,
     plain,
     print_line,
@@ -54,7 +53,7 @@ def print_comparison(comparison: ReplayDifferences) -> None:
         )
     ]
     head = ("", "recorded", "replayed", "changed", "largest change")
-    print_tables([Table("comparison", "", head, head, [TableRow(row, row) for row in rows])])
+    print_tables([Table("comparison", "", head, rows)])
 
 
 def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
@@ -70,7 +69,7 @@ def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
         shown, by_u = quantity(change.quantity), change.change_u
         size = "?" if math.isnan(by_u) else signed(by_u)
         rows.append([shown.label, change.fit, shown.text(*change.recorded), size])
-    print_tables([Table("changes", "", head, head, [TableRow(row, row) for row in rows])])
+    print_tables([Table("changes", "", head, rows)])
 
 
 def _largest(differences: Differences, place: str) -> str:

@@ -10,9 +10,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from rig.instrument import complete
-from rig.report import draw_run, make_plan, plan_figure, planned_contact, styled
-from rig.settings import load_configuration
+from rig.report import draw_run
 from rig.view import LayoutName
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,8 +18,6 @@ PICTURES = ROOT / "docs" / "pictures"
 DRAWN = PICTURES / "drawn.json"
 """The hashes at the time when the pictures were made."""
 CONFIGURATION = ROOT / "configs" / "demo.toml"
-PLANNED = ROOT / "configs" / "basement.toml"
-PLANNED_FROM_ARCSEC, PLANNED_RUNS = (300.0, 124.0), (1, 3)
 RESULT_FIGURES = (("fig12-decay", "fig13-period"), ("table4-loops", "losses"))
 _REFERENCES = ROOT / "tests" / "rig" / "view" / "data"
 _RESULTS = ROOT / "tests" / "rig" / "data" / "samples" / "series"
@@ -41,18 +37,9 @@ def drawn_now() -> dict[str, str]:
     wanted = [name for row in RESULT_FIGURES for name in row]
     return {
         **views,
-        "plan.png": _sha256_of(_described(_small_plan())),
         "result.png": _sha256_of([_described(figures[name]) for name in wanted]),
         CONFIGURATION.name: _sha256_of(tomllib.loads(CONFIGURATION.read_text(encoding="utf-8"))),
     }
-
-
-def _small_plan() -> Figure:
-    """As many curves as the picture has, of fewer runs."""
-    expected = planned_contact(complete(load_configuration(PLANNED)))
-    plan = make_plan(expected, PLANNED_FROM_ARCSEC, [60.0, 30.0], counts=PLANNED_RUNS)
-    with styled():
-        return plan_figure(plan).figure
 
 
 def _described(figure: Figure) -> list[Any]:

@@ -19,7 +19,6 @@ from processing.fit.exact import fit_exact, fit_exact_with
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.swing import TurningPoints
-from rig.analysis import Correlation
 from tests.processing.fit.decays import decay, first_of, paper_pair
 from tests.processing.fit.driven import driven_decay
 
@@ -281,12 +280,11 @@ def test_limits_hold_every_valley_of_the_likelihood() -> None:
     assert profile_likelihood(points, pendulum, result, "p").upper < 0.1
 
 
-def test_period0_and_n_are_named_as_hard_to_tell_apart() -> None:
+def test_period0_and_n_are_hard_to_tell_apart() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=2), pendulum)
-    pairs = Correlation(tuple(result.names), tuple(map(tuple, result.correlation.tolist()))).strong
-    assert frozenset(("period0_s", "n")) in {frozenset(pair[:2]) for pair in pairs}
-    assert all(abs(pair[2]) >= 0.99 for pair in pairs)
+    of_pair = result.correlation[result.names.index("period0_s"), result.names.index("n")]
+    assert abs(of_pair) > 0.99
 
 
 def test_a_profile_belongs_to_an_exact_fit() -> None:

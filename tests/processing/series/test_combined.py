@@ -10,14 +10,13 @@ import pytest
 from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
 from processing.fit.uncertainty import budgets
-from processing.series import average_curves, combine_runs, combined_limits
+from processing.series import combine_runs, combined_limits
 from processing.series.combined import combine
-from tests.processing.fit.decays import decay, paper_pair, without
+from tests.processing.fit.decays import decay, paper_pair
 from tests.processing.fit.test_uncertainty import rig
 
 
@@ -181,42 +180,12 @@ def test_runs_that_differ_by_their_noise_alone_are_not_named() -> None:
         assert not combine_runs(runs(*seeds)).disagreements
 
 
-def test_curves_averaged_then_fitted_agree_with_the_runs() -> None:
-    parameters, pendulum = paper_pair("silicon")
-    curves = [
-        decay(parameters, pendulum, noise_arcsec=0.05, seed=seed, first_arcsec=first, last_arcsec=5)
-        for seed, first in ((1, 124.0), (2, 123.1), (3, 125.7))
-    ]
-    curves[1] = without(curves[1], np.array([50, 51]))
-    average = average_curves(curves)
-    assert len(average) <= min(len(curve) for curve in curves)
-    assert average.amplitude[0] == pytest.approx(curves[1].amplitude[0], rel=5e-3)
-    np.testing.assert_allclose(np.median(average.u_amplitude), curves[0].u_amplitude[0] / np.sqrt(3))
-    fitted = fit_exact(average, pendulum)
-    assert abs(fitted.chi2_per_dof - 1) < 6 * np.sqrt(2 / fitted.dof)
-    for name in PAPER.names():
-        estimate = fitted.estimate(name)
-        assert abs(estimate.value - getattr(parameters, name)) < 5 * estimate.standard_uncertainty, name
-    assert fit_asymptotic(average, pendulum).arae_decay < 0.004
-
-
 def test_one_run_is_no_series() -> None:
     for call in (
         lambda: combine_runs(runs(0)),
         lambda: combine("c", [Estimate(1.0, 0.1)]),
-        lambda: average_curves([]),
     ):
         with pytest.raises(DataError, match="run"):
             call()
     with pytest.raises(DataError, match="run 2 does not determine c"):
         combine("c", [Estimate(1.0, 0.1), Estimate(1.0, float("inf"))])
-
-
-def test_runs_without_a_common_amplitude_are_not_averaged() -> None:
-    parameters, pendulum = paper_pair("silicon")
-    high, low = (
-        decay(parameters, pendulum, noise_arcsec=0.05, seed=1, first_arcsec=first, last_arcsec=last)
-        for first, last in ((124.0, 90.0), (60.0, 5.0))
-    )
-    with pytest.raises(DataError, match=r"run 1 ends at 90\.2 arcsec, above the 59\.9 arcsec"):
-        average_curves([high, low])

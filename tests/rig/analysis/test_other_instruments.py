@@ -73,7 +73,7 @@ def test_koenig_from_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     series = results["series"]["instrument"]
     assert series["ratio"]["value"] == pytest.approx(found["damping_time_s"]["value"] / 250.0)
     said = capsys.readouterr().out
-    assert "damping time over 1 place: " in said
+    assert "damping time, mean of 1 place" in said
     assert "half-cycles, 5.99" in said
     assert " deg, " in said
     check_report_of_a_damping(tmp_path / "koenig", found)
@@ -92,9 +92,6 @@ def check_report_of_a_damping(folder: Path, found: dict[str, Any]) -> None:
     assert "<td>temperature</td><td>23.4</td><td>°C</td><td>21 to 25 wanted: within</td>" in page
     assert "Fig. " not in page
     assert (folder / "report" / "run-1" / "kind-damping.svg").exists()
-    table = (folder / "report" / "run-1" / "instrument.csv").read_text()
-    assert f"damping_time_s,{damping['value']}" in table
-    assert "text" not in table
 
 
 @pytest.mark.slow
@@ -113,7 +110,7 @@ def test_koenig_series_with_its_glass_plate(
     verdicts = {item["name"]: item["verdict"] for item in series["acceptance"]}
     # this plate damps ten times too fast; the period is right
     assert verdicts == {"period on glass": "within", "damping time on glass": "outside"}
-    assert "250 ± 10 s wanted: outside" in capsys.readouterr().out
+    assert "240 to 260 wanted: outside" in capsys.readouterr().out
     # constants outside the standard are used
     _, results = fitted_again([places[0.02]], tmp_path / "other", own, "instrument.period_s=1.5")
     assert results["series"]["instrument"]["acceptance"][0]["verdict"] == "outside"
@@ -177,7 +174,7 @@ def test_report_of_a_turning_plane(tmp_path: Path) -> None:
     assert abs(rate["value"] - expected) < 4 * rate["u"]
     assert (folder / "report" / "run-1" / "kind-plane.svg").exists()
     assert (folder / "report" / "run-1" / "kind-decrement.svg").exists()
-    assert "the swing plane turns" in (folder / "report.html").read_text()
+    assert "<td>turning of the swing plane</td>" in (folder / "report.html").read_text()
 
 
 def decaying(
@@ -248,7 +245,7 @@ def test_places_in_one_table_against_its_glass(
     assert series["time_s"]["places"] == 2
     assert series["time_s"]["value"] == pytest.approx(41.0 * math.log(2), rel=1e-3)
     assert [item["verdict"] for item in series["acceptance"]] == ["within", "outside"]
-    assert "ratio of damping times, sample to reference: 0.45" in capsys.readouterr().out
+    assert re.search("ratio of damping times, sample to reference +0.45", capsys.readouterr().out)
     assert len(read_results(tmp_path / "out").runs) == 3
 
 

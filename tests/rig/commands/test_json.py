@@ -34,7 +34,7 @@ RUNS: dict[str, str] = {
     "record check": "record check SERIES",
     "record recover": "record recover SERIES/run-1.mcap",
     "fit": "fit SERIES -o fitted",
-    "plan": f"plan {DEMO} --first 124 --last 30 -o plans",
+    "plan": f"plan {DEMO} --first 124 --last 30",
     "instruments": "init --instruments",
     "film": "fit film --rate 20 --pixel '1 mm' -o film-fit",
     "report": "report SERIES -o page.html",

@@ -25,7 +25,6 @@ FOLDERS = {
     ("run", DEMO): "run-1.mcap",
     ("replay", "no.mcap"): "results.json",
     ("fit", "no.mcap"): "results.json",
-    ("plan", "no.mcap"): "plan.svg",
     ("compare", "no", "nor"): "campaign.json",
     ("calibrate", "clock", "no.mcap"): "",
     ("export", "no"): "",

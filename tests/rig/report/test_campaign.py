@@ -69,8 +69,7 @@ def test_from_folders_to_the_files_of_a_paper(tmp_path: Path) -> None:
     assert tree["runs"][0]["sha256"] == results.runs[0].sha256
     assert set(tree["contacts"]["monday"]) == {"b", "p", "c", "surface_energy_table2_j_per_m2"}
     files = tmp_path / "out" / "campaign"
-    for name in ("covariates", "residuals"):
-        assert (files / f"{name}.svg").stat().st_size > 5_000
+    assert (files / "covariates.svg").stat().st_size > 5_000
     assert r"\begin{tabular}" in (files / "contacts.tex").read_text()
     page = (tmp_path / "out" / "campaign.html").read_text()
     assert "What limits the answer now" in page
@@ -87,8 +86,8 @@ def test_what_the_arm_does_counts_once(tmp_path: Path) -> None:
         found = fit_model(runs_of_folders([folder]), StatedCampaign(parameters=("c",)))
         shared = found.results.shared["arm_m"]
         assert shared.standard_uncertainty == pytest.approx(1.0, abs=0.12)
-        parts = {one.source: one.contribution for one in found.results.budgets["monday"]["c"]}
-        assert parts["arm_m"] == pytest.approx(U_ARM_M, rel=0.25)
+        c, share = found.results.contacts["monday"]["c"], found.results.budgets["monday"]["c"]["arm_m"]
+        assert share**0.5 * c.standard_uncertainty / c.value == pytest.approx(U_ARM_M, rel=0.25)
 
 
 def test_the_energy_is_that_of_c_with_the_inputs_of_both(tmp_path: Path) -> None:
@@ -281,20 +280,17 @@ def test_a_chance_below_that_of_one_draw_is_a_limit(tmp_path: Path) -> None:
     assert not chances[0.0].startswith("<")
 
 
-def test_a_folder_that_is_named_twice_counts_once(tmp_path: Path) -> None:
+def test_a_folder_or_a_run_that_is_there_twice_counts_once(tmp_path: Path) -> None:
     """Both had one label, so that nothing was noticed, and uncertainties were too small by sqrt(2)."""
     folder = session(tmp_path / "monday", [run(1, GLASS, np.random.default_rng(6))])
     for again in (folder, folder / "results.json", tmp_path / "monday" / ".." / "monday"):
         named = r"run-1: (its folder is named twice|is the run of .*run-1 \(same hash\))"
         with pytest.raises(ConfigurationError, match=named):
             runs_of_folders([folder, again])
-
-
-def test_a_run_counts_once(tmp_path: Path) -> None:
     first = run(1, GLASS, np.random.default_rng(1))
-    folder = session(tmp_path / "monday", [first, twice(first)])
-    with pytest.raises(ConfigurationError, match=r"monday/run-9: is the run of monday/run-1 \(same hash\)"):
-        runs_of_folders([folder])
+    session(tmp_path / "tuesday", [first, twice(first)])
+    with pytest.raises(ConfigurationError, match=r"tuesday/run-9: is the run of tuesday/run-1 \(same hash\)"):
+        runs_of_folders([tmp_path / "tuesday"])
 
 
 def test_decays_of_one_table_are_runs(tmp_path: Path) -> None:
@@ -316,21 +312,18 @@ def test_decays_of_one_table_are_runs(tmp_path: Path) -> None:
     assert began == {"two/two": 1.0, "two/two-decay-2": 60.0}
 
 
-def test_a_campaign_of_nothing_is_refused(tmp_path: Path) -> None:
+def test_a_campaign_of_nothing_or_of_what_excludes_each_other_is_refused(tmp_path: Path) -> None:
+    folder = humid_campaign(tmp_path)[0]
     for words, said in (
         ((), "rig compare needs runs"),
         (("no-folder",), "no-folder: no such file or folder"),
         (("--where", "b > 0"), "needs runs"),
+        ((folder, "--where", "b > 0"), "has no effect without --archive"),
+        ((folder, "--archive", "a"), "exclude each other"),
     ):
         done = rig("compare", *words, cwd=tmp_path)
         assert done.returncode == 2
         assert said in done.stderr
-
-
-def test_the_stated_file_is_read(tmp_path: Path) -> None:
-    (tmp_path / "campaign.toml").write_text(STATED)
-    stated = read_campaign(tmp_path / "campaign.toml")
-    assert stated.effect[0].covariate == "humidity_percent"
 
 
 @pytest.mark.slow
@@ -366,44 +359,12 @@ def test_runs_of_an_archive_are_in_the_order_of_their_beginnings(tmp_path: Path)
     assert runs == ["a/run-1", *(f"b/run-{n}" for n in range(1, 13)), "a/run-2", "c/run-1"]
 
 
-def test_sessions_of_one_sample_are_one_contact(tmp_path: Path) -> None:
-    folders = humid_campaign(tmp_path / "runs")
-    for folder in folders:
-        tree = {"configuration": {"session": {"sample": "K8"}}}
-        (folder / "session.json").write_text(json.dumps(tree))
-    assert {one.contact for one in runs_of_folders(folders)} == {"monday", "tuesday"}
-    found = runs_of_folders(folders, by_sample=True)
-    assert {one.contact for one in found} == {"K8"}
-    assert len({one.label for one in found}) == 12
-    done = rig("compare", *folders, "--by-sample")
-    assert done.returncode == 0, done.stderr
-    assert "\nK8 " in done.stdout
-    (folders[0] / "session.json").unlink()
-    done = rig("compare", *folders, "--by-sample")
-    assert done.returncode == 2
-    assert "session.json: names no sample" in done.stderr
-
-
 def test_a_night_is_one_contact(tmp_path: Path) -> None:
     humid_campaign(tmp_path / "night")
     found = runs_of_folders([tmp_path / "night"])
     assert {one.contact for one in found} == {"night"}
     assert [found[0].label, found[-1].label] == ["night/monday/run-1", "night/tuesday/run-6"]
     assert "night" in rig("compare", tmp_path / "night").stdout
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--where", "b > 0"], "has no effect without --archive"),
-        (["--archive", "a"], "exclude each other"),
-    ],
-)
-def test_names_that_exclude_each_other_are_refused(tmp_path: Path, words: list[str], message: str) -> None:
-    folder = humid_campaign(tmp_path)[0]
-    done = rig("compare", folder, *words)
-    assert done.returncode == 2
-    assert message in done.stderr
 
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -16,10 +16,8 @@ from tests.rig.report.made_sessions import ENERGY_OVER_C, GLASS, run, session
 def test_a_run_that_is_left_out_keeps_its_place_in_the_order(measured_series: Path) -> None:
     first, second = runs_of_folders([measured_series])
     nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
-    (entered,) = fit_model([nothing, second], StatedCampaign()).results.runs
-    covariates = entered.likelihood["covariates"]
-    assert isinstance(covariates, dict)
-    assert covariates["order"] == 1.0
+    (entered,) = fit_model([nothing, second], StatedCampaign()).posterior.runs
+    assert entered.covariates["order"] == 1.0
 
 
 def test_a_contact_that_is_only_bounded_has_the_runs_limit_and_differs_on_one_side(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """`rig export`: every format can be read back, with provenance and units; full disks and formulas."""
 
-import csv
 import json
 import math
 import re
@@ -295,18 +294,3 @@ def test_what_was_not_fitted_to_the_contact_says_so(tmp_path: Path) -> None:
     assert "no run of it has a decay" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_a_table_whose_unit_is_a_formula(tmp_path: Path) -> None:
-    time_s = 0.05 * np.arange(600)
-    x = 10.0 * np.exp(-0.01 * time_s) * np.cos(2.5 * time_s)
-    x += 0.01 * np.random.default_rng(1).standard_normal(len(time_s))
-    np.savetxt(tmp_path / "decay.txt", np.column_stack([time_s, x]))
-    fitted = rig("fit", tmp_path / "decay.txt", "--unit", FORMULA, "-o", tmp_path / "fit")
-    assert fitted.returncode == 0, fitted.stderr
-    made = export_session(tmp_path / "fit", "csv", tmp_path / "csv")
-    rows = list(csv.DictReader(line for line in made[2].read_text().splitlines() if not line.startswith("#")))
-    assert "'" + FORMULA in {row["unit"] for row in rows}
-    assert not [cell for row in rows for cell in row.values() if cell[:1] in ("=", "@")]
-    (latex,) = export_session(tmp_path / "fit", "latex", tmp_path / "tex")
-    assert r"\num{2.51" in latex.read_text()

@@ -22,13 +22,13 @@ from processing.number_text import (
 from processing.units import _OTHERS, _PREFIXABLE
 from rig.interruption import spelled
 from rig.report.drawing import broken, envelope, thinned
-from rig.terminal import Table, TableRow, latex_table
+from rig.terminal import Table, latex_table
 from rig.terminal.latex import _UNITS
 from tests.rig.command_line import rig
 
 
 def lines_of(*row: str, head: tuple[str, ...] = ("", "value", "unit")) -> list[str]:
-    table = Table("t", "Title", head, head, [TableRow(row, row)])
+    table = Table("t", "Title", head, [row])
     return latex_table(table).splitlines()
 
 

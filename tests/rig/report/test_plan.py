@@ -1,4 +1,4 @@
-"""`rig plan`: from a record to the table and the picture."""
+"""`rig plan`: from a record to the table."""
 
 import math
 from pathlib import Path
@@ -9,10 +9,16 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.fit import LEAST_UNEXPLAINED, Conditions, PlannedRun
-from rig.analysis import SessionResults, read_results
+from rig.analysis import SessionResults, analyse_record, read_results
 from rig.commands.reporting import plan
 from rig.instrument import complete, recorded_configuration
-from rig.report import plan_figure, plan_table, planned_contact, planned_contact_of_file
+from rig.report import (
+    make_plan,
+    plan_table,
+    planned_contact,
+    planned_contact_of_file,
+    planned_contact_of_run,
+)
 from rig.report.plan import Plan
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
@@ -21,23 +27,18 @@ PENDULUM = "pendulum={mass_kg=0.4, ball_radius_m=6e-3, contact_radius_m=6e-5}"
 LEVER = "lever={arm_m=1.0, pixel_pitch_m=4.8e-6}"
 
 
-def test_a_run_is_planned_from_a_record(
-    measured_series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    record, folder = measured_series / "run-1.mcap", tmp_path / "plan"
-    plan(record, [124.0], [60.0, 15.0], None, folder, None)
+def test_a_run_is_planned_from_a_record(measured_series: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan(measured_series / "run-1.mcap", [124.0], [60.0, 15.0])
     said = " ".join(capsys.readouterr().out.split())
     assert "124 to 15" in said
     assert "u(γ)" in said
     assert "NOT RELIABLE: what this plan starts from does not determine" in said
-    head, longer, shorter = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
-    assert head[:4] == ["first_arcsec", "last_arcsec", "duration_s", "half_cycles"]
-    by_last = {float(row[1]): dict(zip(head, map(float, row), strict=True)) for row in (longer, shorter)}
-    assert by_last[15.0]["duration_s"] > by_last[60.0]["duration_s"]
-    assert by_last[15.0]["u_b"] < by_last[60.0]["u_b"]
-    assert (folder / "plan.png").stat().st_size > 10_000
-    with pytest.raises(FileExistsError, match=r"plan\.csv"):
-        plan(record, [124.0], [15.0], None, folder, None)
+    expected = planned_contact_of_run(analyse_record(measured_series / "run-1.mcap"))
+    shorter, longer = make_plan(expected, [124.0], [60.0, 15.0]).numbers
+    assert (longer["first_arcsec"], longer["last_arcsec"]) == pytest.approx((124.0, 15.0))
+    assert longer["duration_s"] > shorter["duration_s"]
+    assert longer["half_cycles"] > shorter["half_cycles"]
+    assert longer["u_b"] < shorter["u_b"]
 
 
 def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
@@ -48,8 +49,6 @@ def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
     ((*_, b, drag),) = plan_table(vacuum).shown
     assert b == "0.25 %"
     assert drag == "2.0 × 10⁻⁶ s"
-    (axes, _) = plan_figure(vacuum).figure.axes
-    assert [line.get_label() for line in axes.get_lines()] == ["b"]
     air = Plan(assumed._replace(values={"b": 4e-3, "drag_s": 2e-3}), (run,))
     assert plan_table(air).shown[0][-1] == "0.1 %"
     assert "NOT RELIABLE" not in plan_table(air).note
@@ -57,7 +56,7 @@ def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
 
 def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
     with pytest.raises(ConfigurationError, match="should be below the first amplitude, 10 arcsec"):
-        plan(measured_series / "run-1.mcap", [10.0], [60.0], None, None, None)
+        plan(measured_series / "run-1.mcap", [10.0], [60.0])
 
 
 def test_a_configuration_says_what_its_rig_will_measure(measured_series: Path) -> None:
@@ -104,21 +103,21 @@ def test_air_and_a_wandering_beam_add_to_the_scatter_of_turning_points() -> None
 
 
 def test_a_plan_of_a_configuration_has_series_of_runs(
-    measured_series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    measured_series: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source, folder = CONFIGS / "basement.toml", tmp_path / "plan"
-    limit = ["session.max_duration_s=60"]
-    plan(source, [124.0], [15.0], None, folder, limit, [3, 1], 0.02, measured_series / "results.json")
+    source, limit = CONFIGS / "basement.toml", ["session.max_duration_s=60"]
+    contact = measured_series / "results.json"
+    plan(source, [124.0], [15.0], None, limit, [3, 1], 0.02, contact)
     said = capsys.readouterr().out
     assert "124 to 15 *" in said
     assert "session.max_duration_s = 60 would end it earlier" in " ".join(said.split())
-    head, *rows = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
-    one, three = (dict(zip(head, map(float, row), strict=True)) for row in rows)
+    expected = planned_contact_of_file(source, limit, 0.02, contact)
+    one, three = make_plan(expected, [124.0], [15.0], counts=[3, 1]).numbers
     assert (one["runs"], three["runs"]) == (1, 3)
-    assert three["rig_time_s"] == pytest.approx(3 * one["duration_s"])
+    assert three["duration_s"] == one["duration_s"]
     assert three["u_c"] == pytest.approx(one["u_c"] / math.sqrt(3))
     with pytest.raises(ConfigurationError, match="a record has its own noise and contact"):
-        plan(measured_series / "run-1.mcap", None, None, None, None, None, None, 0.02)
+        plan(measured_series / "run-1.mcap", None, None, None, None, None, 0.02)
 
 
 @pytest.mark.parametrize(

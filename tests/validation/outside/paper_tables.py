@@ -6,14 +6,14 @@ from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.moments import surface_energy
 from processing.estimate import Estimate
 from rig.report.paper_simulation import BALL_RADIUS_M, MASS_KG, PAIRS, simulate_pair
-from rig.report.paper_tables import table1, table2, table3
+from rig.report.paper_tables import elastic_rows, friction_rows, table1
 from tests.validation.row import Found
 
 
 def first_table() -> dict[str, Found]:
     """Rows of Table 1 (radii, depths, angles after Hertz) that do not come out as printed."""
-    rows = table1().rows
-    off = [str(row[1]) for row in rows if row[-1] != "agrees as rounded"]
+    rows = table1().shown
+    off = [row[1] for row in rows if row[-1] != "agrees as rounded"]
     return {"off": Found((float(len(off)),), f"of {len(rows)} printed numbers")}
 
 
@@ -36,10 +36,9 @@ def parameters() -> dict[str, Found]:
     off, kept = [], []
     for pair in PAIRS:
         simulated = simulate_pair(pair, seed=5)
-        for row in (*table2([simulated]).rows, *table3([simulated]).rows):
-            if row[1] in ("b", "p", "c", "n", "T₀", "γ"):
-                printed, exact, u = (float(row[place]) for place in (3, 4, 5))
-                off.append(abs(exact - printed) / max(u, 1e-4 * abs(printed)))
-                kept.append(f"{pair.flat} {row[1]}")
+        for row in (*friction_rows(simulated), *elastic_rows(simulated)):
+            if row.label in ("b", "p", "c", "n", "T₀", "γ"):
+                off.append(abs(row.exact - row.printed) / max(row.u, 1e-4 * abs(row.printed)))
+                kept.append(f"{pair.flat} {row.label}")
     worst = kept[off.index(max(off))]
     return {"pull": Found((max(off),), f"{len(off)} parameters; the farthest, {worst}")}
