@@ -217,22 +217,22 @@ class Alarming:
             lit_by=self._lit_by(age_s),
             news=news if running else {},
             news_age_s=age_s,
-            beat_age_s=following.heartbeat.age_s,
+            beat_age_s=time.monotonic() - following.beat_s,
             session="" if following.folder is None else following.folder.name,
             controller=following.safety.controller,
             sensor_wanted=desk.config.environment_sensor.kind != "none",
-            picture_late_s=desk.command.frames_age_s if self._has_picture else 0.0,
+            picture_late_s=following.frames_age_s if self._has_picture else 0.0,
         )
 
     @property
     def _has_picture(self) -> bool:
-        """Whether there should be a live picture: what somebody has ended may stand still."""
+        """Whether a live picture has told of itself, and nobody has ended it: then it may stand still."""
         picture = self._desk.live_picture
-        return picture is not None and not picture.ending
+        return picture is not None and not picture.ending and self._desk.following.held is not None
 
     def _lit_by(self, news_age_s: float) -> str:
         following = self._desk.following
-        if self._has_picture and self._desk.command.news:
+        if self._has_picture:
             return "the live picture"
         measures = following.state.get("phase") == Phase.MEASURING
         has_laser = following.safety.laser is not None

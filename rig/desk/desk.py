@@ -14,7 +14,7 @@ from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_directly, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.calibrating import KINDS, Calibration
-from rig.desk.following import CommandWatch, Following, WatchedProgram
+from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, reason_in, start_session
 from rig.desk.lighting import Lighting, Safety
 from rig.desk.sessions import SessionIndex, last_state, last_summary
@@ -38,7 +38,6 @@ class Desk:
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
     `place` is what is kept on disk, `lighting` takes light and gives it, `rig` is the rig's own safety state.
-    `command` is what has the rig and is no session, such as the live picture.
     `archive` is the file whose runs are listed, too; `started` the process and the folder of the session that
     was started here last.
     """
@@ -51,12 +50,11 @@ class Desk:
         self.config = load_configuration(source, overrides)
         self.calibrations = {name: Calibration(self, name) for name in KINDS}
         self.balancing = Balancing(self)
-        self.following = Following(self.config.session.output)
+        self.following = Following(self.config.session.output, self._rig_holder)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
         by = "board" if self.config.laser.kind == "controller" else "laser"
         self.jobs = Jobs()
-        self.command = CommandWatch(self._rig_holder)
-        self.safety = Safety(self.rig, self.following, self.command, by)
+        self.safety = Safety(self.rig, self.following, by)
         self.sessions = SessionIndex(self.config.session.output)
         self.started: tuple[subprocess.Popen[bytes], Path] | None = None
         self.place = DeskStore(source)
@@ -191,7 +189,7 @@ class Desk:
         """Start the live picture. May wait."""
         config = complete(self.checked())
         self.start(_ALIGN)
-        self.command.begin(config)
+        self.following.look_now(stated=config)
 
     @property
     def live_picture(self) -> Job | None:
@@ -206,16 +204,12 @@ class Desk:
         return "" if job is None or job.running or job.ending else job.problem
 
     @property
-    def shown(self) -> WatchedProgram | None:
-        """The session that runs, else the live picture; None without either."""
-        if self.following.running:
-            return self.following
-        return None if self.live_picture is None else self.command
+    def shown(self) -> Following | None:
+        """What shows a picture: the session that runs, else the live picture; None without either."""
+        return self.following if self.following.running or self.live_picture is not None else None
 
     def _rig_holder(self) -> Path | None:
         """Folder of the command that has the rig; a simulated rig has no file that names it."""
-        if self.following.running:
-            return None
         return self.jobs.lit_in if self.rig.path is None else self.rig.folder_of_holder
 
     def align_whole_sensor(self) -> None:
@@ -226,7 +220,7 @@ class Desk:
 
     def keep_camera(self) -> None:
         """Use the camera's present settings for all that this desk starts; RigError if they are not valid."""
-        values = self.command.applied.model_dump(exclude_none=True)
+        values = self.following.applied.model_dump(exclude_none=True)
         own = {
             f"camera.{name}": values[name] for name in ("exposure_us", "gain_db", *_REGION) if name in values
         }
@@ -239,7 +233,7 @@ class Desk:
             job.ending = True
             try:
                 # where a program cannot be interrupted it closes its devices by this alone
-                self.command.order("key q")
+                self.following.order("key q")
             except RigError:
                 job.end()
             if not job.wait(_CLOSES_WITHIN_S):
@@ -306,7 +300,6 @@ class Desk:
         """End what ends with the desk; a session goes on."""
         self.alarming.stop()
         self.following.stop()
-        self.command.poller.stop()
         self.safety.stop()
         self.end_aligning()
         for job in self.jobs.values():

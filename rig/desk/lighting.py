@@ -21,7 +21,7 @@ from rig.control import (
     TripCause,
     in_thread,
 )
-from rig.desk.following import Following, WatchedProgram
+from rig.desk.following import Following
 from rig.desk.run_reader import clock
 from rig.devices import (
     HEARD_WITHIN_S,
@@ -86,7 +86,7 @@ class Lighting:
             begun = None
         if begun is not None:
             folders.add(begun[1])
-        picture = desk.live_picture if desk.command.news else None
+        picture = None if desk.following.held is None else desk.live_picture
         if picture is not None and picture.folder is not None:
             folders.add(picture.folder)
         pressed = LightOff(desk.config, desk.rig, AT, folders)
@@ -119,16 +119,15 @@ class Lighting:
         Raises RigError if the trip cannot be acknowledged. May wait.
         """
         desk = self._desk
-        for one in (desk.following, desk.command):
-            if one.news:
-                return one.order(f"acknowledge {number}")
+        if desk.following.news:
+            return desk.following.order(f"acknowledge {number}")
         with Devices(desk.config, desk.config.session.output, "the desk", desk.safety.unfiled) as devices:
             devices.wait_until_heard()
             return devices.acknowledge(number, "the desk")
 
     def again(self) -> str:
         """Ask the live picture or the session to light again; RigError if neither runs. May wait."""
-        return (self._desk.shown or self._desk.following).order("light")
+        return self._desk.following.order("light")
 
     @property
     def waits(self) -> bool:
@@ -136,7 +135,7 @@ class Lighting:
         shown, now = self._desk.shown, self._desk.safety.now
         if shown is None or now.trip is not None:
             return False
-        if shown is self._desk.following:
+        if shown.running:
             # between two runs, too
             return now.to_be_asked or bool(shown.news.get("darkness") and shown.state.get("alarm"))
         return bool(shown.state.get("dark"))
@@ -165,8 +164,8 @@ class Safety:
     confirmed states, None before any.
     """
 
-    def __init__(self, rig: SafetyState, following: Following, command: WatchedProgram, by: str) -> None:
-        self._rig, self._following, self._command, self._by = rig, following, command, by
+    def __init__(self, rig: SafetyState, following: Following, by: str) -> None:
+        self._rig, self._following, self._by = rig, following, by
         self.light: ConfirmedState | None = None
         self.interlock: ConfirmedState | None = None
         self.unfiled = rig if rig.path is None else None
@@ -183,22 +182,18 @@ class Safety:
     @property
     def now(self) -> SafetyNow:
         """The present safety state, with present ages; never blocks."""
-        if (told := self._told()) is None:
+        following = self._following
+        if not following.news.get("safety"):
             return SafetyNow(trip=self._rig.trip)
-        state, since_s = told.safety, time.monotonic() - told.heard_s
+        state, since_s = following.safety, time.monotonic() - following.heard_s
         # of a simulated rig a session has a latch of its own
-        is_own = self.unfiled is not None and self._following.running
+        is_own = self.unfiled is not None and following.running
         return replace(
             state,
             trip=state.trip or (None if is_own else self._rig.trip),
             light_age_s=state.light_age_s + since_s,
             interlock_age_s=state.interlock_age_s + since_s,
         )
-
-    def _told(self) -> WatchedProgram | None:
-        """The program that has the devices, and has told their state; None without one."""
-        has_told = (one for one in (self._following, self._command) if one.news.get("safety"))
-        return next(has_told, None)
 
     @property
     def trip(self) -> LatchedTrip | None:
@@ -224,8 +219,8 @@ class Safety:
                     self._rig.read()
                 continue
             # the latch of a simulated rig ends with the program that has it, a real one's does not
-            if (told := self._told()) is not None:
-                latched = told.safety.trip
+            if self._following.news.get("safety"):
+                latched = self._following.safety.trip
             elif latched is not None:
                 if self._rig.trip is None:
                     self._rig.latch(latched.cause, latched.why, latched.lit)

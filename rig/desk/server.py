@@ -177,7 +177,6 @@ def _serve(desk: Desk, port: int, *, browser: bool) -> int:
     threading.Thread(
         target=switch.run, kwargs={"sockets": [hearing_off]}, name="off switch", daemon=True
     ).start()
-    desk.command.poller.start()
     desk.safety.start()
     desk.following.start()
     desk.alarming.start()

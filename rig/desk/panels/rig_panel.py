@@ -101,7 +101,7 @@ def _build_picture(desk: Desk, tab: Tab) -> None:
 
 async def _order(desk: Desk, order: str) -> None:
     """Give the live picture an order, whose result its note says."""
-    await run.io_bound(desk.command.order, order)
+    await run.io_bound(desk.following.order, order)
 
 
 def _region(desk: Desk, left: float, top: float, width: float, height: float) -> CameraSettings | None:
@@ -140,7 +140,7 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
     def note() -> str:
         if desk.live_picture is None:
             return tables.span("settings need a live picture", "dim")
-        state = desk.command.state
+        state = desk.following.state
         dark = str(state.get("dark") or "")
         return tables.span(dark or str(state.get("note") or ""), "caution" if dark else "dim")
 
@@ -195,7 +195,7 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, keys: str) -> No
         await ask(f"set {json.dumps({name: value})}")
 
     def hint() -> None:
-        value = None if desk.live_picture is None else getattr(desk.command.applied, name)
+        value = None if desk.live_picture is None else getattr(desk.following.applied, name)
         placeholder = "" if value is None else f"now {value:.6g}"
         if field.props.get("placeholder") != placeholder:
             field.props(f'placeholder="{placeholder}"')

@@ -41,13 +41,13 @@ def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     applied = {"exposure_us": 125.0, "width_px": 64, "offset_x_px": 8}
-    desk.command.news = {"camera": {"applied": applied}}
+    desk.following.news = {"camera": {"applied": applied}}
     desk.keep_camera()
     kept = {"camera.exposure_us": 125.0, "camera.width_px": 64, "camera.offset_x_px": 8}
     assert desk.kept == kept
     assert desk.checked().camera.width_px == 64
     unusable = CameraSettings.model_construct(exposure_us=-1.0)
-    monkeypatch.setattr(type(desk.command), "applied", unusable)
+    monkeypatch.setattr(type(desk.following), "applied", unusable)
     with pytest.raises(RigError, match="exposure_us"):
         desk.keep_camera()
     assert desk.kept == kept
@@ -162,10 +162,10 @@ def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> Non
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
-        desk.command.poller.start()
+        desk.following.start()
         desk.safety.start()
         desk.begin_aligning()
-        until(lambda: desk.command.frames_age_s > 0.0)
+        until(lambda: desk.following.frames_age_s > 0.0)
         assert not desk.lighting.waits
         assert desk.lighting.off("one") == []
         until(lambda: desk.safety.trip is not None)
@@ -207,7 +207,8 @@ def test_a_live_picture_that_hears_nothing_is_ended_with_its_laser_told_off(
     assert job is not None
     until(lambda: bool(job.output))
     # its picture that stands still is an alarm, but not because somebody has ended it
-    desk.command.news, desk.command.heard_s = {"frames_age_s": 60.0}, time.monotonic()
+    desk.following.held, desk.following.heard_s = Path(), time.monotonic()
+    desk.following.news = {"frames_age_s": 60.0}
     desk.alarming.start()
     until(lambda: [row.key for row in desk.alarming.alarms.rows()] == [AlarmKey.CAMERA])
     job.ending = True
@@ -222,7 +223,7 @@ def test_the_bar_knows_the_light_of_a_simulated_rigs_command_and_that_it_is_dark
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
-        desk.command.poller.start()
+        desk.following.start()
         desk.safety.start()
         desk.balancing.measure()
         until(lambda: lamps(desk.safety, "")["laser"]["text"] == "on")
