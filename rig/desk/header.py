@@ -12,7 +12,7 @@ from rig.desk.desk import Desk
 from rig.desk.dialogs import resume_dialog, trip_dialog
 from rig.desk.lighting import refusal
 from rig.desk.run_reader import clock
-from rig.desk.tab import DELIBERATE, Tab, apart, at_once
+from rig.desk.tab import DELIBERATE, Tab, apart
 from rig.terminal import loud
 
 
@@ -90,7 +90,7 @@ def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
     tab.keep(lambda: banner.set_visibility(bool(title.text)))
     props = 'color="positive" size="lg" aria-label="Resume … the session that died"'
     tab.button("Resume …", ask_resume, props, seen=died).classes("full-width")
-    with at_once(ui.expansion()).classes("full-width alarms").props("dense") as fold:
+    with ui.expansion().classes("full-width alarms").props("dense") as fold:
         with fold.add_slot("header"):
             tab.label(lambda: _counts(alarms.rows()), props='role="status" aria-live="polite"')
         _build_list(desk, tab)
@@ -120,7 +120,7 @@ def _build_list(desk: Desk, tab: Tab) -> None:
         for row in rows[: len(rows) - len(earlier)]:
             causes[row.key] = _row(tab, row, seen)
         if earlier:
-            with at_once(ui.expansion(f"{len(earlier)} from before")):
+            with ui.expansion(f"{len(earlier)} from before"):
                 tab.button("All of them seen", partial(seen, *(row.key for row in earlier)))
                 for row in earlier:
                     causes[row.key] = _row(tab, row, seen)

@@ -1,6 +1,5 @@
 """The page: head with state and keys, alarms over everything, one panel at a time."""
 
-import html
 import json
 import time
 from functools import partial
@@ -15,9 +14,8 @@ from rig.desk.dialogs import keys_dialog
 from rig.desk.header import build_header
 from rig.desk.lighting import lamps
 from rig.desk.panels import PANELS
-from rig.desk.panels.runs import rerun_address
 from rig.desk.sessions import last_state
-from rig.desk.tab import Tab, at_once
+from rig.desk.tab import Tab
 from rig.desk.tables import static
 from rig.instrument import Phase
 
@@ -50,19 +48,6 @@ def build_page(desk: Desk, off_port: int) -> None:
     _tell_bars(desk)
 
 
-def build_rerun(desk: Desk, off_port: int) -> None:
-    """Build the page around Rerun's own, which does not say that nothing comes any more."""
-    build_head(off_port)
-    ui.html("Rerun", tag="h1", sanitize=False).classes("unseen")
-    address = rerun_address(desk)
-    gone = "not connected: rig view has ended"
-    Tab().label(lambda: "" if rerun_address(desk) == address != "" else gone, "advice no", 'role="alert"')
-    if address:
-        # what it has shown last stays
-        ui.html(f"<iframe title='Rerun' src='{html.escape(address)}'></iframe>", sanitize=False)
-    _tell_bars(desk)
-
-
 def _tell_bars(desk: Desk) -> None:
     """Tell the safety bar, and the line of what is late, some times a second."""
 
@@ -78,7 +63,7 @@ def _tell_bars(desk: Desk) -> None:
 
 def _build_panels(desk: Desk, tab: Tab) -> None:
     """The names of the panels, and one panel at a time; a number shows one, too."""
-    with at_once(ui.tabs()).props("dense align=left").classes("full-width") as tabs:
+    with ui.tabs().props("dense align=left").classes("full-width") as tabs:
         for number, panel in enumerate(PANELS, start=1):
             ui.tab(panel.name).props(f'aria-label="{panel.name}, key {number}" data-panel="{panel.name}"')
     tab.shown = PANELS[0].name if not desk.following.running else "Measure"

@@ -7,7 +7,7 @@ from nicegui import ui
 
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
-from rig.desk.tab import DELIBERATE, Tab, apart, at_once, box, text_field
+from rig.desk.tab import DELIBERATE, Tab, apart, box, text_field
 from rig.instrument import WEIGHTS
 from rig.prepare import BalanceStage
 from rig.terminal import judged_number
@@ -48,7 +48,7 @@ def build(desk: Desk, tab: Tab) -> None:
                         f'color="positive" size="lg" aria-label="Measure the balance" {DELIBERATE}',
                         enabled=lambda: shown.stage is not BalanceStage.MEASURING,
                     )
-                    weight = at_once(ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight"))
+                    weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight")
                     weight.props("dense outlined").style("min-width: 100px")
                     turns = text_field("turns, + clockwise", key="turns")
                     tab.label(lambda: "" if advised is None else net_of(advised["parts"]), "dim")

@@ -11,7 +11,7 @@ from rig.desk import tables
 from rig.desk.desk import Desk
 from rig.desk.dialogs import Question
 from rig.desk.panels.runs import fit_again, open_in_browser_tab
-from rig.desk.tab import Tab, at_once, box, text_field
+from rig.desk.tab import Tab, box, text_field
 from rig.measure import RunState, SessionSummary
 
 
@@ -86,7 +86,7 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
 
     question = Question(tab, "start the session", "Start the session")
     with question.options:
-        force = at_once(ui.checkbox("measure even if preflight says no-go (this session only)"))
+        force = ui.checkbox("measure even if preflight says no-go (this session only)")
     with ui.element("div").classes("grid thirds") as form:
         for title, asked in _ASKED.items():
             with box(title, head="middle"):

@@ -10,7 +10,7 @@ from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibration
 from rig.desk.desk import Desk
 from rig.desk.panels.between_runs import as_typed
-from rig.desk.tab import DELIBERATE, Tab, at_once, box, text_field
+from rig.desk.tab import DELIBERATE, Tab, box, text_field
 from rig.prepare import CalibrationReport
 
 _DAYS, _DARK_FRAMES = "90", "16"
@@ -117,7 +117,7 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
 def _choice(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.input | ui.select:
     if not choices:
         return text_field(label, "", f"{name} {key}").classes("full-width")
-    return at_once(ui.select(list(choices), label=label, value=choices[0])).props(
+    return ui.select(list(choices), label=label, value=choices[0]).props(
         f'dense outlined aria-label="{label}"'
     )
 

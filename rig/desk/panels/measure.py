@@ -14,7 +14,7 @@ from rig.desk.dialogs import Question
 from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, build_form, build_result
 from rig.desk.panels.live_picture import LivePicture
-from rig.desk.tab import Tab, at_once, box, text_field
+from rig.desk.tab import Tab, box, text_field
 from rig.instrument import Phase
 
 _SIZE = (420, 300)
@@ -171,7 +171,7 @@ class RunCharts:
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
-        self._choice = at_once(ui.toggle(list(_KEYS), value="decay", on_change=self._choose))
+        self._choice = ui.toggle(list(_KEYS), value="decay", on_change=self._choose)
         self._choice.props('dense no-caps aria-label="which chart"')
         self._charts = {name: Chart(name, "elapsed_s", _with_fit(key)) for name, key in _KEYS.items()}
         self._choose()

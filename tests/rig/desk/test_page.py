@@ -1,10 +1,8 @@
 """The desk in a browser: who may enter, what is said of bad input, what keys and mouse do."""
 
 import http.client
-import signal
 import threading
 import urllib.parse
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from http import HTTPStatus
 from pathlib import Path
@@ -356,50 +354,6 @@ def test_everything_that_can_be_pressed_or_filled_has_a_name(shown: Shown) -> No
     for key in "12345":
         page.key(key)
         assert page.ask(nameless) == []
-
-
-@pytest.fixture
-def slow(shown: Shown) -> Iterator[Callable[..., None]]:
-    """Presses elements (expressions) one after the other, before a server held up answers the first."""
-    desk, page = shown
-
-    def press(*elements: str) -> None:
-        desk.send(signal.SIGSTOP)
-        for element in elements:
-            page.ask(f"{element}.click()")
-        desk.send(signal.SIGCONT)
-        # what the server says to this comes after all that it has said to those
-        page.click("Keys")
-        page.wait("document.querySelector('[aria-label=\"keys\"] table') !== null")
-        page.ask("document.querySelector('.q-dialog__backdrop').click()")
-        page.wait("document.querySelector('.q-dialog') === null")
-
-    yield press
-    desk.send(signal.SIGCONT)
-
-
-def test_the_last_of_some_quick_choices_stands(shown: Shown, slow: Callable[..., None]) -> None:
-    """A server that is slow answers the first when the last has been made."""
-    _, page = shown
-    page.key("5")
-    page.wait("document.querySelector('.q-tab--active').innerText.toLowerCase() === 'runs'")
-    panel = "document.querySelector('[data-panel=\"{}\"]')".format
-    slow(panel("Rig"), panel("Runs"))
-    assert page.ask("document.querySelector('.q-tab--active').dataset.panel") == "Runs"
-    assert page.ask("[...document.querySelectorAll('.q-tab-panel h2')].map(e => e.innerText)") == ["Runs"]
-    alarms = "document.querySelector('.alarms .q-item')"
-    slow(alarms, alarms)
-    assert page.ask("document.querySelector('.alarms.q-expansion-item--collapsed') !== null")
-
-
-def test_everything_one_chooses_is_shown_at_once(shown: Shown) -> None:
-    """Of what waits for the server are left those of which it makes the choice, or that nobody can change."""
-    _, page = shown
-    waits = (
-        "[...new Set(Object.values(mounted_app.elements).filter(e => e.props.loopback === true)"
-        ".map(e => e.component?.name ?? e.tag))].sort()"
-    )
-    assert page.ask(waits) == ["nicegui-dialog", "nicegui-header", "q-linear-progress", "q-tab-panels"]
 
 
 AWAY = """
