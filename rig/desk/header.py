@@ -98,32 +98,19 @@ def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
 
 
 def _counts(rows: Sequence[AlarmRow]) -> str:
-    counted = [
-        (str(state), sum(row.state is state and not row.earlier for row in rows)) for state in AlarmState
-    ]
-    counted.append(("from before", sum(row.earlier for row in rows)))
+    counted = [(state, sum(row.state is state for row in rows)) for state in AlarmState]
     return f"Alarms: {', '.join(f'{count} {words}' for words, count in counted if count) or 'none'}"
 
 
 def _build_list(desk: Desk, tab: Tab) -> None:
-    """A row for each alarm; those from before stand folded below them."""
+    """A row for each alarm."""
     alarms = desk.alarming.alarms
     causes: dict[AlarmKey, ui.label] = {}
 
-    def seen(*keys: AlarmKey) -> None:
-        for key in keys:
-            alarms.acknowledge(key)
-
     def draw(rows: Sequence[AlarmRow]) -> None:
         causes.clear()
-        earlier = [row for row in rows if row.earlier]
-        for row in rows[: len(rows) - len(earlier)]:
-            causes[row.key] = _row(tab, row, seen)
-        if earlier:
-            with ui.expansion(f"{len(earlier)} from before"):
-                tab.button("All of them seen", partial(seen, *(row.key for row in earlier)))
-                for row in earlier:
-                    causes[row.key] = _row(tab, row, seen)
+        for row in rows:
+            causes[row.key] = _row(tab, row, alarms.acknowledge)
         if not rows:
             ui.label("nothing is wrong").classes("dim")
 

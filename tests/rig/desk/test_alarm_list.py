@@ -123,9 +123,9 @@ def test_every_alarm_has_a_remedy(key: AlarmKey) -> None:
 def test_what_is_left_of_an_earlier_session_is_seen_last_and_not_heard(alarms: AlarmList) -> None:
     alarms.see({CAMERA: ""}, [(DIED, "run-1 was killed")])
     alarms.session_begins()
-    assert [(row.key, row.earlier, row.cries) for row in alarms.rows()] == [
-        (CAMERA, False, True),
-        (DIED, True, False),
+    assert [(row.key, row.state) for row in alarms.rows()] == [
+        (CAMERA, AlarmState.ACTIVE),
+        (DIED, AlarmState.CLEARED),
     ]
     alarms.see({}, [(DIED, "run-2 was killed")])
     assert next(row for row in alarms.rows() if row.key == DIED).cries
