@@ -89,21 +89,17 @@ class Desk:
 
     # -- what is started --------------------------------------------------------
 
-    def start(
-        self,
-        name: str,
-        *words: str,
-        values: Mapping[str, object] | None = None,
-        folder: Path | None = None,
-    ) -> Job:
+    def start(self, name: str, *words: str) -> Job:
         """Start a command of this configuration that uses the camera, and ends with the desk.
 
-        It shows its light in `folder`, by default that of the sessions. Raises ConfigurationError where the
-        camera is in use, or a trip is not acknowledged. May wait.
+        It shows its light in the folder of the sessions. Raises ConfigurationError where the camera is in
+        use, or a trip is not acknowledged. May wait.
         """
         self._needs_rig(name)
-        output = self.checked(values).session.output
-        return self.jobs.begin(name, str(self.source), *words, *self._sets(values), folder=folder or output)
+        with suppress(OSError):
+            # without it a rig whose laser is not switched shows no picture
+            self.config.session.output.mkdir(parents=True, exist_ok=True)
+        return self.jobs.begin(name, str(self.source), *words, *self._sets(None), uses_camera=True)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
@@ -208,7 +204,9 @@ class Desk:
 
     def _rig_holder(self) -> Path | None:
         """Folder of the command that has the rig; a simulated rig has no file that names it."""
-        return self.jobs.lit_in if self.rig.path is None else self.rig.folder_of_holder
+        if self.rig.path is not None:
+            return self.rig.folder_of_holder
+        return self.config.session.output if self.jobs.running(uses_camera=True) else None
 
     def align_whole_sensor(self) -> None:
         """Open the camera again without the region that was kept. May wait."""

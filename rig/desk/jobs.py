@@ -47,15 +47,15 @@ class Job:
 
     `lines` are the last JSON objects that it printed, and among them the answers that it was given; `output`
     its other lines. `ending` is True once it was asked to end. While a command that `uses_camera` runs, no
-    other has the camera, and LIGHT OFF ends it; `folder` is where it shows its light, None without a camera.
+    other has the camera, and LIGHT OFF ends it.
     """
 
-    def __init__(self, words: list[str], folder: Path | None = None) -> None:
+    def __init__(self, words: list[str], *, uses_camera: bool = False) -> None:
         pipe = subprocess.PIPE
         self._process = start_python(
             "-m", "rig", *words, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8"
         )
-        self.folder = folder
+        self.uses_camera = uses_camera
         self.ending = False
         self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
@@ -67,10 +67,6 @@ class Job:
         ]
         for reader in self._readers:
             reader.start()
-
-    @property
-    def uses_camera(self) -> bool:
-        return self.folder is not None
 
     @property
     def running(self) -> bool:
@@ -149,19 +145,12 @@ class Job:
 class Jobs(dict[str, Job]):
     """The commands that a desk has started, the last one of each name."""
 
-    def begin(self, name: str, *words: str, folder: Path | None = None) -> Job:
-        """Start `rig NAME`; raises ConfigurationError while the last one of this name runs.
-
-        `folder` is where a command that uses the camera shows its light.
-        """
-        if folder is not None:
-            with suppress(OSError):
-                # without it a rig whose laser is not switched shows no picture
-                folder.mkdir(parents=True, exist_ok=True)
+    def begin(self, name: str, *words: str, uses_camera: bool = False) -> Job:
+        """Start `rig NAME`; raises ConfigurationError while the last one of this name runs."""
         before = self.get(name)
         if before is not None and before.running:
             raise ConfigurationError(f"rig {name} still runs; wait, or end it first")
-        self[name] = Job([*name.split(), *words], folder)
+        self[name] = Job([*name.split(), *words], uses_camera=uses_camera)
         return self[name]
 
     def running(self, *, uses_camera: bool) -> list[tuple[str, Job]]:
@@ -169,11 +158,6 @@ class Jobs(dict[str, Job]):
         return [
             (name, job) for name, job in tuple(self.items()) if job.uses_camera is uses_camera and job.running
         ]
-
-    @property
-    def lit_in(self) -> Path | None:
-        """Where the command that has the camera shows its light; None without one."""
-        return next((job.folder for _, job in self.running(uses_camera=True)), None)
 
 
 _NAME = "balance"

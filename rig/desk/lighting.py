@@ -87,8 +87,8 @@ class Lighting:
         if begun is not None:
             folders.add(begun[1])
         picture = None if desk.following.held is None else desk.live_picture
-        if picture is not None and picture.folder is not None:
-            folders.add(picture.folder)
+        if picture is not None:
+            folders.add(desk.config.session.output)
         pressed = LightOff(desk.config, desk.rig, AT, folders)
         # a live picture that answers lives on in the dark
         ended = [job for _, job in desk.jobs.running(uses_camera=True) if job is not picture]

@@ -130,9 +130,8 @@ def _state(desk: Desk) -> str:
 def _recording(desk: Desk) -> str:
     """Text on the present recording; empty without one."""
     following = desk.following
-    if following.running:
-        return str(following.news.get("run") or "") if following.state.get("phase") == Phase.MEASURING else ""
-    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name == "camera record"), "")
+    is_measuring = following.running and following.state.get("phase") == Phase.MEASURING
+    return str(following.news.get("run") or "") if is_measuring else ""
 
 
 def _keys() -> list[tuple[str, str]]:

@@ -1,19 +1,17 @@
-"""Calibrate: a form for each kind over `rig calibrate`; what is recorded for it, and what came out."""
+"""Calibrate: a form for each kind over `rig calibrate`, and what came out."""
 
 import html
 from functools import partial
-from pathlib import Path
 
 from nicegui import run, ui
 
 from rig.desk import tables
-from rig.desk.calibrating import FOLDER, Calibration
+from rig.desk.calibrating import Calibration
 from rig.desk.desk import Desk
-from rig.desk.panels.between_runs import as_typed
-from rig.desk.tab import DELIBERATE, Tab, box, text_field
+from rig.desk.tab import Tab, box, text_field
 from rig.prepare import CalibrationReport
 
-_DAYS, _DARK_FRAMES = "90", "16"
+_DAYS = "90"
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -40,10 +38,6 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
     name, kind = calibration.name, calibration.kind
     is_working = False
 
-    async def record() -> None:
-        exposure_us = as_typed(exposure.value, True)
-        await run.io_bound(calibration.record, str(amount.value or ""), exposure_us)
-
     async def file() -> None:
         nonlocal is_working
         stated = {key: str(field.value or "") for key, field in fields.items()}
@@ -59,37 +53,12 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
             f"used by everything this desk starts; to keep it permanently, state: {stated}", multi_line=True
         )
 
-    def progress() -> str:
-        recorded = calibration.recorded
-        if (busy := calibration.progress) or recorded is None or not kind.list_text:
-            return busy
-        return f'recorded: name it in the list as "{recorded.relative_to(FOLDER).as_posix()}"'
-
-    def offer(recorded: Path | None) -> None:
-        if recorded is not None and not kind.list_text:
-            given.set_value(str(recorded))
-
     def draw(made: CalibrationReport | None) -> None:
         if made is not None:
             ui.html(_result(made), sanitize=False).classes("full-width")
 
     with box(kind.title, "full-width", head="middle") as form:
         ui.label(kind.do)
-        with ui.row().classes("items-center"):
-            of_frames = kind.seconds is None
-            what, first = ("frames", _DARK_FRAMES) if of_frames else ("duration / s", f"{kind.seconds:g}")
-            amount = text_field(what, first, f"{name} amount")
-            exposure = text_field("exposure / us", "", f"{name} exposure")
-            exposure.set_visibility(of_frames)
-            props = f'color="positive" aria-label="record for {name}" {DELIBERATE}'
-            tab.button("Record now", record, props)
-            tab.button(
-                "Cancel the recording",
-                calibration.stop,
-                'color="negative"',
-                seen=lambda: bool(calibration.progress),
-            )
-        tab.label(progress, "dim", 'role="status" aria-live="polite"')
         if kind.list_text:
             given: ui.input | ui.textarea = ui.textarea(
                 "list of measured values (TOML)", value=kind.list_text
@@ -98,7 +67,6 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
         else:
             given = ui.input("record").props(f'outlined dense data-key="{name} record"')
         given.classes("full-width")
-        tab.drawn(lambda: calibration.recorded, offer)
         fields = {key: _choice(name, key, *asked) for key, asked in kind.fields.items()}
         if name == "check" and desk.config.calibration.lever is not None:
             fields["lever"].set_value(str(desk.config.calibration.lever))

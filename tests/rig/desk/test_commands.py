@@ -110,13 +110,13 @@ def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
     desk = Desk(SIMULATED, (f'session.output="{tmp_path.as_posix()}"',))
     desk.jobs.begin("fit")
     desk.needs_camera("run")
-    desk.jobs.begin("balance", folder=tmp_path)
+    desk.jobs.begin("balance", uses_camera=True)
     with pytest.raises(ConfigurationError, match="which rig balance has; end that first"):
         desk.needs_camera("run")
     desk.jobs["balance"].end()
     desk.needs_camera("run")
     assert not desk.jobs["balance"].running
-    desk.jobs.begin("balance", folder=tmp_path)
+    desk.jobs.begin("balance", uses_camera=True)
     desk.lighting.off()
     assert desk.jobs["balance"].wait(50.0)
     assert desk.jobs["fit"].running

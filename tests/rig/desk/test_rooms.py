@@ -90,7 +90,7 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
 ) -> None:
     over = tmp_path / "over"
     monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, str(over), **how))
-    job = desk.jobs["balance"] = jobs.Job(["balance"], Path())
+    job = desk.jobs["balance"] = jobs.Job(["balance"], uses_camera=True)
     until(lambda: bool(job.lines))
     with pytest.raises(ConfigurationError, match="first measure"):
         desk.balancing.turned("x", "0.5")
@@ -136,7 +136,7 @@ def test_preflight_says_what_it_waits_for_and_why_it_failed(
     monkeypatch.setattr(
         jobs, "start_python", lambda *_, **how: start_python("-c", COMPILES, str(over), **how)
     )
-    job = desk.jobs.begin("doctor", folder=tmp_path)
+    job = desk.jobs.begin("doctor", uses_camera=True)
     until(lambda: bool(job.output))
     assert checks(desk) == "<span class=''>still compiling, 40 s so far</span>"
     over.touch()
