@@ -186,7 +186,7 @@ class AlarmList:
                     self._rows[key] = replace(row, cleared_s=now_s)
 
     def session_begins(self) -> None:
-        """What has happened before is over: it stays in the list until somebody has seen it, but is silent."""
+        """What has happened before is over: it stays in the list until somebody has seen it, in silence."""
         with self._lock:
             for key in _LATCHED & self._rows.keys():
                 self._rows[key] = replace(self._rows[key], cleared_s=self._clock())

@@ -49,9 +49,9 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
     ),
     "sensor": CalibrationKind(
         "Sensor: gain, read noise, dark level",
-        "Laser off, lamp off, lens cap on: record dark frames (rig camera frames). Then cap off, a lamp behind a diffuser, "
-        "a metre away, and two frames or more at each of five exposures or more, from almost dark to "
-        "almost saturated.",
+        "Laser off, lamp off, lens cap on: record dark frames (rig camera frames). Then cap off, a lamp "
+        "behind a diffuser, a metre away, and two frames or more at each of five exposures or more, from "
+        "almost dark to almost saturated.",
         'darks = "records/sensor-001"\n\n[[level]]\nframes = "records/sensor-002"\nexposure_us = 50.0\n',
     ),
     "clock": CalibrationKind(

@@ -14,7 +14,7 @@ from acquisition.camera import CameraSettings
 from processing.errors import RigError
 from rig.control import STALE_S, SafetyNow
 from rig.desk.alarm_list import AlarmKey, RaisedAlarm
-from rig.desk.run_reader import RecordFollower
+from rig.desk.run_reader import Point, RecordFollower
 from rig.devices import (
     ORDERS_NAME,
     AlignmentFrame,
@@ -152,8 +152,8 @@ class Following:
         self._searched_s = -math.inf
         self._wake.set()
 
-    def history(self) -> dict[str, Any]:
-        """Values for the charts from the record of the running session; empty without a record. Blocks."""
+    def history(self) -> dict[str, list[Point]]:
+        """Values for the chart from the record of the running session; empty without a record. Blocks."""
         reader = self._reader
         return {} if reader is None else reader.history()
 

@@ -179,22 +179,12 @@ class Balancing:
 
     @property
     def shown(self) -> BalanceDialogue:
-        """State of the dialogue; before any measurement, advice from the running session."""
+        """State of the dialogue."""
         job = self._desk.jobs.get(_NAME)
-        if job is not None:
-            failed = bool(job.status) and not job.ending
-            return balance_dialogue(list(job.lines), list(job.output), running=job.running, failed=failed)
-        news = self._desk.following.news
-        path = news.get("path") or {"x": [], "y": []}
-        next_step = (news.get("balance") or {}).get("next_step")
-        words = next_step or "Measure: let it swing, not too far"
-        return BalanceDialogue(BalanceStage.IDLE, words, x=path["x"], y=path["y"])
-
-    @property
-    def unit(self) -> str:
-        """Unit of the trajectory."""
-        is_own = _NAME in self._desk.jobs
-        return "arcsec" if is_own else self._desk.following.unit or "arcsec"
+        if job is None:
+            return BalanceDialogue(BalanceStage.IDLE, "Measure: let it swing, not too far")
+        failed = bool(job.status) and not job.ending
+        return balance_dialogue(list(job.lines), list(job.output), running=job.running, failed=failed)
 
     def measure(self) -> None:
         """Measure, or measure again; may wait for the camera."""

@@ -65,7 +65,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 tab.html(lambda: tables.bars(fault_bars(shown.faults, shown.before), "faults of the balance"))
                 tab.button("Forget the last turn", apart(balancing.forget), "dense outline")
     tab.keep(refresh)
-    tab.keep(lambda: way.show(shown.x, shown.y, balancing.unit))
+    tab.keep(lambda: way.show(shown.x, shown.y, "arcsec"))
 
 
 def net_of(parts: Sequence[float]) -> str:

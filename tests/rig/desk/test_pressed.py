@@ -17,7 +17,6 @@ from tests.waiting import until
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 REAL = '[controller]\nkind = "serial"\nport = "/dev/ttyNobodyHasIt"\n'
-SIMULATED = '[controller]\nkind = "simulated"\n[simulation]\nreal_time = true\n'
 LASER = '[laser]\nkind = "controller"\nmax_power_w = 0.001\npower_w = 0.0005\n'
 
 
@@ -35,12 +34,11 @@ def desk_of(tmp_path: Path) -> Iterator[Callable[[str], Desk]]:
         desk.close()
 
 
-@pytest.mark.parametrize("controller", [REAL, SIMULATED], ids=["real", "simulated"])
 def test_pressed_while_nothing_runs_nothing_is_started_until_it_is_acknowledged(
-    desk_of: Callable[[str], Desk], controller: str
+    desk_of: Callable[[str], Desk],
 ) -> None:
     known("/dev/ttyNobodyHasIt")
-    desk = desk_of(controller + LASER)
+    desk = desk_of(REAL + LASER)
     said = desk.lighting.off("one")
     assert said[-1] == (
         "no program that could light has answered: it is kept, and nothing is lit until it is acknowledged"
