@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from acquisition import atomic_write
-from processing.errors import ConfigurationError, DataError, RecordError, RigError
-from rig.prepare import CalibrationReport, next_free, read_calibration_report
+from processing.errors import ConfigurationError, RigError
+from rig.prepare import CalibrationReport, read_calibration_report
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
@@ -25,8 +24,8 @@ class CalibrationKind:
     title: str
     do: str
     """Instruction for a person at the rig."""
-    list_text: str = ""
-    """The list of measured values (TOML) to begin with; empty where the input is one record."""
+    is_list: bool = False
+    """Whether its input is a list of measured values (TOML file); else it is one record."""
     fields: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
     """Further options of the command by name: what is asked for, and the choices, if there are any."""
 
@@ -36,7 +35,7 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
         "Lever: from px to radians",
         "Measure both lengths with a tape or a rod; 1 mm in 1 m is 0.1 % of every angle. Or clamp the "
         'pendulum, set known tilts, and list them: kind = "tilt", then [[step]] for each.',
-        "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n",
+        is_list=True,
     ),
     "axes": CalibrationKind(
         "Axes: directions of both modes on the sensor",
@@ -52,7 +51,7 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
         "Laser off, lamp off, lens cap on: record dark frames (rig camera frames). Then cap off, a lamp "
         "behind a diffuser, a metre away, and two frames or more at each of five exposures or more, from "
         "almost dark to almost saturated.",
-        'darks = "records/sensor-001"\n\n[[level]]\nframes = "records/sensor-002"\nexposure_us = 50.0\n',
+        is_list=True,
     ),
     "clock": CalibrationKind(
         "Clock: the camera's against the computer's",
@@ -68,8 +67,7 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
         "Drag of the air: vanes on the pendulum",
         "Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from "
         "one start, without lifting the ball off its place.",
-        '[[run]]\nrecord = "records/air-001.mcap"\narea_m2 = 0.0\n\n'
-        '[[run]]\nrecord = "records/air-002.mcap"\narea_m2 = 0.067\n',
+        is_list=True,
     ),
     "pointing": CalibrationKind(
         "Pointing: noise and drift of the spot",
@@ -78,8 +76,7 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
     "check": CalibrationKind(
         "Check of the lever against known tilts",
         "Clamp the pendulum and set known tilts of both signs, before and after a series.",
-        'kind = "tilt"\nunit = "arcsec"\npixel_pitch_m = 4.8e-6\nu_reference = 0.05\n\n'
-        "[[step]]\nreference = -60.0\nx_px = 160.02\ny_px = 441.21\nu_px = 0.02\n",
+        is_list=True,
         fields={"lever": ("calibration file of the lever to be checked", ())},
     ),
 }
@@ -98,20 +95,20 @@ class Calibration:
     def file(self, given: str, stated: Mapping[str, str]) -> None:
         """Make the calibration by `rig calibrate` and file it; takes seconds.
 
-        `given` is the name of a record, or the text of a list, which is first written to a file. The command
-        judges what was `stated`, by the names of its options. Raises RigError where the measurement does not
-        serve.
+        The command judges `given`, its file or record, and what was `stated`, by the names of its options.
+        Raises RigError where the measurement does not serve.
         """
         self.problem = ""
         try:
-            path = _written(self.name, given) if self.kind.list_text else _record(given)
+            if not given.strip():
+                raise ConfigurationError(f"rig calibrate {self.name}: name its file or record")
             words = [
                 f"--{name}={text.strip()}"
                 for name, text in {"output": str(FOLDER), **stated}.items()
                 if text.strip() not in ("", _UNKNOWN)
             ]
             command = f"calibrate {self.name}"
-            job = self._desk.jobs.begin(command, str(path), *words, "--json")
+            job = self._desk.jobs.begin(command, *words, "--json", "--", given.strip())
             job.wait()
             if job.status:
                 raise RigError(job.problem)
@@ -129,24 +126,6 @@ class Calibration:
         self._desk.checked(own)
         self._desk.kept.update(own)
         return self.made.configuration.replace("\n", "  ")
-
-
-def _written(kind: str, text: str) -> Path:
-    """The typed list as a new file; raises RecordError where it cannot be written."""
-    path = next_free(FOLDER, f"{kind}-list", ".toml")
-    try:
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        atomic_write.write_new(path, text.encode())
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
-    return path
-
-
-def _record(text: str) -> Path:
-    path = Path(text.strip()).expanduser()
-    if path.suffix != ".mcap" or not path.is_file():
-        raise DataError(f"{text or 'record'}: there is no such record; name an MCAP file, or record one")
-    return path
 
 
 def _from_anywhere(stated: object) -> object:

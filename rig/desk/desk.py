@@ -22,7 +22,7 @@ from rig.desk.store import DeskStore
 from rig.devices import NoSession
 from rig.instrument import complete
 from rig.measure import RunState, SessionSummary, session_folder
-from rig.settings import Configuration, FaultyConfiguration, load_configuration
+from rig.settings import Configuration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
 _WAKES_WITHIN_S = 10.0
@@ -74,18 +74,6 @@ class Desk:
     def checked(self, values: Mapping[str, object] | None = None) -> Configuration:
         """The configuration with `values` changed; raises ConfigurationError with the models' own words."""
         return load_configuration(self.source, self.overridden(values))
-
-    def fault(self, key: str, value: object) -> str:
-        """Fault of one value, as the models of the configuration state it; empty without a fault."""
-        try:
-            self.checked({key: value})
-        except FaultyConfiguration as error:
-            own = [line for place, line in error.override_faults if place.startswith(key)]
-            others = [line for _, line in error.override_faults] or str(error).splitlines()
-            return (own or others)[0]
-        except ConfigurationError as error:
-            return str(error).splitlines()[0]
-        return ""
 
     # -- what is started --------------------------------------------------------
 
@@ -148,30 +136,24 @@ class Desk:
         return f"the session was frozen; its process was killed, Resume measures the missing runs{lit}"
 
     def needs_camera(self, who: str) -> None:
-        """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
-        if self.following.running or (self.start_runs and not self._has_ended()):
-            raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
-        self.end_aligning()
-        for name, job in self.jobs.running(uses_camera=True):
-            # what has reported its result, or was asked to end, is about to end
-            about_to = job.ending or "preflight" in job.newest
-            if not (about_to and job.wait(_ENDS_WITHIN_S)):
-                raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
+        """Give the camera free; raises ConfigurationError if a session or a command keeps it. May wait.
 
-    def _has_ended(self) -> bool:
-        """Whether the process of the last started session ends within a moment, for which this waits.
-
-        A session that was stopped answers no more before it has closed its devices. A session that has not
-        answered yet, or whose report is being made, does not end.
+        A session that was stopped, and a command that has reported its result, still close their devices.
         """
-        if self.started is None or self.following.last_folder != self.started[1]:
-            return False
+        self.end_aligning()
         deadline_s = time.monotonic() + _ENDS_WITHIN_S
-        while self.start_runs:
-            if self.following.running or time.monotonic() > deadline_s:
-                return False
+        while holder := self._camera_holder():
+            if time.monotonic() > deadline_s:
+                raise ConfigurationError(
+                    f"rig {who} needs the camera, which {holder} has; wait, or end it first"
+                )
             time.sleep(_LOOK_S)
-        return True
+
+    def _camera_holder(self) -> str:
+        """What has the camera, but for the live picture; empty if nothing has it."""
+        if self.following.running or self.start_runs:
+            return "a session"
+        return next((f"rig {name}" for name, _ in self.jobs.running(uses_camera=True)), "")
 
     def _needs_rig(self, who: str) -> None:
         """Give the camera free; raises ConfigurationError while a trip is latched. May wait."""

@@ -3,14 +3,13 @@
 import json
 import subprocess
 import threading
-import time
 from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from processing.errors import ConfigurationError, RigError
+from processing.errors import ConfigurationError
 from rig.interruption import start_python
 from rig.prepare import BalanceDialogue, BalanceStage, balance_dialogue
 
@@ -163,7 +162,6 @@ class Jobs(dict[str, Job]):
 _NAME = "balance"
 _MEASURE, _FORGET, _END = "m", "f", "q"
 """Answers that the command takes between two measurements, besides a turn."""
-_LOOK_S = 0.05
 
 
 class Balancing:
@@ -202,22 +200,15 @@ class Balancing:
             raise ConfigurationError("first measure: a turn is stated between two measurements")
         job.answer(f"{weight} {turns.strip()}")
 
-    def forget(self) -> str:
-        """Take the last turn back; returns what was done. May wait for the command."""
+    def forget(self) -> None:
+        """Take the last turn back; the dialogue says which. May wait for the camera."""
         job = self._job
         if job is None:
-            job = self._desk.start(_NAME, "--forget-last", "--json")
-            job.wait()
-            if job.status:
-                raise RigError(job.problem)
+            self._desk.start(_NAME, "--forget-last", "--json")
         elif not job.asks:
             raise ConfigurationError("wait for the end of the measurement")
         else:
             job.answer(_FORGET)
-            deadline_s = time.monotonic() + _READ_WITHIN_S
-            while not _forgotten(job) and time.monotonic() < deadline_s:
-                time.sleep(_LOOK_S)
-        return _forgotten(job) or "the command has not said whether the turn is forgotten"
 
     def end(self) -> None:
         """End the command; a measurement that is not finished is discarded."""
@@ -234,13 +225,3 @@ class Balancing:
     def _job(self) -> Job | None:
         found = self._desk.jobs.get(_NAME)
         return found if found is not None and found.running else None
-
-
-def _forgotten(job: Job) -> str:
-    """What the command has said of a turn that it was asked to forget; empty before."""
-    for line in reversed(list(job.lines)):
-        if line.get("kind") == "answer":
-            break
-        if "forgotten" in line:
-            return str(line["forgotten"])
-    return ""

@@ -10,7 +10,6 @@ from rig.settings.configuration import (
 from rig.settings.configuration_file import (
     SCHEMA,
     SCHEMA_KEY,
-    FaultyConfiguration,
     KeyUseMonitor,
     apply_overrides,
     keys_with_faults,

@@ -59,13 +59,7 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
 
     with box(kind.title, "full-width", head="middle") as form:
         ui.label(kind.do)
-        if kind.list_text:
-            given: ui.input | ui.textarea = ui.textarea(
-                "list of measured values (TOML)", value=kind.list_text
-            )
-            given.props(f'outlined autogrow data-key="{name} list" input-class="number"')
-        else:
-            given = ui.input("record").props(f'outlined dense data-key="{name} record"')
+        given = text_field("measured values (TOML file)" if kind.is_list else "record", "", f"{name} given")
         given.classes("full-width")
         fields = {key: _choice(name, key, *asked) for key, asked in kind.fields.items()}
         if name == "check" and desk.config.calibration.lever is not None:

@@ -17,9 +17,9 @@ from rig.desk import tables
 from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.following import doing
-from rig.desk.panels.between_runs import as_typed, setting_field
+from rig.desk.panels.between_runs import as_typed
 from rig.desk.panels.live_picture import LivePicture, look_now
-from rig.desk.tab import DELIBERATE, Handler, Tab, apart, box
+from rig.desk.tab import DELIBERATE, Handler, Tab, apart, box, text_field
 from rig.devices import AlignmentFrame
 from rig.terminal import Verdict
 
@@ -190,8 +190,7 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, keys: str) -> No
         value = as_typed(field.value, True)
         if value == "":
             raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
-        if fault := desk.fault(key, value):
-            raise ConfigurationError(fault)
+        desk.checked({key: value})
         await ask(f"set {json.dumps({name: value})}")
 
     def hint() -> None:
@@ -201,7 +200,7 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, keys: str) -> No
             field.props(f'placeholder="{placeholder}"')
 
     with ui.row().classes("items-center no-wrap full-width"):
-        field = setting_field(desk, key, label, None, is_number=True)
+        field = text_field(label, key=key)
         field.props("hide-bottom-space stack-label").classes("col")
         tab.keep(hint)
         small("Set", typed, f"Set {label}")

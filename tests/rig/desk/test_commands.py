@@ -107,13 +107,15 @@ def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
         return start_python("-c", "import time; time.sleep(60)", **how)
 
     monkeypatch.setattr(jobs, "start_python", sleeping)
+    monkeypatch.setattr("rig.desk.desk._ENDS_WITHIN_S", 0.3)
     desk = Desk(SIMULATED, (f'session.output="{tmp_path.as_posix()}"',))
     desk.jobs.begin("fit")
     desk.needs_camera("run")
     desk.jobs.begin("balance", uses_camera=True)
-    with pytest.raises(ConfigurationError, match="which rig balance has; end that first"):
+    with pytest.raises(ConfigurationError, match="which rig balance has; wait, or end it first"):
         desk.needs_camera("run")
     desk.jobs["balance"].end()
+    monkeypatch.setattr("rig.desk.desk._ENDS_WITHIN_S", 20.0)
     desk.needs_camera("run")
     assert not desk.jobs["balance"].running
     desk.jobs.begin("balance", uses_camera=True)
@@ -139,11 +141,13 @@ def test_a_session_that_was_stopped_is_waited_for_before_the_camera_is_refused(
     monkeypatch.setattr(
         desk_module, "start_session", lambda *_: subprocess.Popen([sys.executable, "-c", waits])
     )
+    monkeypatch.setattr(desk_module, "_ENDS_WITHIN_S", 0.3)
     desk = Desk(SIMULATED, (f'session.output="{(tmp_path / "runs").as_posix()}"',))
     desk.following.start()
     folder = desk.start_session({})
-    with pytest.raises(ConfigurationError, match="which a session has; wait, or stop it"):
+    with pytest.raises(ConfigurationError, match="which a session has; wait, or end it first"):
         desk.needs_camera("run")
+    monkeypatch.setattr(desk_module, "_ENDS_WITHIN_S", 20.0)
     with OrderSocket(folder, SessionNews(), {}):
         until(lambda: desk.following.running)
     until(lambda: not desk.following.running)

@@ -1,6 +1,7 @@
 """The desk in a browser: who may enter, what is said of bad input, what keys and mouse do."""
 
 import http.client
+import re
 import threading
 import urllib.parse
 from dataclasses import asdict, replace
@@ -107,8 +108,6 @@ def test_keys_choose_the_panel_but_not_while_something_is_typed(shown: Shown) ->
 
 
 NO_NUMBERS = {
-    "camera.exposure_us": ("bright", "-1", "0", "1e400", "nan", "1,5", "100 mm"),
-    "camera.gain_db": ("none", "1e400", "nan", "0,5", "3 ms"),
     "session.runs": ("0", "three", "1.5", "1e15", "nan"),
     "session.initial_amplitude_arcsec": ("1", "much", "inf", "124 px"),
     "session.final_amplitude_arcsec": ("-2", "1e9", "2,5"),
@@ -116,29 +115,20 @@ NO_NUMBERS = {
 }
 
 
-@pytest.mark.parametrize("key", NO_NUMBERS)
-def test_bad_input_is_named_at_its_field_and_starts_nothing(shown: Shown, key: str) -> None:
+def test_bad_input_is_named_by_its_key_and_starts_nothing(shown: Shown) -> None:
     _, page = shown
-    of_camera = key.startswith("camera")
-    page.key("1" if of_camera else "3")
-    field = f"document.querySelector('[data-key=\"{key}\"]')"
-    page.wait(f"{field}.offsetParent !== null")
-    before = page.ask(f"{field}.value")
-    told = f"({field}.closest('.q-field').querySelector('.q-field__messages')?.innerText ?? '')"
-    for typed in NO_NUMBERS[key]:
-        page.fill(key, typed)
-        line = page.wait(f"{told}.includes({f'{key} = '!r}) && /should|must|is meant/.test({told}) && {told}")
-        assert "\n" not in line
-    if of_camera:
-        # nothing can be set where there is no live picture
-        assert page.ask(f"{field}.closest('.q-field').parentElement.querySelector('button').disabled")
-    else:
-        page.click("Start")
-        page.wait("document.querySelector('.errors > *') !== null")
-        assert key in page.ask("document.querySelector('.errors > *').innerText")
-        page.click("close")
-    page.fill(key, before)
-    page.wait("document.querySelectorAll('.q-field--error, .errors > *').length === 0")
+    page.key("3")
+    for key, typed in NO_NUMBERS.items():
+        before = page.ask(f"document.querySelector('[data-key=\"{key}\"]').value")
+        for one in typed:
+            page.fill(key, one)
+            page.click("Start")
+            line = page.wait("document.querySelector('.errors > *')?.innerText")
+            assert f"{key} = " in line
+            assert re.search("should|must|is meant", line)
+            page.click("close")
+            page.wait("document.querySelector('.errors > *') === null")
+        page.fill(key, before)
     assert "session is starting" not in page.text()
 
 
@@ -319,6 +309,11 @@ def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
     page.click("Live picture")
     page.wait_text("160 × 640 px")
     page.wait("document.querySelectorAll('[aria-label=\"histogram\"] svg path').length > 20")
+    page.fill("camera.exposure_us", "1,5")
+    page.click("Set")
+    page.wait_text("exposure_us")
+    page.click("close")
+    page.fill("camera.exposure_us", "")
     for _ in range(4):
         page.click("+")
     page.wait_text("244.141 µs")
