@@ -84,13 +84,12 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
 
 
 class Calibration:
-    """A kind of calibration at a desk: `made` is what was filed here last, `problem` what went wrong last."""
+    """A kind of calibration at a desk: `made` is what was filed here last."""
 
     def __init__(self, desk: "Desk", name: str) -> None:
         self._desk = desk
         self.name, self.kind = name, KINDS[name]
         self.made: CalibrationReport | None = None
-        self.problem = ""
 
     def file(self, given: str, stated: Mapping[str, str]) -> None:
         """Make the calibration by `rig calibrate` and file it; takes seconds.
@@ -98,24 +97,18 @@ class Calibration:
         The command judges `given`, its file or record, and what was `stated`, by the names of its options.
         Raises RigError where the measurement does not serve.
         """
-        self.problem = ""
-        try:
-            if not given.strip():
-                raise ConfigurationError(f"rig calibrate {self.name}: name its file or record")
-            words = [
-                f"--{name}={text.strip()}"
-                for name, text in {"output": str(FOLDER), **stated}.items()
-                if text.strip() not in ("", _UNKNOWN)
-            ]
-            command = f"calibrate {self.name}"
-            job = self._desk.jobs.begin(command, *words, "--json", "--", given.strip())
-            job.wait()
-            if job.status:
-                raise RigError(job.problem)
-            self.made = read_calibration_report(Path(job.lines[-1]["written"][0]))
-        except RigError as error:
-            self.problem = str(error)
-            raise
+        if not given.strip():
+            raise ConfigurationError(f"rig calibrate {self.name}: name its file or record")
+        words = [
+            f"--{name}={text.strip()}"
+            for name, text in {"output": str(FOLDER), **stated}.items()
+            if text.strip() not in ("", _UNKNOWN)
+        ]
+        job = self._desk.jobs.begin(f"calibrate {self.name}", *words, "--json", "--", given.strip())
+        job.wait()
+        if job.status:
+            raise RigError(job.problem)
+        self.made = read_calibration_report(Path(job.lines[-1]["written"][0]))
 
     def use(self) -> str:
         """The calibration made last holds for all that this desk starts; returns what to state for good."""

@@ -17,7 +17,6 @@ from rig.desk.tables import static
 from rig.terminal import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
-Mark = tuple[float, str]
 _STEPS = 3
 """Labels from the middle of an axis that is to scale to its end."""
 
@@ -41,7 +40,6 @@ def chart_options(
     points: Sequence[Points],
     unit: str,
     *,
-    marks: Sequence[Mark] = (),
     reach: float | None = None,
     kind: Literal["wide", "square", "small"] = "wide",
     empty: str = "",
@@ -69,14 +67,6 @@ def chart_options(
         **(to_scale if is_square else {"scale": True}),
     }
     series = [_series(curve, one, unit) for curve, one in zip(curves, points, strict=True)]
-    if marks and not is_empty:
-        series[0]["markLine"] = {
-            "symbol": "none",
-            "label": {"show": False},
-            "emphasis": {"label": {"show": True, "formatter": "{b}", "color": "var(--ink)"}},
-            "lineStyle": {"color": "var(--warn)", "type": "dotted", "width": 1.5},
-            "data": [{"xAxis": at, "name": words} for at, words in marks],
-        }
     names = list(dict.fromkeys(curve.name for curve in curves if curve.name))
     # a square has no room beside its axis's name
     is_named = not is_square and len(names) > 1 and not is_empty
@@ -154,22 +144,19 @@ class Chart:
         points: Sequence[Points],
         unit: str = "arcsec",
         *,
-        marks: Sequence[Mark] = (),
         reach: float | None = None,
         empty: str = "nothing to draw yet",
     ) -> None:
-        """Draw the points of each curve, in the units shown; `marks` are lines at an x, with words.
+        """Draw the points of each curve, in the units shown.
 
         `reach` is how far both axes go from zero; None: as far as there is anything.
         """
-        now = (tuple(map(tuple, points)), unit, tuple(marks), reach)
+        now = (tuple(map(tuple, points)), unit, reach)
         if now == self._shown:
             return
         self._shown = now
         x, kind = quantity(self._x, unit), self._kind
-        options = chart_options(
-            x, self._curves, points, unit, marks=marks, reach=reach, kind=kind, empty=empty
-        )
+        options = chart_options(x, self._curves, points, unit, reach=reach, kind=kind, empty=empty)
         self.element.options.clear()
         self.element.options.update(options)
         self.element.update()

@@ -270,7 +270,7 @@ class Following:
                 self._leave(line)
             return
         self.silent = False
-        self._read(news["record"], news["run"])
+        self._read(news["record"])
         if (reader := self._reader) is not None and reader.begun:
             news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
@@ -283,12 +283,12 @@ class Following:
         self.silent, self.news = False, {}
         self._read("")
 
-    def _read(self, record: str, run: str = "") -> None:
-        """Read this record, which is that of a run, from now on; none, if it is empty."""
+    def _read(self, record: str) -> None:
+        """Read this record from now on; none, if it is empty."""
 
         def on_event(event: dict[str, Any]) -> None:
             for events in (self.events, self.unheard):
-                events.append({**event, "run": run})
+                events.append(event)
 
         if self._reader is not None and str(self._reader.record) != record:
             self._reader.close()

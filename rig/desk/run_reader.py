@@ -28,8 +28,7 @@ class RecordFollower:
     """Follows a record, which need not be there yet, until it is closed; one of the same name is the next.
 
     `balance` is the last one, as news; `config` its configuration, None before it begins and where it has
-    none that can be read. `on_event` is called with each event; its times are in s since the record began,
-    and of the day.
+    none that can be read. `on_event` is called with each event; its time is that of the day.
     """
 
     def __init__(self, record: Path, on_event: Callable[[dict[str, Any]], None]) -> None:
@@ -123,7 +122,6 @@ class RecordFollower:
                 self._fitted = [one for one in (*self._fitted, *points) if one.time_ns == last_ns]
         for event in new.events:
             event_values = {
-                "elapsed_s": seconds(event.time_ns - start_ns),
                 "kind": event.kind,
                 "level": event.level,
                 "text": event.text,

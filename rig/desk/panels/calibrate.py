@@ -36,16 +36,11 @@ def build(desk: Desk, tab: Tab) -> None:
 def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
     """Add the form of one kind, and the calibration that was filed with it."""
     name, kind = calibration.name, calibration.kind
-    is_working = False
 
     async def file() -> None:
-        nonlocal is_working
         stated = {key: str(field.value or "") for key, field in fields.items()}
-        is_working = True
-        try:
-            await run.io_bound(calibration.file, str(given.value or ""), stated)
-        finally:
-            is_working = False
+        ui.notify("the calibration is made …")
+        await run.io_bound(calibration.file, str(given.value or ""), stated)
 
     def use() -> None:
         stated = calibration.use()
@@ -68,8 +63,6 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
             fields["by"] = text_field("made by", desk.config.session.operator, f"{name} by")
             fields["valid-days"] = text_field("valid for / days", _DAYS, f"{name} days")
             tab.button("File it", file, f'color="positive" size="lg" aria-label="file {name}"')
-            tab.label(lambda: "the calibration is made …" if is_working else "", "dim", 'role="status"')
-        tab.label(lambda: calibration.problem, "no", 'role="alert"')
         props = f'color="positive" size="lg" aria-label="use {name}"'
         tab.button("Use it", use, props, seen=lambda: calibration.made is not None)
         tab.drawn(lambda: calibration.made, draw)

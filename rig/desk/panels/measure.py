@@ -1,14 +1,11 @@
 """Measure panel: start a session, watch it from a distance, brake, stop; last result, next session."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
-
 from nicegui import run, ui
 
 from processing.errors import RigError
 from rig.control import STALE_S
 from rig.desk import charts, tables
-from rig.desk.charts import Chart, ChartCurve, Mark
+from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.dialogs import Question
 from rig.desk.panels import run_words as words
@@ -163,16 +160,6 @@ def _build_decay(desk: Desk, tab: Tab) -> None:
     async def refresh() -> None:
         following = desk.following
         if following.running and (history := await run.io_bound(following.history)):
-            marks = _marks(following.events, str(following.news.get("run") or ""))
-            chart.show([history["measured"], history["fit"]], following.unit or "arcsec", marks=marks)
+            chart.show([history["measured"], history["fit"]], following.unit or "arcsec")
 
     tab.every(_REDRAW_S, refresh)
-
-
-def _marks(events: Iterable[Mapping[str, Any]], run: str) -> list[Mark]:
-    """Times and texts of the run's events, without those of earlier runs."""
-    return [
-        (float(one["elapsed_s"]), f"{one['kind']}: {one['text']}")
-        for one in tuple(events)
-        if one["run"] == run and one["elapsed_s"] is not None and float(one["elapsed_s"]) >= 0
-    ]

@@ -12,15 +12,14 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.dialogs import resume_dialog
-from rig.desk.sessions import NUMBERS, SERVED, SessionRow
+from rig.desk.sessions import SERVED, SessionRow
 from rig.desk.tab import Tab
+from rig.measure import session_summary
 from rig.prepare import next_free
-from rig.terminal import quantity
 
 KEYS = (("o", "runs: open the report"), ("v", "runs: show in Rerun"))
-_COLUMNS = ("begun", "name", "sample", "runs", "state", *NUMBERS, "balance", "conditions", "operator")
-_LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
-  <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
+_COLUMNS = ("begun", "name", "sample", "runs", "state", "result", "conditions", "operator")
+_HEADS = {"name": "folder"}
 _ROWS_PER_PAGE, _LAST_LINES = 15, 14
 _MOST_ROWS = 500
 """Largest number of rows that are sent to the browser; older ones are found by a search."""
@@ -62,8 +61,8 @@ def _build_actions(desk: Desk, tab: Tab, listed: "SessionList") -> None:
 
     def report() -> None:
         row = chosen()
-        if row.report is not None:
-            open_in_browser_tab(desk, row.report)
+        if (made := session_summary(row.folder).report) is not None:
+            open_in_browser_tab(desk, made)
             return
         desk.jobs.begin("report", str(row.folder))
         ui.notify("the report is being written; open it when it is finished")
@@ -127,15 +126,6 @@ def open_in_browser_tab(desk: Desk, page: Path) -> None:
     ui.run_javascript(f"window.open({json.dumps(f'{SERVED}/{quote(name)}')}, '_blank')")
 
 
-def _head(column: str) -> str:
-    """Name of a column, with the unit of a number."""
-    if column not in NUMBERS:
-        return {"name": "folder"}.get(column, column)
-    shown = quantity(NUMBERS[column])
-    symbol = {"sigma": "σ"}.get(column, column)
-    return f"{symbol} / ({shown.unit})" if shown.unit else symbol
-
-
 class SessionList:
     """Table of the sessions that a search finds, of which one may be `marked`; it is added to the page."""
 
@@ -144,7 +134,10 @@ class SessionList:
         self._rows: dict[str, SessionRow] = {}
         self._due_s = 0.0
         self.marked: SessionRow | None = None
-        columns = [{"name": name, "label": _head(name), "field": name, "align": "left"} for name in _COLUMNS]
+        columns = [
+            {"name": name, "label": _HEADS.get(name, name), "field": name, "align": "left"}
+            for name in _COLUMNS
+        ]
         # the browser shows it page by page
         self.table = ui.table(
             columns=columns, rows=[], row_key="folder", selection="multiple", pagination=_ROWS_PER_PAGE
@@ -153,7 +146,6 @@ class SessionList:
         self.table.props('hide-selected-banner no-data-label="no session is found"')
         self.table.add_slot("header-selection", "<span class='unseen'>marked</span>")
         self.table.add_slot("body-selection", _MARK)
-        self.table.add_slot("body-cell-balance", _LAMP)
         self.table.on_select(self._mark)
 
     async def refresh(self, words: str) -> None:

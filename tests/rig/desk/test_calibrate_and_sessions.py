@@ -233,7 +233,7 @@ def test_sessions_are_found_by_words(tmp_path: Path) -> None:
     rows = index.rows(None)
     assert len(rows) == 29
     assert rows[0].name == "s00", "what was written last is the newest"
-    assert rows[0].b == "0.0299 ± 0.0026", "results come after their session"
+    assert rows[0].result.endswith(" = 258 ± 24 mJ/m²"), "results come after their session"
 
 
 def test_a_file_that_is_no_session_is_listed_with_what_is_wrong(tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name
         assert reader.path()["y"] == [0.0] * 16
         until(lambda: bool(events))
         (event,) = events
-        assert (event["kind"], event["elapsed_s"]) == ("start", 0.0)
+        assert event["kind"] == "start"
         assert 3.0 <= time.time() - event["at_s"] < 60.0
         spots(record, 1.0)
         record.flush()
