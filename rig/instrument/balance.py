@@ -103,6 +103,7 @@ _CONDITION_OF_CHECK: Final[Mapping[str, _Condition]] = {
 }
 """Faults of a balance that are conditions of a run; not the direction of the line, which is the camera's."""
 
+
 def balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Verdict]:
     """One verdict for each quantity of the balance that is known and limited; empty without a balance."""
     return [] if balance is None else _verdicts(balance, limits, 0.0)

@@ -151,35 +151,6 @@ def test_a_session_without_a_record_says_why_it_failed(desk: Desk, tmp_path: Pat
     assert row.cause == "no-go: run 1 failed: preflight says no-go"
 
 
-def test_light_is_taken_away_acknowledged_and_given_again(tmp_path: Path) -> None:
-    sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
-    desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
-    try:
-        desk.following.start()
-        desk.safety.start()
-        desk.begin_aligning()
-        until(lambda: desk.following.frames_age_s > 0.0)
-        assert not desk.lighting.waits
-        assert desk.lighting.off("one") == []
-        until(lambda: desk.safety.trip is not None)
-        assert not desk.lighting.waits
-        trip = desk.safety.trip
-        assert trip is not None
-        with pytest.raises(ConfigurationError, match="acknowledge it first"):
-            desk.start("doctor", "--preflight")
-        desk.lighting.acknowledge(trip.number)
-        until(lambda: desk.lighting.waits)
-        assert desk.lighting.again() == "laser on, 0.9 mW"
-        until(lambda: not desk.lighting.waits)
-        assert desk.live_picture is not None
-        desk.end_aligning()
-        assert (desk.shown, desk.picture_problem) == (None, "")
-        # what it said last is that the laser is off
-        assert re.match(r"off, confirmed", str(lamps(desk.safety, "")["laser"]["last"]))
-    finally:
-        desk.close()
-
-
 DEAF = """
 import signal, time
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
