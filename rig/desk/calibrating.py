@@ -4,13 +4,11 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from processing.errors import ConfigurationError, RigError
+from rig.desk.desk import Desk
 from rig.prepare import CalibrationReport, read_calibration_report
-
-if TYPE_CHECKING:
-    from rig.desk.desk import Desk
 
 FOLDER = Path("calibrations")
 _UNKNOWN = "unknown"
@@ -83,42 +81,33 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
 """All kinds by the word after ``rig calibrate``, in the order in which a rig is calibrated."""
 
 
-class Calibration:
-    """A kind of calibration at a desk: `made` is what was filed here last."""
+def file_calibration(desk: Desk, name: str, given: str, stated: Mapping[str, str]) -> CalibrationReport:
+    """Make a calibration by `rig calibrate` and file it; takes seconds.
 
-    def __init__(self, desk: "Desk", name: str) -> None:
-        self._desk = desk
-        self.name, self.kind = name, KINDS[name]
-        self.made: CalibrationReport | None = None
+    The command judges `given`, its file or record, and what was `stated`, by the names of its options.
+    Raises RigError where the measurement does not serve.
+    """
+    if not given.strip():
+        raise ConfigurationError(f"rig calibrate {name}: name its file or record")
+    words = [
+        f"--{option}={text.strip()}"
+        for option, text in {"output": str(FOLDER), **stated}.items()
+        if text.strip() not in ("", _UNKNOWN)
+    ]
+    job = desk.jobs.begin(f"calibrate {name}", *words, "--json", "--", given.strip())
+    job.wait()
+    if job.status:
+        raise RigError(job.problem)
+    return read_calibration_report(Path(job.lines[-1]["written"][0]))
 
-    def file(self, given: str, stated: Mapping[str, str]) -> None:
-        """Make the calibration by `rig calibrate` and file it; takes seconds.
 
-        The command judges `given`, its file or record, and what was `stated`, by the names of its options.
-        Raises RigError where the measurement does not serve.
-        """
-        if not given.strip():
-            raise ConfigurationError(f"rig calibrate {self.name}: name its file or record")
-        words = [
-            f"--{name}={text.strip()}"
-            for name, text in {"output": str(FOLDER), **stated}.items()
-            if text.strip() not in ("", _UNKNOWN)
-        ]
-        job = self._desk.jobs.begin(f"calibrate {self.name}", *words, "--json", "--", given.strip())
-        job.wait()
-        if job.status:
-            raise RigError(job.problem)
-        self.made = read_calibration_report(Path(job.lines[-1]["written"][0]))
-
-    def use(self) -> str:
-        """The calibration made last holds for all that this desk starts; returns what to state for good."""
-        if self.made is None:
-            raise ConfigurationError(f"no calibration of the {self.name} was made here yet")
-        (table, keys), *_ = tomllib.loads(self.made.configuration).items()
-        own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
-        self._desk.checked(own)
-        self._desk.kept.update(own)
-        return self.made.configuration.replace("\n", "  ")
+def use_calibration(desk: Desk, made: CalibrationReport) -> str:
+    """Let a calibration hold for all that this desk starts; returns what to state for good."""
+    (table, keys), *_ = tomllib.loads(made.configuration).items()
+    own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
+    desk.checked(own)
+    desk.kept.update(own)
+    return made.configuration.replace("\n", "  ")
 
 
 def _from_anywhere(stated: object) -> object:

@@ -13,7 +13,6 @@ from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_directly, rig_state_path
 from rig.desk.alarming import Alarming
-from rig.desk.calibrating import KINDS, Calibration
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, reason_in, start_session
 from rig.desk.lighting import Lighting, Safety
@@ -46,7 +45,6 @@ class Desk:
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
-        self.calibrations = {name: Calibration(self, name) for name in KINDS}
         self.balancing = Balancing(self)
         self.following = Following(self.config.session.output, self._rig_holder)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
@@ -225,11 +223,6 @@ class Desk:
     def start_runs(self) -> bool:
         """Whether the process of the session that this desk started last runs."""
         return self.started is not None and self.started[0].poll() is None
-
-    @property
-    def fits_last(self) -> bool:
-        """Whether the process of the last session lives, which makes its results and report."""
-        return self.start_runs or self.following.fits_last
 
     @property
     def start_failed(self) -> bool:

@@ -44,8 +44,7 @@ class Following:
     `heard_s` the monotonic time of it, `beat_s` that of a session's last other sign of life. `look` is the
     last frame that was asked for, `focus` the sharpness over time (seconds, 1/px).
     `events` are those of the session's records. `last_folder` is the folder of the last session, at first the
-    newest of `output`, and `fits_last` is True while the process of that one fits and reports. `silent` is
-    True while the session exists and does not answer.
+    newest of `output`, and `fits_last` is True while the process of that one fits and reports.
     `ended` are alarms of sessions that ended while they were followed, `unheard` are events; both wait until
     the alarms have been updated by them.
     """
@@ -61,7 +60,6 @@ class Following:
         self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         self.last_folder: Path | None = None
         self.fits_last = False
-        self.silent = False
         self.ended: deque[RaisedAlarm] = deque(maxlen=8)
         self.unheard: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         self._line: OrderConnection | None = None
@@ -260,16 +258,13 @@ class Following:
                 if not is_busy:
                     self._leave(line)
                 return
-            if not self.silent:
-                self.silent, self._silent_s = True, time.monotonic()
             # one that is busy, or was stopped, is still there, and may be given orders
-            is_busy = is_busy or time.monotonic() - self._silent_s < _SEARCH_S
+            is_busy = is_busy or time.monotonic() - self.heard_s < _SEARCH_S
             if not is_busy or not line.process_lives or not _is_there(line):
                 self.ended.extend(_alarms_of_end(line.folder))
                 self.fits_last = True
                 self._leave(line)
             return
-        self.silent = False
         self._read(news["record"])
         if (reader := self._reader) is not None and reader.begun:
             news |= {"path": reader.path(), "balance": reader.balance}
@@ -280,7 +275,7 @@ class Following:
         """Forget a program that has ended."""
         line.close()
         self._line = self.folder = self.held = self.look = None
-        self.silent, self.news = False, {}
+        self.news = {}
         self._read("")
 
     def _read(self, record: str) -> None:

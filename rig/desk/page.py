@@ -25,7 +25,7 @@ _LOOK_S = 0.25
 def build_page(desk: Desk, off_port: int) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab()
-    build_head(off_port)
+    _build_bars(off_port)
     with ui.header().classes("items-center no-wrap"):
         ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
         ui.label("SIMULATED").classes("no").set_visibility(desk.config.simulated)
@@ -105,7 +105,7 @@ def _session_age(desk: Desk) -> dict[str, object] | None:
 
 def _state(desk: Desk) -> str:
     following = desk.following
-    if following.silent:
+    if following.frozen:
         return f"{following.folder and following.folder.name}: does not answer at the moment"
     if following.folder is not None:
         phase = following.doing
@@ -117,7 +117,7 @@ def _state(desk: Desk) -> str:
         return "a session is starting"
     if (folder := desk.session_folder) is not None:
         how = last_state(folder)
-        if desk.fits_last:
+        if desk.following.fits_last:
             is_over = how in ("complete", "stopped", "failed")
             report = f"last session {how}, its report is being made: {folder.name}"
             return report if is_over else "a session is starting or being fitted"
@@ -146,8 +146,8 @@ DEAD_S = 30.0
 """Time without news after which a page is disconnected, not only slow; the desk keeps it as long."""
 
 
-def build_head(off_port: int) -> None:
-    """Add the safety bar to the page being built; `off_port` is the separate server of LIGHT OFF."""
+def _build_bars(off_port: int) -> None:
+    """Add the safety bar and the line of what is late; `off_port` is the separate server of LIGHT OFF."""
     script_values = {
         "offPort": off_port,
         "dark": DARK,

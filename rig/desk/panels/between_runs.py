@@ -98,7 +98,7 @@ def build_result(desk: Desk, tab: Tab) -> None:
     async def look() -> None:
         nonlocal over
         if not desk.following.running:
-            over = await run.io_bound(desk.last_summary), desk.fits_last, desk.start_problem
+            over = await run.io_bound(desk.last_summary), desk.following.fits_last, desk.start_problem
 
     def draw(drawn: tuple[SessionSummary | None, bool, str]) -> None:
         summary, is_fitted_now, problem = drawn

@@ -6,7 +6,7 @@ from functools import partial
 from nicegui import run, ui
 
 from rig.desk import tables
-from rig.desk.calibrating import Calibration
+from rig.desk.calibrating import KINDS, CalibrationKind, file_calibration, use_calibration
 from rig.desk.desk import Desk
 from rig.desk.tab import Tab, box, text_field
 from rig.prepare import CalibrationReport
@@ -27,30 +27,32 @@ def build(desk: Desk, tab: Tab) -> None:
             name: ui.button(name, on_click=partial(choose, name)).props(
                 f'dense aria-label="{name}, calibrate it"'
             )
-            for name in desk.calibrations
+            for name in KINDS
         }
-    forms = {name: _form(desk, tab, one) for name, one in desk.calibrations.items()}
+    forms = {name: _form(desk, tab, name, kind) for name, kind in KINDS.items()}
     choose(next(iter(forms)))
 
 
-def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
-    """Add the form of one kind, and the calibration that was filed with it."""
-    name, kind = calibration.name, calibration.kind
+def _form(desk: Desk, tab: Tab, name: str, kind: CalibrationKind) -> ui.element:
+    """Add the form of one kind, and the calibration that was filed with it last."""
+
+    made: CalibrationReport | None = None
 
     async def file() -> None:
+        nonlocal made
         stated = {key: str(field.value or "") for key, field in fields.items()}
         ui.notify("the calibration is made …")
-        await run.io_bound(calibration.file, str(given.value or ""), stated)
+        made = await run.io_bound(file_calibration, desk, name, str(given.value or ""), stated)
 
     def use() -> None:
-        stated = calibration.use()
-        ui.notify(
-            f"used by everything this desk starts; to keep it permanently, state: {stated}", multi_line=True
-        )
-
-    def draw(made: CalibrationReport | None) -> None:
         if made is not None:
-            ui.html(_result(made), sanitize=False).classes("full-width")
+            stated = use_calibration(desk, made)
+            words = "used by everything this desk starts; to keep it permanently, state"
+            ui.notify(f"{words}: {stated}", multi_line=True)
+
+    def draw(filed: CalibrationReport | None) -> None:
+        if filed is not None:
+            ui.html(_result(filed), sanitize=False).classes("full-width")
 
     with box(kind.title, "full-width", head="middle") as form:
         ui.label(kind.do)
@@ -64,8 +66,8 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
             fields["valid-days"] = text_field("valid for / days", _DAYS, f"{name} days")
             tab.button("File it", file, f'color="positive" size="lg" aria-label="file {name}"')
         props = f'color="positive" size="lg" aria-label="use {name}"'
-        tab.button("Use it", use, props, seen=lambda: calibration.made is not None)
-        tab.drawn(lambda: calibration.made, draw)
+        tab.button("Use it", use, props, seen=lambda: made is not None)
+        tab.drawn(lambda: made, draw)
     return form
 
 
