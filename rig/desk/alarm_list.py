@@ -57,8 +57,8 @@ class AlarmKey(StrEnum):
     SESSION_DIED = (
         "session died",
         (
-            "check that the laser is dark; then press Resume to measure the missing runs. Recorded data are "
-            "kept"
+            "check that the laser is dark; then mark it in Runs and press Resume to measure the missing "
+            "runs. Recorded data are kept"
         ),
     )
     SESSION_FROZEN = (

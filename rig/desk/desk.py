@@ -16,11 +16,11 @@ from rig.desk.alarming import Alarming
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, reason_in, start_session
 from rig.desk.lighting import Lighting, Safety
-from rig.desk.sessions import SessionIndex, last_state, last_summary
+from rig.desk.sessions import SessionIndex, last_summary
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
 from rig.instrument import complete
-from rig.measure import RunState, SessionSummary, session_folder
+from rig.measure import SessionSummary, session_folder
 from rig.settings import Configuration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
@@ -64,7 +64,7 @@ class Desk:
         """KEY=VALUE of everything that differs from the file, `values` last."""
         own = {**self.kept, **(values or {})}
         stated = [one for one in self._overrides if one.partition("=")[0].strip() not in own]
-        return [*stated, *(_as_set(key, value) for key, value in own.items())]
+        return [*stated, *(f"{key}={toml_value(value)}" for key, value in own.items())]
 
     def _sets(self, values: Mapping[str, object] | None) -> list[str]:
         return [word for one in self.overridden(values) for word in ("--set", one)]
@@ -246,13 +246,6 @@ class Desk:
         """Folder of the running session, else of the last one that this desk has seen or started."""
         return self.following.last_folder or (self.started[1] if self.started is not None else None)
 
-    def resumable(self) -> Path | None:
-        """Folder of the last session if it was interrupted and none runs, so that it can be resumed."""
-        folder = self.session_folder
-        if folder is None or self.following.running or self.start_runs:
-            return None
-        return folder if last_state(folder) == RunState.INTERRUPTED else None
-
     def last_summary(self) -> SessionSummary | None:
         """Results that the last session hands over to a person; None without a session. May take a moment."""
         folder = self.session_folder
@@ -276,10 +269,3 @@ class Desk:
         for job in self.jobs.values():
             job.end()
         self.place.close()
-
-
-def _as_set(key: str, value: object) -> str:
-    """A changed key as --set takes it."""
-    if isinstance(value, str) and any(0xD800 <= ord(one) <= 0xDFFF for one in value):
-        raise RigError(f"{value!r}: contains characters that are not text")
-    return f"{key}={toml_value(value)}"

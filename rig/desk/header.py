@@ -9,7 +9,7 @@ from nicegui import ui
 from rig.control import TripCause
 from rig.desk.alarm_list import AlarmKey, AlarmRow, AlarmState
 from rig.desk.desk import Desk
-from rig.desk.dialogs import resume_dialog, trip_dialog
+from rig.desk.dialogs import trip_dialog
 from rig.desk.lighting import refusal
 from rig.desk.run_reader import clock
 from rig.desk.tab import DELIBERATE, Tab, apart
@@ -66,8 +66,8 @@ def _build_waits(desk: Desk, tab: Tab) -> None:
 
 
 def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
-    """The gravest alarm in a line, the button that resumes a session that died, and the list."""
-    alarms, resume = desk.alarming.alarms, resume_dialog(desk, tab)
+    """The gravest alarm in a line, and the list."""
+    alarms = desk.alarming.alarms
 
     def toggle() -> None:
         fold.set_value(not fold.value)
@@ -75,21 +75,11 @@ def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
     def gravest(words: Callable[[AlarmRow], str]) -> str:
         return next((sentence(words(row)) for row in alarms.rows() if row.cries), "")
 
-    def died() -> bool:
-        is_listed = any(row.key is AlarmKey.SESSION_DIED for row in alarms.rows())
-        return is_listed and desk.resumable() is not None
-
-    async def ask_resume() -> None:
-        if (folder := desk.resumable()) is not None:
-            await resume(folder)
-
     with ui.element("div").classes("alarm").props('role="alert" aria-live="assertive"') as banner:
         title = tab.label(lambda: gravest(lambda row: f"{row.key}: {row.cause}"), "text-weight-bold")
         tab.label(lambda: gravest(lambda row: row.key.remedy), "alarm-remedy")
         ui.button("All", on_click=toggle).props('dense flat aria-label="All alarms, key a"')
     tab.keep(lambda: banner.set_visibility(bool(title.text)))
-    props = 'color="positive" size="lg" aria-label="Resume … the session that died"'
-    tab.button("Resume …", ask_resume, props, seen=died).classes("full-width")
     with ui.expansion().classes("full-width alarms").props("dense") as fold:
         with fold.add_slot("header"):
             tab.label(lambda: _counts(alarms.rows()), props='role="status" aria-live="polite"')

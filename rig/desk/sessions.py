@@ -1,15 +1,13 @@
 """The sessions of a folder as the desk lists and finds them."""
 
 import os
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from processing.errors import RigError
-from rig.measure import STATE_NAME, RunState, SessionSummary, read_session, session_summary, state_of
+from rig.measure import STATE_NAME, RunState, SessionSummary, read_session, session_summary
 
 SERVED = "/sessions"
 """Path on the desk's server below which the files of the sessions' folder are served."""
@@ -116,21 +114,11 @@ def session_row(folder: Path) -> SessionRow:
 
 
 @lru_cache(maxsize=8)
-def _read(read: Callable[[Path], Any], folder: Path, *_changed_ns: int) -> Any:
-    """What `read` makes of a session's folder; None if it cannot be read."""
+def _summary(folder: Path, *_changed_ns: int) -> SessionSummary | None:
     try:
-        return read(folder)
+        return session_summary(folder)
     except RigError:
         return None
-
-
-def _ended(folder: Path) -> RunState | None:
-    return state_of(read_session(folder))
-
-
-def last_state(folder: Path) -> str:
-    """State of a session that has ended, as in the list; empty if it left no state."""
-    return str(_read(_ended, folder, _changed_ns(f"{folder}/{STATE_NAME}")) or "")
 
 
 def last_summary(folder: Path) -> SessionSummary | None:
@@ -138,9 +126,14 @@ def last_summary(folder: Path) -> SessionSummary | None:
 
     It is read again only when the files of the session have changed.
     """
-    changed_ns = (_changed_ns(f"{folder}/{name}") for name in (STATE_NAME, RESULTS_NAME, "report.html"))
-    found: SessionSummary | None = _read(session_summary, folder, *changed_ns)
-    return found
+    names = (STATE_NAME, RESULTS_NAME, "report.html")
+    return _summary(folder, *(_changed_ns(f"{folder}/{name}") for name in names))
+
+
+def last_state(folder: Path) -> str:
+    """State of a session that has ended, as in the list; empty if it left no state."""
+    summary = last_summary(folder)
+    return "" if summary is None or summary.ended is None else str(summary.ended)
 
 
 def served_file(output: Path, name: str) -> Path | None:

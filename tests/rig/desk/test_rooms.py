@@ -23,8 +23,6 @@ from rig.desk.lighting import lamps, refusal
 from rig.desk.panels.balance import net_of
 from rig.desk.panels.rig_panel import checks
 from rig.interruption import start_python
-from rig.measure import RunState
-from rig.measure.session_file import SessionFile
 from rig.prepare import BalanceStage
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.waiting import until
@@ -226,18 +224,3 @@ def test_every_form_of_a_calibration_has_the_options_of_its_command() -> None:
 def test_turns_in_two_parts_are_summed_in_words() -> None:
     assert net_of([0.5]) == ""
     assert net_of([0.61, -0.5]) == "net +0.11 (the second turn takes up the play)"
-
-
-def test_the_last_session_is_resumed_where_it_was_interrupted(desk: Desk, tmp_path: Path) -> None:
-    folder = tmp_path / "killed"
-    folder.mkdir()
-    file = SessionFile.create(folder, tmp_path / "rig.toml", 2, {})
-    file.note(1, "run-1.mcap", RunState.RECORDING)
-    file.close()
-    assert desk.resumable() is None
-    desk.following.last_folder = folder
-    assert desk.resumable() == folder
-    file = SessionFile.opened(folder)
-    file.note(1, "run-1.mcap", RunState.STOPPED)
-    file.close()
-    assert desk.resumable() is None
