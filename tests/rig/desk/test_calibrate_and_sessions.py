@@ -71,12 +71,6 @@ def page(place: Path, browser: HeadlessBrowser) -> Iterator[Page]:
         yield page
 
 
-def photograph(page: Page, name: str) -> None:
-    """Where somebody wants to look at the panels: a folder in RIG_DESK_PICTURES."""
-    if folder := os.environ.get("RIG_DESK_PICTURES"):
-        page.picture(Path(folder) / f"{name}.png")
-
-
 def test_a_lever_is_typed_in_and_a_record_is_named(page: Page, place: Path) -> None:
     page.click("Calibrate")
     page.wait_text("Lever: from px to radians")
@@ -85,7 +79,6 @@ def test_a_lever_is_typed_in_and_a_record_is_named(page: Page, place: Path) -> N
     page.fill("lever given", ladder.name)
     page.click("File it")
     page.wait_text("arm_m = -1.0: should be greater than 0")
-    photograph(page, "calibrate-wrong")
     page.click("close")
     page.wait("document.querySelector('.errors > *') === null")
     ladder.write_text("[geometry]\narm_m = 1.0\nu_arm_m = 1e-3\npixel_pitch_m = 4.8e-6\n")
@@ -104,7 +97,6 @@ def test_a_lever_is_typed_in_and_a_record_is_named(page: Page, place: Path) -> N
     page.click("File it")
     page.wait_text("lever-001.toml")
     page.wait_text("contribution, %")
-    photograph(page, "calibrate-lever")
     found = read_calibration(place / "calibrations" / "lever-001.toml", "lever")
     assert found.made_by == "A. Person"
     assert (found.valid_until - found.measured_at).days == 30
@@ -116,7 +108,6 @@ def test_a_lever_is_typed_in_and_a_record_is_named(page: Page, place: Path) -> N
     page.fill("pointing given", "clamped.mcap")
     page.click("File it")
     page.wait_text("ALLAN DEVIATION OF X")
-    photograph(page, "calibrate-pointing")
     assert read_calibration(place / "calibrations" / "pointing-001.toml", "pointing").sources
 
 
@@ -142,7 +133,6 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait_text("older is marked")
     page.click("Report")
     page.wait_text("rig report: ")
-    photograph(page, "sessions")
     assert page.wait("!document.body.innerText.includes('rig report: runs')")
     page.click("Rerun")
     page.wait_text("open what rig view shows")
@@ -151,7 +141,6 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait("!document.body.innerText.includes('open what rig view shows')")
     page.browser.open(str(page.ask("location.origin")) + "/sessions/broken/report.html")
     page.wait("document.images.length > 0 && [...document.images].every(image => image.naturalWidth > 0)")
-    photograph(page, "report")
 
 
 def test_only_reports_below_the_folder_are_served(tmp_path: Path) -> None:

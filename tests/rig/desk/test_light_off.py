@@ -138,7 +138,7 @@ def test_light_off_darkens_the_live_picture_until_acknowledged_and_a_desk_that_d
         page.click("Live picture")
         page.wait("/nearest edge|acknowledge it first/.test(document.body.innerText)")
     finally:
-        again.end()
+        again.ended()
 
 
 def test_light_off_darkens_a_frozen_session_from_another_tab_with_a_dialog_open(

@@ -80,7 +80,7 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
             page.click("Stop it")
             page.wait(HANDED_OVER, 120.0)
         finally:
-            again.end()
+            again.ended()
     state = json.loads((folder / "session.json").read_text())
     assert [entry["state"] for entry in state["entries"]] == ["stopped"]
     assert state["configuration"]["session"]["sample"] == 'steel "on" K8 – µ'
