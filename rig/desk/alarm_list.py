@@ -57,8 +57,8 @@ class AlarmKey(StrEnum):
     SESSION_DIED = (
         "session died",
         (
-            "check that the laser is dark; then press Resume to measure the missing runs. Recorded data are "
-            "kept"
+            "check that the laser is dark; then mark it in Runs and press Resume to measure the missing "
+            "runs. Recorded data are kept"
         ),
     )
     SESSION_FROZEN = (
@@ -104,7 +104,7 @@ RaisedAlarm = tuple[AlarmKey, str]
 _LATCHED: Final = frozenset(
     {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED, AlarmKey.DISTURBED, AlarmKey.WATCHER}
 )
-"""What has happened, and is active until somebody acknowledges it."""
+"""What has happened, and is active until somebody acknowledges it, or the next session begins."""
 AFTER_S: Final[Mapping[AlarmKey, float]] = {
     AlarmKey.CONTROLLER: 1.5,
     # a desk that was held up itself finds everything late at its first look
@@ -131,8 +131,7 @@ class AlarmState(StrEnum):
 class AlarmRow:
     """One alarm of the list; times are the computer's clock of the day in s, None for what has not happened.
 
-    `times` is how often it was raised since it came into the list, `earlier` whether it was left over when a
-    session began.
+    `times` is how often it was raised since it came into the list.
     """
 
     key: AlarmKey
@@ -141,21 +140,18 @@ class AlarmRow:
     cleared_s: float | None = None
     acknowledged_s: float | None = None
     times: int = 1
-    earlier: bool = False
 
     @property
     def state(self) -> AlarmState:
         """State of the alarm."""
         if self.acknowledged_s is not None:
             return AlarmState.ACKNOWLEDGED
-        is_active = self.cleared_s is None or self.key in _LATCHED
-        return AlarmState.ACTIVE if is_active else AlarmState.CLEARED
+        return AlarmState.ACTIVE if self.cleared_s is None else AlarmState.CLEARED
 
     @property
     def cries(self) -> bool:
-        """Whether the alarm sounds: it is active, of a kind that sounds, and raised in this session."""
-        matters = self.key.is_heard and not self.earlier
-        return matters and self.state is AlarmState.ACTIVE
+        """Whether the alarm sounds: it is active, and of a kind that sounds."""
+        return self.key.is_heard and self.state is AlarmState.ACTIVE
 
 
 class AlarmList:
@@ -181,7 +177,7 @@ class AlarmList:
                 if now_s - self._since_s[key] >= AFTER_S.get(key, 0.0):
                     self._raise(key, cause, now_s, again=False)
             for key, row in list(self._rows.items()):
-                if key in conditions or row.cleared_s is not None:
+                if key in conditions or key in _LATCHED or row.cleared_s is not None:
                     continue
                 if key is AlarmKey.TRIP or row.acknowledged_s is not None:
                     # a trip goes away because a person has acknowledged it
@@ -190,10 +186,10 @@ class AlarmList:
                     self._rows[key] = replace(row, cleared_s=now_s)
 
     def session_begins(self) -> None:
-        """Mark alarms whose condition is gone as left over: they stay in the list, without a sound."""
+        """What has happened before is over: it stays in the list until somebody has seen it, in silence."""
         with self._lock:
-            for key, row in self._rows.items():
-                self._rows[key] = replace(row, earlier=row.earlier or row.cleared_s is not None)
+            for key in _LATCHED & self._rows.keys():
+                self._rows[key] = replace(self._rows[key], cleared_s=self._clock())
 
     def rows(self) -> list[AlarmRow]:
         """All alarms, in the order of the list."""
@@ -211,7 +207,7 @@ class AlarmList:
                 raise RigError(f"alarm {key!s}: is not in the list any more")
             if key is AlarmKey.TRIP:
                 raise RigError(f"{key}: {key.remedy}")
-            if row.cleared_s is not None:
+            if row.cleared_s is not None or key in _LATCHED:
                 del self._rows[key]
             else:
                 self._rows[key] = replace(row, acknowledged_s=self._clock())
@@ -221,9 +217,9 @@ class AlarmList:
         if row is None or again or row.cleared_s is not None:
             # an alarm that is raised again is a new one, which nobody has seen
             self._rows[key] = AlarmRow(key, cause, now_s, times=1 if row is None else row.times + 1)
-        elif row.earlier or row.cause != cause:
-            self._rows[key] = replace(row, cause=cause, earlier=False)
+        elif row.cause != cause:
+            self._rows[key] = replace(row, cause=cause)
 
 
-def _order(row: AlarmRow) -> tuple[bool, int, int]:
-    return row.earlier, list(AlarmState).index(row.state), list(AlarmKey).index(row.key)
+def _order(row: AlarmRow) -> tuple[int, int]:
+    return list(AlarmState).index(row.state), list(AlarmKey).index(row.key)

@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from acquisition.frames.queue import taken_from
@@ -39,36 +38,37 @@ _UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BAL
 """What frames without light look like; `_OF_DARKNESS` are events of the same."""
 
 
-@dataclass(frozen=True, slots=True)
-class AlarmInputs:
-    """State of session, devices and picture at one moment, as the desk knows it.
-
-    `news` is what the running session said `news_age_s` ago, empty without one, and `beat_age_s` how long ago
-    it gave any sign of life; `lit_by` who has the laser; `picture_late_s` for how long the live picture has
-    stood still.
-    """
-
-    safety: SafetyNow = field(default_factory=SafetyNow)
-    lit_by: str = ""
-    news: Mapping[str, Any] = field(default_factory=dict)
-    news_age_s: float = 0.0
-    beat_age_s: float = math.inf
-    session: str = ""
-    controller: ControlState | None = None
-    sensor_wanted: bool = False
-    picture_late_s: float = 0.0
-
-
-def conditions(seen: AlarmInputs) -> dict[AlarmKey, str]:
+def conditions(
+    safety: SafetyNow,
+    news: Mapping[str, Any],
+    *,
+    session: str = "",
+    news_age_s: float = 0.0,
+    beat_age_s: float = math.inf,
+    lit_by: str = "",
+    sensor_wanted: bool = False,
+    picture_late_s: float = 0.0,
+) -> dict[AlarmKey, str]:
     """The alarms whose conditions hold, each with its cause.
 
-    A press of LIGHT OFF is no alarm, and consequences of a trip are no alarms beside the trip, nor while a
-    person who has acknowledged it has not asked for light.
+    `news` is what the running `session` said `news_age_s` ago, empty without one, and `beat_age_s` how long
+    ago it gave any sign of life; `lit_by` who has the laser; `picture_late_s` for how long the live picture
+    has stood still. A press of LIGHT OFF is no alarm, and consequences of a trip are no alarms beside the
+    trip, nor while a person who has acknowledged it has not asked for light.
     """
-    found = dict([*_light_alarms(seen), *_session_alarms(seen)])
-    if seen.picture_late_s > STALE_S:
+    found = dict(_light_alarms(safety, lit_by))
+    state = news.get("state") or {}
+    if news:
+        if min(news_age_s, beat_age_s) > STALE_S:
+            found[AlarmKey.SESSION_FROZEN] = f"{session} has said nothing for more than 2 s"
+        elif news_age_s > _NEWS_S:
+            found[AlarmKey.SESSION_FROZEN] = f"{session} answers, but has told nothing for {_NEWS_S:g} s"
+        found |= _session_alarms(news, state, safety.light)
+    if sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
+        found[AlarmKey.ENVIRONMENT] = "the sensor of the environment does not answer"
+    if picture_late_s > STALE_S:
         found[AlarmKey.CAMERA] = "the live picture is frozen"
-    tripped = seen.safety.trip is not None or seen.safety.to_be_asked
+    tripped = safety.trip is not None or safety.to_be_asked
     under = _UNDER_TRIP if tripped else frozenset()
     return {key: cause for key, cause in found.items() if key not in under}
 
@@ -97,8 +97,7 @@ def _is_own(trip: LatchedTrip) -> bool:
     return trip.cause is TripCause.PERSON
 
 
-def _light_alarms(seen: AlarmInputs) -> Iterator[RaisedAlarm]:
-    safety = seen.safety
+def _light_alarms(safety: SafetyNow, lit_by: str) -> Iterator[RaisedAlarm]:
     if safety.trip is not None and not _is_own(safety.trip):
         yield AlarmKey.TRIP, safety.trip.text
     if safety.light is Light.DISAGREES:
@@ -107,32 +106,22 @@ def _light_alarms(seen: AlarmInputs) -> Iterator[RaisedAlarm]:
         yield AlarmKey.INTERLOCK, "a door, a cover or the connector of the loop is open"
     silent = safety.light in _SILENT
     unknown = silent or safety.light is Light.UNKNOWN or safety.light_age_s > STALE_S
-    if seen.lit_by and unknown and not math.isinf(safety.light_age_s):
+    if lit_by and unknown and not math.isinf(safety.light_age_s):
         silence = str(safety.light) if silent else "nothing was heard of for more than 2 s"
-        yield AlarmKey.LASER_UNKNOWN, f"{seen.lit_by} has the laser, which {silence}"
-    if seen.controller not in (None, ControlState.OPEN):
-        yield AlarmKey.CONTROLLER, str(seen.controller)
+        yield AlarmKey.LASER_UNKNOWN, f"{lit_by} has the laser, which {silence}"
+    if safety.controller not in (None, ControlState.OPEN):
+        yield AlarmKey.CONTROLLER, str(safety.controller)
 
 
-def _session_alarms(seen: AlarmInputs) -> Iterator[RaisedAlarm]:
-    news = seen.news
-    if not news:
-        return
-    if min(seen.news_age_s, seen.beat_age_s) > STALE_S:
-        yield AlarmKey.SESSION_FROZEN, f"{seen.session} has said nothing for more than 2 s"
-    elif seen.news_age_s > _NEWS_S:
-        yield AlarmKey.SESSION_FROZEN, f"{seen.session} answers, but has told nothing for {_NEWS_S:g} s"
-    state = news.get("state") or {}
+def _session_alarms(news: Mapping[str, Any], state: Mapping[str, Any], light: Light) -> Iterator[RaisedAlarm]:
     crying = str(state.get("alarm") or "")
     if float(state.get("disk_silent_s") or 0.0):
         yield AlarmKey.DISK_HANGS, "a write to the record takes more than 2 s"
     elif crying:
-        dark = AlarmKey.LASER_UNKNOWN if seen.safety.light in _SILENT else AlarmKey.LASER_DARK
+        dark = AlarmKey.LASER_UNKNOWN if light in _SILENT else AlarmKey.LASER_DARK
         yield (dark if news.get("darkness") else AlarmKey.STALLED), crying
     if state.get("phase") in _WITH_FRAMES:
         yield from _frame_alarms(news)
-    if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
-        yield AlarmKey.ENVIRONMENT, "the sensor of the environment does not answer"
     failed_checks = (news.get("balance") or {}).get("failed_checks") or ()
     if failed_checks and state.get("phase") == Phase.MEASURING:
         yield AlarmKey.BALANCE, "; ".join(map(str, failed_checks))
@@ -205,34 +194,29 @@ class Alarming:
         trip, self._trip = self._desk.safety.trip or self._trip, self._desk.safety.trip
         events = taken_from(following.unheard)
         ends = [*taken_from(following.ended), *self._start_alarms()]
-        self.alarms.see(conditions(self._inputs()), happened(events, ends, trip))
-
-    def _inputs(self) -> AlarmInputs:
-        desk, following = self._desk, self._desk.following
-        news, safety = following.news, desk.safety.now
-        running = following.running and bool(news)
-        age_s = time.monotonic() - following.heard_s if running else 0.0
-        return AlarmInputs(
-            safety=safety,
-            lit_by=self._lit_by(age_s),
-            news=news if running else {},
-            news_age_s=age_s,
-            beat_age_s=following.heartbeat.age_s,
+        news = following.news if following.running else {}
+        age_s = time.monotonic() - following.heard_s if news else 0.0
+        holding = conditions(
+            self._desk.safety.now,
+            news,
             session="" if following.folder is None else following.folder.name,
-            controller=following.safety.controller,
-            sensor_wanted=desk.config.environment_sensor.kind != "none",
-            picture_late_s=desk.command.frames_age_s if self._has_picture else 0.0,
+            news_age_s=age_s,
+            beat_age_s=time.monotonic() - following.beat_s,
+            lit_by=self._lit_by(age_s),
+            sensor_wanted=self._desk.config.environment_sensor.kind != "none",
+            picture_late_s=following.frames_age_s if self._has_picture else 0.0,
         )
+        self.alarms.see(holding, happened(events, ends, trip))
 
     @property
     def _has_picture(self) -> bool:
-        """Whether there should be a live picture: what somebody has ended may stand still."""
+        """Whether a live picture has told of itself, and nobody has ended it: then it may stand still."""
         picture = self._desk.live_picture
-        return picture is not None and not picture.ending
+        return picture is not None and not picture.ending and self._desk.following.held is not None
 
     def _lit_by(self, news_age_s: float) -> str:
         following = self._desk.following
-        if self._has_picture and self._desk.command.news:
+        if self._has_picture:
             return "the live picture"
         measures = following.state.get("phase") == Phase.MEASURING
         has_laser = following.safety.laser is not None

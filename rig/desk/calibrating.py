@@ -1,18 +1,14 @@
-"""Calibrations at the desk: what each kind needs, what is being recorded for it, and what was filed."""
+"""Calibrations at the desk: what each kind needs, and what was filed."""
 
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from acquisition import atomic_write
-from processing.errors import ConfigurationError, DataError, RecordError, RigError
-from rig.desk.jobs import Job
-from rig.prepare import CalibrationReport, next_free, read_calibration_report
-
-if TYPE_CHECKING:
-    from rig.desk.desk import Desk
+from processing.errors import ConfigurationError, RigError
+from rig.desk.desk import Desk
+from rig.prepare import CalibrationReport, read_calibration_report
 
 FOLDER = Path("calibrations")
 _UNKNOWN = "unknown"
@@ -30,17 +26,10 @@ class CalibrationKind:
     title: str
     do: str
     """Instruction for a person at the rig."""
-    seconds: float | None = None
-    """Length of a record that it needs; None: it needs whole frames."""
-    list_text: str = ""
-    """The list of measured values (TOML) to begin with; empty where the input is one record."""
+    is_list: bool = False
+    """Whether its input is a list of measured values (TOML file); else it is one record."""
     fields: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
     """Further options of the command by name: what is asked for, and the choices, if there are any."""
-
-    @property
-    def recording(self) -> tuple[str, str, str]:
-        """Command, its option for the amount, and the suffix of what it writes."""
-        return ("camera frames", "-n", "") if self.seconds is None else (RECORD_ALONE, "--seconds", ".mcap")
 
 
 KINDS: Final[Mapping[str, CalibrationKind]] = {
@@ -48,14 +37,12 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
         "Lever: from px to radians",
         "Measure both lengths with a tape or a rod; 1 mm in 1 m is 0.1 % of every angle. Or clamp the "
         'pendulum, set known tilts, and list them: kind = "tilt", then [[step]] for each.',
-        20.0,
-        "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n",
+        is_list=True,
     ),
     "axes": CalibrationKind(
         "Axes: directions of both modes on the sensor",
         "Decide which end and which side of the pendulum, moving down, count as positive. Push it gently "
         "in both directions, so that both modes swing, remember to which sides, and record from then on.",
-        60.0,
         fields={
             "slow-began": ("sign of the slow mode's tilt in the first frame", _SIDES),
             "fast-began": ("sign of the fast mode's tilt in the first frame", _SIDES),
@@ -63,149 +50,68 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
     ),
     "sensor": CalibrationKind(
         "Sensor: gain, read noise, dark level",
-        "Laser off, lamp off, lens cap on: record dark frames. Then cap off, a lamp behind a diffuser, "
-        "a metre away, and two frames or more at each of five exposures or more, from almost dark to "
-        "almost saturated.",
-        None,
-        'darks = "records/sensor-001"\n\n[[level]]\nframes = "records/sensor-002"\nexposure_us = 50.0\n',
+        "Laser off, lamp off, lens cap on: record dark frames (rig camera frames). Then cap off, a lamp "
+        "behind a diffuser, a metre away, and two frames or more at each of five exposures or more, from "
+        "almost dark to almost saturated.",
+        is_list=True,
     ),
     "clock": CalibrationKind(
         "Clock: the camera's against the computer's",
         "Any long run of a real camera will do; half an hour gives a few parts in 10⁷.",
-        1800.0,
         fields={"counter-bits": ("width of the camera's nanosecond counter, if it rolls over", ())},
     ),
     "shutter": CalibrationKind(
         "Rolling shutter: the time from row to row",
         "Let the spot swing across the rows by a large part of the picture, without [shutter] in the "
         "configuration.",
-        120.0,
     ),
     "air": CalibrationKind(
         "Drag of the air: vanes on the pendulum",
         "Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from "
         "one start, without lifting the ball off its place.",
-        1500.0,
-        '[[run]]\nrecord = "records/air-001.mcap"\narea_m2 = 0.0\n\n'
-        '[[run]]\nrecord = "records/air-002.mcap"\narea_m2 = 0.067\n',
+        is_list=True,
     ),
     "pointing": CalibrationKind(
         "Pointing: noise and drift of the spot",
         "Clamp the pendulum, close the cover, and let nobody walk around during the recording.",
-        120.0,
     ),
     "check": CalibrationKind(
         "Check of the lever against known tilts",
         "Clamp the pendulum and set known tilts of both signs, before and after a series.",
-        20.0,
-        'kind = "tilt"\nunit = "arcsec"\npixel_pitch_m = 4.8e-6\nu_reference = 0.05\n\n'
-        "[[step]]\nreference = -60.0\nx_px = 160.02\ny_px = 441.21\nu_px = 0.02\n",
+        is_list=True,
         fields={"lever": ("calibration file of the lever to be checked", ())},
     ),
 }
 """All kinds by the word after ``rig calibrate``, in the order in which a rig is calibrated."""
 
 
-class Calibration:
-    """A kind of calibration at a desk: what is recorded for it, and what was filed.
+def file_calibration(desk: Desk, name: str, given: str, stated: Mapping[str, str]) -> CalibrationReport:
+    """Make a calibration by `rig calibrate` and file it; takes seconds.
 
-    `recorded` is what was recorded last, `made` what was filed here last, `problem` what went wrong last.
+    The command judges `given`, its file or record, and what was `stated`, by the names of its options.
+    Raises RigError where the measurement does not serve.
     """
-
-    def __init__(self, desk: "Desk", name: str) -> None:
-        self._desk = desk
-        self.name, self.kind = name, KINDS[name]
-        self._recording: tuple[Path, Job] | None = None
-        self.recorded: Path | None = None
-        self.made: CalibrationReport | None = None
-        self.problem = ""
-
-    def record(self, amount: str, exposure_us: object = "") -> None:
-        """Record by `rig run` or `rig camera frames`, into a new file; may wait until the camera is free.
-
-        `amount` is the length in s, or the number of frames. Raises ConfigurationError while the camera is in
-        use.
-        """
-        command, option, suffix = self.kind.recording
-        path = next_free(FOLDER / "records", self.name, suffix)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        values = {} if exposure_us == "" else {"camera.exposure_us": exposure_us}
-        words = command, "-o", str(path), option, amount
-        job = self._desk.start(*words, values=values, folder=path.parent)
-        self.problem, self._recording = "", (path, job)
-
-    def stop(self) -> None:
-        """End the recording, and darken; what was not recorded to its end is not offered."""
-        if self._recording is not None:
-            self._recording[1].end()
-
-    @property
-    def progress(self) -> str:
-        """Name of the recording and the last line of its command; empty if nothing is recorded."""
-        if self._recording is None:
-            return ""
-        path, job = self._recording
-        if job.status is None:
-            return f"{path} is recorded{f': {job.output[-1]}' if job.output else ''}"
-        self._recording = None
-        if job.ending or job.status:
-            self.problem = "the recording was stopped" if job.ending else job.problem
-        else:
-            self.recorded = path
-        return ""
-
-    def file(self, given: str, stated: Mapping[str, str]) -> None:
-        """Make the calibration by `rig calibrate` and file it; takes seconds.
-
-        `given` is the name of a record, or the text of a list, which is first written to a file. The command
-        judges what was `stated`, by the names of its options. Raises RigError where the measurement does not
-        serve.
-        """
-        self.problem = ""
-        try:
-            path = _written(self.name, given) if self.kind.list_text else _record(given)
-            words = [
-                f"--{name}={text.strip()}"
-                for name, text in {"output": str(FOLDER), **stated}.items()
-                if text.strip() not in ("", _UNKNOWN)
-            ]
-            command = f"calibrate {self.name}"
-            job = self._desk.jobs.begin(command, str(path), *words, "--json")
-            job.wait()
-            if job.status:
-                raise RigError(job.problem)
-            self.made = read_calibration_report(Path(job.lines[-1]["written"][0]))
-        except RigError as error:
-            self.problem = str(error)
-            raise
-
-    def use(self) -> str:
-        """The calibration made last holds for all that this desk starts; returns what to state for good."""
-        if self.made is None:
-            raise ConfigurationError(f"no calibration of the {self.name} was made here yet")
-        (table, keys), *_ = tomllib.loads(self.made.configuration).items()
-        own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
-        self._desk.checked(own)
-        self._desk.kept.update(own)
-        return self.made.configuration.replace("\n", "  ")
+    if not given.strip():
+        raise ConfigurationError(f"rig calibrate {name}: name its file or record")
+    words = [
+        f"--{option}={text.strip()}"
+        for option, text in {"output": str(FOLDER), **stated}.items()
+        if text.strip() not in ("", _UNKNOWN)
+    ]
+    job = desk.jobs.begin(f"calibrate {name}", *words, "--json", "--", given.strip())
+    job.wait()
+    if job.status:
+        raise RigError(job.problem)
+    return read_calibration_report(Path(job.lines[-1]["written"][0]))
 
 
-def _written(kind: str, text: str) -> Path:
-    """The typed list as a new file; raises RecordError where it cannot be written."""
-    path = next_free(FOLDER, f"{kind}-list", ".toml")
-    try:
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        atomic_write.write_new(path, text.encode())
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
-    return path
-
-
-def _record(text: str) -> Path:
-    path = Path(text.strip()).expanduser()
-    if path.suffix != ".mcap" or not path.is_file():
-        raise DataError(f"{text or 'record'}: there is no such record; name an MCAP file, or record one")
-    return path
+def use_calibration(desk: Desk, made: CalibrationReport) -> str:
+    """Let a calibration hold for all that this desk starts; returns what to state for good."""
+    (table, keys), *_ = tomllib.loads(made.configuration).items()
+    own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
+    desk.checked(own)
+    desk.kept.update(own)
+    return made.configuration.replace("\n", "  ")
 
 
 def _from_anywhere(stated: object) -> object:

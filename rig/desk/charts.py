@@ -17,9 +17,6 @@ from rig.desk.tables import static
 from rig.terminal import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
-Mark = tuple[float, str]
-_NAME_PERCENT, _BELOW_PERCENT = 10.0, 18.0
-"""Of a chart with several rows: what the name above a row takes, and labels and name below the last one."""
 _STEPS = 3
 """Labels from the middle of an axis that is to scale to its end."""
 
@@ -28,14 +25,13 @@ _STEPS = 3
 class ChartCurve:
     """A curve: the key of its quantity, its name where several have one quantity, how it is drawn.
 
-    `colour` is a name of the theme. Curves with another `row` are drawn below each other, over the same x.
+    `colour` is a name of the theme.
     """
 
     key: str
     name: str = ""
     style: Literal["line", "scatter", "bar"] = "line"
     colour: str = "line"
-    row: int = 0
 
 
 def chart_options(
@@ -44,7 +40,6 @@ def chart_options(
     points: Sequence[Points],
     unit: str,
     *,
-    marks: Sequence[Mark] = (),
     reach: float | None = None,
     kind: Literal["wide", "square", "small"] = "wide",
     empty: str = "",
@@ -53,81 +48,54 @@ def chart_options(
 
     The browser merges them with those before: what is no longer named would stay.
     """
-    last = max(curve.row for curve in curves)
-    rows = range(last + 1)
     is_square, is_empty = kind == "square", not any(map(len, points))
-    part = (100.0 - _BELOW_PERCENT) / len(rows)
-    known = [at for curve in points for at, *_ in curve if at is not None]
-    # rows one below the other have the same axis
-    whole = {"min": min(known), "max": max(known)} if known else {}
     step = None if reach is None else reach / _STEPS
     to_scale = {"scale": True, "min": None if reach is None else -reach, "max": reach, "interval": step}
-    grids, x_axes, y_axes = [], [], []
-    for row in rows:
-        # labels below the last one only; above each row there is room for its name
-        top, height = f"{_NAME_PERCENT + row * part:.1f}%", f"{part - _NAME_PERCENT:.1f}%"
-        grids.append({"left": 58, "right": 18} | ({"top": top, "height": height} if last else _INSIDE))
-        across = {
-            "name": x.label if row == last else "",
-            "nameLocation": "middle",
-            "nameGap": 24,
-            "axisLine": {"onZero": False},
-            **(to_scale if is_square else whole),
-        }
-        x_axes.append(_axis(row, x.unit, is_labelled=row == last, has_ends=reach is not None) | across)
-        shown = quantity(next(curve.key for curve in curves if curve.row == row), unit)
-        up = {
-            "name": shown.label,
-            "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -50]},
-            "nameGap": 8,
-            "splitNumber": 2 if last or kind == "small" else 5,
-            **(to_scale if is_square else {"scale": True}),
-        }
-        # where rows lie close the ends of one meet those of the next
-        y_axes.append(_axis(row, shown.unit, has_ends=not last, has_top=kind != "small") | up)
+    across = {
+        "name": x.label,
+        "nameLocation": "middle",
+        "nameGap": 24,
+        "axisLine": {"onZero": False},
+        **(to_scale if is_square else {"min": "dataMin", "max": "dataMax"}),
+    }
+    shown = quantity(curves[0].key, unit)
+    up = {
+        "name": shown.label,
+        "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -50]},
+        "nameGap": 8,
+        "splitNumber": 2 if kind == "small" else 5,
+        **(to_scale if is_square else {"scale": True}),
+    }
     series = [_series(curve, one, unit) for curve, one in zip(curves, points, strict=True)]
-    if marks and not is_empty:
-        series[0]["markLine"] = {
-            "symbol": "none",
-            "label": {"show": False},
-            "emphasis": {"label": {"show": True, "formatter": "{b}", "color": "var(--ink)"}},
-            "lineStyle": {"color": "var(--warn)", "type": "dotted", "width": 1.5},
-            "data": [{"xAxis": at, "name": words} for at, words in marks],
-        }
     names = list(dict.fromkeys(curve.name for curve in curves if curve.name))
-    every = list(rows)
     # a square has no room beside its axis's name
     is_named = not is_square and len(names) > 1 and not is_empty
     words = {"text": empty if is_empty else "", "fill": "var(--dim)", "fontSize": 15}
     return {
         "animation": False,
-        "grid": grids,
-        "xAxis": x_axes,
-        "yAxis": y_axes,
+        "grid": {"left": 58, "right": 18, "top": 22, "bottom": 42},
+        "xAxis": _axis(x.unit, has_ends=reach is not None) | across,
+        "yAxis": _axis(shown.unit, has_top=kind != "small") | up,
         "series": series,
         "legend": {"show": is_named, "data": names, "right": 8, "top": 0},
-        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
         "tooltip": {},
         "dataZoom": [
-            {"type": "inside", "xAxisIndex": every, "filterMode": "none"},
-            {"type": "inside", "yAxisIndex": every, "filterMode": "none", "zoomOnMouseWheel": "shift"},
+            {"type": "inside", "xAxisIndex": 0, "filterMode": "none"},
+            {"type": "inside", "yAxisIndex": 0, "filterMode": "none", "zoomOnMouseWheel": "shift"},
         ],
         "graphic": {"type": "text", "left": "center", "top": "middle", "silent": True, "style": words},
     }
 
 
-_INSIDE = {"top": 22, "bottom": 42}
-
-
-def _axis(
-    row: int, unit: str, *, is_labelled: bool = True, has_ends: bool, has_top: bool = True
-) -> dict[str, Any]:
-    """Options common to both axes of a row; labels stand at both ends, at the lower one only, or at none."""
-    ends = {"showMinLabel": has_ends, "showMaxLabel": has_ends and has_top}
+def _axis(unit: str, *, has_ends: bool = True, has_top: bool = True) -> dict[str, Any]:
+    """Options common to both axes; labels stand at both ends, at the lower one only, or at none."""
     return {
         "type": "value",
-        "gridIndex": row,
-        "axisLabel": {":formatter": _number(""), "show": is_labelled, **ends},
+        "axisLabel": {
+            ":formatter": _number(""),
+            "showMinLabel": has_ends,
+            "showMaxLabel": has_ends and has_top,
+        },
         "axisPointer": {"label": {":formatter": f"p => ({_number(unit)})(p.value)"}},
     }
 
@@ -138,8 +106,6 @@ def _series(curve: ChartCurve, points: Points, unit: str) -> dict[str, Any]:
     return {
         "type": curve.style,
         "name": curve.name or shown.symbol,
-        "xAxisIndex": curve.row,
-        "yAxisIndex": curve.row,
         "lineStyle": colour,
         "itemStyle": colour,
         "tooltip": {":valueFormatter": _number(shown.unit)},
@@ -178,50 +144,37 @@ class Chart:
         points: Sequence[Points],
         unit: str = "arcsec",
         *,
-        marks: Sequence[Mark] = (),
         reach: float | None = None,
         empty: str = "nothing to draw yet",
     ) -> None:
-        """Draw the points of each curve, in the units shown; `marks` are lines at an x, with words.
+        """Draw the points of each curve, in the units shown.
 
         `reach` is how far both axes go from zero; None: as far as there is anything.
         """
-        now = (tuple(map(tuple, points)), unit, tuple(marks), reach)
+        now = (tuple(map(tuple, points)), unit, reach)
         if now == self._shown:
             return
         self._shown = now
         x, kind = quantity(self._x, unit), self._kind
-        options = chart_options(
-            x, self._curves, points, unit, marks=marks, reach=reach, kind=kind, empty=empty
-        )
+        options = chart_options(x, self._curves, points, unit, reach=reach, kind=kind, empty=empty)
         self.element.options.clear()
         self.element.options.update(options)
         self.element.update()
 
 
 class TrajectoryChart:
-    """Path of the spot in a square chart, with equal scales about zero, or with each axis stretched."""
+    """Path of the spot in a square chart, with equal scales about zero; a wheel zooms one of them."""
 
     def __init__(self) -> None:
-        self._stretched = False
-        self._last: tuple[Sequence[float | None], Sequence[float | None], str] = [], [], "arcsec"
-        with ui.row().classes("items-center"):
-            ui.label("trajectory").classes("title")
-            self._button = ui.button("stretch X", on_click=self._stretch).props("dense outline no-caps")
+        ui.label("trajectory").classes("title")
         self.chart = Chart("trajectory", "deflection_x", WAY, "square")
 
     def show(self, x: Sequence[float | None], y: Sequence[float | None], unit: str) -> None:
         """Show it; gaps stay open."""
-        self._last = x, y, unit
         way = [(a, b) if a is not None and b is not None else (None, None) for a, b in zip(x, y, strict=True)]
         known = [(a, b) for a, b in way if a is not None and b is not None]
-        reach = trajectory_reach(known) if known and not self._stretched else None
+        reach = trajectory_reach(known) if known else None
         self.chart.show([way if known else [], known[-1:]], unit, reach=reach, empty="no trajectory")
-
-    def _stretch(self) -> None:
-        self._stretched = not self._stretched
-        self._button.set_text("to scale" if self._stretched else "stretch X")
-        self.show(*self._last)
 
 
 WAY = (

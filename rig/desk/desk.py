@@ -13,16 +13,15 @@ from calibration import toml_value
 from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_directly, rig_state_path
 from rig.desk.alarming import Alarming
-from rig.desk.calibrating import KINDS, Calibration
-from rig.desk.following import CommandWatch, Following, WatchedProgram
+from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, reason_in, start_session
 from rig.desk.lighting import Lighting, Safety
-from rig.desk.sessions import SessionIndex, last_state, last_summary
+from rig.desk.sessions import SessionIndex, last_summary
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
 from rig.instrument import complete
-from rig.measure import RunState, SessionSummary, session_folder
-from rig.settings import Configuration, FaultyConfiguration, load_configuration
+from rig.measure import SessionSummary, session_folder
+from rig.settings import Configuration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
 _WAKES_WITHIN_S = 10.0
@@ -38,25 +37,20 @@ class Desk:
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
     `place` is what is kept on disk, `lighting` takes light and gives it, `rig` is the rig's own safety state.
-    `command` is what has the rig and is no session, such as the live picture.
-    `archive` is the file whose runs are listed, too; `started` the process and the folder of the session that
-    was started here last.
+    `started` are the process and the folder of the session that was started here last.
     """
 
-    def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path()) -> None:
+    def __init__(self, source: Path, overrides: tuple[str, ...] = ()) -> None:
         self.source = source
-        self.archive = archive
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
-        self.calibrations = {name: Calibration(self, name) for name in KINDS}
         self.balancing = Balancing(self)
-        self.following = Following(self.config.session.output)
+        self.following = Following(self.config.session.output, self._rig_holder)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
         by = "board" if self.config.laser.kind == "controller" else "laser"
         self.jobs = Jobs()
-        self.command = CommandWatch(self._rig_holder)
-        self.safety = Safety(self.rig, self.following, self.command, by)
+        self.safety = Safety(self.rig, self.following, by)
         self.sessions = SessionIndex(self.config.session.output)
         self.started: tuple[subprocess.Popen[bytes], Path] | None = None
         self.place = DeskStore(source)
@@ -70,7 +64,7 @@ class Desk:
         """KEY=VALUE of everything that differs from the file, `values` last."""
         own = {**self.kept, **(values or {})}
         stated = [one for one in self._overrides if one.partition("=")[0].strip() not in own]
-        return [*stated, *(_as_set(key, value) for key, value in own.items())]
+        return [*stated, *(f"{key}={toml_value(value)}" for key, value in own.items())]
 
     def _sets(self, values: Mapping[str, object] | None) -> list[str]:
         return [word for one in self.overridden(values) for word in ("--set", one)]
@@ -79,35 +73,19 @@ class Desk:
         """The configuration with `values` changed; raises ConfigurationError with the models' own words."""
         return load_configuration(self.source, self.overridden(values))
 
-    def fault(self, key: str, value: object) -> str:
-        """Fault of one value, as the models of the configuration state it; empty without a fault."""
-        try:
-            self.checked({key: value})
-        except FaultyConfiguration as error:
-            own = [line for place, line in error.override_faults if place.startswith(key)]
-            others = [line for _, line in error.override_faults] or str(error).splitlines()
-            return (own or others)[0]
-        except ConfigurationError as error:
-            return str(error).splitlines()[0]
-        return ""
-
     # -- what is started --------------------------------------------------------
 
-    def start(
-        self,
-        name: str,
-        *words: str,
-        values: Mapping[str, object] | None = None,
-        folder: Path | None = None,
-    ) -> Job:
+    def start(self, name: str, *words: str) -> Job:
         """Start a command of this configuration that uses the camera, and ends with the desk.
 
-        It shows its light in `folder`, by default that of the sessions. Raises ConfigurationError where the
-        camera is in use, or a trip is not acknowledged. May wait.
+        It shows its light in the folder of the sessions. Raises ConfigurationError where the camera is in
+        use, or a trip is not acknowledged. May wait.
         """
         self._needs_rig(name)
-        output = self.checked(values).session.output
-        return self.jobs.begin(name, str(self.source), *words, *self._sets(values), folder=folder or output)
+        with suppress(OSError):
+            # without it a rig whose laser is not switched shows no picture
+            self.config.session.output.mkdir(parents=True, exist_ok=True)
+        return self.jobs.begin(name, str(self.source), *words, *self._sets(None), uses_camera=True)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
@@ -156,30 +134,24 @@ class Desk:
         return f"the session was frozen; its process was killed, Resume measures the missing runs{lit}"
 
     def needs_camera(self, who: str) -> None:
-        """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
-        if self.following.running or (self.start_runs and not self._has_ended()):
-            raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
-        self.end_aligning()
-        for name, job in self.jobs.running(uses_camera=True):
-            # what has reported its result, or was asked to end, is about to end
-            about_to = job.ending or "preflight" in job.newest
-            if not (about_to and job.wait(_ENDS_WITHIN_S)):
-                raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
+        """Give the camera free; raises ConfigurationError if a session or a command keeps it. May wait.
 
-    def _has_ended(self) -> bool:
-        """Whether the process of the last started session ends within a moment, for which this waits.
-
-        A session that was stopped answers no more before it has closed its devices. A session that has not
-        answered yet, or whose report is being made, does not end.
+        A session that was stopped, and a command that has reported its result, still close their devices.
         """
-        if self.started is None or self.following.last_folder != self.started[1]:
-            return False
+        self.end_aligning()
         deadline_s = time.monotonic() + _ENDS_WITHIN_S
-        while self.start_runs:
-            if self.following.running or time.monotonic() > deadline_s:
-                return False
+        while holder := self._camera_holder():
+            if time.monotonic() > deadline_s:
+                raise ConfigurationError(
+                    f"rig {who} needs the camera, which {holder} has; wait, or end it first"
+                )
             time.sleep(_LOOK_S)
-        return True
+
+    def _camera_holder(self) -> str:
+        """What has the camera, but for the live picture; empty if nothing has it."""
+        if self.following.running or self.start_runs:
+            return "a session"
+        return next((f"rig {name}" for name, _ in self.jobs.running(uses_camera=True)), "")
 
     def _needs_rig(self, who: str) -> None:
         """Give the camera free; raises ConfigurationError while a trip is latched. May wait."""
@@ -191,7 +163,7 @@ class Desk:
         """Start the live picture. May wait."""
         config = complete(self.checked())
         self.start(_ALIGN)
-        self.command.begin(config)
+        self.following.look_now(stated=config)
 
     @property
     def live_picture(self) -> Job | None:
@@ -206,17 +178,15 @@ class Desk:
         return "" if job is None or job.running or job.ending else job.problem
 
     @property
-    def shown(self) -> WatchedProgram | None:
-        """The session that runs, else the live picture; None without either."""
-        if self.following.running:
-            return self.following
-        return None if self.live_picture is None else self.command
+    def shown(self) -> Following | None:
+        """What shows a picture: the session that runs, else the live picture; None without either."""
+        return self.following if self.following.running or self.live_picture is not None else None
 
     def _rig_holder(self) -> Path | None:
         """Folder of the command that has the rig; a simulated rig has no file that names it."""
-        if self.following.running:
-            return None
-        return self.jobs.lit_in if self.rig.path is None else self.rig.folder_of_holder
+        if self.rig.path is not None:
+            return self.rig.folder_of_holder
+        return self.config.session.output if self.jobs.running(uses_camera=True) else None
 
     def align_whole_sensor(self) -> None:
         """Open the camera again without the region that was kept. May wait."""
@@ -226,7 +196,7 @@ class Desk:
 
     def keep_camera(self) -> None:
         """Use the camera's present settings for all that this desk starts; RigError if they are not valid."""
-        values = self.command.applied.model_dump(exclude_none=True)
+        values = self.following.applied.model_dump(exclude_none=True)
         own = {
             f"camera.{name}": values[name] for name in ("exposure_us", "gain_db", *_REGION) if name in values
         }
@@ -239,7 +209,7 @@ class Desk:
             job.ending = True
             try:
                 # where a program cannot be interrupted it closes its devices by this alone
-                self.command.order("key q")
+                self.following.order("key q")
             except RigError:
                 job.end()
             if not job.wait(_CLOSES_WITHIN_S):
@@ -253,11 +223,6 @@ class Desk:
     def start_runs(self) -> bool:
         """Whether the process of the session that this desk started last runs."""
         return self.started is not None and self.started[0].poll() is None
-
-    @property
-    def fits_last(self) -> bool:
-        """Whether the process of the last session lives, which makes its results and report."""
-        return self.start_runs or self.following.fits_last
 
     @property
     def start_failed(self) -> bool:
@@ -281,13 +246,6 @@ class Desk:
         """Folder of the running session, else of the last one that this desk has seen or started."""
         return self.following.last_folder or (self.started[1] if self.started is not None else None)
 
-    def resumable(self) -> Path | None:
-        """Folder of the last session if it was interrupted and none runs, so that it can be resumed."""
-        folder = self.session_folder
-        if folder is None or self.following.running or self.start_runs:
-            return None
-        return folder if last_state(folder) == RunState.INTERRUPTED else None
-
     def last_summary(self) -> SessionSummary | None:
         """Results that the last session hands over to a person; None without a session. May take a moment."""
         folder = self.session_folder
@@ -306,16 +264,8 @@ class Desk:
         """End what ends with the desk; a session goes on."""
         self.alarming.stop()
         self.following.stop()
-        self.command.poller.stop()
         self.safety.stop()
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
         self.place.close()
-
-
-def _as_set(key: str, value: object) -> str:
-    """A changed key as --set takes it."""
-    if isinstance(value, str) and any(0xD800 <= ord(one) <= 0xDFFF for one in value):
-        raise RigError(f"{value!r}: contains characters that are not text")
-    return f"{key}={toml_value(value)}"

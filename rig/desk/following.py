@@ -1,4 +1,4 @@
-"""Follows what has the devices: the session that runs on this machine, or a command of the desk."""
+"""Follows what has the devices: the session that runs on this machine, or a command with the rig."""
 
 import math
 import threading
@@ -14,7 +14,7 @@ from acquisition.camera import CameraSettings
 from processing.errors import RigError
 from rig.control import STALE_S, SafetyNow
 from rig.desk.alarm_list import AlarmKey, RaisedAlarm
-from rig.desk.run_reader import RecordFollower
+from rig.desk.run_reader import Point, RecordFollower
 from rig.devices import (
     ORDERS_NAME,
     AlignmentFrame,
@@ -32,87 +32,86 @@ from rig.settings import Configuration, unnumbered, validate_configuration
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
-_BEAT_S = 0.25
 _EVENTS_KEPT = 300
 _FOCUS_POINTS = 600
 
 
-class SocketPoller:
-    """A thread that asks the program in `folder()` again and again, by a connection of its own.
+class Following:
+    """A thread that asks whoever has the devices for news: the running session, else a command with the rig.
 
-    `ask` is called with it, `gone` once nothing answers there. `age_s` is the time since the last answer,
-    infinite where the program of this folder has never given one.
+    Without either it looks for a session in `output`, and for the command in `holder()`. `folder` is that of
+    the session, `held` that of the command (None without one). `news` is the last answer (empty without one),
+    `heard_s` the monotonic time of it, `beat_s` that of a session's last other sign of life. `look` is the
+    last frame that was asked for, `focus` the sharpness over time (seconds, 1/px).
+    `events` are those of the session's records. `last_folder` is the folder of the last session, at first the
+    newest of `output`, and `fits_last` is True while the process of that one fits and reports.
+    `ended` are alarms of sessions that ended while they were followed, `unheard` are events; both wait until
+    the alarms have been updated by them.
     """
 
-    def __init__(
-        self,
-        name: str,
-        folder: Callable[[], Path | None],
-        ask: Callable[[OrderConnection], object],
-        gone: Callable[[], object] = lambda: None,
-    ) -> None:
-        self._name, self._folder, self._ask, self._gone = name, folder, ask, gone
-        self._heard_s = -math.inf
-        self._ended = threading.Event()
-
-    def start(self) -> None:
-        """Begin to ask."""
-        threading.Thread(target=self._ask_repeatedly, name=self._name, daemon=True).start()
-
-    def stop(self) -> None:
-        """Ask no more."""
-        self._ended.set()
-
-    @property
-    def age_s(self) -> float:
-        return time.monotonic() - self._heard_s
-
-    def _ask_repeatedly(self) -> None:
-        line: OrderConnection | None = None
-        while not self._ended.wait(_BEAT_S):
-            folder = self._folder()
-            if line is not None and line.folder != folder:
-                line.close()
-                line, self._heard_s = None, -math.inf
-            try:
-                if folder is None:
-                    self._gone()
-                    continue
-                line = line or OrderConnection(folder)
-                self._ask(line)
-                self._heard_s = time.monotonic()
-            except NoSession as why:
-                # it may be another program's file by now
-                if line is not None:
-                    line.close()
-                line = None
-                if not isinstance(why, SessionBusy):
-                    self._gone()
-        if line is not None:
-            line.close()
-
-
-class WatchedProgram:
-    """A program with an order socket; `folder` has it (None without one).
-
-    `news` is its last answer (empty without one), `heard_s` the monotonic time of it. `look` is the last
-    frame that was asked for, `focus` the sharpness over time (seconds, 1/px).
-    """
-
-    def __init__(self) -> None:
+    def __init__(self, output: Path, holder: Callable[[], Path | None] = lambda: None) -> None:
+        self._output, self._holder = output, holder
         self.folder: Path | None = None
+        self.held: Path | None = None
         self.news: dict[str, Any] = {}
-        self.heard_s = -math.inf
+        self.heard_s = self.beat_s = -math.inf
         self.look: AlignmentFrame | None = None
         self.focus: deque[tuple[float, float]] = deque(maxlen=_FOCUS_POINTS)
+        self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
+        self.last_folder: Path | None = None
+        self.fits_last = False
+        self.ended: deque[RaisedAlarm] = deque(maxlen=8)
+        self.unheard: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
+        self._line: OrderConnection | None = None
+        self._reader: RecordFollower | None = None
+        self._stated: Configuration | None = None
+        self._ended = threading.Event()
+        self._wake = threading.Event()
+        self._searched_s = -math.inf
         self._number = 0
-        self._pictures: OrderConnection | None = None
         self._one_picture = threading.Lock()
+
+    def start(self) -> None:
+        """Look for a session once, and then continuously in a thread."""
+        self.last_folder = _newest(self._output)
+        self.fits_last = self.last_folder is not None
+        self._search()
+        for target in (self._follow, self._beat):
+            threading.Thread(target=target, name="following", daemon=True).start()
+
+    def stop(self) -> None:
+        self._ended.set()
+        self._wake.set()
+        self._read("")
+
+    @property
+    def running(self) -> bool:
+        """Whether a session runs."""
+        return self.folder is not None
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the running session has given no sign of life for longer than a delay can explain."""
+        return self.running and time.monotonic() - max(self.heard_s, self.beat_s) > STALE_S
+
+    @property
+    def process(self) -> int | None:
+        """Number of the running session's process; None where it has never answered."""
+        line = self._line
+        return None if line is None else line.process
 
     @property
     def config(self) -> Configuration | None:
-        """Configuration of the program; None where it is not known."""
-        return None
+        """Configuration of the record, or before a record that of the program; None where none is known."""
+        reader = self._reader
+        recorded = None if reader is None else reader.config
+        return recorded or self._stated
+
+    @property
+    def unit(self) -> str:
+        """Unit of amplitudes and positions; empty where no configuration is known."""
+        config = self.config
+        return "" if config is None else config.deflection_unit.shown
 
     @property
     def safety(self) -> SafetyNow:
@@ -140,11 +139,28 @@ class WatchedProgram:
         stated_s = self.news.get("frames_age_s")
         return 0.0 if stated_s is None else float(stated_s) + time.monotonic() - self.heard_s
 
+    def look_now(self, folder: Path | None = None, stated: Configuration | None = None) -> None:
+        """Look at once: for a session, that of `folder` if it was just started in another place.
+
+        `stated` is the configuration of a command that was just started.
+        """
+        if folder is not None:
+            self._output = folder.parent
+        self._stated = stated or self._stated
+        self._searched_s = -math.inf
+        self._wake.set()
+
+    def history(self) -> dict[str, list[Point]]:
+        """Values for the chart from the record of the running session; empty without a record. Blocks."""
+        reader = self._reader
+        return {} if reader is None else reader.history()
+
     def order(self, name: str) -> str:
         """Give the program an order; raises RigError if it cannot be carried out."""
-        if self.folder is None:
+        folder = self.folder or self.held
+        if folder is None:
             raise NoSession("no session runs")
-        with OrderConnection(self.folder) as line:
+        with OrderConnection(folder) as line:
             return line.order(name)
 
     def ask_picture(self) -> None:
@@ -152,31 +168,17 @@ class WatchedProgram:
 
         While another caller waits for a program that does not answer, the last frame stays.
         """
-        folder = self.folder
-        if not self._one_picture.acquire(blocking=False):
+        line = self._line
+        if line is None or not self._one_picture.acquire(blocking=False):
             return
         try:
-            if self._pictures is not None and self._pictures.folder != folder:
-                self._hang_up()
-                self.look = None
-            if folder is None:
-                return
-            self._pictures = self._pictures or OrderConnection(folder)
-            if (seen := self._pictures.picture(self._number)) is not None:
+            if (seen := line.picture(self._number)) is not None:
                 self._number = seen.number
                 self.look = self._looked(seen)
-        except SessionBusy:
-            return
         except NoSession:
-            # the next program may have this folder, and numbers of its own
-            self._hang_up()
+            return
         finally:
             self._one_picture.release()
-
-    def _hang_up(self) -> None:
-        if self._pictures is not None:
-            self._pictures.close()
-        self._pictures, self._number = None, 0
 
     def _looked(self, seen: SessionPicture) -> AlignmentFrame | None:
         """The frame with its figures; None before the program has told its camera."""
@@ -197,168 +199,91 @@ class WatchedProgram:
             seen.image, full_scale_dn, figures, seen.spot, middle_px, applied, seen.beam, reference
         )
 
-
-class CommandWatch(WatchedProgram):
-    """A command with the rig, which is no session, and has its socket in `holder()`; `poller` asks it.
-
-    While it is busy the last news stay, and their age grows.
-    """
-
-    def __init__(self, holder: Callable[[], Path | None]) -> None:
-        super().__init__()
-        self._stated: Configuration | None = None
-        self.poller = SocketPoller("who has the rig", holder, self._hear, self._forget)
-
-    @property
-    def config(self) -> Configuration | None:
-        return self._stated
-
-    def begin(self, stated: Configuration) -> None:
-        """Forget the last live picture, because the next one is started, with this configuration."""
-        self._stated, self.look = stated, None
-        self.focus.clear()
-
-    def _hear(self, line: OrderConnection) -> None:
-        self.news, self.heard_s, self.folder = line.news(), time.monotonic(), line.folder
-
-    def _forget(self) -> None:
-        self.news, self.folder = {}, None
-
-
-class Following(WatchedProgram):
-    """A thread that asks the running session for news, and looks for one while there is none.
-
-    `events` are those of its records. `last_folder` is the folder of the last session, at first the newest of
-    `output`, and `fits_last` is True while the process of that one fits and reports. `silent` is True while
-    the session exists and does not answer, `heartbeat` asks for signs of life.
-    `ended` are alarms of sessions that ended while they were followed, `unheard` are events; both wait until
-    the alarms have been updated by them.
-    """
-
-    def __init__(self, output: Path) -> None:
-        super().__init__()
-        self._output = output
-        self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
-        self.last_folder: Path | None = None
-        self.fits_last = False
-        self.silent = False
-        self.ended: deque[RaisedAlarm] = deque(maxlen=8)
-        self.unheard: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
-        # news wait for the threads that measure, and come late from a busy machine; a beat waits for nothing
-        self.heartbeat = SocketPoller("heartbeat", lambda: self.folder, OrderConnection.beat)
-        self._line: OrderConnection | None = None
-        self._reader: RecordFollower | None = None
-        self._stated: Configuration | None = None
-        self._ended = threading.Event()
-        self._wake = threading.Event()
-
-    def start(self) -> None:
-        """Look for a session once, and then continuously in a thread."""
-        self.last_folder = _newest(self._output)
-        self.fits_last = self.last_folder is not None
-        self._search()
-        threading.Thread(target=self._follow, name="following", daemon=True).start()
-        self.heartbeat.start()
-
-    def stop(self) -> None:
-        self._ended.set()
-        self._wake.set()
-        self.heartbeat.stop()
-        self._read("")
-        with self._one_picture:
-            self._hang_up()
-
-    @property
-    def running(self) -> bool:
-        return self.folder is not None
-
-    @property
-    def frozen(self) -> bool:
-        """Whether the running session has given no sign of life for longer than a delay can explain."""
-        return self.running and min(time.monotonic() - self.heard_s, self.heartbeat.age_s) > STALE_S
-
-    @property
-    def process(self) -> int | None:
-        """Number of the running session's process; None where it has never answered."""
-        line = self._line
-        return None if line is None else line.process
-
-    @property
-    def config(self) -> Configuration | None:
-        """Configuration of the record, or before a record that of the session; None without a session."""
-        reader = self._reader
-        recorded = None if reader is None else reader.config
-        return recorded or self._stated
-
-    @property
-    def unit(self) -> str:
-        """Unit of amplitudes and positions; empty where no configuration is known."""
-        config = self.config
-        return "" if config is None else config.deflection_unit.shown
-
-    def look_now(self, folder: Path | None = None) -> None:
-        """Look for a session at once; `folder`: one that was just started in another place."""
-        if folder is not None:
-            self._output = folder.parent
-        self._wake.set()
-
-    def history(self) -> dict[str, Any]:
-        """Values for the charts from the record of the running session; empty without a record. Blocks."""
-        reader = self._reader
-        return {} if reader is None else reader.history()
-
     def _follow(self) -> None:
         while not self._ended.is_set():
             if self._line is None:
                 self._search()
             else:
                 self._ask(self._line)
-            self._wake.wait(_LOOK_S if self._line is not None else _SEARCH_S)
+            self._wake.wait(_LOOK_S)
             self._wake.clear()
         if self._line is not None:
             self._line.close()
 
+    def _beat(self) -> None:
+        """Ask a session whose news are late for a sign of life.
+
+        News wait for the threads that measure, and come late from a busy machine; a beat waits for nothing.
+        """
+        while not self._ended.wait(_LOOK_S):
+            folder = self.folder
+            if folder is not None and time.monotonic() - self.heard_s > _SEARCH_S:
+                with suppress(NoSession), OrderConnection(folder) as line:
+                    line.beat()
+                    self.beat_s = time.monotonic()
+
     def _search(self) -> None:
-        for folder in islice(running_sessions(self._output), 1):
-            with suppress(NoSession):
-                self._line = OrderConnection(folder)
+        if time.monotonic() - self._searched_s >= _SEARCH_S:
+            self._searched_s = time.monotonic()
+            for folder in islice(running_sessions(self._output), 1):
+                self._begin(folder, is_session=True)
+            # one that was found free is not asked again: the look holds its lock for a moment
+            if self._line is None and self.fits_last and self.last_folder is not None:
+                self.fits_last = is_in_use(self.last_folder)
+        held = self._holder() if self._line is None else None
+        # a session is found by its answer only: one that was killed has held the rig, too
+        if held is not None and held.absolute().parent != self._output.absolute():
+            self._begin(held, is_session=False)
+
+    def _begin(self, folder: Path, *, is_session: bool) -> None:
+        with suppress(NoSession):
+            line = OrderConnection(folder)
+            self.look, self._number = None, 0
+            self.focus.clear()
+            if is_session:
                 self._stated = _configuration_in(folder)
-                self._read("")
                 self.events.clear()
                 self.folder = self.last_folder = folder
-                self.fits_last = False
-                self._ask(self._line)
-        # one that was found free is not asked again: the look holds its lock for a moment
-        if self._line is None and self.fits_last and self.last_folder is not None:
-            self.fits_last = is_in_use(self.last_folder)
+                self.fits_last, self.beat_s = False, -math.inf
+            self._line = line
+            self._ask(line)
 
     def _ask(self, line: OrderConnection) -> None:
         try:
             news = line.news()
         except NoSession as why:
-            if not self.silent:
-                self.silent, self._silent_s = True, time.monotonic()
+            is_busy = isinstance(why, SessionBusy)
+            if self.folder is None:
+                # news of a command that is busy stay, and their age grows
+                if not is_busy:
+                    self._leave(line)
+                return
             # one that is busy, or was stopped, is still there, and may be given orders
-            is_busy = isinstance(why, SessionBusy) or time.monotonic() - self._silent_s < _SEARCH_S
+            is_busy = is_busy or time.monotonic() - self.heard_s < _SEARCH_S
             if not is_busy or not line.process_lives or not _is_there(line):
-                line.close()
                 self.ended.extend(_alarms_of_end(line.folder))
-                self.fits_last, self._line, self.folder, self.silent = True, None, None, False
-                self.news = {}
-                self._read("")
+                self.fits_last = True
+                self._leave(line)
             return
-        self.silent = False
-        self._read(news["record"], news["run"])
+        self._read(news["record"])
         if (reader := self._reader) is not None and reader.begun:
             news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
+        self.held = None if self.folder is not None else line.folder
 
-    def _read(self, record: str, run: str = "") -> None:
-        """Read this record, which is that of a run, from now on; none, if it is empty."""
+    def _leave(self, line: OrderConnection) -> None:
+        """Forget a program that has ended."""
+        line.close()
+        self._line = self.folder = self.held = self.look = None
+        self.news = {}
+        self._read("")
+
+    def _read(self, record: str) -> None:
+        """Read this record from now on; none, if it is empty."""
 
         def on_event(event: dict[str, Any]) -> None:
             for events in (self.events, self.unheard):
-                events.append({**event, "run": run})
+                events.append(event)
 
         if self._reader is not None and str(self._reader.record) != record:
             self._reader.close()

@@ -9,10 +9,10 @@ from nicegui import ui
 from rig.control import TripCause
 from rig.desk.alarm_list import AlarmKey, AlarmRow, AlarmState
 from rig.desk.desk import Desk
-from rig.desk.dialogs import resume_dialog, trip_dialog
+from rig.desk.dialogs import trip_dialog
 from rig.desk.lighting import refusal
 from rig.desk.run_reader import clock
-from rig.desk.tab import DELIBERATE, Tab, apart, at_once
+from rig.desk.tab import DELIBERATE, Tab, apart
 from rig.terminal import loud
 
 
@@ -66,8 +66,8 @@ def _build_waits(desk: Desk, tab: Tab) -> None:
 
 
 def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
-    """The gravest alarm in a line, the button that resumes a session that died, and the list."""
-    alarms, resume = desk.alarming.alarms, resume_dialog(desk, tab)
+    """The gravest alarm in a line, and the list."""
+    alarms = desk.alarming.alarms
 
     def toggle() -> None:
         fold.set_value(not fold.value)
@@ -75,22 +75,12 @@ def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
     def gravest(words: Callable[[AlarmRow], str]) -> str:
         return next((sentence(words(row)) for row in alarms.rows() if row.cries), "")
 
-    def died() -> bool:
-        is_listed = any(row.key is AlarmKey.SESSION_DIED for row in alarms.rows())
-        return is_listed and desk.resumable() is not None
-
-    async def ask_resume() -> None:
-        if (folder := desk.resumable()) is not None:
-            await resume(folder)
-
     with ui.element("div").classes("alarm").props('role="alert" aria-live="assertive"') as banner:
         title = tab.label(lambda: gravest(lambda row: f"{row.key}: {row.cause}"), "text-weight-bold")
         tab.label(lambda: gravest(lambda row: row.key.remedy), "alarm-remedy")
         ui.button("All", on_click=toggle).props('dense flat aria-label="All alarms, key a"')
     tab.keep(lambda: banner.set_visibility(bool(title.text)))
-    props = 'color="positive" size="lg" aria-label="Resume … the session that died"'
-    tab.button("Resume …", ask_resume, props, seen=died).classes("full-width")
-    with at_once(ui.expansion()).classes("full-width alarms").props("dense") as fold:
+    with ui.expansion().classes("full-width alarms").props("dense") as fold:
         with fold.add_slot("header"):
             tab.label(lambda: _counts(alarms.rows()), props='role="status" aria-live="polite"')
         _build_list(desk, tab)
@@ -98,32 +88,19 @@ def _build_alarms(desk: Desk, tab: Tab) -> Callable[[], None]:
 
 
 def _counts(rows: Sequence[AlarmRow]) -> str:
-    counted = [
-        (str(state), sum(row.state is state and not row.earlier for row in rows)) for state in AlarmState
-    ]
-    counted.append(("from before", sum(row.earlier for row in rows)))
+    counted = [(state, sum(row.state is state for row in rows)) for state in AlarmState]
     return f"Alarms: {', '.join(f'{count} {words}' for words, count in counted if count) or 'none'}"
 
 
 def _build_list(desk: Desk, tab: Tab) -> None:
-    """A row for each alarm; those from before stand folded below them."""
+    """A row for each alarm."""
     alarms = desk.alarming.alarms
     causes: dict[AlarmKey, ui.label] = {}
 
-    def seen(*keys: AlarmKey) -> None:
-        for key in keys:
-            alarms.acknowledge(key)
-
     def draw(rows: Sequence[AlarmRow]) -> None:
         causes.clear()
-        earlier = [row for row in rows if row.earlier]
-        for row in rows[: len(rows) - len(earlier)]:
-            causes[row.key] = _row(tab, row, seen)
-        if earlier:
-            with at_once(ui.expansion(f"{len(earlier)} from before")):
-                tab.button("All of them seen", partial(seen, *(row.key for row in earlier)))
-                for row in earlier:
-                    causes[row.key] = _row(tab, row, seen)
+        for row in rows:
+            causes[row.key] = _row(tab, row, alarms.acknowledge)
         if not rows:
             ui.label("nothing is wrong").classes("dim")
 

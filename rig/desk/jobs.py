@@ -3,14 +3,13 @@
 import json
 import subprocess
 import threading
-import time
 from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from processing.errors import ConfigurationError, RigError
+from processing.errors import ConfigurationError
 from rig.interruption import start_python
 from rig.prepare import BalanceDialogue, BalanceStage, balance_dialogue
 
@@ -47,15 +46,15 @@ class Job:
 
     `lines` are the last JSON objects that it printed, and among them the answers that it was given; `output`
     its other lines. `ending` is True once it was asked to end. While a command that `uses_camera` runs, no
-    other has the camera, and LIGHT OFF ends it; `folder` is where it shows its light, None without a camera.
+    other has the camera, and LIGHT OFF ends it.
     """
 
-    def __init__(self, words: list[str], folder: Path | None = None) -> None:
+    def __init__(self, words: list[str], *, uses_camera: bool = False) -> None:
         pipe = subprocess.PIPE
         self._process = start_python(
             "-m", "rig", *words, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8"
         )
-        self.folder = folder
+        self.uses_camera = uses_camera
         self.ending = False
         self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
@@ -67,10 +66,6 @@ class Job:
         ]
         for reader in self._readers:
             reader.start()
-
-    @property
-    def uses_camera(self) -> bool:
-        return self.folder is not None
 
     @property
     def running(self) -> bool:
@@ -149,19 +144,12 @@ class Job:
 class Jobs(dict[str, Job]):
     """The commands that a desk has started, the last one of each name."""
 
-    def begin(self, name: str, *words: str, folder: Path | None = None) -> Job:
-        """Start `rig NAME`; raises ConfigurationError while the last one of this name runs.
-
-        `folder` is where a command that uses the camera shows its light.
-        """
-        if folder is not None:
-            with suppress(OSError):
-                # without it a rig whose laser is not switched shows no picture
-                folder.mkdir(parents=True, exist_ok=True)
+    def begin(self, name: str, *words: str, uses_camera: bool = False) -> Job:
+        """Start `rig NAME`; raises ConfigurationError while the last one of this name runs."""
         before = self.get(name)
         if before is not None and before.running:
             raise ConfigurationError(f"rig {name} still runs; wait, or end it first")
-        self[name] = Job([*name.split(), *words], folder)
+        self[name] = Job([*name.split(), *words], uses_camera=uses_camera)
         return self[name]
 
     def running(self, *, uses_camera: bool) -> list[tuple[str, Job]]:
@@ -170,16 +158,10 @@ class Jobs(dict[str, Job]):
             (name, job) for name, job in tuple(self.items()) if job.uses_camera is uses_camera and job.running
         ]
 
-    @property
-    def lit_in(self) -> Path | None:
-        """Where the command that has the camera shows its light; None without one."""
-        return next((job.folder for _, job in self.running(uses_camera=True)), None)
-
 
 _NAME = "balance"
 _MEASURE, _FORGET, _END = "m", "f", "q"
 """Answers that the command takes between two measurements, besides a turn."""
-_LOOK_S = 0.05
 
 
 class Balancing:
@@ -195,22 +177,12 @@ class Balancing:
 
     @property
     def shown(self) -> BalanceDialogue:
-        """State of the dialogue; before any measurement, advice from the running session."""
+        """State of the dialogue."""
         job = self._desk.jobs.get(_NAME)
-        if job is not None:
-            failed = bool(job.status) and not job.ending
-            return balance_dialogue(list(job.lines), list(job.output), running=job.running, failed=failed)
-        news = self._desk.following.news
-        path = news.get("path") or {"x": [], "y": []}
-        next_step = (news.get("balance") or {}).get("next_step")
-        words = next_step or "Measure: let it swing, not too far"
-        return BalanceDialogue(BalanceStage.IDLE, words, x=path["x"], y=path["y"])
-
-    @property
-    def unit(self) -> str:
-        """Unit of the trajectory."""
-        is_own = _NAME in self._desk.jobs
-        return "arcsec" if is_own else self._desk.following.unit or "arcsec"
+        if job is None:
+            return BalanceDialogue(BalanceStage.IDLE, "Measure: let it swing, not too far")
+        failed = bool(job.status) and not job.ending
+        return balance_dialogue(list(job.lines), list(job.output), running=job.running, failed=failed)
 
     def measure(self) -> None:
         """Measure, or measure again; may wait for the camera."""
@@ -228,22 +200,15 @@ class Balancing:
             raise ConfigurationError("first measure: a turn is stated between two measurements")
         job.answer(f"{weight} {turns.strip()}")
 
-    def forget(self) -> str:
-        """Take the last turn back; returns what was done. May wait for the command."""
+    def forget(self) -> None:
+        """Take the last turn back; the dialogue says which. May wait for the camera."""
         job = self._job
         if job is None:
-            job = self._desk.start(_NAME, "--forget-last", "--json")
-            job.wait()
-            if job.status:
-                raise RigError(job.problem)
+            self._desk.start(_NAME, "--forget-last", "--json")
         elif not job.asks:
             raise ConfigurationError("wait for the end of the measurement")
         else:
             job.answer(_FORGET)
-            deadline_s = time.monotonic() + _READ_WITHIN_S
-            while not _forgotten(job) and time.monotonic() < deadline_s:
-                time.sleep(_LOOK_S)
-        return _forgotten(job) or "the command has not said whether the turn is forgotten"
 
     def end(self) -> None:
         """End the command; a measurement that is not finished is discarded."""
@@ -260,13 +225,3 @@ class Balancing:
     def _job(self) -> Job | None:
         found = self._desk.jobs.get(_NAME)
         return found if found is not None and found.running else None
-
-
-def _forgotten(job: Job) -> str:
-    """What the command has said of a turn that it was asked to forget; empty before."""
-    for line in reversed(list(job.lines)):
-        if line.get("kind") == "answer":
-            break
-        if "forgotten" in line:
-            return str(line["forgotten"])
-    return ""

@@ -18,10 +18,9 @@ from rig.control import (
     Loop,
     SafetyNow,
     SafetyState,
-    TripCause,
     in_thread,
 )
-from rig.desk.following import Following, WatchedProgram
+from rig.desk.following import Following
 from rig.desk.run_reader import clock
 from rig.devices import (
     HEARD_WITHIN_S,
@@ -86,9 +85,9 @@ class Lighting:
             begun = None
         if begun is not None:
             folders.add(begun[1])
-        picture = desk.live_picture if desk.command.news else None
-        if picture is not None and picture.folder is not None:
-            folders.add(picture.folder)
+        picture = None if desk.following.held is None else desk.live_picture
+        if picture is not None:
+            folders.add(desk.config.session.output)
         pressed = LightOff(desk.config, desk.rig, AT, folders)
         # a live picture that answers lives on in the dark
         ended = [job for _, job in desk.jobs.running(uses_camera=True) if job is not picture]
@@ -101,15 +100,11 @@ class Lighting:
             heard = True
         problems, answered, kept = pressed.result()
         heard = heard or answered
-        unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
-        if (ended or not heard) and unfiled is not None and unfiled.trip is None:
-            # a rig without a file is remembered as long as the desk lives, a command ends before it can be
-            # acknowledged there
-            unfiled.latch(TripCause.PERSON, f"LIGHT OFF was pressed at {AT}", lit=False)
         if desk.config.laser.kind == "none":
             problems.append(NOT_OURS)
         elif not heard:
-            stored = ": it is kept, and nothing is lit until it is acknowledged" if kept else ""
+            is_stored = kept and desk.rig.presses is not None
+            stored = ": it is kept, and nothing is lit until it is acknowledged" if is_stored else ""
             problems.append(f"no program that could light has answered{stored}")
         return problems
 
@@ -119,16 +114,15 @@ class Lighting:
         Raises RigError if the trip cannot be acknowledged. May wait.
         """
         desk = self._desk
-        for one in (desk.following, desk.command):
-            if one.news:
-                return one.order(f"acknowledge {number}")
-        with Devices(desk.config, desk.config.session.output, "the desk", desk.safety.unfiled) as devices:
+        if desk.following.news:
+            return desk.following.order(f"acknowledge {number}")
+        with Devices(desk.config, desk.config.session.output, "the desk") as devices:
             devices.wait_until_heard()
             return devices.acknowledge(number, "the desk")
 
     def again(self) -> str:
         """Ask the live picture or the session to light again; RigError if neither runs. May wait."""
-        return (self._desk.shown or self._desk.following).order("light")
+        return self._desk.following.order("light")
 
     @property
     def waits(self) -> bool:
@@ -136,7 +130,7 @@ class Lighting:
         shown, now = self._desk.shown, self._desk.safety.now
         if shown is None or now.trip is not None:
             return False
-        if shown is self._desk.following:
+        if shown.running:
             # between two runs, too
             return now.to_be_asked or bool(shown.news.get("darkness") and shown.state.get("alarm"))
         return bool(shown.state.get("dark"))
@@ -159,17 +153,15 @@ class ConfirmedState:
 class Safety:
     """The safety state of the rig, by the program that has its devices and by the rig's state on disk.
 
-    A trip on disk holds also while no program has the devices. A thread of this class reads the file. The
-    state of a rig without a file (simulated) is kept here until the desk ends: `unfiled` is its latch, None
-    for a rig with a file. `by` is the device that reports the light; `light` and `interlock` are the last
-    confirmed states, None before any.
+    A trip on disk holds also while no program has the devices. A thread of this class reads the file; a
+    simulated rig has none, and its trip ends with the program that has it. `by` is the device that reports
+    the light; `light` and `interlock` are the last confirmed states, None before any.
     """
 
-    def __init__(self, rig: SafetyState, following: Following, command: WatchedProgram, by: str) -> None:
-        self._rig, self._following, self._command, self._by = rig, following, command, by
+    def __init__(self, rig: SafetyState, following: Following, by: str) -> None:
+        self._rig, self._following, self._by = rig, following, by
         self.light: ConfirmedState | None = None
         self.interlock: ConfirmedState | None = None
-        self.unfiled = rig if rig.path is None else None
         self._ended = threading.Event()
 
     def start(self) -> None:
@@ -183,22 +175,16 @@ class Safety:
     @property
     def now(self) -> SafetyNow:
         """The present safety state, with present ages; never blocks."""
-        if (told := self._told()) is None:
+        following = self._following
+        if not following.news.get("safety"):
             return SafetyNow(trip=self._rig.trip)
-        state, since_s = told.safety, time.monotonic() - told.heard_s
-        # of a simulated rig a session has a latch of its own
-        is_own = self.unfiled is not None and self._following.running
+        state, since_s = following.safety, time.monotonic() - following.heard_s
         return replace(
             state,
-            trip=state.trip or (None if is_own else self._rig.trip),
+            trip=state.trip or self._rig.trip,
             light_age_s=state.light_age_s + since_s,
             interlock_age_s=state.interlock_age_s + since_s,
         )
-
-    def _told(self) -> WatchedProgram | None:
-        """The program that has the devices, and has told their state; None without one."""
-        has_told = (one for one in (self._following, self._command) if one.news.get("safety"))
-        return next(has_told, None)
 
     @property
     def trip(self) -> LatchedTrip | None:
@@ -216,20 +202,10 @@ class Safety:
             self.interlock = ConfirmedState(now.interlock, at_s - now.interlock_age_s, self._by)
 
     def _read(self) -> None:
-        latched: LatchedTrip | None = None
         while not self._ended.wait(_READ_S):
             self.confirm(self.now)
-            if self.unfiled is None:
-                with suppress(RigError):
-                    self._rig.read()
-                continue
-            # the latch of a simulated rig ends with the program that has it, a real one's does not
-            if (told := self._told()) is not None:
-                latched = told.safety.trip
-            elif latched is not None:
-                if self._rig.trip is None:
-                    self._rig.latch(latched.cause, latched.why, latched.lit)
-                latched = None
+            with suppress(RigError):
+                self._rig.read()
 
 
 def refusal(safety: SafetyNow) -> str:

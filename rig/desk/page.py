@@ -1,6 +1,5 @@
 """The page: head with state and keys, alarms over everything, one panel at a time."""
 
-import html
 import json
 import time
 from functools import partial
@@ -16,9 +15,8 @@ from rig.desk.dialogs import keys_dialog
 from rig.desk.header import build_header
 from rig.desk.lighting import lamps
 from rig.desk.panels import PANELS
-from rig.desk.panels.runs import rerun_address
 from rig.desk.sessions import last_state
-from rig.desk.tab import Tab, at_once
+from rig.desk.tab import Tab
 from rig.desk.tables import static
 from rig.instrument import Phase
 
@@ -28,7 +26,7 @@ _LOOK_S = 0.25
 def build_page(desk: Desk, off_port: int) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab()
-    build_head(off_port)
+    _build_bars(off_port)
     with ui.header().classes("items-center no-wrap"):
         ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
         ui.label("SIMULATED").classes("no").set_visibility(desk.config.simulated)
@@ -51,19 +49,6 @@ def build_page(desk: Desk, off_port: int) -> None:
     _tell_bars(desk)
 
 
-def build_rerun(desk: Desk, off_port: int) -> None:
-    """Build the page around Rerun's own, which does not say that nothing comes any more."""
-    build_head(off_port)
-    ui.html("Rerun", tag="h1", sanitize=False).classes("unseen")
-    address = rerun_address(desk)
-    gone = "not connected: rig view has ended"
-    Tab().label(lambda: "" if rerun_address(desk) == address != "" else gone, "advice no", 'role="alert"')
-    if address:
-        # what it has shown last stays
-        ui.html(f"<iframe title='Rerun' src='{html.escape(address)}'></iframe>", sanitize=False)
-    _tell_bars(desk)
-
-
 def _tell_bars(desk: Desk) -> None:
     """Tell the safety bar, and the line of what is late, some times a second."""
 
@@ -79,7 +64,7 @@ def _tell_bars(desk: Desk) -> None:
 
 def _build_panels(desk: Desk, tab: Tab) -> None:
     """The names of the panels, and one panel at a time; a number shows one, too."""
-    with at_once(ui.tabs()).props("dense align=left").classes("full-width") as tabs:
+    with ui.tabs().props("dense align=left").classes("full-width") as tabs:
         for number, panel in enumerate(PANELS, start=1):
             ui.tab(panel.name).props(f'aria-label="{panel.name}, key {number}" data-panel="{panel.name}"')
     tab.shown = PANELS[0].name if not desk.following.running else "Measure"
@@ -121,7 +106,7 @@ def _session_age(desk: Desk) -> dict[str, object] | None:
 
 def _state(desk: Desk) -> str:
     following = desk.following
-    if following.silent:
+    if following.frozen:
         return f"{following.folder and following.folder.name}: does not answer at the moment"
     if following.folder is not None:
         phase = following.doing
@@ -133,7 +118,7 @@ def _state(desk: Desk) -> str:
         return "a session is starting"
     if (folder := desk.session_folder) is not None:
         how = last_state(folder)
-        if desk.fits_last:
+        if desk.following.fits_last:
             is_over = how in ("complete", "stopped", "failed")
             report = f"last session {how}, its report is being made: {folder.name}"
             return report if is_over else "a session is starting or being fitted"
@@ -146,9 +131,8 @@ def _state(desk: Desk) -> str:
 def _recording(desk: Desk) -> str:
     """Text on the present recording; empty without one."""
     following = desk.following
-    if following.running:
-        return str(following.news.get("run") or "") if following.state.get("phase") == Phase.MEASURING else ""
-    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name == RECORD_ALONE), "")
+    is_measuring = following.running and following.state.get("phase") == Phase.MEASURING
+    return str(following.news.get("run") or "") if is_measuring else ""
 
 
 def _keys() -> list[tuple[str, str]]:
@@ -163,8 +147,8 @@ DEAD_S = 30.0
 """Time without news after which a page is disconnected, not only slow; the desk keeps it as long."""
 
 
-def build_head(off_port: int) -> None:
-    """Add the safety bar to the page being built; `off_port` is the separate server of LIGHT OFF."""
+def _build_bars(off_port: int) -> None:
+    """Add the safety bar and the line of what is late; `off_port` is the separate server of LIGHT OFF."""
     script_values = {
         "offPort": off_port,
         "dark": DARK,

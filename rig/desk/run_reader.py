@@ -10,12 +10,11 @@ from typing import Any
 
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import SPOT, RecordedFittedPoint
-from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.units import ARCSEC_RAD, NS_PER_S, seconds
 from rig.devices import PATH_S, thinned_path
-from rig.instrument import advice_for, balance_failures, piece_contents, recorded_configuration
+from rig.instrument import balance_failures, piece_contents, recorded_configuration
 from rig.settings import Configuration
 
 _LOOK_S = 0.1
@@ -29,8 +28,7 @@ class RecordFollower:
     """Follows a record, which need not be there yet, until it is closed; one of the same name is the next.
 
     `balance` is the last one, as news; `config` its configuration, None before it begins and where it has
-    none that can be read. `on_event` is called with each event; its times are in s since the record began,
-    and of the day.
+    none that can be read. `on_event` is called with each event; its time is that of the day.
     """
 
     def __init__(self, record: Path, on_event: Callable[[dict[str, Any]], None]) -> None:
@@ -49,7 +47,7 @@ class RecordFollower:
             self.config = config
             self._start_ns: int | None = None
             self._path: deque[Deflections] = deque()
-            self._swings = {name: deque[Point](maxlen=_KEPT) for name in ("amplitude", "period")}
+            self._measured = deque[Point](maxlen=_KEPT)
             self._fitted: list[RecordedFittedPoint] = []
             self.balance: dict[str, Any] | None = None
 
@@ -66,13 +64,16 @@ class RecordFollower:
             path = list(self._path)
         return thinned_path(path)
 
-    def history(self) -> dict[str, Any]:
-        """Values for the charts since the run began: half-cycles and fit, amplitudes in the shown unit."""
+    def history(self) -> dict[str, list[Point]]:
+        """Amplitudes since the run began, measured and of the fit, in the shown unit, over time in s."""
+        start_ns = self._start_ns or 0
         with self._lock:
-            return {
-                "swings": {name: decimated(points) for name, points in self._swings.items()},
-                "fit": _drawn(self._fitted, self._start_ns or 0),
-            }
+            fitted = [
+                (_after_s(one.turn_time_ns, start_ns), round(one.amplitude_rad / ARCSEC_RAD, _DIGITS))
+                for one in self._fitted
+                if math.isfinite(one.amplitude_rad)
+            ]
+            return {"measured": decimated(self._measured), "fit": decimated(fitted)}
 
     # -- in its thread -----------------------------------------------------------
 
@@ -103,7 +104,7 @@ class RecordFollower:
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
         new = piece_contents(reader, piece, start_ns, start_ns)
         if new.balances and self.config is not None:
-            self.balance = _balance_values(self.config, new.balances[-1])
+            self.balance = {"failed_checks": balance_failures(new.balances[-1], self.config.balance)}
         with self._lock:
             if SPOT.topic in piece:
                 deflections = reader.deflections(reader.table(SPOT.topic, piece))
@@ -112,10 +113,8 @@ class RecordFollower:
                     self._path.popleft()
             for swing in new.swings:
                 if not swing.flags:
-                    at_s = round(seconds(swing.turn_time_ns - start_ns), 3)
-                    self._swings["amplitude"].append((at_s, round(swing.amplitude / size, _DIGITS)))
-                    if math.isfinite(swing.half_period_s):
-                        self._swings["period"].append((at_s, round(2.0 * swing.half_period_s, _DIGITS)))
+                    at_s = _after_s(swing.turn_time_ns, start_ns)
+                    self._measured.append((at_s, round(swing.amplitude / size, _DIGITS)))
             points = reader.values(RecordedFittedPoint, piece)
             if points:
                 # those of an earlier fit are forgotten
@@ -123,7 +122,6 @@ class RecordFollower:
                 self._fitted = [one for one in (*self._fitted, *points) if one.time_ns == last_ns]
         for event in new.events:
             event_values = {
-                "elapsed_s": seconds(event.time_ns - start_ns),
                 "kind": event.kind,
                 "level": event.level,
                 "text": event.text,
@@ -143,26 +141,8 @@ def decimated(points: Sequence[Point]) -> list[Point]:
     return list(points)[::-1][::step][::-1]
 
 
-def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, list[Point]]:
-    """Curves of the fit and its residuals in the shown units; empty before the first fit."""
-    at_s = [round(seconds(one.turn_time_ns - start_ns), 3) for one in points]
-    curves = {
-        "amplitude": [round(one.amplitude_rad / ARCSEC_RAD, _DIGITS) for one in points],
-        "amplitude_residual": [round(one.amplitude_residual, 2) for one in points],
-        "period": [one.period_s for one in points],
-        "period_residual": [round(one.period_residual, 2) for one in points],
-    }
-    return {
-        name: decimated([one for one in zip(at_s, values, strict=True) if math.isfinite(one[1])])
-        for name, values in curves.items()
-    }
-
-
-def _balance_values(config: Configuration, balance: Balance) -> dict[str, Any]:
-    return {
-        "next_step": advice_for(config, balance).next_step or None,
-        "failed_checks": balance_failures(balance, config.balance),
-    }
+def _after_s(time_ns: int, start_ns: int) -> float:
+    return round(seconds(time_ns - start_ns), 3)
 
 
 def _configuration_of(reader: RecordReader) -> Configuration | None:

@@ -1,20 +1,13 @@
 """The sessions of a folder as the desk lists and finds them."""
 
-import json
-import math
 import os
-from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from processing.errors import RigError
-from processing.fit import FitMethod
-from rig.instrument import BALANCE_CONDITIONS
-from rig.measure import STATE_NAME, RunState, SessionSummary, read_session, session_summary, state_of
-from rig.terminal import quantity, with_uncertainty
+from rig.measure import STATE_NAME, RunState, SessionSummary, read_session, session_summary
 
 SERVED = "/sessions"
 """Path on the desk's server below which the files of the sessions' folder are served."""
@@ -27,10 +20,9 @@ class SessionRow:
     """One session in the list, as texts.
 
     `state` is how it ended, or why it cannot be read, `runs` the number of complete runs of those wanted, and
-    `conditions` the first and last amplitude of its runs. `sigma`, `b` and `c` are those of its last run,
-    with their whole uncertainty, in the units of `NUMBERS`; `balance` is go, no, or empty where it was not
-    judged. `resumable` is True if runs are missing that can still be made. `text` is what a search looks
-    through.
+    `conditions` the first and last amplitude of its runs. `result` is what it hands over, with its whole
+    uncertainty, empty without one. `resumable` is True if runs are missing that can still be made. `text` is
+    what a search looks through.
     """
 
     folder: Path
@@ -40,10 +32,7 @@ class SessionRow:
     runs: str = ""
     conditions: str = ""
     operator: str = ""
-    sigma: str = ""
-    b: str = ""
-    c: str = ""
-    balance: str = ""
+    result: str = ""
     resumable: bool = False
     text: str = ""
 
@@ -51,13 +40,6 @@ class SessionRow:
     def name(self) -> str:
         """Name of its folder."""
         return self.folder.name
-
-    @property
-    def report(self) -> Path | None:
-        """Its newest report."""
-        with suppress(OSError):
-            return max(self.folder.glob("report*.html"), key=lambda path: path.stat().st_mtime, default=None)
-        return None
 
 
 class SessionIndex:
@@ -107,13 +89,12 @@ def _changed_ns(path: str) -> int:
 def session_row(folder: Path) -> SessionRow:
     """The row of one session; if its folder cannot be read as a session, `state` is the reason."""
     try:
-        session = read_session(folder)
+        session, summary = read_session(folder), session_summary(folder)
     except RigError as error:
         return SessionRow(folder, str(error), text=f"{folder} {error}".lower())
     begun = min((entry.begun_utc for entry in session.entries if entry.begun_utc), default="")
     stated = session.configuration.get("session", {})
-    run_state = state_of(session)
-    state = "no run made" if run_state is None else run_state.value
+    state = "no run made" if summary.ended is None else summary.ended.value
     sample, operator = str(stated.get("sample", "")), str(stated.get("operator", ""))
     began = begun.replace("T", " ").partition("+")[0].partition(".")[0]
     first, last = stated.get("initial_amplitude_arcsec"), stated.get("final_amplitude_arcsec")
@@ -126,59 +107,18 @@ def session_row(folder: Path) -> SessionRow:
         runs=f"{len(session.complete)} of {session.runs_wanted}",
         conditions="" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec",
         operator=operator,
-        resumable=run_state not in (None, RunState.COMPLETE),
+        result=summary.headline,
+        resumable=summary.ended not in (None, RunState.COMPLETE),
         text=" ".join((folder.name, began, sample, operator, state, notes)).lower(),
-        **last_run(folder),
     )
 
 
-NUMBERS = {"sigma": "surface_energy_table2_j_per_m2", "b": "b", "c": "c"}
-"""Keys of the quantities in the list, by the name of their column."""
-
-
-def last_run(folder: Path) -> dict[str, str]:
-    """Columns of the list that follow from a session's last run; empty without results."""
-    try:
-        run = json.loads((folder / RESULTS_NAME).read_bytes())["runs"][-1]
-        rows = {row["quantity"]: row for row in run["table"] if row["fit"] == FitMethod.EXACT}
-        conditions = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
-        # a condition that is met and still has a remedy was not determined
-        judged = [one["ok"] for one in conditions if not (one["ok"] and one.get("remedy"))]
-        numbers = {name: _number(rows.get(key)) for name, key in NUMBERS.items()}
-    except (OSError, ValueError, KeyError, IndexError, TypeError):
-        return {}
-    return {**numbers, "balance": "" if not judged else "go" if all(judged) else "no"}
-
-
-def _number(row: Mapping[str, Any] | None) -> str:
-    """Value and whole uncertainty in the unit shown, or the verdict on a quantity that is not determined."""
-    if row is None:
-        return ""
-    if row["verdict"] != "determined":
-        return str(row["verdict"])
-    if row["value"] is None:
-        return ""
-    factor = quantity(row["quantity"]).factor
-    u = row["u"] if row["u_total"] is None else row["u_total"]
-    return with_uncertainty(factor * row["value"], factor * (u or math.nan))
-
-
 @lru_cache(maxsize=8)
-def _read(read: Callable[[Path], Any], folder: Path, *_changed_ns: int) -> Any:
-    """What `read` makes of a session's folder; None if it cannot be read."""
+def _summary(folder: Path, *_changed_ns: int) -> SessionSummary | None:
     try:
-        return read(folder)
+        return session_summary(folder)
     except RigError:
         return None
-
-
-def _ended(folder: Path) -> RunState | None:
-    return state_of(read_session(folder))
-
-
-def last_state(folder: Path) -> str:
-    """State of a session that has ended, as in the list; empty if it left no state."""
-    return str(_read(_ended, folder, _changed_ns(f"{folder}/{STATE_NAME}")) or "")
 
 
 def last_summary(folder: Path) -> SessionSummary | None:
@@ -186,9 +126,14 @@ def last_summary(folder: Path) -> SessionSummary | None:
 
     It is read again only when the files of the session have changed.
     """
-    changed_ns = (_changed_ns(f"{folder}/{name}") for name in (STATE_NAME, RESULTS_NAME, "report.html"))
-    found: SessionSummary | None = _read(session_summary, folder, *changed_ns)
-    return found
+    names = (STATE_NAME, RESULTS_NAME, "report.html")
+    return _summary(folder, *(_changed_ns(f"{folder}/{name}") for name in names))
+
+
+def last_state(folder: Path) -> str:
+    """State of a session that has ended, as in the list; empty if it left no state."""
+    summary = last_summary(folder)
+    return "" if summary is None or summary.ended is None else str(summary.ended)
 
 
 def served_file(output: Path, name: str) -> Path | None:

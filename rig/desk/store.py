@@ -1,4 +1,4 @@
-"""The key and the port of a desk, which it stores in a file, and the locks that make it the only desk."""
+"""The key and the port of a desk, which it stores in a file, and the lock that makes it the only desk."""
 
 import contextlib
 import hashlib
@@ -18,8 +18,6 @@ except ImportError:  # pragma: no cover
     # no file locks on this system; two desks of a configuration are then not prevented
     fcntl = None  # type: ignore[assignment]
 
-_NAME = "desk.json"
-
 
 class _DeskFile(BaseModel, extra="ignore"):
     key: str = Field(default_factory=lambda: secrets.token_urlsafe(24))
@@ -33,60 +31,48 @@ class DeskStore:
     """
 
     def __init__(self, source: Path) -> None:
-        source = source.resolve()
-        digest = hashlib.sha256(str(source).encode()).hexdigest()[:12]
-        self._folder = state_folder() / "desks" / f"{source.stem}-{digest}"
-        self._source = source
-        self._locks: list[IO[str]] = []
+        self._desks = state_folder() / "desks"
+        self._path = self._desks / f"{source.stem}-{_digest(source)}.json"
+        self._held: IO[str] | None = None
         self._stored = _DeskFile()
 
     def hold(self, output: Path) -> None:
-        """Lock the configuration and the folder of its sessions, so that this is their only desk.
+        """Lock the folder of the sessions, so that this is their only desk, and read what is stored.
 
-        Raises ConfigurationError if another desk holds one of them: both would act on one session.
+        Raises ConfigurationError if another desk holds it: both would act on one session.
         """
-        where = output.resolve()
-        digest = hashlib.sha256(str(where).encode()).hexdigest()[:12]
-        refusals = {
-            self._folder / "lock": f"{self._source}: it already has an open desk: use OTHER, or end it first",
-            self._folder.parent / f"sessions-{digest}.lock": (
-                f"session.output = {where}: the desk of another configuration has its sessions there: use "
-                "OTHER, or end it, or state another folder"
-            ),
-        }
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            # only this user may read the key
-            self._folder.chmod(0o700)
-            for path, refusal in refusals.items():
-                self._locks.append(path.open("a+", encoding="utf-8"))
-                if (other := _holder(self._locks[-1])) is not None:
-                    self._locks.pop().close()
-                    self.close()
-                    raise ConfigurationError(refusal.replace("OTHER", other or "that"))
-        except OSError:
-            self.close()
+            self._desks.mkdir(parents=True, exist_ok=True)
+            # only this user may read the keys
+            self._desks.chmod(0o700)
+            self._held = (self._desks / f"sessions-{_digest(output)}.lock").open("a+", encoding="utf-8")
+            if (other := _holder(self._held)) is not None:
+                self._held.close()
+                self._held = None
+                raise ConfigurationError(
+                    f"session.output = {output.resolve()}: it already has an open desk: use "
+                    f"{other or 'that'}, or end it, or state another folder"
+                )
+            self._stored = _DeskFile.model_validate_json(self._path.read_bytes())
+        except (OSError, ValidationError):
             return
-        with contextlib.suppress(OSError, ValidationError):
-            self._stored = _DeskFile.model_validate_json((self._folder / _NAME).read_bytes())
 
     def opened_at(self, address: str, port: int) -> None:
-        """Write the address into the locks, where a second desk reads it, and store the port."""
+        """Write the address into the lock, where a second desk reads it, and store the port."""
         self._stored.port = port
-        if self._locks:
+        if self._held is not None:
             with contextlib.suppress(OSError):
-                atomic_write.replace(self._folder / _NAME, self._stored.model_dump_json(indent=1).encode())
-        for held in self._locks:
-            held.truncate(0)
-            held.write(address)
-            held.flush()
+                atomic_write.replace(self._path, self._stored.model_dump_json(indent=1).encode())
+            self._held.truncate(0)
+            self._held.write(address)
+            self._held.flush()
 
     def close(self) -> None:
-        """Release the locks, so that another desk can start."""
-        for held in self._locks:
-            held.truncate(0)
-            held.close()
-        self._locks.clear()
+        """Release the lock, so that another desk can start."""
+        if self._held is not None:
+            self._held.truncate(0)
+            self._held.close()
+            self._held = None
 
     @property
     def key(self) -> str:
@@ -97,6 +83,10 @@ class DeskStore:
     def port(self) -> int:
         """The port of the last desk; 0 if there was none."""
         return self._stored.port
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
 
 
 def _holder(held: IO[str]) -> str | None:

@@ -61,14 +61,12 @@ class LitDevices:
     session will not light the laser any more.
     """
 
-    def __init__(
-        self, config: Configuration, folder: Path | None, task: str, state: SafetyState | None = None
-    ) -> None:
+    def __init__(self, config: Configuration, folder: Path | None, task: str) -> None:
         check_wiring(config.laser, config.controller)
         self._config = config
         self.control: ControlService | None = None
         self.laser: LaserService | None = None
-        self.state = state or SafetyState(rig_state_path(config.laser, config.controller), task)
+        self.state = SafetyState(rig_state_path(config.laser, config.controller), task)
         self._log = AuditLog(folder, config.session.operator, task)
         self._task = task
         self._lighting = threading.Lock()

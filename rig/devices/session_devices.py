@@ -19,7 +19,6 @@ from rig.control import (
     ControlService,
     EnvironmentService,
     LaserService,
-    SafetyState,
     make_laser,
     simulated_controller,
 )
@@ -94,9 +93,8 @@ class Devices(LitDevices):
         config: Configuration,
         folder: Path | None = None,
         task: str = "this program",
-        state: SafetyState | None = None,
     ) -> None:
-        super().__init__(config, folder, task, state)
+        super().__init__(config, folder, task)
         self._folder = folder
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None

@@ -93,6 +93,9 @@ def balance_dialogue(
     problem = next((str(one["problem"]) for one in list(lines)[-2:] if one.get("problem")), "")
     turn = None if stage is BalanceStage.MEASURING else last.get("turn")
     advice, detail = _advice(stage, last, turn, output)
+    # after it the advice is given again, and asked for the next turn
+    forgotten = next((str(one["forgotten"]) for one in list(lines)[-3:] if "forgotten" in one), "")
+    detail = "; ".join(filter(None, (forgotten, detail)))
     return BalanceDialogue(stage, advice, detail, turn, faults, last.get("before") or [], x, y, problem)
 
 

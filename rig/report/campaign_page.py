@@ -269,8 +269,6 @@ def _covariate_figures(campaign: Campaign) -> list[ReportFigure]:
     return [ReportFigure("covariates", title, words, figure)]
 
 
-
-
 _NAME = "campaign.json"
 
 

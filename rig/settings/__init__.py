@@ -12,7 +12,6 @@ from rig.settings.configuration_file import (
     REPLAYED,
     SCHEMA,
     SCHEMA_KEY,
-    FaultyConfiguration,
     apply_overrides,
     keys_with_faults,
     load_configuration,

@@ -114,14 +114,6 @@ def stored_configuration(config: Configuration) -> dict[str, Any]:
     return {SCHEMA_KEY: SCHEMA, **config.model_dump(mode="json")}
 
 
-class FaultyConfiguration(ConfigurationError):
-    """Faults of a configuration, a line for each; `override_faults` are those of --set, as (key, line)."""
-
-    def __init__(self, lines: Sequence[str], override_faults: Sequence[tuple[str, str]]) -> None:
-        super().__init__("\n".join(lines))
-        self.override_faults = tuple(override_faults)
-
-
 def validate_configuration(
     tree: Mapping[str, Any], source: str, overrides: Iterable[str] = ()
 ) -> Configuration:
@@ -137,7 +129,7 @@ def validate_configuration(
     overrides = {override.partition("=")[0].strip(): override for override in overrides}
     stated = {f"{key}." for key in overrides}
     with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
-    lines, override_faults = [], []
+    lines = []
     for fault in found_faults:
         is_stated, place = _is_from_overrides(fault, with_u), fault.place
         siblings = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
@@ -147,8 +139,7 @@ def validate_configuration(
         # the line begins with another of the keys that contradict each other
         of_set = "" if place or 0 in at.values() else "".join(f"{text}: " for text in at if at[text] > 0)
         lines.append(f"{f'--set {of_set}' if is_stated else f'{source}: '}{fault.line}{why}")
-        override_faults += [(dotted(place), f"{fault.line}{why}")] if is_stated else []
-    raise FaultyConfiguration(lines, override_faults)
+    raise ConfigurationError("\n".join(lines))
 
 
 def keys_with_faults(keys: Mapping[str, Any], whole: str = "") -> list[str]:

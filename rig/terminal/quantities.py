@@ -136,12 +136,6 @@ class PlottedQuantities:
     elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
     deflection_x: Annotated[float, Quantity("X", "deflection across the swing", *_ANGLE)]
     deflection_y: Annotated[float, Quantity("Y", "deflection along the swing", *_ANGLE)]
-    amplitude_residual_in_u: Annotated[
-        float, Quantity("(a − fit) / u", "residual of a fit of the amplitudes in u", unit="1")
-    ]
-    period_residual_in_u: Annotated[
-        float, Quantity("(T − fit) / u", "residual of a fit of the periods in u", unit="1")
-    ]
     sharpness_per_px: Annotated[float, Quantity("sharpness", "larger is sharper", "1/px", "1/px")]
     level_dn: Annotated[float, Quantity("level", "grey value of a pixel", "DN", "DN")]
     pixels: Annotated[float, Quantity("lg(1 + pixels)", "pixels of a grey value, as a logarithm", unit="1")]

@@ -47,7 +47,6 @@ def _presses(board: BoardProcess, folder: Path, count: int) -> dict[str, Any]:
     config = write_rig(folder, SERIAL.replace("PORT", board.port))
     desk = Desk(config, tuple(f"{key}={value}" for key, value in SHORT.items()))
     desk.following.start()
-    desk.command.poller.start()
     desk.safety.start()
     chance, counts, dark_s = random.Random(50), Counter[str](), []
     try:

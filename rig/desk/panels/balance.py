@@ -7,7 +7,7 @@ from nicegui import ui
 
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
-from rig.desk.tab import DELIBERATE, Tab, apart, at_once, box, text_field
+from rig.desk.tab import DELIBERATE, Tab, apart, box, text_field
 from rig.instrument import WEIGHTS
 from rig.prepare import BalanceStage
 from rig.terminal import judged_number
@@ -48,7 +48,7 @@ def build(desk: Desk, tab: Tab) -> None:
                         f'color="positive" size="lg" aria-label="Measure the balance" {DELIBERATE}',
                         enabled=lambda: shown.stage is not BalanceStage.MEASURING,
                     )
-                    weight = at_once(ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight"))
+                    weight = ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight")
                     weight.props("dense outlined").style("min-width: 100px")
                     turns = text_field("turns, + clockwise", key="turns")
                     tab.label(lambda: "" if advised is None else net_of(advised["parts"]), "dim")
@@ -65,7 +65,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 tab.html(lambda: tables.bars(fault_bars(shown.faults, shown.before), "faults of the balance"))
                 tab.button("Forget the last turn", apart(balancing.forget), "dense outline")
     tab.keep(refresh)
-    tab.keep(lambda: way.show(shown.x, shown.y, balancing.unit))
+    tab.keep(lambda: way.show(shown.x, shown.y, "arcsec"))
 
 
 def net_of(parts: Sequence[float]) -> str:

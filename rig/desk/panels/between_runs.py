@@ -1,4 +1,4 @@
-"""Between sessions: how the last one went and what comes next; the form of the next one, and its fields."""
+"""Between sessions: how the last one went and what comes next; the form of the next one."""
 
 import html
 from contextlib import suppress
@@ -6,26 +6,12 @@ from functools import partial
 
 from nicegui import run, ui
 
-from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.desk import Desk
 from rig.desk.dialogs import Question
 from rig.desk.panels.runs import fit_again, open_in_browser_tab
-from rig.desk.tab import Tab, at_once, box, text_field
+from rig.desk.tab import Tab, box, text_field
 from rig.measure import RunState, SessionSummary
-
-
-def setting_field(desk: Desk, key: str, label: str, value: object, *, is_number: bool = False) -> ui.input:
-    """A field for a key of the configuration, judged by its model; an empty number is not stated."""
-    shown = "" if value is None else f"{value:.10g}" if isinstance(value, int | float) else str(value)
-    field = text_field(label, shown, key)
-
-    def fault(text: str | None) -> str | None:
-        typed = as_typed(text, is_number)
-        return None if is_number and typed == "" else desk.fault(key, typed) or None
-
-    field.validation = fault
-    return field
 
 
 def as_typed(text: str | None, is_number: bool) -> object:
@@ -67,33 +53,30 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
     session = desk.config.session
     fields: dict[str, tuple[ui.input, bool]] = {}
 
-    def judged() -> dict[str, object]:
-        for field, _ in fields.values():
-            if field.value and not field.validate():
-                raise ConfigurationError(str(field.error))
+    def stated() -> dict[str, object]:
         typed = {key: as_typed(field.value, is_number) for key, (field, is_number) in fields.items()}
         # an empty number is not stated
         return {key: value for key, value in typed.items() if value != "" or not fields[key][1]}
 
     async def start() -> None:
-        found = desk.checked(judged()).session
+        found = desk.checked(stated()).session
         # what was allowed for one session holds for that one
         force.set_value(False)
         runs = "one run" if found.runs == 1 else f"{found.runs} runs"
         if await question.ask(f"Start {runs} of {found.sample or 'an unnamed sample'}?"):
-            folder = await run.io_bound(desk.start_session, judged(), force=bool(force.value))
+            folder = await run.io_bound(desk.start_session, stated(), force=bool(force.value))
             ui.notify(f"the session is starting in {folder}")
 
     question = Question(tab, "start the session", "Start the session")
     with question.options:
-        force = at_once(ui.checkbox("measure even if preflight says no-go (this session only)"))
+        force = ui.checkbox("measure even if preflight says no-go (this session only)")
     with ui.element("div").classes("grid thirds") as form:
         for title, asked in _ASKED.items():
             with box(title, head="middle"):
                 for name, label, is_number in asked:
-                    key = f"session.{name}"
-                    field = setting_field(desk, key, label, getattr(session, name), is_number=is_number)
-                    fields[key] = field.classes("full-width"), is_number
+                    key, value = f"session.{name}", getattr(session, name)
+                    shown = "" if value is None else f"{value:.10g}" if is_number else str(value)
+                    fields[key] = text_field(label, shown, key).classes("full-width"), is_number
         with box("3 · Start", head="middle"):
             ui.label(f"Release {desk.config.start.way}: {_RELEASE[desk.config.start.way]}.")
             ui.label("A dialog asks once more before the laser is lit.").classes("dim")
@@ -115,7 +98,7 @@ def build_result(desk: Desk, tab: Tab) -> None:
     async def look() -> None:
         nonlocal over
         if not desk.following.running:
-            over = await run.io_bound(desk.last_summary), desk.fits_last, desk.start_problem
+            over = await run.io_bound(desk.last_summary), desk.following.fits_last, desk.start_problem
 
     def draw(drawn: tuple[SessionSummary | None, bool, str]) -> None:
         summary, is_fitted_now, problem = drawn

@@ -1,19 +1,17 @@
-"""Calibrate: a form for each kind over `rig calibrate`; what is recorded for it, and what came out."""
+"""Calibrate: a form for each kind over `rig calibrate`, and what came out."""
 
 import html
 from functools import partial
-from pathlib import Path
 
 from nicegui import run, ui
 
 from rig.desk import tables
-from rig.desk.calibrating import FOLDER, Calibration
+from rig.desk.calibrating import KINDS, CalibrationKind, file_calibration, use_calibration
 from rig.desk.desk import Desk
-from rig.desk.panels.between_runs import as_typed
-from rig.desk.tab import DELIBERATE, Tab, at_once, box, text_field
+from rig.desk.tab import Tab, box, text_field
 from rig.prepare import CalibrationReport
 
-_DAYS, _DARK_FRAMES = "90", "16"
+_DAYS = "90"
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -29,76 +27,37 @@ def build(desk: Desk, tab: Tab) -> None:
             name: ui.button(name, on_click=partial(choose, name)).props(
                 f'dense aria-label="{name}, calibrate it"'
             )
-            for name in desk.calibrations
+            for name in KINDS
         }
-    forms = {name: _form(desk, tab, one) for name, one in desk.calibrations.items()}
+    forms = {name: _form(desk, tab, name, kind) for name, kind in KINDS.items()}
     choose(next(iter(forms)))
 
 
-def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
-    """Add the form of one kind, and the calibration that was filed with it."""
-    name, kind = calibration.name, calibration.kind
-    is_working = False
+def _form(desk: Desk, tab: Tab, name: str, kind: CalibrationKind) -> ui.element:
+    """Add the form of one kind, and the calibration that was filed with it last."""
 
-    async def record() -> None:
-        exposure_us = as_typed(exposure.value, True)
-        await run.io_bound(calibration.record, str(amount.value or ""), exposure_us)
+    made: CalibrationReport | None = None
 
     async def file() -> None:
-        nonlocal is_working
+        nonlocal made
         stated = {key: str(field.value or "") for key, field in fields.items()}
-        is_working = True
-        try:
-            await run.io_bound(calibration.file, str(given.value or ""), stated)
-        finally:
-            is_working = False
+        ui.notify("the calibration is made …")
+        made = await run.io_bound(file_calibration, desk, name, str(given.value or ""), stated)
 
     def use() -> None:
-        stated = calibration.use()
-        ui.notify(
-            f"used by everything this desk starts; to keep it permanently, state: {stated}", multi_line=True
-        )
-
-    def progress() -> str:
-        recorded = calibration.recorded
-        if (busy := calibration.progress) or recorded is None or not kind.list_text:
-            return busy
-        return f'recorded: name it in the list as "{recorded.relative_to(FOLDER).as_posix()}"'
-
-    def offer(recorded: Path | None) -> None:
-        if recorded is not None and not kind.list_text:
-            given.set_value(str(recorded))
-
-    def draw(made: CalibrationReport | None) -> None:
         if made is not None:
-            ui.html(_result(made), sanitize=False).classes("full-width")
+            stated = use_calibration(desk, made)
+            words = "used by everything this desk starts; to keep it permanently, state"
+            ui.notify(f"{words}: {stated}", multi_line=True)
+
+    def draw(filed: CalibrationReport | None) -> None:
+        if filed is not None:
+            ui.html(_result(filed), sanitize=False).classes("full-width")
 
     with box(kind.title, "full-width", head="middle") as form:
         ui.label(kind.do)
-        with ui.row().classes("items-center"):
-            of_frames = kind.seconds is None
-            what, first = ("frames", _DARK_FRAMES) if of_frames else ("duration / s", f"{kind.seconds:g}")
-            amount = text_field(what, first, f"{name} amount")
-            exposure = text_field("exposure / us", "", f"{name} exposure")
-            exposure.set_visibility(of_frames)
-            props = f'color="positive" aria-label="record for {name}" {DELIBERATE}'
-            tab.button("Record now", record, props)
-            tab.button(
-                "Cancel the recording",
-                calibration.stop,
-                'color="negative"',
-                seen=lambda: bool(calibration.progress),
-            )
-        tab.label(progress, "dim", 'role="status" aria-live="polite"')
-        if kind.list_text:
-            given: ui.input | ui.textarea = ui.textarea(
-                "list of measured values (TOML)", value=kind.list_text
-            )
-            given.props(f'outlined autogrow data-key="{name} list" input-class="number"')
-        else:
-            given = ui.input("record").props(f'outlined dense data-key="{name} record"')
+        given = text_field("measured values (TOML file)" if kind.is_list else "record", "", f"{name} given")
         given.classes("full-width")
-        tab.drawn(lambda: calibration.recorded, offer)
         fields = {key: _choice(name, key, *asked) for key, asked in kind.fields.items()}
         if name == "check" and desk.config.calibration.lever is not None:
             fields["lever"].set_value(str(desk.config.calibration.lever))
@@ -106,18 +65,16 @@ def _form(desk: Desk, tab: Tab, calibration: Calibration) -> ui.element:
             fields["by"] = text_field("made by", desk.config.session.operator, f"{name} by")
             fields["valid-days"] = text_field("valid for / days", _DAYS, f"{name} days")
             tab.button("File it", file, f'color="positive" size="lg" aria-label="file {name}"')
-            tab.label(lambda: "the calibration is made …" if is_working else "", "dim", 'role="status"')
-        tab.label(lambda: calibration.problem, "no", 'role="alert"')
         props = f'color="positive" size="lg" aria-label="use {name}"'
-        tab.button("Use it", use, props, seen=lambda: calibration.made is not None)
-        tab.drawn(lambda: calibration.made, draw)
+        tab.button("Use it", use, props, seen=lambda: made is not None)
+        tab.drawn(lambda: made, draw)
     return form
 
 
 def _choice(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.input | ui.select:
     if not choices:
         return text_field(label, "", f"{name} {key}").classes("full-width")
-    return at_once(ui.select(list(choices), label=label, value=choices[0])).props(
+    return ui.select(list(choices), label=label, value=choices[0]).props(
         f'dense outlined aria-label="{label}"'
     )
 

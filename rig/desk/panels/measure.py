@@ -1,20 +1,17 @@
 """Measure panel: start a session, watch it from a distance, brake, stop; last result, next session."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
-
 from nicegui import run, ui
 
 from processing.errors import RigError
 from rig.control import STALE_S
 from rig.desk import charts, tables
-from rig.desk.charts import Chart, ChartCurve, Mark
+from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.dialogs import Question
 from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, build_form, build_result
 from rig.desk.panels.live_picture import LivePicture
-from rig.desk.tab import Tab, at_once, box, text_field
+from rig.desk.tab import Tab, box, text_field
 from rig.instrument import Phase
 
 _SIZE = (420, 300)
@@ -41,7 +38,7 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.column().classes("box"):
             way = charts.TrajectoryChart()
             way.chart.element.style("width: min(100%, max(240px, 32vh))")
-            RunCharts(desk, tab)
+            _build_decay(desk, tab)
         with ui.column().classes("stack"):
             _build_facts(desk, tab)
 
@@ -153,52 +150,16 @@ def _steps(desk: Desk) -> str:
 
 
 _REDRAW_S = 1.0
-_KEYS = {"decay": "amplitude", "period": "period_s"}
 
 
-def _with_fit(key: str) -> tuple[ChartCurve, ...]:
-    """Curves of a quantity, of its fit, and of its residuals."""
-    left = f"{key.removesuffix('_s')}_residual_in_u"
-    return (
-        ChartCurve(key, name="measured", style="scatter"),
-        ChartCurve(key, name="fit", colour="second"),
-        ChartCurve(left, style="scatter", row=1),
-    )
+def _build_decay(desk: Desk, tab: Tab) -> None:
+    """The chart of the amplitude since the run began, with the law fitted so far."""
+    measured = ChartCurve("amplitude", name="measured", style="scatter")
+    chart = Chart("decay", "elapsed_s", (measured, ChartCurve("amplitude", name="fit", colour="second")))
 
+    async def refresh() -> None:
+        following = desk.following
+        if following.running and (history := await run.io_bound(following.history)):
+            chart.show([history["measured"], history["fit"]], following.unit or "arcsec")
 
-class RunCharts:
-    """Charts of the run, and the toggle that selects one."""
-
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk = desk
-        self._choice = at_once(ui.toggle(list(_KEYS), value="decay", on_change=self._choose))
-        self._choice.props('dense no-caps aria-label="which chart"')
-        self._charts = {name: Chart(name, "elapsed_s", _with_fit(key)) for name, key in _KEYS.items()}
-        self._choose()
-        tab.every(_REDRAW_S, self._refresh)
-
-    def _choose(self) -> None:
-        for name, chart in self._charts.items():
-            chart.frame.set_visibility(name == self._choice.value)
-
-    async def _refresh(self) -> None:
-        following = self._desk.following
-        if not following.running or not (history := await run.io_bound(following.history)):
-            return
-        unit, name = following.unit or "arcsec", str(self._choice.value)
-        kind = _KEYS[name].removesuffix("_s")
-        fit = history["fit"]
-        self._charts[name].show(
-            [history["swings"][kind], fit[kind], fit[f"{kind}_residual"]],
-            unit,
-            marks=_marks(following.events, str(following.news.get("run") or "")),
-        )
-
-
-def _marks(events: Iterable[Mapping[str, Any]], run: str) -> list[Mark]:
-    """Times and texts of the run's events, without those of earlier runs."""
-    return [
-        (float(one["elapsed_s"]), f"{one['kind']}: {one['text']}")
-        for one in tuple(events)
-        if one["run"] == run and one["elapsed_s"] is not None and float(one["elapsed_s"]) >= 0
-    ]
+    tab.every(_REDRAW_S, refresh)

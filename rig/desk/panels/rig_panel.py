@@ -17,9 +17,9 @@ from rig.desk import tables
 from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.following import doing
-from rig.desk.panels.between_runs import as_typed, setting_field
+from rig.desk.panels.between_runs import as_typed
 from rig.desk.panels.live_picture import LivePicture, look_now
-from rig.desk.tab import DELIBERATE, Handler, Tab, apart, box
+from rig.desk.tab import DELIBERATE, Handler, Tab, apart, box, text_field
 from rig.devices import AlignmentFrame
 from rig.terminal import Verdict
 
@@ -101,7 +101,7 @@ def _build_picture(desk: Desk, tab: Tab) -> None:
 
 async def _order(desk: Desk, order: str) -> None:
     """Give the live picture an order, whose result its note says."""
-    await run.io_bound(desk.command.order, order)
+    await run.io_bound(desk.following.order, order)
 
 
 def _region(desk: Desk, left: float, top: float, width: float, height: float) -> CameraSettings | None:
@@ -140,7 +140,7 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
     def note() -> str:
         if desk.live_picture is None:
             return tables.span("settings need a live picture", "dim")
-        state = desk.command.state
+        state = desk.following.state
         dark = str(state.get("dark") or "")
         return tables.span(dark or str(state.get("note") or ""), "caution" if dark else "dim")
 
@@ -190,18 +190,17 @@ def _build_setting(desk: Desk, tab: Tab, name: str, label: str, keys: str) -> No
         value = as_typed(field.value, True)
         if value == "":
             raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
-        if fault := desk.fault(key, value):
-            raise ConfigurationError(fault)
+        desk.checked({key: value})
         await ask(f"set {json.dumps({name: value})}")
 
     def hint() -> None:
-        value = None if desk.live_picture is None else getattr(desk.command.applied, name)
+        value = None if desk.live_picture is None else getattr(desk.following.applied, name)
         placeholder = "" if value is None else f"now {value:.6g}"
         if field.props.get("placeholder") != placeholder:
             field.props(f'placeholder="{placeholder}"')
 
     with ui.row().classes("items-center no-wrap full-width"):
-        field = setting_field(desk, key, label, None, is_number=True)
+        field = text_field(label, key=key)
         field.props("hide-bottom-space stack-label").classes("col")
         tab.keep(hint)
         small("Set", typed, f"Set {label}")

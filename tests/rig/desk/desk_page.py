@@ -214,36 +214,21 @@ class DeskProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    @property
-    def runs(self) -> bool:
-        return self._process.poll() is None
-
-    def said(self) -> list[str]:
-        """Ends it; what it has written on stderr."""
-        if self.runs:
-            self._process.send_signal(signal.SIGINT)
-        return [line for line in self._process.communicate(timeout=30)[1].splitlines() if line]
-
     def send(self, number: signal.Signals) -> None:
         self._process.send_signal(number)
 
-    def ended(self, within_s: float) -> tuple[int, str]:
-        """Waits for its end; exit status, and what it has written on stderr."""
-        _, said = self._process.communicate(timeout=within_s)
-        return self._process.returncode, said
+    def ended(self, by: signal.Signals = signal.SIGINT) -> tuple[int, list[str]]:
+        """Ends it, if it still runs; exit status, and the lines that it has written on stderr."""
+        if self._process.poll() is None:
+            self._process.send_signal(by)
+        _, said = self._process.communicate(timeout=40)
+        return self._process.returncode, [line for line in said.splitlines() if line]
 
     def kill(self) -> None:
         self._process.kill()
         with contextlib.suppress(ValueError):
-            self._process.communicate()
-
-    def end(self) -> int:
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
-        with contextlib.suppress(ValueError):
             # what it has said may have been read already
-            self._process.communicate(timeout=30)
-        return self._process.returncode
+            self._process.communicate()
 
 
 @contextlib.contextmanager
@@ -256,10 +241,10 @@ def desk_page(browser: HeadlessBrowser, config: Path, *words: str) -> Iterator[t
             page.open(desk.address)
             yield desk, page
     except Exception as error:
-        if not desk.runs:
-            error.add_note("\n".join(["the desk has ended:", *desk.said()]))
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            error.add_note("\n".join(["the desk has said:", *desk.ended()[1]]))
         raise
     finally:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            desk.end()
+        with contextlib.suppress(subprocess.TimeoutExpired, ValueError):
+            desk.ended()
         desk.kill()

@@ -2,7 +2,6 @@
 
 import io
 import json
-import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -95,66 +94,48 @@ def _balance_with(answers: io.StringIO, words: dict[str, str], history: str) -> 
         )
 
 
-def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
+def test_the_camera_is_waited_for_before_it_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
-    from rig.desk import jobs
-    from rig.desk.desk import Desk
-    from rig.interruption import start_python
-
-    def sleeping(*_words: str, **how: Any) -> "subprocess.Popen[Any]":
-        return start_python("-c", "import time; time.sleep(60)", **how)
-
-    monkeypatch.setattr(jobs, "start_python", sleeping)
-    desk = Desk(SIMULATED, (f'session.output="{tmp_path.as_posix()}"',))
-    desk.jobs.begin("fit")
-    desk.needs_camera("run")
-    desk.jobs.begin("balance", folder=tmp_path)
-    with pytest.raises(ConfigurationError, match="which rig balance has; end that first"):
-        desk.needs_camera("run")
-    desk.jobs["balance"].end()
-    desk.needs_camera("run")
-    assert not desk.jobs["balance"].running
-    desk.jobs.begin("balance", folder=tmp_path)
-    desk.lighting.off()
-    assert desk.jobs["balance"].wait(50.0)
-    assert desk.jobs["fit"].running
-    with pytest.raises(ConfigurationError, match="rig fit still runs; wait, or end it first"):
-        desk.jobs.begin("fit")
-    desk.close()
-    assert desk.jobs["fit"].wait(50.0)
-
-
-def test_a_session_that_was_stopped_is_waited_for_before_the_camera_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It answers no more, and its runs are on the page, while its process still closes its devices."""
+    """A session that was stopped answers no more while its process still closes its devices."""
     pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
     from rig.desk import desk as desk_module
-    from rig.desk.desk import Desk
+    from rig.desk import jobs
+    from rig.interruption import start_python
 
     ends = tmp_path / "ends"
     waits = f"import os, time\nwhile not os.path.exists({str(ends)!r}): time.sleep(0.01)"
-    monkeypatch.setattr(
-        desk_module, "start_session", lambda *_: subprocess.Popen([sys.executable, "-c", waits])
-    )
-    desk = Desk(SIMULATED, (f'session.output="{(tmp_path / "runs").as_posix()}"',))
+    monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", waits, **how))
+    desk = desk_module.Desk(SIMULATED, (f'session.output="{(tmp_path / "runs").as_posix()}"',))
+
+    def is_refused(holder: str) -> None:
+        monkeypatch.setattr(desk_module, "_ENDS_WITHIN_S", 0.3)
+        with pytest.raises(ConfigurationError, match=f"which {holder} has; wait, or end it first"):
+            desk.needs_camera("run")
+        monkeypatch.setattr(desk_module, "_ENDS_WITHIN_S", 20.0)
+
+    desk.jobs.begin("fit")
+    desk.needs_camera("run")
+    desk.jobs.begin("balance", uses_camera=True)
+    is_refused("rig balance")
+    desk.lighting.off()
+    desk.needs_camera("run")
+    assert not desk.jobs["balance"].running
+    with pytest.raises(ConfigurationError, match="rig fit still runs; wait, or end it first"):
+        desk.jobs.begin("fit")
     desk.following.start()
     folder = desk.start_session({})
-    with pytest.raises(ConfigurationError, match="which a session has; wait, or stop it"):
-        desk.needs_camera("run")
+    is_refused("a session")
     with OrderSocket(folder, SessionNews(), {}):
         until(lambda: desk.following.running)
     until(lambda: not desk.following.running)
     assert desk.start_runs
-    ending = threading.Timer(0.3, ends.touch)
-    ending.start()
+    threading.Timer(0.3, ends.touch).start()
     desk.needs_camera("run")
     assert not desk.start_runs
     assert not desk.start_failed
-    ending.join()
     desk.close()
+    assert desk.jobs["fit"].wait(50.0)
 
 
 def test_a_seed_is_for_the_simulated_rig_only() -> None:

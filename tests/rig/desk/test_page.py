@@ -1,10 +1,9 @@
 """The desk in a browser: who may enter, what is said of bad input, what keys and mouse do."""
 
 import http.client
-import signal
+import re
 import threading
 import urllib.parse
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from http import HTTPStatus
 from pathlib import Path
@@ -61,20 +60,13 @@ def asked(address: str, path: str, headers: dict[str, str]) -> int:
         connection.close()
 
 
-def test_the_key_is_not_left_in_the_address(shown: Shown) -> None:
-    _, page = shown
-    assert page.ask("location.search") == ""
-    assert page.ask("document.cookie") == "", "the key is out of reach of scripts"
-
-
-@pytest.mark.parametrize("path", ["/", "/picture", "/_nicegui_ws/socket.io/?EIO=4&transport=polling"])
-def test_nothing_is_answered_without_the_key(shown: Shown, path: str) -> None:
-    desk, _ = shown
-    assert asked(desk.address, path, {}) == HTTPStatus.FORBIDDEN
-
-
-def test_a_foreign_origin_gets_no_web_socket_with_the_key(shown: Shown) -> None:
-    desk, _ = shown
+def test_all_that_is_served_is_behind_the_guard(shown: Shown) -> None:
+    """What the guard admits is in test_guard."""
+    desk, page = shown
+    assert page.ask("location.search + document.cookie") == "", "the key is out of reach of scripts"
+    socket = "/_nicegui_ws/socket.io/?EIO=4&transport="
+    for path in ("/", "/picture", f"{socket}polling"):
+        assert asked(desk.address, path, {}) == HTTPStatus.FORBIDDEN
     parts = urllib.parse.urlsplit(desk.address)
     key = urllib.parse.parse_qs(parts.query)["key"][0]
     headers = {
@@ -84,10 +76,11 @@ def test_a_foreign_origin_gets_no_web_socket_with_the_key(shown: Shown) -> None:
         "Sec-WebSocket-Version": "13",
         "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
     }
-    socket = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
-    own, foreign = f"http://127.0.0.1:{parts.port}", "http://evil.example"
-    assert asked(desk.address, socket, {**headers, "Origin": foreign}) == HTTPStatus.FORBIDDEN
-    assert asked(desk.address, socket, {**headers, "Origin": own}) == HTTPStatus.SWITCHING_PROTOCOLS
+    for origin, answered in (
+        ("http://evil.example", HTTPStatus.FORBIDDEN),
+        (f"http://127.0.0.1:{parts.port}", HTTPStatus.SWITCHING_PROTOCOLS),
+    ):
+        assert asked(desk.address, f"{socket}websocket", {**headers, "Origin": origin}) == answered
 
 
 def test_the_page_asks_no_other_host(shown: Shown) -> None:
@@ -109,8 +102,6 @@ def test_keys_choose_the_panel_but_not_while_something_is_typed(shown: Shown) ->
 
 
 NO_NUMBERS = {
-    "camera.exposure_us": ("bright", "-1", "0", "1e400", "nan", "1,5", "100 mm"),
-    "camera.gain_db": ("none", "1e400", "nan", "0,5", "3 ms"),
     "session.runs": ("0", "three", "1.5", "1e15", "nan"),
     "session.initial_amplitude_arcsec": ("1", "much", "inf", "124 px"),
     "session.final_amplitude_arcsec": ("-2", "1e9", "2,5"),
@@ -118,29 +109,20 @@ NO_NUMBERS = {
 }
 
 
-@pytest.mark.parametrize("key", NO_NUMBERS)
-def test_bad_input_is_named_at_its_field_and_starts_nothing(shown: Shown, key: str) -> None:
+def test_bad_input_is_named_by_its_key_and_starts_nothing(shown: Shown) -> None:
     _, page = shown
-    of_camera = key.startswith("camera")
-    page.key("1" if of_camera else "3")
-    field = f"document.querySelector('[data-key=\"{key}\"]')"
-    page.wait(f"{field}.offsetParent !== null")
-    before = page.ask(f"{field}.value")
-    told = f"({field}.closest('.q-field').querySelector('.q-field__messages')?.innerText ?? '')"
-    for typed in NO_NUMBERS[key]:
-        page.fill(key, typed)
-        line = page.wait(f"{told}.includes({f'{key} = '!r}) && /should|must|is meant/.test({told}) && {told}")
-        assert "\n" not in line
-    if of_camera:
-        # nothing can be set where there is no live picture
-        assert page.ask(f"{field}.closest('.q-field').parentElement.querySelector('button').disabled")
-    else:
-        page.click("Start")
-        page.wait("document.querySelector('.errors > *') !== null")
-        assert key in page.ask("document.querySelector('.errors > *').innerText")
-        page.click("close")
-    page.fill(key, before)
-    page.wait("document.querySelectorAll('.q-field--error, .errors > *').length === 0")
+    page.key("3")
+    for key, typed in NO_NUMBERS.items():
+        before = page.ask(f"document.querySelector('[data-key=\"{key}\"]').value")
+        for one in typed:
+            page.fill(key, one)
+            page.click("Start")
+            line = page.wait("document.querySelector('.errors > *')?.innerText")
+            assert f"{key} = " in line
+            assert re.search("should|must|is meant", line)
+            page.click("close")
+            page.wait("document.querySelector('.errors > *') === null")
+        page.fill(key, before)
     assert "session is starting" not in page.text()
 
 
@@ -257,10 +239,7 @@ def test_a_trajectory_is_drawn_and_a_zoom_outlives_new_points(shown: Shown, desk
         session_news.look([FRAME], Block([SPOT], more, [], []))
         page.wait(f"{OF}.getOption().series[0].data.length > 190")
         assert page.ask(f"{OF}.getOption().dataZoom[0].end") == 75
-        page.click("stretch X")
-        page.wait(f"{OF}.getOption().xAxis[0].max === null")
-        page.click("to scale")
-        page.wait(f"{OF}.getOption().xAxis[0].max === 12")
+        assert page.ask(f"{OF}.getOption().xAxis[0].max") == 12
         assert page.ask("rigNumber(-1.23456789, 'px')") == "−1.23457 px"
     page.wait("document.getElementById('amplitude').offsetParent === null")
 
@@ -321,6 +300,11 @@ def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
     page.click("Live picture")
     page.wait_text("160 × 640 px")
     page.wait("document.querySelectorAll('[aria-label=\"histogram\"] svg path').length > 20")
+    page.fill("camera.exposure_us", "1,5")
+    page.click("Set")
+    page.wait_text("exposure_us")
+    page.click("close")
+    page.fill("camera.exposure_us", "")
     for _ in range(4):
         page.click("+")
     page.wait_text("244.141 µs")
@@ -344,62 +328,6 @@ def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
     page.wait_text("160 × 640 px")
     page.click("Stop")
     page.wait_text("No live picture yet")
-
-
-def test_everything_that_can_be_pressed_or_filled_has_a_name(shown: Shown) -> None:
-    _, page = shown
-    nameless = (
-        "[...document.querySelectorAll('button, input, [role=tab]')].filter(e => e.offsetParent && "
-        "!(e.innerText || e.ariaLabel || e.labels?.[0]?.innerText || e.closest('label')?.innerText)"
-        ").map(e => e.outerHTML)"
-    )
-    for key in "12345":
-        page.key(key)
-        assert page.ask(nameless) == []
-
-
-@pytest.fixture
-def slow(shown: Shown) -> Iterator[Callable[..., None]]:
-    """Presses elements (expressions) one after the other, before a server held up answers the first."""
-    desk, page = shown
-
-    def press(*elements: str) -> None:
-        desk.send(signal.SIGSTOP)
-        for element in elements:
-            page.ask(f"{element}.click()")
-        desk.send(signal.SIGCONT)
-        # what the server says to this comes after all that it has said to those
-        page.click("Keys")
-        page.wait("document.querySelector('[aria-label=\"keys\"] table') !== null")
-        page.ask("document.querySelector('.q-dialog__backdrop').click()")
-        page.wait("document.querySelector('.q-dialog') === null")
-
-    yield press
-    desk.send(signal.SIGCONT)
-
-
-def test_the_last_of_some_quick_choices_stands(shown: Shown, slow: Callable[..., None]) -> None:
-    """A server that is slow answers the first when the last has been made."""
-    _, page = shown
-    page.key("5")
-    page.wait("document.querySelector('.q-tab--active').innerText.toLowerCase() === 'runs'")
-    panel = "document.querySelector('[data-panel=\"{}\"]')".format
-    slow(panel("Rig"), panel("Runs"))
-    assert page.ask("document.querySelector('.q-tab--active').dataset.panel") == "Runs"
-    assert page.ask("[...document.querySelectorAll('.q-tab-panel h2')].map(e => e.innerText)") == ["Runs"]
-    alarms = "document.querySelector('.alarms .q-item')"
-    slow(alarms, alarms)
-    assert page.ask("document.querySelector('.alarms.q-expansion-item--collapsed') !== null")
-
-
-def test_everything_one_chooses_is_shown_at_once(shown: Shown) -> None:
-    """Of what waits for the server are left those of which it makes the choice, or that nobody can change."""
-    _, page = shown
-    waits = (
-        "[...new Set(Object.values(mounted_app.elements).filter(e => e.props.loopback === true)"
-        ".map(e => e.component?.name ?? e.tag))].sort()"
-    )
-    assert page.ask(waits) == ["nicegui-dialog", "nicegui-header", "q-linear-progress", "q-tab-panels"]
 
 
 AWAY = """

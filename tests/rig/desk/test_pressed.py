@@ -7,7 +7,7 @@ from threading import Event
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.control import SafetyState, in_thread
+from rig.control import in_thread
 from rig.desk.desk import Desk
 from rig.devices.light_off import LightOff
 from tests.rig.desk.conftest import simulated_rig
@@ -17,7 +17,6 @@ from tests.waiting import until
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 REAL = '[controller]\nkind = "serial"\nport = "/dev/ttyNobodyHasIt"\n'
-SIMULATED = '[controller]\nkind = "simulated"\n[simulation]\nreal_time = true\n'
 LASER = '[laser]\nkind = "controller"\nmax_power_w = 0.001\npower_w = 0.0005\n'
 
 
@@ -35,12 +34,11 @@ def desk_of(tmp_path: Path) -> Iterator[Callable[[str], Desk]]:
         desk.close()
 
 
-@pytest.mark.parametrize("controller", [REAL, SIMULATED], ids=["real", "simulated"])
 def test_pressed_while_nothing_runs_nothing_is_started_until_it_is_acknowledged(
-    desk_of: Callable[[str], Desk], controller: str
+    desk_of: Callable[[str], Desk],
 ) -> None:
     known("/dev/ttyNobodyHasIt")
-    desk = desk_of(controller + LASER)
+    desk = desk_of(REAL + LASER)
     said = desk.lighting.off("one")
     assert said[-1] == (
         "no program that could light has answered: it is kept, and nothing is lit until it is acknowledged"
@@ -61,43 +59,29 @@ def test_a_laser_that_is_switched_by_hand_is_not_said_to_be_off(
     assert desk_of("").lighting.off("one") == ["no laser is switched by this program: turn its key"]
 
 
-def test_a_press_that_cannot_be_kept_is_said_and_all_else_is_done(
-    desk_of: Callable[[str], Desk], rig_states: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("error", [OSError("no such device"), RuntimeError("of another kind")])
+def test_whatever_keeping_a_press_meets_it_is_said_and_all_else_is_done(
+    desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    (rig_states / "optical-pendulum-rig").write_text("a file in its place")
     ordered: list[object] = []
     monkeypatch.setattr(LightOff, "_order_holder_dark", lambda _, told: bool(ordered.append(told)))
     desk = desk_of(REAL + LASER)
-    off, unkept, nobody = desk.lighting.off("one")
-    assert off.startswith("/dev/ttyNobodyHasIt: cannot be switched off")
-    assert unkept.startswith("it is not kept (")
-    assert unkept.endswith("a program that starts may light; turn the key switch")
-    assert nobody == "no program that could light has answered"
-    assert len(ordered) == 1
-
-
-@pytest.mark.parametrize("error", [OSError("no such device"), RuntimeError("of another kind")])
-def test_whatever_keeping_a_press_meets_all_else_is_done(
-    desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
-    desk = desk_of(REAL + LASER)
-    assert isinstance(desk.rig, SafetyState)
-    assert desk.rig.presses is not None
 
     def press(_presses: object, _at: str) -> None:
         raise error
 
     monkeypatch.setattr(type(desk.rig.presses), "press", press)
-    off, unkept, _ = desk.lighting.off("one")
+    off, unkept, nobody = desk.lighting.off("one")
     assert off.startswith("/dev/ttyNobodyHasIt: cannot be switched off")
-    assert unkept.startswith(f"it is not kept ({error})")
+    assert unkept == f"it is not kept ({error}): a program that starts may light; turn the key switch"
+    assert nobody == "no program that could light has answered"
+    assert len(ordered) == 1
 
 
 def test_a_disk_that_hangs_holds_nothing_up(
     desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk = desk_of(REAL + LASER)
-    assert desk.rig.presses is not None
     goes_on, dark = Event(), Event()
 
     def darkened(*_: object) -> list[str]:
@@ -106,22 +90,14 @@ def test_a_disk_that_hangs_holds_nothing_up(
 
     monkeypatch.setattr(type(desk.rig.presses), "press", lambda *_: goes_on.wait(60.0))
     monkeypatch.setattr("rig.devices.light_off.darken_directly", darkened)
+    assert any("the disk hangs" in text for text in desk.lighting.off("one")), "it is not said to be kept"
+    assert dark.is_set()
+    dark.clear()
     monkeypatch.setattr("rig.devices.light_off._MAX_STORE_S", 60.0)
-    said = in_thread(desk.lighting.off, "one")
+    said = in_thread(desk.lighting.off, "two")
     assert dark.wait(10.0)
     dark.clear()
     goes_on.set()
     assert said.result(10.0)
     # what began to light before the press was stored
     assert dark.is_set()
-
-
-def test_a_press_at_a_disk_that_hangs_is_not_said_to_be_kept(
-    desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    desk = desk_of(REAL + LASER)
-    assert desk.rig.presses is not None
-    goes_on = Event()
-    monkeypatch.setattr(type(desk.rig.presses), "press", lambda *_: goes_on.wait(60.0))
-    assert any("the disk hangs" in text for text in desk.lighting.off("one"))
-    goes_on.set()

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from rig.control import LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause
-from rig.desk.following import Following, WatchedProgram
+from rig.desk.following import Following
 from rig.desk.lighting import Safety, lamps
 
 
 @pytest.fixture
 def safety(tmp_path: Path) -> Safety:
-    return Safety(SafetyState(), Following(tmp_path), WatchedProgram(), "board")
+    return Safety(SafetyState(), Following(tmp_path), "board")
 
 
 def seen(light: Light, spot: bool | None, age_s: float = 0.1) -> SafetyNow:
@@ -61,7 +61,7 @@ def clock(safety: Safety) -> str:
 
 def test_light_that_is_forbidden_is_said_to_be(tmp_path: Path) -> None:
     rig = SafetyState()
-    safety = Safety(rig, Following(tmp_path), WatchedProgram(), "laser")
+    safety = Safety(rig, Following(tmp_path), "laser")
     assert lamps(safety, "")["laser"]["more"] == ""
     rig.latch(TripCause.PERSON, "LIGHT OFF was pressed at the desk", lit=True)
     assert isinstance(safety.trip, LatchedTrip)

@@ -30,11 +30,14 @@ def test_key_and_port_outlive_a_desk(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_of_a_configuration_there_is_one_desk(tmp_path: Path) -> None:
+def test_of_the_sessions_in_a_folder_there_is_one_desk(tmp_path: Path) -> None:
+    """They would be ordered about by two; in a process, too, and whatever the other's configuration."""
     source = tmp_path / "rig.toml"
     kept = DeskStore(source)
     kept.hold(tmp_path)
     kept.opened_at("http://127.0.0.1:1/?key=k", 1)
+    with pytest.raises(ConfigurationError, match=r"already has an open desk: use http://127.0.0.1:1/\?key=k"):
+        DeskStore(tmp_path / "other.toml").hold(tmp_path)
     other = (
         "import sys; from pathlib import Path; from rig.desk.store import DeskStore; "
         "source = Path(sys.argv[1]); DeskStore(source).hold(source.parent)"
@@ -43,24 +46,16 @@ def test_of_a_configuration_there_is_one_desk(tmp_path: Path) -> None:
         [sys.executable, "-c", other, str(source)], capture_output=True, text=True, check=False, timeout=50
     )
     assert "it already has an open desk: use http://127.0.0.1:1/?key=k" in done.stderr
-    kept.close()
-    kept.hold(tmp_path)
-    kept.close()
-
-
-def test_two_desks_of_one_configuration_in_a_process(tmp_path: Path) -> None:
-    kept = DeskStore(tmp_path / "rig.toml")
-    kept.hold(tmp_path)
-    with pytest.raises(ConfigurationError, match="already has an open desk"):
-        DeskStore(tmp_path / "rig.toml").hold(tmp_path)
-    # its sessions would be ordered about by two
-    other = DeskStore(tmp_path / "other.toml")
-    with pytest.raises(ConfigurationError, match="another configuration has its sessions there"):
-        other.hold(tmp_path)
+    # that of other sessions may be open beside it
+    (tmp_path / "elsewhere").mkdir()
+    beside = DeskStore(source)
+    beside.hold(tmp_path / "elsewhere")
+    assert beside.key == kept.key
+    beside.close()
     kept.close()
     # the refused one has left nothing behind
-    other.hold(tmp_path)
-    other.close()
+    kept.hold(tmp_path)
+    kept.close()
 
 
 def test_a_disk_without_locks_is_not_called_another_desk(

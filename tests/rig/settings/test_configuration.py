@@ -8,14 +8,7 @@ import pytest
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from rig.instrument import check_materials, complete, pendulum_on_ball
-from rig.settings import (
-    FITTED,
-    REPLAYED,
-    Configuration,
-    FaultyConfiguration,
-    load_configuration,
-    refuse_without_effect,
-)
+from rig.settings import FITTED, REPLAYED, Configuration, load_configuration, refuse_without_effect
 from tests.rig.command_line import CONFIGS
 from tests.rig.settings.example_configuration import TARGET, keys, text
 
@@ -253,16 +246,6 @@ def test_a_unit_in_plain_text_is_text(tmp_path: Path) -> None:
     file.write_text('[camera]\ndriver = "simulated"\n')
     assert load_configuration(file, ['session.notes="3 mm"']).session.notes == "3 mm"
     assert load_configuration(file, ['camera.exposure_us="2 ms"']).camera.exposure_us == 2000.0
-
-
-def test_what_is_wrong_with_an_override_is_known_by_its_key() -> None:
-    """Not by its line: that of another key may begin with the same words."""
-    overrides = ("camera.exposure_us=-1", "session.runs=0")
-    with pytest.raises(FaultyConfiguration) as raised:
-        load_configuration(CONFIGS / "demo.toml", overrides)
-    told = dict(raised.value.override_faults)
-    assert set(told) == {"camera.exposure_us", "session.runs"}
-    assert str(raised.value).splitlines() == [f"--set {line}" for line in told.values()]
 
 
 def test_every_key_without_effect_gets_a_line_and_those_with_one_are_keys() -> None:
