@@ -164,6 +164,11 @@ def buffer_count(rate_hz: float | None, frame_bytes: int, least: int, most: int)
     return max(2, min(wanted, most, _MAX_BYTES // max(frame_bytes, 1)))
 
 
+def frames_ahead(rate_hz: float | None, frame_bytes: int) -> int:
+    """Number of frames of this size for which reads of a USB3 Vision camera are queued."""
+    return buffer_count(rate_hz, frame_bytes, 4, 1024)
+
+
 class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
     """Choice of the camera, and options of the communication with it."""
 

@@ -9,7 +9,6 @@ from nicegui.events import KeyEventArguments
 
 from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmRow
-from rig.desk.calibrating import RECORD_ALONE
 from rig.desk.desk import Desk
 from rig.desk.dialogs import keys_dialog
 from rig.desk.header import build_header

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from acquisition import atomic_write
 from acquisition.camera import CameraStatus, FrameTimeout
-from acquisition.cameras.drivers import Usb3VisionSettings
+from acquisition.cameras.drivers import Usb3VisionSettings, frames_ahead
 from acquisition.cameras.usb3vision.link import SUPER_SPEED, UDEV_RULE, FoundCamera, find_cameras
 from acquisition.frames.losses import FrameLosses
 from processing.errors import ConfigurationError, DeviceError, RigError
@@ -162,8 +162,7 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
             asked_hz = None if config.camera.trigger else config.camera.frame_rate_hz
             yield check_frames(arrivals, status, asked_hz, on_demand=config.on_demand)
             if config.camera.driver == "usb3vision" and frame_bytes:
-                settings = cast(Usb3VisionSettings, config.camera.driver_settings())
-                frames = settings.frames_ahead(camera.applied.frame_rate_hz, frame_bytes)
+                frames = frames_ahead(camera.applied.frame_rate_hz, frame_bytes)
                 yield from check_usb_memory(frame_bytes, frames)
     except FrameTimeout as error:
         yield Verdict.failed("frames", error, "is it triggered from outside? see its cable and power")

@@ -6,7 +6,7 @@ differs. On the command line ``--set a.b.c=value`` replaces any key by its dotte
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.fit import fit_exact
-from processing.fit.seismometer import fit_with_seismometer
 from processing.fit.known_drive import Seismogram
+from processing.fit.seismometer import fit_with_seismometer
 from tests.benchmarks.cases import run_of
 from tests.benchmarks.coverage import NOISE_ARCSEC, Case, Floats, measure, of_pulls
 from tests.processing.fit.decays import paper_pair, with_noise

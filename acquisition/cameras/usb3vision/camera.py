@@ -8,7 +8,7 @@ from typing import Final
 import usb.backend
 
 from acquisition.camera import CameraInfo, CameraLost
-from acquisition.cameras.drivers import Usb3VisionSettings, buffer_count
+from acquisition.cameras.drivers import Usb3VisionSettings, frames_ahead
 from acquisition.cameras.genicam import GenicamCamera
 from acquisition.cameras.reading import CameraRun
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
@@ -149,7 +149,7 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             _set_locked(features, True)
             registers.enable(True)
             numbers = self._begin(COUNTERS, has_clock=expected.has_clock)
-            ahead = buffer_count(features.stated_rate(), image_bytes, 4, 1024)
+            ahead = frames_ahead(features.stated_rate(), image_bytes)
             transfers = self._transfers(link, ahead)
             self._stream = UsbFrameStream(transfers, plan, expected, link, numbers)
             self._run = CameraRun(self._stream.step, transfers.cancel)
