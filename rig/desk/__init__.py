@@ -13,7 +13,7 @@ with functions that say when it is seen and when it can be pressed; `tab.drawn(v
 anew for each new value, `tab.every(seconds, function)` does anything else. Work that takes longer than a
 moment is awaited with ``nicegui.run.io_bound``; what moves devices is a command in a process (`Desk.start`).
 Charts are declared by quantities (`charts.py`), colours have names (`static/theme.css`), questions are
-dialogs (`dialogs.py`). `panels/between_runs.py` has fields that the settings' own models judge.
+dialogs (`dialogs.py`); the settings' own models judge what was typed (`Desk.checked`).
 """
 
 from rig.desk.server import open_desk

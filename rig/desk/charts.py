@@ -75,7 +75,7 @@ def chart_options(
         "animation": False,
         "grid": {"left": 58, "right": 18, "top": 22, "bottom": 42},
         "xAxis": _axis(x.unit, has_ends=reach is not None) | across,
-        "yAxis": _axis(shown.unit, has_top=kind != "small") | up,
+        "yAxis": _axis(shown.unit, has_top=kind == "square") | up,
         "series": series,
         "legend": {"show": is_named, "data": names, "right": 8, "top": 0},
         "tooltip": {},
