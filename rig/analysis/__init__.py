@@ -7,7 +7,7 @@ configuration and no reader of tables.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rig.analysis.decay_values import DECAY, INSTRUMENT, InstrumentResults, InstrumentSeries
+from rig.analysis.decay_values import DECAY, InstrumentSeries
 from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import (
     instrument_rows,
@@ -18,7 +18,7 @@ from rig.analysis.fit_tables import (
     parameter_table,
     quality_table,
 )
-from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named, plain_row
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named
 from rig.analysis.results import (
     ComparedLaws,
     Correlation,

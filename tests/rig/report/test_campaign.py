@@ -24,7 +24,7 @@ from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import session_rows
 from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
 from rig.report.campaign_input import FoundRun, runs_of_archive, stated_model
-from rig.report.campaign_page import decays_table, effects_table
+from rig.report.campaign_page import campaign_tables, decays_table, effects_table
 from rig.report.likelihoods import _bound, compress
 from tests.rig.command_line import SAMPLES, rig
 from tests.rig.report.made_sessions import (
@@ -86,8 +86,10 @@ def test_what_the_arm_does_counts_once(tmp_path: Path) -> None:
         found = fit_model(runs_of_folders([folder]), StatedCampaign(parameters=("c",)))
         shared = found.results.shared["arm_m"]
         assert shared.standard_uncertainty == pytest.approx(1.0, abs=0.12)
-        c, share = found.results.contacts["monday"]["c"], found.results.budgets["monday"]["c"]["arm_m"]
-        assert share**0.5 * c.standard_uncertainty / c.value == pytest.approx(U_ARM_M, rel=0.25)
+        c, shares = found.results.contacts["monday"]["c"], found.results.budgets["monday"]["c"]
+        assert sum(shares.values()) == pytest.approx(1.0)
+        assert [*shares.values()] == sorted(shares.values(), reverse=True)
+        assert shares["arm_m"] ** 0.5 * c.standard_uncertainty / c.value == pytest.approx(U_ARM_M, rel=0.25)
 
 
 def test_the_energy_is_that_of_c_with_the_inputs_of_both(tmp_path: Path) -> None:
@@ -107,8 +109,10 @@ def test_what_runs_share_cancels_between_contacts(tmp_path: Path) -> None:
         session(tmp_path / name, [run(number, truth, rng) for number in range(1, 9)])
         for name, truth in (("smooth", GLASS), ("rough", rough))
     ]
-    found = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("b", "p", "c"))).results
-    by = {one.parameter: one for one in found.differences}
+    campaign = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("b", "p", "c")))
+    (table,) = [table for table in campaign_tables(campaign) if table.name == "differences"]
+    assert [row[:2] for row in table.shown] == [["smooth − rough", "ln b"], ["smooth − rough", "ln c"]]
+    by = {one.parameter: one for one in campaign.results.differences}
     for name, truth in (("b", -0.05), ("p", 0.0), ("c", -0.5)):
         value, u = by[name].difference
         assert abs(value - truth) < 3 * u
