@@ -91,6 +91,19 @@ def test_an_obis_that_would_light_after_its_warm_up_is_not_told_to(opened: Opene
     assert "SOURce:AM:STATe ON" not in instrument.received
 
 
+def test_what_an_obis_answers_by_a_word_alone_is_understood(
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Some say OK of a closed interlock; a power that it refuses is an error at once."""
+    instrument = FakeObis()
+    laser, usual = opened(instrument), instrument.answer
+    alone = {"SYSTem:LOCK?": "OK\r\nOK\r\n", f"{laser.set_header} 0.010000": "ERR-222\r\n"}
+    monkeypatch.setattr(instrument, "answer", lambda said: alone.get(said) or usual(said))
+    assert laser.state().interlock_closed
+    with pytest.raises(LaserRefused, match="answered ERR-222"):
+        laser.set_power_w(0.01)
+
+
 class TooBright(FakeObis):
     """Its light is not what it was set to."""
 
