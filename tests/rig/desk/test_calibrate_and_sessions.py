@@ -114,7 +114,7 @@ def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: P
     page.wait_text("pointing-001.mcap is recorded")
     page.wait("document.querySelector('[data-key=\"pointing record\"]').value.includes('pointing-001.mcap')")
     page.click("File it")
-    page.wait_text("ALLAN DEVIATION OF X")
+    page.wait_text("x.claimed_ratio")
     photograph(page, "calibrate-pointing")
     assert read_calibration(place / "calibrations" / "pointing-001.toml", "pointing").sources
 
