@@ -130,15 +130,6 @@ as the spots' noise explains. Larger uncertainties would hide that there are no 
 
 
 @dataclass(frozen=True, slots=True)
-class PartDirections:
-    """Deviations `off_rad` of a mode's directions from their mean, in windows with the middles `at_s`."""
-
-    at_s: tuple[float, ...]
-    off_rad: tuple[float, ...]
-    u_off_rad: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class AxesFit:
     """Directions of the axes, fitted to both modes.
 
@@ -147,8 +138,7 @@ class AxesFit:
     uncertainty is inf with fewer than three windows). `windows` is the number of time windows in which the
     directions were fitted, `chi2_per_dof` describes the scatter of their directions. `signs_known` is False
     if the slow direction was assumed to point upward, `handedness_known` if `mirrored` was taken from the
-    configuration: a free swing determines neither. `notes` are remarks for the user. `slow_parts` and
-    `fast_parts` are the deviations of the windows' directions from the mean ones.
+    configuration: a free swing determines neither. `notes` are remarks for the user.
     """
 
     axes: Axes
@@ -163,8 +153,6 @@ class AxesFit:
     signs_known: bool
     handedness_known: bool
     notes: tuple[str, ...]
-    slow_parts: PartDirections
-    fast_parts: PartDirections
 
 
 class _Combined(NamedTuple):
@@ -175,7 +163,8 @@ class _Combined(NamedTuple):
     rotation_rad_per_s: float
     u_rotation_rad_per_s: float
     chi2: float
-    parts: PartDirections
+    off_rad: Floats
+    """Deviations of the windows' directions from the mean."""
 
 
 def fit_axes(
@@ -308,8 +297,6 @@ def fit_axes(
         signs_known=slow_began is not None,
         handedness_known=fast_began is not None,
         notes=tuple(notes),
-        slow_parts=along.parts,
-        fast_parts=across.parts,
     )
 
 
@@ -355,13 +342,12 @@ def _combine(
         spread = float(weight @ t**2)
         rate = float(weight @ (t * (differences_rad - mean))) / spread
         u_rate = 1.0 / math.sqrt(spread)
-    parts = PartDirections(tuple(middles_s), tuple((differences_rad - mean).tolist()), tuple(u_rad.tolist()))
-    return _Combined(_wrap_angle(base_rad + mean), u_mean, rate, u_rate, total, parts)
+    return _Combined(_wrap_angle(base_rad + mean), u_mean, rate, u_rate, total, differences_rad - mean)
 
 
 def _refuse_changing_direction(mode: str, found: _Combined) -> None:
     """Raise DataError if a mode's directions in the windows differ by much more than the spots' noise."""
-    off_rad, chi2 = found.parts.off_rad, found.chi2
+    off_rad, chi2 = found.off_rad, found.chi2
     rate, u_rate = found.rotation_rad_per_s, found.u_rotation_rad_per_s
     dof = len(off_rad) - 1
     if dof == 0 or chi2 / dof < _MAX_CHI2_PER_DOF:

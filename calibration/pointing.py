@@ -1,4 +1,4 @@
-"""Pointing stability of a spot at rest: Allan deviation, drift, spectrum, ISO 11670."""
+"""Pointing stability of a spot at rest: noise, drift, lines of the spectrum, ISO 11670."""
 
 from dataclasses import dataclass
 
@@ -11,19 +11,6 @@ from processing.slope_uncertainty import part_means, u_wandering_slope
 _MIN_SAMPLES = 100
 _MIN_LINE_RATIO = 12.0
 """Smallest power of a spectral line over that of the noise near it."""
-
-
-@dataclass(frozen=True, slots=True)
-class AllanCurve:
-    """Overlapping Allan deviation at the averaging times `tau_s`, arrays of one length.
-
-    `deviation` has the unit of the record. Its standard uncertainty `u_deviation` follows from the equivalent
-    degrees of freedom for white noise.
-    """
-
-    tau_s: Floats
-    deviation: Floats
-    u_deviation: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +29,12 @@ class SpectralLine:
 class Stability:
     """Stability of one coordinate of a record at rest, in the unit of the record.
 
-    `noise` is the standard deviation of one sample without slow changes: the Allan deviation at the interval
-    of the samples. `drift_per_s` is the slope of a straight line; its uncertainty allows for a beam that
-    wanders as much as the residuals of the line show (`processing.slope_uncertainty`). `iso11670` is 2
-    standard deviations of the whole record, the pointing stability of one axis (ISO 11670:2003: half of the 4
-    sigma width). `claimed_ratio` is the root mean square of the stated uncertainties over `noise`. `lines`
-    are the strongest spectral lines, at most ten. `density` (m,) is the one-sided power spectral density, in
-    the squared unit per Hz, at `frequency_hz` (m,).
+    `noise` is the standard deviation of one sample without slow changes, from the differences of neighbours:
+    the Allan deviation (IEEE 1139) at their interval. `drift_per_s` is the slope of a straight line; its
+    uncertainty allows for a beam that wanders as much as the residuals of the line show
+    (`processing.slope_uncertainty`). `iso11670` is 2 standard deviations of the whole record, the pointing
+    stability of one axis (ISO 11670:2003: half of the 4 sigma width). `claimed_ratio` is the root mean square
+    of the stated uncertainties over `noise`. `lines` are the strongest spectral lines, at most ten.
     """
 
     noise: float
@@ -56,33 +42,7 @@ class Stability:
     u_drift_per_s: float
     iso11670: float
     claimed_ratio: float
-    allan: AllanCurve
     lines: tuple[SpectralLine, ...]
-    frequency_hz: Floats
-    density: Floats
-
-
-def allan_deviation(values: Floats, interval_s: float) -> AllanCurve:
-    """Overlapping Allan deviation (IEEE 1139) of evenly spaced `values` (n,), no NaN.
-
-    The averaging time is doubled from `interval_s` to a quarter of the record. The degrees of freedom are
-    those of white noise (NIST SP 1065, table 5).
-    """
-    count = len(values)
-    sums = np.concatenate([[0.0], np.cumsum(values - values.mean())])
-    taus, deviations, u = [], [], []
-    m = 1
-    while 4 * m <= count:
-        averages = (sums[m:] - sums[:-m]) / m
-        steps = averages[m:] - averages[:-m]
-        deviations.append(float(np.sqrt(0.5 * np.mean(steps**2))))
-        taus.append(m * interval_s)
-        dof = max(
-            1.0, (1.5 * count / m - 2.0 * (count - 1.0) / (count + 1.0)) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
-        )
-        u.append(deviations[-1] / np.sqrt(2.0 * dof))
-        m *= 2
-    return AllanCurve(np.array(taus), np.array(deviations), np.array(u))
 
 
 def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
@@ -93,8 +53,8 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
     times_s : (n,), s, ascending
         Must be evenly spaced, except for lost samples.
     values, u_values : (n,), any unit
-        Samples and their standard uncertainties; NaN for lost ones. These are left out: for the Allan
-        deviation, the samples on both sides of a gap count as neighbours.
+        Samples and their standard uncertainties; NaN for lost ones. These are left out: for the
+        noise, the samples on both sides of a gap count as neighbours.
 
     Raises
     ------
@@ -110,18 +70,15 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
     interval_s = float(np.median(np.diff(times_s)))
     drift, u_drift = _drift(times_s, values)
     detrended = values - np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
-    allan = allan_deviation(values, interval_s)
+    noise = float(np.sqrt(0.5 * np.mean(np.diff(values) ** 2)))
     frequency, density = _spectrum(times_s, detrended, interval_s)
     return Stability(
-        noise=float(allan.deviation[0]),
+        noise=noise,
         drift_per_s=drift,
         u_drift_per_s=u_drift,
         iso11670=float(2.0 * values.std(ddof=1)),
-        claimed_ratio=float(np.sqrt(np.mean(u_values**2)) / allan.deviation[0]),
-        allan=allan,
+        claimed_ratio=float(np.sqrt(np.mean(u_values**2)) / noise),
         lines=_lines(frequency, density),
-        frequency_hz=frequency,
-        density=density,
     )
 
 

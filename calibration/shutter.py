@@ -66,8 +66,7 @@ class ShutterFit:
     `harmonic_px` is the amplitude of the second harmonic that it causes at the largest amplitude,
     `amplitude_px`. `chi2_per_dof` compares the stretches with each other; the uncertainty includes their
     scatter. `even_per_px` is the other part of the second harmonic, over the squared amplitude, which
-    comes from the geometry and is independent of times. The row time of each stretch alone, its standard
-    uncertainty and the middle of the stretch are `of_stretches_s`, `u_of_stretches_s` and `stretches_at_s`.
+    comes from the geometry and is independent of times.
     """
 
     row_time_s: float
@@ -77,9 +76,6 @@ class ShutterFit:
     even_per_px: float
     chi2_per_dof: float
     stretches: int
-    stretches_at_s: tuple[float, ...]
-    of_stretches_s: tuple[float, ...]
-    u_of_stretches_s: tuple[float, ...]
 
 
 def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
@@ -116,8 +112,8 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     for begin_s in times_s[0] + length_s * np.arange(stretches):
         inside = slice(*np.searchsorted(times_s, [begin_s, begin_s + length_s]))
         if inside.stop - inside.start >= _MIN_FRAMES:
-            found.append((*_harmonics(times_s[inside], y_px[inside], period_s), begin_s + 0.5 * length_s))
-    table = np.array(found).reshape(-1, 5)
+            found.append(_harmonics(times_s[inside], y_px[inside], period_s))
+    table = np.array(found).reshape(-1, 4)
     if len(table):
         table = table[table[:, 3] > _MIN_AMPLITUDE_FRACTION * table[:, 3].max()]
     if len(table) < _MIN_STRETCHES:
@@ -125,7 +121,7 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
             f"row time: {len(table)} stretches of {_STRETCH_PERIODS:g} periods ({period_s:.3g} s) have a "
             f"swing, {_MIN_STRETCHES} are needed; record for longer"
         )
-    row_times_s, u_row_times_s, even, amplitude_px, at_s = table.T
+    row_times_s, u_row_times_s, even, amplitude_px = table.T
     weight = u_row_times_s**-2.0
     mean_s = float(np.average(row_times_s, weights=weight))
     chi2, dof = float(np.sum(weight * (row_times_s - mean_s) ** 2)), len(table) - 1
@@ -139,9 +135,6 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
         even_per_px=float(np.average(even, weights=weight)),
         chi2_per_dof=chi2 / dof,
         stretches=len(table),
-        stretches_at_s=tuple(at_s.tolist()),
-        of_stretches_s=tuple(row_times_s.tolist()),
-        u_of_stretches_s=tuple(u_row_times_s.tolist()),
     )
 
 

@@ -54,27 +54,6 @@ def _existing(paths: _Paths, toml_remedy: str) -> _Paths:
     return paths
 
 
-_OTHER_COMMANDS = {
-    "balance": "rig view {} --layout balancing shows its balance",
-    "run": "rig replay {0} processes it again, rig fit {0} fits it",
-    "desk": "rig view {} shows it",
-}
-
-
-def configuration(ctx: typer.Context, paths: _Paths) -> _Paths:
-    """Check that a configuration exists; refuse a record or its folder, naming the command for it."""
-    for path in _path_list(existing(paths)):
-        if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
-            kind = "is a folder with records" if path.is_dir() else "is a record"
-            instead = _OTHER_COMMANDS.get(ctx.command.name or "", "rig record info {} says how it was made")
-            if path.is_dir() and ctx.command.name == "run":
-                instead = "rig run --resume {} continues its session"
-            raise ConfigurationError(
-                f"{path}: {kind}, and a configuration (TOML file) is wanted; {instead.format(path)}"
-            )
-    return paths
-
-
 def _each(check: Callable[[Path], object], *, is_read: bool = True) -> Callable[[_Paths], _Paths]:
     """A check of every path of a parameter; of one that is read after the check that it exists."""
 
@@ -318,7 +297,7 @@ def output_option(
     return typer.Option(*names, help=help_, callback=check, **stated)
 
 
-Config = Annotated[Path, input_argument("Configuration (TOML file).", configuration)]
+Config = Annotated[Path, input_argument("Configuration (TOML file).")]
 Record = Annotated[Path, input_argument("Record (MCAP file), or a folder with one.", record_input)]
 Set = Annotated[
     list[str] | None,

@@ -14,7 +14,6 @@ from rig.commands.arguments import (
     ResultsFolder,
     Set,
     View,
-    configuration,
     folder_or_record,
     folder_without_run,
     in_json,
@@ -57,7 +56,6 @@ def run(
         list[Path] | None,
         input_argument(
             "Configuration (TOML file); of several, one session after the other.",
-            configuration,
             metavar="CONFIG",
         ),
     ] = None,

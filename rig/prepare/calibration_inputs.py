@@ -157,11 +157,7 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
 
 def read_input(path: Path, model: type[_Model]) -> _Model:
     """Read the input file of a calibration; raises ConfigurationError, one line with every fault."""
-    if path.suffix.lower() == ".mcap":
-        raise ConfigurationError(
-            f"{path}: is a record; a list of measured values (TOML) is needed here, see docs/calibrate.md"
-        )
-    tree = read_toml(path, "file; docs/calibrate.md shows one")
+    tree = read_toml(path, "list of measured values; docs/calibrate.md shows one")
     if {"camera", "session"} & set(tree):
         raise ConfigurationError(
             f"{path}: is a configuration of the rig; a list of measured values is needed here, "

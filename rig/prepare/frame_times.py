@@ -26,9 +26,8 @@ from calibration import (
 )
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, DataError
-from processing.noise_models import robust_scatter
 from processing.spot import SpotFlag
-from processing.units import S_PER_NS, seconds
+from processing.units import seconds
 from rig.instrument import U_QUARTZ, recorded_configuration, u_of_host_rate
 from rig.prepare.calibration_inputs import (
     Filing,
@@ -203,25 +202,15 @@ def calibrate_pointing(record: Path, filing: Filing) -> Path:
 
 
 def _stability_details(found: Stability) -> dict[str, Any]:
-    details = details_of(found, "claimed_ratio", "allan", "lines", "frequency_hz", "density")
+    details = details_of(found, "claimed_ratio", "lines")
     return {
         **{f"{name}_px": value for name, value in details.items()},
         "claimed_ratio": found.claimed_ratio,
-        "allan_tau_s": found.allan.tau_s.tolist(),
-        "allan_px": found.allan.deviation.tolist(),
-        "u_allan_px": found.allan.u_deviation.tolist(),
         "lines": [
             {"frequency_hz": line.frequency_hz, "amplitude_px": line.amplitude, "name": line.name}
             for line in found.lines
         ],
     }
-
-
-_MAX_PARTS = 24
-_MIN_FRAMES_IN_PART = 10
-_U_MEDIAN_OVER_MEAN = math.sqrt(math.pi / 2.0)
-"""Standard uncertainty of a median over that of a mean, for normal noise."""
-_ROUNDING_S = S_PER_NS / math.sqrt(12.0)
 
 
 def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> Path:
@@ -259,7 +248,6 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
         "drift_ppm": relation.drift_ppm,
         "u_drift_ppm": relation.u_drift_ppm,
         **details_of(relation, "rate", "u_rate", "device_reference_ns", "host_reference_ns"),
-        **arrival_residuals(relation, device, table["host_time_ns"].astype(np.int64), table["sequence"]),
     }
     details["frame_jitter_limit_s"] = FRAME_JITTER_LIMIT_S
     details["host_synchronised"] = synchronised
@@ -271,30 +259,6 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
 def u_camera_rate(relation: ClockRelation, u_host_rate: float) -> float:
     """Relative standard uncertainty of the camera's rate at times other than the record's."""
     return math.hypot(relation.u_rate, u_host_rate, U_QUARTZ)
-
-
-def arrival_residuals(
-    relation: ClockRelation,
-    device_ns: NDArray[np.int64],
-    host_ns: NDArray[np.int64],
-    sequence: NDArray[np.integer],
-) -> dict[str, list[float]]:
-    """Residuals of arrival times from the line with its jumps, as medians over equal parts of the record.
-
-    Medians are used because single frames arrive much later than the others.
-    """
-    off_s = seconds((host_ns - relation.host_ns(device_ns)).astype(np.float64))
-    for jump in relation.jumps:
-        off_s[sequence >= jump.frame] -= jump.step_s
-    at_s = seconds(device_ns - device_ns[0])
-    count = max(1, min(_MAX_PARTS, len(off_s) // _MIN_FRAMES_IN_PART))
-    rows = []
-    for at, off in zip(np.array_split(at_s, count), np.array_split(off_s, count), strict=True):
-        u_s = _U_MEDIAN_OVER_MEAN * robust_scatter(off) / math.sqrt(len(off))
-        rows.append((float(at.mean()), float(np.median(off)), max(u_s, _ROUNDING_S)))
-    return dict(
-        zip(("parts_at_s", "off_line_s", "u_off_line_s"), map(list, zip(*rows, strict=True)), strict=True)
-    )
 
 
 _MIN_ROW_TIME_S = 0.5e-6

@@ -228,7 +228,6 @@ def _details(found: MeasuredAir, areas_m2: list[float]) -> dict[str, Any]:
         "areas_m2": areas_m2,
         "drags_s": [one.value for one in found.of_runs_s],
         "u_drags_s": [one.standard_uncertainty for one in found.of_runs_s],
-        "off_drags_s": list(found.off_s),
     }
 
 

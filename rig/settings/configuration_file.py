@@ -25,6 +25,9 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
     Raises ConfigurationError with one line if the file is missing, a folder, unreadable or not TOML.
     """
+    if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
+        kind = "is a folder with records" if path.is_dir() else "is a record"
+        raise ConfigurationError(f"{path}: {kind}, not a {what}; rig record info {path} says how it was made")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:

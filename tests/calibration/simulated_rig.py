@@ -175,5 +175,5 @@ def deviations(seed: int) -> dict[str, float]:
         "prnu": (electrons.prnu - sensor.prnu) / electrons.u_prnu,
         "camera rate": (relation.rate - rate) / relation.u_rate,
         "pointing drift": (pointing.drift_per_s - drift) / pointing.u_drift_per_s,
-        "pointing noise": (pointing.noise - rig.noise_px) / float(pointing.allan.u_deviation[0]),
+        "pointing noise": (pointing.noise - rig.noise_px) / (rig.noise_px / np.sqrt(4 / 3 * 4000)),
     }

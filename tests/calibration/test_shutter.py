@@ -38,10 +38,6 @@ def test_the_row_time_is_found_whatever_the_geometry_adds(row_time_us: float, ta
     assert found.u_row_time_s < 0.03e-6 * abs(row_time_us)
     assert abs(found.row_time_s - 1e-6 * row_time_us) < 4 * found.u_row_time_s
     assert 0.2 < found.chi2_per_dof < 2.5
-    pulls = (np.array(found.of_stretches_s) - found.row_time_s) / np.array(found.u_of_stretches_s)
-    assert len(pulls) == found.stretches
-    assert np.sum(pulls**2) / (len(pulls) - 1) == pytest.approx(found.chi2_per_dof)
-    assert np.all(np.diff(found.stretches_at_s) > 5.9)
 
 
 @pytest.mark.parametrize("decay_s", [30.0, 60.0])

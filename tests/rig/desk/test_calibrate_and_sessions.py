@@ -107,7 +107,7 @@ def test_a_lever_is_typed_in_and_a_record_is_named(page: Page, place: Path) -> N
     page.wait_text("name its file or record")
     page.fill("pointing given", "clamped.mcap")
     page.click("File it")
-    page.wait_text("ALLAN DEVIATION OF X")
+    page.wait_text("x.claimed_ratio")
     assert read_calibration(place / "calibrations" / "pointing-001.toml", "pointing").sources
 
 

@@ -87,7 +87,9 @@ def test_overrides_take_any_dotted_path() -> None:
         ("session.runs=true", r"--set session\.runs = true: should be a number"),
         ('camera.exposure_us="80"', r'--set camera\.exposure_us = "80": should be a number, without quotes'),
         ("session.runs=1,5", r"--set session\.runs = '1,5': should be a number, with a point: 1\.5"),
-        ("environment.pressure_pa=1013", "should be greater than 10000"),
+        ("environment.pressure_pa=1013", "should be greater than 10000 Pa"),
+        ("simulation.contact.gravity_m_per_s2=981", "should be less than 30 m/s²"),
+        ("simulation.contact.period0_s=inf", "should be a finite number"),
     ],
 )
 def test_a_wrong_setting_is_one_line_that_names_it(override: str, message: str) -> None:
