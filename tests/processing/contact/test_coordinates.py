@@ -59,8 +59,10 @@ def test_columns_of_others_stand_before_those_of_the_law(points: TurningPoints, 
         held = own.held(name)
         assert both.held(name) == (held.column + 2, held.keeps_sign)
     assert both.valley == (2 if drag else None)
-    start[2 + own.held("n").column] = own.lower[own.held("n").column]
-    assert both.at_limit(start) == own.at_limit(start[2:]) == ["n"]
+    # ln b, and n
+    start[[2, 2 + own.held("n").column]] = own.lower[[0, own.held("n").column]]
+    assert both.at_limit(start) == own.at_limit(start[2:])
+    assert {"b", "n"} <= set(both.at_limit(start))
 
 
 @EVERY
