@@ -44,6 +44,28 @@ def test_parameters_come_back(points: TurningPoints, drag: bool) -> None:
 
 
 @EVERY
+def test_columns_of_others_stand_before_those_of_the_law(points: TurningPoints, drag: bool) -> None:
+    """As the gains of a seismometer; the parameters know nothing of them."""
+    names, pendulum = PAPER.fit_names(drag=drag), paper_pair("steel")[1]
+    own, both = columns_of(points, drag), PAPER.columns(points, pendulum, names, (3.0, -4.0))
+    start = both.starts(points)[0][0]
+    np.testing.assert_array_equal(start, [3.0, -4.0, *own.starts(points)[0][0]])
+    np.testing.assert_array_equal(both.lower, [-np.inf, -np.inf, *own.lower])
+    np.testing.assert_array_equal(both.upper, [np.inf, np.inf, *own.upper])
+    (values, by), (expected, by_own) = both.physical(start), own.physical(start[2:])
+    np.testing.assert_array_equal(values, expected)
+    np.testing.assert_array_equal(by, np.column_stack([np.zeros((len(names), 2)), by_own]))
+    for name in names:
+        held = own.held(name)
+        assert both.held(name) == (held.column + 2, held.keeps_sign)
+    assert both.valley == (2 if drag else None)
+    # ln b, and n
+    start[[2, 2 + own.held("n").column]] = own.lower[[0, own.held("n").column]]
+    assert both.at_limit(start) == own.at_limit(start[2:])
+    assert {"b", "n"} <= set(both.at_limit(start))
+
+
+@EVERY
 def test_derivatives_are_those_of_differences(points: TurningPoints, drag: bool) -> None:
     columns = columns_of(points, drag)
     at = columns.from_physical(VALUES)

@@ -1,28 +1,33 @@
-"""Laws fitted outside of their domain say so."""
+"""Laws fitted outside of their domain, and uncertainties that are stated too large, are named."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from processing.estimate import Determinacy
-from processing.fit import domain_warnings, fit_exact, identifiability
+from processing.fit import FitResult, domain_warnings, fit_exact, identifiability
+from processing.swing import TurningPoints
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_decay
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
 
 
-def test_a_fit_within_its_domain_needs_no_word() -> None:
+@pytest.fixture(scope="module")
+def fitted() -> tuple[TurningPoints, FitResult]:
     points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
-    assert not list(domain_warnings(points, PENDULUM, fit_exact(points, PENDULUM, averaged=False)))
+    return points, fit_exact(points, PENDULUM, averaged=False)
 
 
-def test_angles_beyond_the_contact_and_beyond_small_ones_are_named() -> None:
+def test_angles_beyond_the_contact_and_beyond_small_ones_are_named(
+    fitted: tuple[TurningPoints, FitResult],
+) -> None:
     """The same decay as if it had been read in other units: 1.6 rad are 147 contact angles."""
-    points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
+    points, fit = fitted
+    assert not list(domain_warnings(points, PENDULUM, fit))
     factor = 1.6 / points.amplitude[0]
     large = replace(points, amplitude=factor * points.amplitude, u_amplitude=factor * points.u_amplitude)
-    fit = fit_exact(points, PENDULUM, averaged=False)
     said = list(domain_warnings(large, PENDULUM, fit))
     assert "1.60 rad, is 146 times the contact's angle" in said[0]
     assert "not a small angle" in said[1]
@@ -30,9 +35,8 @@ def test_angles_beyond_the_contact_and_beyond_small_ones_are_named() -> None:
     assert len(list(domain_warnings(between, PENDULUM, fit))) == 1
 
 
-def test_a_sign_that_cannot_be_is_named() -> None:
-    points = driven_decay(PARAMETERS, PENDULUM, q=0.0, noise_arcsec=0.005, seed=5)
-    fit = fit_exact(points, PENDULUM, averaged=False)
+def test_a_sign_that_cannot_be_is_named(fitted: tuple[TurningPoints, FitResult]) -> None:
+    points, fit = fitted
     at = fit.names.index("gamma_pa")
     values = fit.values.copy()
     values[at] = -10 * fit.standard_uncertainty[at]
@@ -53,3 +57,14 @@ def test_a_sign_that_cannot_be_is_named() -> None:
     values[at] = -2 * fit.standard_uncertainty[at]
     assert not list(domain_warnings(points, PENDULUM, replace(fit, values=values)))
     assert np.all(np.isfinite(values))
+
+
+@pytest.mark.parametrize("factor", [1.0, 4.0])
+def test_overstated_uncertainties_are_named(factor: float) -> None:
+    points = driven_decay(PARAMETERS, PENDULUM, q=1e-9, noise_arcsec=0.005, seed=4)
+    stated = replace(points, u_time_s=factor * points.u_time_s, u_amplitude=factor * points.u_amplitude)
+    fit = fit_exact(stated, PENDULUM, averaged=False)
+    said = [warning for warning in fit.warnings if "times too large" in warning]
+    assert bool(said) is (factor > 1)
+    if said:
+        assert "4 times too large" in said[0] or "3.9 times" in said[0] or "4.1 times" in said[0]
