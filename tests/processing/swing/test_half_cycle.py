@@ -15,6 +15,7 @@ from processing.swing.half_cycle import (
     SHAPE,
     STATES,
     TIME,
+    linearise,
     propagate,
     tabulate_state,
 )
@@ -57,6 +58,27 @@ def test_the_transition_is_the_derivative_of_the_step(column: int) -> None:
     behind[column] -= width
     found = (stepped(ahead)[0] - stepped(behind)[0]) / (2 * width)
     assert found == pytest.approx(transition[:, column], rel=1e-4, abs=1e-7)
+
+
+def left_of_zeros(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and derivatives at samples of zero before and after the turning point."""
+    tau, active = np.linspace(-1.1, 1.3, 25), np.arange(STATES)
+    table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
+    tabulate_state(x, STATE, REFERENCE, active, table, turn)
+    residual, jacobian = np.empty(len(tau)), np.empty((len(tau), STATES))
+    linearise(x, -1.0, active, table, tau, np.zeros(len(tau)), residual, jacobian)
+    return residual, jacobian
+
+
+@pytest.mark.parametrize("column", range(STATES))
+def test_the_derivative_of_every_sample_is_that_of_the_motion(column: int) -> None:
+    width = 1e-5 * max(abs(STATE[column]), 1e-2)
+    ahead, behind = STATE.copy(), STATE.copy()
+    ahead[column] += width
+    behind[column] -= width
+    found = (left_of_zeros(behind)[0] - left_of_zeros(ahead)[0]) / (2 * width)
+    jacobian = left_of_zeros(STATE)[1]
+    assert found == pytest.approx(jacobian[:, column], rel=1e-3, abs=1e-5 * np.abs(jacobian[:, column]).max())
 
 
 def fitted(**changed: float) -> HalfCycleFit:
