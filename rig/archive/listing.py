@@ -247,6 +247,24 @@ def ordered_runs(archive: Path, condition: str) -> list[tuple[Any, ...]]:
     return found
 
 
+_FOUND_COLUMNS = (
+    f"{_ID}, began_utc, folder, run, {_SAMPLE}, operator, state, "
+    f"b, p, c, {', '.join(_u_columns(('b', 'p', 'c')))}"
+)
+_SEARCHED_TEXT = (
+    "lower(concat_ws(' ', strftime(began_utc, '%Y-%m-%d %H:%M:%S'), folder, run, sample, operator, state, "
+    "contact_history, noted))"
+)
+
+
+def find_runs(archive: Path, words: str, most: int) -> Table:
+    """The newest runs with all these words in their texts, the newest first."""
+    quoted = (word.replace("'", "''") for word in words.lower().split())
+    where = " and ".join(f"contains({_SEARCHED_TEXT}, '{word}')" for word in quoted) or "true"
+    order = f"order by began_utc desc nulls last, sha256 limit {most:d}"
+    return _table(*selected(archive, _FOUND_COLUMNS, f"{where} {order}"))
+
+
 def selected(
     archive: Path, wanted: str, condition: str, then: str = ""
 ) -> tuple[list[str], list[tuple[Any, ...]]]:

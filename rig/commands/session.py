@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, MissingPackage
+from rig.commands.archive import PLACE, Archive
 from rig.commands.arguments import (
     MODES,
     Config,
@@ -83,6 +84,7 @@ def desk(
         int, typer.Option(help="Port; 0: the last one, 8642, or any that is free.", min=0, max=65535)
     ] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+    archive: Archive = PLACE,
     set_: Set = None,
 ) -> None:
     """Open a page in the browser to run the rig from.
@@ -97,7 +99,7 @@ def desk(
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
             raise
         raise MissingPackage("rig desk", "nicegui", "desk") from None
-    raise typer.Exit(open_desk(config, tuple(set_ or ()), port, browser=browser))
+    raise typer.Exit(open_desk(config, tuple(set_ or ()), port, browser=browser, archive=Path(archive)))
 
 
 def doctor(

@@ -163,18 +163,28 @@ class Chart:
 
 
 class TrajectoryChart:
-    """Path of the spot in a square chart, with equal scales about zero; a wheel zooms one of them."""
+    """Path of the spot in a square chart, with equal scales about zero, or with each axis stretched."""
 
     def __init__(self) -> None:
-        ui.label("trajectory").classes("title")
+        self._stretched = False
+        self._last: tuple[Sequence[float | None], Sequence[float | None], str] = [], [], "arcsec"
+        with ui.row().classes("items-center"):
+            ui.label("trajectory").classes("title")
+            self._button = ui.button("stretch X", on_click=self._stretch).props("dense outline no-caps")
         self.chart = Chart("trajectory", "deflection_x", WAY, "square")
 
     def show(self, x: Sequence[float | None], y: Sequence[float | None], unit: str) -> None:
         """Show it; gaps stay open."""
+        self._last = x, y, unit
         way = [(a, b) if a is not None and b is not None else (None, None) for a, b in zip(x, y, strict=True)]
         known = [(a, b) for a, b in way if a is not None and b is not None]
-        reach = trajectory_reach(known) if known else None
+        reach = trajectory_reach(known) if known and not self._stretched else None
         self.chart.show([way if known else [], known[-1:]], unit, reach=reach, empty="no trajectory")
+
+    def _stretch(self) -> None:
+        self._stretched = not self._stretched
+        self._button.set_text("to scale" if self._stretched else "stretch X")
+        self.show(*self._last)
 
 
 WAY = (

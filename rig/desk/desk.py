@@ -37,11 +37,13 @@ class Desk:
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
     `place` is what is kept on disk, `lighting` takes light and gives it, `rig` is the rig's own safety state.
-    `started` are the process and the folder of the session that was started here last.
+    `archive` is the file whose runs are listed, too; `started` are the process and the folder of the session
+    that was started here last.
     """
 
-    def __init__(self, source: Path, overrides: tuple[str, ...] = ()) -> None:
+    def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path()) -> None:
         self.source = source
+        self.archive = archive
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)

@@ -1,5 +1,6 @@
 """The page: head with state and keys, alarms over everything, one panel at a time."""
 
+import html
 import json
 import time
 from functools import partial
@@ -14,6 +15,7 @@ from rig.desk.dialogs import keys_dialog
 from rig.desk.header import build_header
 from rig.desk.lighting import lamps
 from rig.desk.panels import PANELS
+from rig.desk.panels.runs import rerun_address
 from rig.desk.sessions import last_state
 from rig.desk.tab import Tab
 from rig.desk.tables import static
@@ -45,6 +47,19 @@ def build_page(desk: Desk, off_port: int) -> None:
     # of what is typed into a field nothing is a key
     ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
 
+    _tell_bars(desk)
+
+
+def build_rerun(desk: Desk, off_port: int) -> None:
+    """Build the page around Rerun's own, which does not say that nothing comes any more."""
+    _build_bars(off_port)
+    ui.html("Rerun", tag="h1", sanitize=False).classes("unseen")
+    address = rerun_address(desk)
+    gone = "not connected: rig view has ended"
+    Tab().label(lambda: "" if rerun_address(desk) == address != "" else gone, "advice no", 'role="alert"')
+    if address:
+        # what it has shown last stays
+        ui.html(f"<iframe title='Rerun' src='{html.escape(address)}'></iframe>", sanitize=False)
     _tell_bars(desk)
 
 

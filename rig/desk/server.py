@@ -27,8 +27,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from processing.errors import ConfigurationError
 from rig.control import in_thread
 from rig.desk.desk import Desk
-from rig.desk.page import DARK, DEAD_S, build_page
+from rig.desk.page import DARK, DEAD_S, build_page, build_rerun
 from rig.desk.panels.live_picture import picture_now
+from rig.desk.panels.runs import RERUN
 from rig.desk.sessions import SERVED, served_file
 from rig.desk.tables import static
 from rig.devices import check_wiring
@@ -39,7 +40,7 @@ _NAMES = (LOOPBACK, "localhost")
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' OFF_SWITCH; form-action 'self'; "
-    "frame-ancestors 'none'"
+    "frame-ancestors 'none'; frame-src http://127.0.0.1:*"
 )
 
 
@@ -133,13 +134,15 @@ def open_desk(
     port: int = 0,
     *,
     browser: bool = True,
+    archive: Path = Path(),
 ) -> int:
     """Serve the desk of a configuration until Ctrl-C; a session that it has started goes on.
 
-    `port` 0 is the last one, the usual one, or any. The address with its key is printed on stdout. Raises
-    ConfigurationError where a desk of this configuration is open already.
+    `port` 0 is the last one, the usual one, or any. The runs of an `archive` that is there are listed, too.
+    The address with its key is printed on stdout. Raises ConfigurationError where a desk of this
+    configuration is open already.
     """
-    desk = Desk(source, overrides)
+    desk = Desk(source, overrides, archive)
     desk.place.hold(desk.config.session.output)
     try:
         check_wiring(desk.config.laser, desk.config.controller)
@@ -246,6 +249,10 @@ def _application(desk: Desk, off_port: int) -> FastAPI:
     @ui.page("/")
     def page() -> None:
         build_page(desk, off_port)
+
+    @ui.page(RERUN)
+    def rerun() -> None:
+        build_rerun(desk, off_port)
 
     return app
 

@@ -1,13 +1,20 @@
 """The sessions of a folder as the desk lists and finds them."""
 
+import json
+import math
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from processing.errors import RigError
+from processing.fit import FitMethod
+from rig.instrument import BALANCE_CONDITIONS
 from rig.measure import STATE_NAME, RunState, SessionSummary, read_session, session_summary
+from rig.terminal import quantity, with_uncertainty
 
 SERVED = "/sessions"
 """Path on the desk's server below which the files of the sessions' folder are served."""
@@ -20,9 +27,10 @@ class SessionRow:
     """One session in the list, as texts.
 
     `state` is how it ended, or why it cannot be read, `runs` the number of complete runs of those wanted, and
-    `conditions` the first and last amplitude of its runs. `result` is what it hands over, with its whole
-    uncertainty, empty without one. `resumable` is True if runs are missing that can still be made. `text` is
-    what a search looks through.
+    `conditions` the first and last amplitude of its runs. `sigma`, `b` and `c` are those of its last run,
+    with their whole uncertainty, in the units of `NUMBERS`; `balance` is go, no, or empty where it was not
+    judged. `resumable` is True if runs are missing that can still be made. `text` is what a search looks
+    through.
     """
 
     folder: Path
@@ -32,7 +40,10 @@ class SessionRow:
     runs: str = ""
     conditions: str = ""
     operator: str = ""
-    result: str = ""
+    sigma: str = ""
+    b: str = ""
+    c: str = ""
+    balance: str = ""
     resumable: bool = False
     text: str = ""
 
@@ -107,10 +118,41 @@ def session_row(folder: Path) -> SessionRow:
         runs=f"{len(session.complete)} of {session.runs_wanted}",
         conditions="" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec",
         operator=operator,
-        result=summary.headline,
         resumable=summary.ended not in (None, RunState.COMPLETE),
         text=" ".join((folder.name, began, sample, operator, state, notes)).lower(),
+        **last_run(folder),
     )
+
+
+NUMBERS = {"sigma": "surface_energy_table2_j_per_m2", "b": "b", "c": "c"}
+"""Keys of the quantities in the list, by the name of their column."""
+
+
+def last_run(folder: Path) -> dict[str, str]:
+    """Columns of the list that follow from a session's last run; empty without results."""
+    try:
+        run = json.loads((folder / RESULTS_NAME).read_bytes())["runs"][-1]
+        rows = {row["quantity"]: row for row in run["table"] if row["fit"] == FitMethod.EXACT}
+        conditions = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
+        # a condition that is met and still has a remedy was not determined
+        judged = [one["ok"] for one in conditions if not (one["ok"] and one.get("remedy"))]
+        numbers = {name: _number(rows.get(key)) for name, key in NUMBERS.items()}
+    except (OSError, ValueError, KeyError, IndexError, TypeError):
+        return {}
+    return {**numbers, "balance": "" if not judged else "go" if all(judged) else "no"}
+
+
+def _number(row: Mapping[str, Any] | None) -> str:
+    """Value and whole uncertainty in the unit shown, or the verdict on a quantity that is not determined."""
+    if row is None:
+        return ""
+    if row["verdict"] != "determined":
+        return str(row["verdict"])
+    if row["value"] is None:
+        return ""
+    factor = quantity(row["quantity"]).factor
+    u = row["u"] if row["u_total"] is None else row["u_total"]
+    return with_uncertainty(factor * row["value"], factor * (u or math.nan))
 
 
 @lru_cache(maxsize=8)

@@ -1,6 +1,7 @@
 """The configured instrument: calibration, pipeline from frames to half-cycles, provenance, run state."""
 
 from rig.instrument.balance import (
+    BALANCE_CONDITIONS,
     DIRECTIONS,
     PLANE_OF_SWING,
     WEIGHTS,

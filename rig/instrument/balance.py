@@ -103,6 +103,9 @@ _CONDITION_OF_CHECK: Final[Mapping[str, _Condition]] = {
 }
 """Faults of a balance that are conditions of a run; not the direction of the line, which is the camera's."""
 
+BALANCE_CONDITIONS: Final = frozenset(one.name for one in _CONDITION_OF_CHECK.values())
+"""Names of the conditions of a run that its balance decides."""
+
 
 def balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Verdict]:
     """One verdict for each quantity of the balance that is known and limited; empty without a balance."""

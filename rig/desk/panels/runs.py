@@ -1,30 +1,38 @@
-"""Runs: the sessions made so far; find, report, show in Rerun, fit again, resume."""
+"""Runs: the sessions made so far and the archive; find, report, show in Rerun, fit again, resume."""
 
-import html
 import json
 import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from nicegui import run, ui
 
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, RigError
+from rig.archive import find_runs
 from rig.desk.desk import Desk
 from rig.desk.dialogs import resume_dialog
-from rig.desk.sessions import SERVED, SessionRow
+from rig.desk.sessions import NUMBERS, SERVED, SessionRow
 from rig.desk.tab import Tab
 from rig.measure import session_summary
 from rig.prepare import next_free
+from rig.terminal import quantity
 
+RERUN = "/rerun"
+"""Path of the page around Rerun's."""
 KEYS = (("o", "runs: open the report"), ("v", "runs: show in Rerun"))
-_COLUMNS = ("begun", "name", "sample", "runs", "state", "result", "conditions", "operator")
-_HEADS = {"name": "folder"}
+_COLUMNS = ("begun", "name", "sample", "runs", "state", *NUMBERS, "balance", "conditions", "operator")
+_LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
+  <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
 _ROWS_PER_PAGE, _LAST_LINES = 15, 14
 _MOST_ROWS = 500
 """Largest number of rows that are sent to the browser; older ones are found by a search."""
 _PAUSE_OVER_WORK = 15.0
 """Ratio of the pause between two looks through the folder to the time that the last look took."""
+_REREAD_S = 30.0
+"""Interval of reading the archive for added runs."""
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${props.row.folder}`" />'
 
 
@@ -33,8 +41,10 @@ def build(desk: Desk, tab: Tab) -> None:
     with ui.row().classes("items-center"):
         find = ui.input("find").props('dense outlined clearable type="search" data-key="find"')
         find.classes("find")
+        list_choice = ui.toggle(["sessions", "archive"], value="sessions")
+        list_choice.props('dense no-caps aria-label="which list"')
         actions = ui.row().classes("items-center")
-    listed = SessionList(desk)
+    listed, archived = SessionList(desk), ArchivedRuns(desk.archive)
     with actions:
         _build_actions(desk, tab, listed)
     with ui.column().classes("full-width box q-mt-sm"):
@@ -44,8 +54,16 @@ def build(desk: Desk, tab: Tab) -> None:
         output.style("white-space: pre; overflow: auto; max-height: 300px; font: 13px monospace")
 
     async def refresh() -> None:
-        await listed.refresh(str(find.value or ""))
+        words, is_archive = str(find.value or ""), list_choice.value == "archive"
+        list_choice.set_visibility(desk.archive.is_file())
+        archived.table.set_visibility(is_archive)
+        listed.table.set_visibility(not is_archive)
+        actions.set_visibility(not is_archive)
+        await listed.refresh(words)
+        if is_archive:
+            await archived.refresh(words)
 
+    list_choice.on_value_change(refresh)
     find.on_value_change(refresh)
     tab.every(1.0, refresh)
 
@@ -107,12 +125,17 @@ def _output(desk: Desk) -> str:
     return "\n".join(lines)
 
 
-def _view_link(desk: Desk) -> str:
-    """A link to Rerun's page, which `rig view` serves; empty while it does not run."""
+def rerun_address(desk: Desk) -> str:
+    """Address of Rerun's page, which `rig view` serves; empty while it does not run."""
     view = desk.jobs.get("view")
     lines = " ".join(view.output) if view is not None and view.running else ""
     at = re.search(r"http://127\.0\.0\.1:\d+\S*", lines)
-    return f"<a href='{html.escape(at[0])}' target='_blank'>open what rig view shows</a>" if at else ""
+    return at[0] if at else ""
+
+
+def _view_link(desk: Desk) -> str:
+    shown = f"<a href='{RERUN}' target='_blank'>open what rig view shows</a>"
+    return shown if rerun_address(desk) else ""
 
 
 def fit_again(desk: Desk, folder: Path) -> None:
@@ -126,6 +149,25 @@ def open_in_browser_tab(desk: Desk, page: Path) -> None:
     ui.run_javascript(f"window.open({json.dumps(f'{SERVED}/{quote(name)}')}, '_blank')")
 
 
+def _table(label: str, **how: Any) -> ui.table:
+    """A table that the browser shows page by page, the newest first."""
+    table = ui.table(columns=[], rows=[], pagination=_ROWS_PER_PAGE, **how).classes("full-width box")
+    return table.props(f'dense flat aria-label="{label}" :rows-per-page-options="[{_ROWS_PER_PAGE}]"')
+
+
+def _columns(names: Sequence[str]) -> list[dict[str, str]]:
+    return [{"name": name, "label": _head(name), "field": name, "align": "left"} for name in names]
+
+
+def _head(column: str) -> str:
+    """Name of a column, with the unit of a number."""
+    if column not in NUMBERS:
+        return {"name": "folder"}.get(column, column)
+    shown = quantity(NUMBERS[column])
+    symbol = {"sigma": "σ"}.get(column, column)
+    return f"{symbol} / ({shown.unit})" if shown.unit else symbol
+
+
 class SessionList:
     """Table of the sessions that a search finds, of which one may be `marked`; it is added to the page."""
 
@@ -134,18 +176,12 @@ class SessionList:
         self._rows: dict[str, SessionRow] = {}
         self._due_s = 0.0
         self.marked: SessionRow | None = None
-        columns = [
-            {"name": name, "label": _HEADS.get(name, name), "field": name, "align": "left"}
-            for name in _COLUMNS
-        ]
-        # the browser shows it page by page
-        self.table = ui.table(
-            columns=columns, rows=[], row_key="folder", selection="multiple", pagination=_ROWS_PER_PAGE
-        ).classes("full-width box")
-        self.table.props(f'dense flat aria-label="sessions" :rows-per-page-options="[{_ROWS_PER_PAGE}]"')
+        self.table = _table("sessions", row_key="folder", selection="multiple")
+        self.table.columns = _columns(_COLUMNS)
         self.table.props('hide-selected-banner no-data-label="no session is found"')
         self.table.add_slot("header-selection", "<span class='unseen'>marked</span>")
         self.table.add_slot("body-selection", _MARK)
+        self.table.add_slot("body-cell-balance", _LAMP)
         self.table.on_select(self._mark)
 
     async def refresh(self, words: str) -> None:
@@ -178,4 +214,38 @@ class SessionList:
     def _select(self) -> None:
         marked = None if self.marked is None else str(self.marked.folder)
         self.table.selected = [row for row in self.table.rows if row["folder"] == marked]
+        self.table.update()
+
+
+class ArchivedRuns:
+    """Table of the runs of an archive that a search finds; it is added to the page."""
+
+    def __init__(self, archive: Path) -> None:
+        self._archive = archive
+        self._searched, self._searched_s = "", -_REREAD_S
+        self.table = _table("runs of the archive")
+
+    async def refresh(self, words: str) -> None:
+        """Show the runs that the search finds; the archive is read again for other words or after a while."""
+        now_s = time.monotonic()
+        if words == self._searched and now_s - self._searched_s < _REREAD_S:
+            return
+        self._searched, self._searched_s = words, now_s
+        self._say(f"{self._archive} is read …")
+        try:
+            found = await run.io_bound(find_runs, self._archive, words, _MOST_ROWS)
+        except RigError as error:
+            self.table.rows = []
+            self._say(str(error))
+            return
+        if found is None or self._searched != words:
+            # the search was changed meanwhile
+            return
+        self.table.columns = [{**one, "label": one["name"]} for one in _columns(found.head)]
+        self.table.rows = [dict(zip(found.head, row, strict=True)) for row in found.shown]
+        self._say(f"no run in {self._archive} is found")
+
+    def _say(self, nothing: str) -> None:
+        """Show a text in the place of rows while there are none."""
+        self.table.props["no-data-label"] = nothing
         self.table.update()

@@ -14,7 +14,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_folders, check_archive, list_runs, selected, update_archive
+from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
 from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
 from tests.rig.command_line import SAMPLES, rig
@@ -380,3 +380,12 @@ def test_every_column_stands_in_the_reference() -> None:
     assert listed == {name for name in COLUMNS if name not in of_rows}
     for name in PARAMETERS:
         assert f"`{name}`" in text
+
+
+def test_runs_are_found_by_words(kept: Path) -> None:
+    table = find_runs(kept, "k8 STEEL run-1", 9)
+    assert len(table.shown) == 1
+    shown = dict(zip(table.head, table.shown[0], strict=True))
+    assert shown["sample"].startswith("SIMULATED: ")
+    assert "±" in shown["c"]
+    assert [len(find_runs(kept, words, 2).shown) for words in ("it's", "")] == [0, 2]

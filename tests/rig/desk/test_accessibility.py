@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from rig.archive import add_folders
 from rig.devices import OrderSocket, SessionNews
 from tests.rig.command_line import SAMPLES
 from tests.rig.desk.desk_page import SIZE, DeskProcess, Page
@@ -78,6 +79,11 @@ def test_no_panel_at_rest_has_a_violation(shown: Shown, judge: Callable[[str], N
         page.key(key)
         page.wait(f"document.querySelector('.q-tab--active').innerText.toLowerCase() === {name.lower()!r}")
         judge(name)
+    desk = str(page.ask("location.origin"))
+    page.browser.open(f"{desk}/rerun")
+    page.wait_text("not connected: rig view has ended")
+    judge("the page around Rerun's")
+    page.open(desk)
 
 
 def test_no_state_of_a_session_has_a_violation(
@@ -145,6 +151,14 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
     page.wait_text(folder.name)
     page.mark(folder.name)
     judge("a session that is marked")
+    page.click("archive")
+    page.wait_text("1-3 of 3")
+    judge("the archive")
+    # not the panel of this name
+    page.ask(
+        "[...document.querySelectorAll('.q-btn-toggle button')].find(b => b.innerText === 'sessions').click()"
+    )
+    page.wait_text(folder.name)
     # what has just ended hands over
     page.key("3")
     news = SessionNews()
@@ -157,7 +171,8 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
 
 
 def finished(output: Path) -> Path:
-    """A session that has ended, with results and a report."""
+    """A session that has ended, with results and a report, in the archive of the desk, too."""
+    add_folders(output.parent / "archive.duckdb", [SAMPLES / "series", SAMPLES / "uncalibrated"])
     folder = output / "over"
     shutil.copytree(SAMPLES / "series", folder)
     (folder / "report.html").write_text("<html lang='en'><head><title>r</title></head></html>", "utf-8")
