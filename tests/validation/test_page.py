@@ -16,7 +16,7 @@ from tests.validation.benchmarks import _measured, _pooled, numbers_at, pooled_s
 from tests.validation.catalogue import NOT_TESTED, ROWS, SPEED
 from tests.validation.kept import Kept, kept_now, read_kept, write_kept
 from tests.validation.outside import mcap_records
-from tests.validation.outside.printed import units_off
+from tests.validation.outside.gum import units_off
 from tests.validation.row import Found, Limit, Missing, Row, limit_of_share
 
 QUICK = [row for row in ROWS if row.quick]
