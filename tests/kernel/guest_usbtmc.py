@@ -1,12 +1,10 @@
 """Runs in the guest: the Thorlabs driver talks to an instrument through the kernel's usbtmc."""
 
-import json
 import os
 import signal
 import socket
 import subprocess
 import time
-import traceback
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,21 +12,18 @@ from typing import Any
 from processing.errors import DeviceError
 from rig.control.lasers import LaserSettings
 from rig.control.lasers.thorlabs4000 import Thorlabs4000
-from tests.kernel.boot import MARK
+from tests.kernel.scenarios import attach, run_scenarios
 from tests.kernel.usbtmc_device import UsbTmcDevice
 from tests.rig.control.instruments import FakeThorlabs
 
-VHCI = Path("/sys/devices/platform/vhci_hcd.0")
 HIGH_SPEED_PORT, HIGH_SPEED = 0, 3
 SERIAL = "M00277475"
 
 
 def plug_in() -> int:
     """Attach an instrument that lives in a process of its own; SIGUSR1 makes it silent, or speak again."""
-    kernel_end, device_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-    child = os.fork()
-    if child == 0:
-        kernel_end.close()
+
+    def serve(connection: socket.socket) -> None:
         instrument = FakeThorlabs()
 
         def mute(*_: object) -> None:
@@ -39,17 +34,9 @@ def plug_in() -> int:
             return None if instrument.silent else reply
 
         signal.signal(signal.SIGUSR1, mute)
-        UsbTmcDevice(device_end, SERIAL, answer).serve()
-        os._exit(0)
-    device_end.close()
-    (VHCI / "attach").write_text(f"{HIGH_SPEED_PORT} {kernel_end.fileno()} 65537 {HIGH_SPEED}")
-    kernel_end.close()
-    deadline_s = time.monotonic() + 20
-    while not list(Path("/dev").glob("usbtmc*")):
-        if time.monotonic() > deadline_s:
-            raise TimeoutError("the kernel shows no instrument")
-        time.sleep(0.1)
-    return child
+        UsbTmcDevice(connection, SERIAL, answer).serve()
+
+    return attach(serve, HIGH_SPEED_PORT, HIGH_SPEED, lambda: list(Path("/dev").glob("usbtmc*")))
 
 
 def driver(port: str = "usbtmc") -> Thorlabs4000:
@@ -100,12 +87,7 @@ def talk() -> dict[str, Any]:
 def main() -> None:
     os.makedirs("/dev/pts", exist_ok=True)
     subprocess.run(["mount", "-t", "devpts", "devpts", "/dev/pts"], check=True)
-    try:
-        results = talk()
-    except BaseException:
-        kernel = subprocess.run(["dmesg"], capture_output=True, text=True, check=False).stdout
-        results = {"error": traceback.format_exc() + kernel[-3000:]}
-    print("\n" + MARK + json.dumps(results), flush=True)
+    run_scenarios({"talk": talk}, ())
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 from xml.etree import ElementTree
@@ -36,6 +37,19 @@ def device() -> str:
 
 def make(**more: Any) -> V4l2Camera:
     return V4l2Camera(V4l2Settings.model_validate({"device": device(), **more}))
+
+
+@contextmanager
+def running(asked: CameraSettings = SMALL, **more: Any) -> Iterator[V4l2Camera]:
+    """The camera, opened, configured and started; closed at the end."""
+    camera = make(**more)
+    camera.open()
+    camera.configure(asked)
+    camera.start()
+    try:
+        yield camera
+    finally:
+        camera.close()
 
 
 class TestKernelReading(CameraConformance):
@@ -85,13 +99,9 @@ def control(name: str, value: int) -> None:
 def dropped() -> dict[str, Any]:
     """The driver drops a part of its buffers: what is missing is counted, the rest is in order."""
     control("Percentage of Dropped Buffers", 30)
-    camera = make()
-    camera.open()
-    camera.configure(SMALL)
-    camera.start()
-    frames = [camera.read(5.0) for _ in range(60)]
-    status = camera.status
-    camera.close()
+    with running() as camera:
+        frames = [camera.read(5.0) for _ in range(60)]
+        status = camera.status
     control("Percentage of Dropped Buffers", 0)
     numbers = [frame.sequence for frame in frames if frame]
     times = np.array([frame.device_time_ns for frame in frames if frame])
@@ -106,15 +116,11 @@ def dropped() -> dict[str, Any]:
 
 def late() -> dict[str, Any]:
     """Nobody reads for a second: all buffers are full, and what is missing then is the host's loss."""
-    camera = make()
-    camera.open()
-    camera.configure(SMALL.model_copy(update={"frame_rate_hz": 30.0}))
-    camera.start()
-    frames = [camera.read(5.0) for _ in range(5)]
-    time.sleep(1.0)
-    frames += [camera.read(5.0) for _ in range(20)]
-    status = camera.status
-    camera.close()
+    with running(SMALL.model_copy(update={"frame_rate_hz": 30.0})) as camera:
+        frames = [camera.read(5.0) for _ in range(5)]
+        time.sleep(1.0)
+        frames += [camera.read(5.0) for _ in range(20)]
+        status = camera.status
     return {
         "numbers": [frame.sequence for frame in frames if frame],
         "dropped_by_bus": status.dropped_by_bus,
@@ -164,42 +170,36 @@ def region() -> dict[str, Any]:
 
 def damaged() -> dict[str, Any]:
     """Buffers that the driver marks as damaged are counted as such, and not delivered."""
-    camera = make()
-    camera.open()
-    camera.configure(SMALL)
-    camera.start()
     numbers: list[int] = []
-    for count in range(1, 6):
-        control("Inject V4L2_BUF_FLAG_ERROR", 1)
-        # Frames that were waiting come first. A gap in the numbers is not enough: on a slow host vivid leaves
-        # out frames of its own accord, undamaged.
-        while camera.status.error_status < count:
-            assert len(numbers) < 500, f"{count}. damaged buffer is not counted: {camera.status}"
+    with running() as camera:
+
+        def read() -> None:
             frame = camera.read(5.0)
             assert frame is not None
             numbers.append(frame.sequence)
-    # the frame after the last damaged one shows the gap
-    frame = camera.read(5.0)
-    assert frame is not None
-    numbers.append(frame.sequence)
-    status = camera.status
-    camera.close()
+
+        for count in range(1, 6):
+            control("Inject V4L2_BUF_FLAG_ERROR", 1)
+            # Frames that were waiting come first. A gap in the numbers is not enough: on a slow host vivid
+            # leaves out frames of its own accord, undamaged.
+            while camera.status.error_status < count:
+                assert len(numbers) < 500, f"{count}. damaged buffer is not counted: {camera.status}"
+                read()
+        # the frame after the last damaged one shows the gap
+        read()
+        status = camera.status
     return {"numbers": numbers, "error_status": status.error_status, "dropped": status.dropped}
 
 
 def stale() -> dict[str, Any]:
     """After a second in which nobody read: is the first frame of the next start older than it?"""
-    camera = make()
-    camera.open()
-    camera.configure(SMALL)
-    camera.start()
-    camera.read(5.0)
-    camera.stop()
-    time.sleep(1.0)
-    begin_ns = time.monotonic_ns()
-    camera.start()
-    frame = camera.read(5.0)
-    camera.close()
+    with running() as camera:
+        camera.read(5.0)
+        camera.stop()
+        time.sleep(1.0)
+        begin_ns = time.monotonic_ns()
+        camera.start()
+        frame = camera.read(5.0)
     assert frame is not None
     return {"before_start_ms": (begin_ns - frame.device_time_ns) / 1e6, "sequence": frame.sequence}
 

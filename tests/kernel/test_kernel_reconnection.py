@@ -8,23 +8,11 @@ from typing import Any
 
 import pytest
 
-from tests.kernel.boot import Missing, find_kernel, module_files, run_in_guest
 from tests.kernel.scenarios import scenario
 
 pytestmark = pytest.mark.kernel
 
-TIME_LIMIT_S = 700.0
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """One boot for all tests; what happened in it is asserted here, outside."""
-    try:
-        vivid = module_files(find_kernel()[1], ["vivid"])[-1]
-        folder = tmp_path_factory.mktemp("guest")
-        return run_in_guest(f"tests.kernel.guest_reconnection {vivid}", folder, TIME_LIMIT_S)
-    except Missing as missing:
-        pytest.skip(str(missing))
+GUEST = "guest_reconnection {vivid}"
 
 
 @pytest.mark.parametrize("name", ["cable", "settings", "module", "other_number"])

@@ -3,21 +3,20 @@
 Run by ``make test-kernel``; skipped, with the reason, where QEMU or a kernel can't be had.
 """
 
-from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.kernel.boot import Missing, run_in_guest
+from tests.kernel.scenarios import scenario
 
+GUEST = "guest_usbtmc"
 pytestmark = pytest.mark.kernel
 
 
-def test_a_diode_driver_on_usb_is_found_lit_and_darkened_and_its_loss_is_named(tmp_path: Path) -> None:
-    try:
-        seen = run_in_guest("tests.kernel.guest_usbtmc", tmp_path, 300.0)
-    except Missing as missing:
-        pytest.skip(str(missing))
-    assert "error" not in seen, seen["error"]
+def test_a_diode_driver_on_usb_is_found_lit_and_darkened_and_its_loss_is_named(
+    results: dict[str, Any],
+) -> None:
+    seen = scenario(results, "talk")
     assert "0 USBTMC instruments of vendor 1313 fit" in seen["missing"]
     assert seen["identity"] == ["Thorlabs", "ITC4001", "M00277475"]
     assert "cannot open the instrument" in seen["second"]

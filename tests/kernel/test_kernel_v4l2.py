@@ -8,21 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.kernel.boot import Missing, run_in_guest
 from tests.kernel.scenarios import scenario
 
 pytestmark = pytest.mark.kernel
 
-TIME_LIMIT_S = 700.0
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """One boot for all tests; what happened in it is asserted here, outside."""
-    try:
-        return run_in_guest("tests.kernel.guest_v4l2", tmp_path_factory.mktemp("guest"), TIME_LIMIT_S)
-    except Missing as missing:
-        pytest.skip(str(missing))
+GUEST = "guest_v4l2"
 
 
 def test_the_conformance_suite_passes(results: dict[str, Any]) -> None:

@@ -4,6 +4,8 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +95,72 @@ def test_an_uncalibrated_record_says_px() -> None:
     assert record.unit == "px"
     assert record.deflections().unit == "px"
     assert "amplitude_px" in record.swings().dtype.names
+
+
+UNCALIBRATED = SAMPLES / "uncalibrated" / "run-1.mcap"
+
+
+def test_what_is_not_meant_is_refused_in_one_line(tmp_path: Path) -> None:
+    """A run that was named twice was two runs; a file of what is no results could not be read again."""
+    results, path = rig.read_results(SAMPLES / "first"), tmp_path / "results.json"
+    wrong: list[tuple[Callable[[], object], str]] = [
+        (
+            lambda: rig.fit([UNCALIBRATED, rig.open_record(UNCALIBRATED)]),
+            r"holds the run of .*, which counts once",
+        ),
+        (lambda: rig.fit([]), "nothing is named"),
+        (lambda: rig.fit(UNCALIBRATED, law="none"), "law: a function of the angle is needed, not 'none'"),
+        (lambda: rig.curves(results), r"results.runs\[0\]\), not a SessionResults"),
+    ]
+    not_results = (results.runs[0], {"a": 1}, None)
+    said = r"results: what rig\.fit or rig\.fit_table returned"
+    wrong += [(partial(rig.write_results, path, given), said) for given in not_results]
+    for call, said in wrong:
+        with pytest.raises(rig.RigError, match=said):
+            call()
+    assert not path.exists()
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    found = rig.fit(UNCALIBRATED.parent, {"fit.robust": np.bool_(True), "fit.u_ageing": np.float32(0.25)})
+    assert found.runs[0].settings["robust"] is True
+    assert found.runs[0].settings["u_ageing"] == 0.25
+
+
+def test_columns_are_named_as_a_text_or_a_number_and_tables_by_their_file(tmp_path: Path) -> None:
+    time_s = 0.05 * np.arange(600)
+    table = np.column_stack([time_s, 10.0 * np.exp(-0.01 * time_s) * np.cos(2.5 * time_s)])
+    table[:, 1] += 0.01 * np.random.default_rng(1).standard_normal(len(table))
+    np.savetxt(tmp_path / "decay.csv", table, delimiter=",", header="time_s,x", comments="")
+    periods = {
+        rig.fit_table(tmp_path / "decay.csv", "mm", time=time, positions=positions)["mean_period_s"].value
+        for time, positions in (
+            (None, ()),
+            ("time_s", "x"),
+            (1, 2),
+            (1, [2]),
+            ("1", ["2"]),
+        )
+    }
+    assert len(periods) == 1
+
+
+def test_results_are_read_and_written_by_a_text_too(tmp_path: Path) -> None:
+    found = rig.read_results(str(SAMPLES / "first"))
+    rig.write_results(str(tmp_path / "results.json"), found)
+    with pytest.raises(rig.RigError, match="exists already and is not overwritten"):
+        rig.write_results(str(tmp_path / "results.json"), found)
+
+
+def test_a_table_that_runs_backwards_is_said_to_be_no_decay(tmp_path: Path) -> None:
+    time_s = 0.05 * np.arange(1200)
+    swing = 10.0 * np.exp(0.01 * time_s) * np.cos(2.5 * time_s)
+    swing += 0.01 * np.random.default_rng(2).standard_normal(len(swing))
+    table = np.column_stack([time_s, swing])
+    np.savetxt(tmp_path / "back.csv", table, delimiter=",", header="time_s,x_mm", comments="")
+    found = rig.fit_table(tmp_path / "back.csv", "mm")
+    assert "quality_factor" not in found.rows
+    assert any("is no free decay; is time reversed" in warning for warning in found.runs[0].warnings)
 
 
 def test_every_name_is_there_and_no_other() -> None:

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tests.validation.kept import ROOT, Kept
-from tests.validation.known import known_number
 from tests.validation.row import NotTested, Row
 
 FILE = ROOT / "docs" / "validation.md"
@@ -75,8 +74,7 @@ def shown(row: Row, found: Kept) -> str:
 def _line(row: Row, found: Kept | None) -> str:
     limit = f"{row.limit.text} {row.unit}".strip()
     if found is None:
-        before = f"; earlier, by [benchmarks](benchmarks.md): {known_number(row.known)}" if row.known else ""
-        return f"| `{row.name}` | {row.claim} | {row.means} | not run on this commit{before} | {limit} | |"
+        return f"| `{row.name}` | {row.claim} | {row.means} | not run on this commit | {limit} | |"
     detail = f"; {found.detail}" if found.detail else ""
     return (
         f"| `{row.name}` | {row.claim} | {row.means} | {shown(row, found)}{detail} | {limit} | {found.date} |"

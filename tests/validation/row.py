@@ -63,9 +63,6 @@ class Row:
         What is called, and which of its numbers is meant. Rows with the same function share one call.
     quick
         It takes seconds, and a test asks whether it still holds.
-    known
-        First cell of the line of `docs/benchmarks.md` that has the number of an earlier measurement, shown
-        as long as the row has not been measured here.
     share
         Its number is a share of cases that an interval holds, drawn in the figure of all of them.
     """
@@ -79,7 +76,6 @@ class Row:
     unit: str
     limit: Limit
     quick: bool = False
-    known: str = ""
     share: bool = False
 
     def is_meant_by(self, word: str) -> bool:

@@ -15,9 +15,8 @@ from tests.validation import figure, page
 from tests.validation.benchmarks import _measured, _pooled, numbers_at, pooled_shares
 from tests.validation.catalogue import NOT_TESTED, ROWS, SPEED
 from tests.validation.kept import Kept, kept_now, read_kept, write_kept
-from tests.validation.known import known_number
 from tests.validation.outside import mcap_records
-from tests.validation.outside.printed import units_off
+from tests.validation.outside.gum import units_off
 from tests.validation.row import Found, Limit, Missing, Row, limit_of_share
 
 QUICK = [row for row in ROWS if row.quick]
@@ -99,14 +98,6 @@ def test_benchmarks_have_the_numbers_that_rows_look_for() -> None:
     assert looked_for > len(ROWS) // 2
 
 
-def test_numbers_that_are_known_from_benchmarks_are_found() -> None:
-    named = [row.known for row in ROWS if row.known]
-    assert len(named) >= 10
-    assert all(known_number(beginning) for beginning in named)
-    with pytest.raises(KeyError, match="has 0 lines"):
-        known_number("no such line")
-
-
 def _row(measure: Callable[[], dict[str, Found]], **changes: object) -> Row:
     row = Row("some-row", "Group", "A claim", "means", measure, "number", "m", Limit(high=2.0), quick=True)
     return replace(row, **changes)  # type: ignore[arg-type]
@@ -125,10 +116,8 @@ def test_what_falls_short_is_bold(values: tuple[float, ...], shown: str) -> None
     assert ("1 short of them (`some-row`)" in text) is shown.startswith("**")
 
 
-def test_a_row_that_was_not_run_has_no_number_but_one_of_benchmarks() -> None:
+def test_a_row_that_was_not_run_has_no_number() -> None:
     assert "| not run on this commit | ≤ 2 m | |" in page.page_of([_row(dict)], {}, ())
-    known = page.page_of([_row(dict, known="`make demo`, 119,040")], {}, ())
-    assert "| not run on this commit; earlier, by [benchmarks](benchmarks.md): 38 s (**30**); " in known
 
 
 def test_no_number_is_not_within_a_limit() -> None:

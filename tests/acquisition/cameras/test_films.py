@@ -1,4 +1,4 @@
-"""Films with known truth: right, refused or counted. All of them: ``python -m tests.benchmarks films``."""
+"""Films with known truth: right, refused or counted. All of them: ``python -m tests.benchmarks inputs``."""
 
 import builtins
 import logging

@@ -1,6 +1,6 @@
 """Wrong inputs: each is refused in clean lines that name it, with the right exit status.
 
-Some hundreds are tried here, all of them by the benchmark `bench_wrong_inputs`.
+Some hundreds are tried here, all of them by the benchmark `bench_inputs`.
 """
 
 import re

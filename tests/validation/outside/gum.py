@@ -21,7 +21,6 @@ from processing.fit import InputQuantity
 from processing.fit.uncertainty import Budget, budget_of, sensitivities
 from processing.least_squares import propagate, solve
 from processing.series import combine
-from tests.validation.outside.printed import units_off
 from tests.validation.row import Found
 
 Array = NDArray[np.float64]
@@ -37,6 +36,12 @@ def budget_by(model: Callable[[Mapping[str, Floats]], Floats], inputs: Mapping[s
         if slope != 0
     ]
     return budget_of("", value, parts, [(part[4], inputs[part[0]].dof) for part in parts])  # type: ignore[arg-type]
+
+
+def units_off(value: float, printed: str) -> float:
+    """The distance in units of the last printed digit: up to a half the value rounds to what is printed."""
+    decimals = len(printed.partition(".")[2])
+    return float(abs(value - float(printed)) * 10.0**decimals)
 
 
 def _found(pairs: Mapping[str, tuple[float, str]]) -> dict[str, Found]:
