@@ -33,6 +33,14 @@ def test_ends_of_a_trajectory_that_is_to_scale_are_labels(high: float) -> None:
         assert float(f"{axis['interval']:.0e}") == pytest.approx(axis["interval"])
 
 
+def test_a_trajectory_that_is_stretched_gives_the_ends_back() -> None:
+    found = chart_options(quantity("deflection_x"), WAY, [[(1.0, 2.0)], []], "px", kind="square")
+    # the browser merges options: ends that are no longer named would stay
+    for axis in (found["xAxis"], found["yAxis"]):
+        assert (axis["min"], axis["max"], axis["interval"]) == (None, None, None)
+        assert axis["scale"]
+
+
 def test_words_in_an_empty_chart_go_when_it_is_filled() -> None:
     with Client(page("/")):
         chart = Chart("decay", "elapsed_s", (ChartCurve("amplitude"),))
