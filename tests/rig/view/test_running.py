@@ -40,6 +40,7 @@ IN_REAL_TIME = {
     "instrument.kind": '"tomlinson"',
 }
 posix_only = pytest.mark.skipif(os.name != "posix", reason="stops a process with POSIX signals")
+pytestmark = pytest.mark.timeout(300)
 
 
 def drawn_live(folder: Path, config: str, settings: dict[str, str]) -> Path:
@@ -48,7 +49,7 @@ def drawn_live(folder: Path, config: str, settings: dict[str, str]) -> Path:
     view = start_python("-m", "rig", "view", str(record), "--follow", "--rrd", str(folder / "live.rrd"))
     done = rig("run", CONFIGS / config, "-o", folder, *set_words(settings), cwd=folder)
     assert record.exists(), done.stderr
-    assert view.wait(60.0) == 0
+    assert view.wait(120.0) == 0
     return folder
 
 
