@@ -32,7 +32,7 @@ LOSSES: Final = (VERMILLION, ORANGE, REDDISH_PURPLE, YELLOW)
 """Counts of losses."""
 
 SEQUENCE: Final = (SKY_BLUE, ORANGE, BLUISH_GREEN, VERMILLION, YELLOW, REDDISH_PURPLE, BLUE, GREY)
-"""Colours of all other curves, and of runs that are overlaid, in this order."""
+"""Colours of all other curves, in this order."""
 
 
 def curve_colour(name: str, number: int) -> str:

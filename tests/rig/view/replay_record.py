@@ -32,7 +32,6 @@ def make_record(
     calibrated: bool = True,
     seed: int = 1,
     overrides: Sequence[str] = (),
-    start_ns: int = START_NS,
     end: str = "stop",
 ) -> Path:
     """Record `seconds` at 50 frames a second; one frame is missing, the spot of another one is lost.
@@ -58,7 +57,7 @@ def make_record(
         for x, y in zip(x_px.tolist(), y_px.tolist(), strict=True)
     ]
     spots[LOST_FRAME] = Spot(*[math.nan] * 10, int(SpotFlag.LOST))
-    times_ns = start_ns + np.round(times_s * 1e9).astype(np.int64)
+    times_ns = START_NS + np.round(times_s * 1e9).astype(np.int64)
     pipeline = Pipeline(optics_of(config, 255), SHAPE)
     metadata = {
         "frame": {"width_px": str(SHAPE[1]), "height_px": str(SHAPE[0])},
@@ -68,7 +67,7 @@ def make_record(
     with RecordWriter(
         path, EPOCH_NS, metadata=metadata, attachments=attachments, deflection_unit=config.deflection_unit
     ) as writer:
-        writer.write_event(start_ns, "start", "first frame")
+        writer.write_event(START_NS, "start", "first frame")
         for first in range(0, len(spots), 25):
             part = slice(first, first + 25)
             block = pipeline.measure(times_ns[part], spots[part])
