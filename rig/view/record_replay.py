@@ -24,7 +24,7 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import configuration_attachments, recorded_configuration
-from rig.settings import REPLAYED, Configuration, refuse_without_effect
+from rig.settings import ALL, REPLAYED, Configuration, refuse_without_effect
 from rig.terminal import (
     Table,
     TableRow,
@@ -118,7 +118,7 @@ def replay_record(
     with RecordReader(record) as reader, tempfile.TemporaryDirectory(prefix="rig-replay-") as folder:
         config = recorded_configuration(reader, overrides)
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
-        refuse_without_effect(overrides, (*REPLAYED, *(["sensor."] if retrack else [])), remedy)
+        refuse_without_effect(overrides, {**REPLAYED, **({"sensor": ALL} if retrack else {})}, remedy)
         if reader.truncated:
             say(reader.cut_notice)
         replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s)
