@@ -26,12 +26,11 @@ from rig.report import make_table_report
 from rig.settings import FITTED, load_configuration, refuse_without_effect
 from rig.terminal import answer, print_line
 
-_OF_TABLES = (
-    *FITTED,
-    *(f"session.{key}." for key in ("contact_history", "notes", "operator", "sample")),
-    *(f"session.{key}_amplitude_arcsec." for key in ("initial", "final")),
-)
-"""Beginnings of the keys that change the results of a table."""
+_OF_TABLES = {
+    **FITTED,
+    "session": (*FITTED["session"], "contact_history", "notes", "operator", "sample", "initial_", "final_"),
+}
+"""Beginnings of the keys that change the results of a table, by section."""
 
 
 class TableOptions(NamedTuple):

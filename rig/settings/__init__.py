@@ -8,6 +8,7 @@ from rig.settings.configuration import (
     SessionSettings,
 )
 from rig.settings.configuration_file import (
+    ALL,
     FITTED,
     REPLAYED,
     SCHEMA,

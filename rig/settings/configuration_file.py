@@ -242,22 +242,35 @@ def shipped(name: str) -> Path:
     return _folder() / f"{name}.toml"
 
 
-FITTED: Final = (
-    "axes.u_", "balance.", "calibration.", "environment.", "fit.", "instrument.", "lever.arm_dof.",
-    "lever.pixel_pitch_dof.", "lever.u_", "materials.", "pendulum.", "preflight.", "reference.gain.",
-    "reference.u_gain.", "seismometer.kind.", "session.contact_made.", "session.surfaces_cleaned.",
-    "shutter.u_", "timebase.",
-)  # fmt: skip
-"""Beginnings of keys that change what is fitted to recorded half-cycles; a whole key ends with a point."""
-REPLAYED: Final = (*FITTED, "axes.", "laser.pulse_", "lever.", "reference.", "shutter.")
+ALL: Final = ("",)
+FITTED: Final[Mapping[str, tuple[str, ...]]] = {
+    **dict.fromkeys(("balance", "calibration", "environment", "fit", "instrument", "materials"), ALL),
+    **dict.fromkeys(("pendulum", "preflight", "timebase"), ALL),
+    "axes": ("u_",),
+    "lever": ("u_", "arm_dof", "pixel_pitch_dof"),
+    "reference": ("gain", "u_gain"),
+    "seismometer": ("kind",),
+    "session": ("contact_made", "surfaces_cleaned"),
+    "shutter": ("u_",),
+}
+"""Beginnings of the keys that change what is fitted to recorded half-cycles, by section."""
+REPLAYED: Final[Mapping[str, tuple[str, ...]]] = {
+    **FITTED,
+    **dict.fromkeys(("axes", "lever", "reference", "shutter"), ALL),
+    "laser": ("pulse_",),
+}
 """The same for half-cycles that are found again in recorded spots."""
 
 
-def refuse_without_effect(overrides: Iterable[str], effective: tuple[str, ...], remedy: str) -> None:
+def refuse_without_effect(
+    overrides: Iterable[str], effective: Mapping[str, tuple[str, ...]], remedy: str
+) -> None:
     """Raise ConfigurationError with a line for each changed key that begins as none `effective` does."""
-    keys = (override.partition("=")[0].strip() for override in overrides)
+    places = (override.partition("=")[0].strip().partition(".") for override in overrides)
     lines = [
-        f"--set {key}: has no effect here; {remedy}" for key in keys if not f"{key}.".startswith(effective)
+        f"--set {section}{point}{name}: has no effect here; {remedy}"
+        for section, point, name in places
+        if not name.startswith(effective.get(section, ()))
     ]
     if lines:
         raise ConfigurationError("\n".join(lines))

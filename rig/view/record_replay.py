@@ -19,7 +19,7 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import recorded_configuration
-from rig.settings import REPLAYED, Configuration, refuse_without_effect
+from rig.settings import ALL, REPLAYED, Configuration, refuse_without_effect
 from rig.terminal import (
     Table,
     answer,
@@ -88,7 +88,7 @@ def replay_record(record: Path, output: Path | None, *, retrack: bool, overrides
     with RecordReader(record) as reader:
         config = recorded_configuration(reader, overrides)
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
-        refuse_without_effect(overrides, (*REPLAYED, *(["sensor."] if retrack else [])), remedy)
+        refuse_without_effect(overrides, {**REPLAYED, **({"sensor": ALL} if retrack else {})}, remedy)
         if reader.truncated:
             say(reader.cut_notice)
         replay = Replay(reader, config, retrack=retrack)
