@@ -5,9 +5,11 @@ import re
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraSettings
+from acquisition.camera import CameraSettings, Frame
+from acquisition.cameras.simulated import SimulatedCamera
+from processing.errors import DeviceError
 from processing.spot import SensorModel, SpotTracker
-from rig.devices import Devices
+from rig.devices import Devices, FrameStream, aligning
 from rig.devices.aligning import LivePicture
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
@@ -152,3 +154,35 @@ def test_keys_set_the_camera_and_its_figures_are_shown(
         LivePicture(config, devices).show(opened, seconds=0.1)
     # 69 % before
     assert re.search(r"^peak +8[4-7]\.\d %, background", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("fails", "said"), [(True, "the sensor is gone"), (False, "its last frame")])
+def test_a_camera_that_ends_ends_the_picture_with_its_reason(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, fails: bool, said: str
+) -> None:
+    usual, reads = SimulatedCamera.read, iter(range(5))
+
+    def read(camera: SimulatedCamera, timeout_s: float) -> Frame | None:
+        if next(reads, None) is not None:
+            return usual(camera, timeout_s)
+        if fails:
+            raise DeviceError("the sensor is gone")
+        return None
+
+    monkeypatch.setattr(SimulatedCamera, "read", read)
+    with Devices(config) as devices, devices.camera(config) as opened, pytest.raises(DeviceError, match=said):
+        LivePicture(config, devices).show(opened)
+
+
+def test_the_newest_of_the_frames_that_have_come_is_shown(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    came, shown = list[list[Frame]](), list[np.ndarray]()
+    take = FrameStream.take
+    monkeypatch.setattr(FrameStream, "take", lambda *words: came.append(take(*words)) or came[-1])
+    monkeypatch.setattr(aligning, "take_look", lambda *words: shown.append(words[0]) or take_look(*words))
+    with Devices(config) as devices, devices.camera(config) as opened:
+        LivePicture(config, devices).show(opened, seconds=0.5)
+    blocks = [frames for frames in came if frames]
+    assert max(map(len, blocks)) > 1
+    assert all(image is frames[-1].image for image, frames in zip(shown, blocks, strict=True))
