@@ -26,8 +26,6 @@ max_duration_s = 2400.0
 [camera]
 driver = "simulated"
 frame_rate_hz = 50
-[view]
-file = false
 [start]
 way = "at once"
 [simulation.axes]

@@ -1,6 +1,7 @@
 """Doubts about a readable table: implausible units, sizes, times and signs, refused with a remedy."""
 
 import math
+import re
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -30,6 +31,10 @@ _MIN_JUMP: Final = 0.7
 _MIN_JUMPS: Final = 4
 _MIN_CUT_ROWS: Final = 3
 """Fewest rows in succession at the largest value that show a sensor's limit."""
+_MAX_TIME_S: Final = 253_402_300_800.0
+"""The end of the year 9999, in s since 1970."""
+_ZONE: Final = re.compile(r"\d\d(?:Z|[+-]\d\d:?\d\d)$")
+_HOUR_S: Final = 3600.0
 
 
 def judge_words(path: Path, name: str, cells: Sequence[str], lines: Sequence[int]) -> None:
@@ -50,6 +55,52 @@ def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
         raise ConfigurationError(
             f"{path}: the position goes over {each:.4g} {unit}, more than a turn: is that its unit? State "
             "another with --unit, or use a stretch (--from, --to)"
+        )
+
+
+def judge_clock(path: Path, name: str, unit: str, first_ns: int, times_ns: NDArray[np.int64]) -> None:
+    """Refuse numbers of a clock in another unit (beyond the year 9999), and its digits written as one number.
+
+    At the end of each minute such a number, 235959.95 (HHMMSS) or 59.5995 (MM.SS), jumps by 40.
+    """
+    first_s = float(first_ns) / 1e9
+    if abs(first_s) > _MAX_TIME_S:
+        raise ConfigurationError(
+            f"{path}: {name!r} begins at {first_s / conversion(unit, 's'):.16g} {unit}, beyond the year "
+            "9999: state its unit (--time-unit ms, us or ns), or correct the header"
+        )
+    times = seconds(times_ns) + first_s
+    for minute, form in ((100.0, "HHMMSS"), (1.0, "MM.SS")) if unit == "s" else ():
+        whole, part = np.divmod(times / minute, 1.0)
+        border = np.flatnonzero(np.diff(whole))
+        if not len(border) or np.median(np.diff(times)) > 0.01 * minute or part.max() >= 0.6 + 1e-9:
+            continue
+        if np.all(part[border] > 0.58) and np.all(part[border + 1] < 0.02):
+            before, after = times[border[0] : border[0] + 2]
+            raise ConfigurationError(
+                f"{path}: {name!r} goes from {before:.10g} to {after:.10g} as the digits of a clock do "
+                f"({form}), and is no time in s; write it with colons, or state the rate of the rows "
+                "instead: --rate HZ --position COLUMN"
+            )
+
+
+def judge_moments(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -> None:
+    """Refuse moments of which only some have a time zone, and a local clock that is set to summer time."""
+    without = [cell for cell in cells if not _ZONE.search(cell.strip())]
+    if 0 < len(without) < len(cells):
+        zoned = next(cell for cell in cells if _ZONE.search(cell.strip()))
+        raise DataError(
+            f"{path}: {zoned!r} has a zone and {without[0]!r} has none; write all times with theirs, "
+            "or in UTC"
+        )
+    steps_s = seconds(np.diff(times_ns))
+    step_s = float(np.median(steps_s))
+    forward = np.flatnonzero(np.abs(steps_s - step_s - _HOUR_S) < step_s)
+    if without and len(forward) == 1 and step_s < 1.0:
+        row = int(forward[0])
+        raise DataError(
+            f"{path}: {cells[row + 1]!r} follows {cells[row]!r}, an hour and one step later: was the clock "
+            "set to summer time? Write the times with their zone (+01:00, then +02:00), or in UTC (...Z)"
         )
 
 

@@ -12,7 +12,14 @@ from processing.units import conversion, seconds
 from rig.intake.cell_text import is_timestamp
 from rig.intake.cells import Cells, read_cells
 from rig.intake.columns import HeaderColumns, RowsOfRun, separate_runs
-from rig.intake.doubts import judge_size, judge_time_unit, judge_words, unwrapped
+from rig.intake.doubts import (
+    judge_clock,
+    judge_moments,
+    judge_size,
+    judge_time_unit,
+    judge_words,
+    unwrapped,
+)
 from rig.intake.times import lines_text, number, read_times
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.intake.units import NOT_STATED_TIME, unit_of_positions, unit_of_time
@@ -185,10 +192,14 @@ class _TableReader:
                 )
             self._remarks.append(f"time: {name}, moments")
             times_ns, good, first_ns = read_times(self._path, cells, None)
+            judge_moments(
+                self._path, [cell for cell, kept in zip(cells, good, strict=True) if kept], times_ns
+            )
             return times_ns, good, "s", first_ns
         unit, source = unit_of_time(self._path, name, self._columns.named[column], option)
         times_ns, good, first_ns = read_times(self._path, cells, unit)
         self._time_is_assumed = source == NOT_STATED_TIME
+        judge_clock(self._path, name, unit, first_ns, times_ns)
         self._remarks.append(f"time: {name}, in {unit} ({source})")
         return times_ns, good, unit, first_ns
 

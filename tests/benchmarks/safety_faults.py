@@ -39,8 +39,6 @@ frame_rate_hz = 50
 when = "never"
 [start]
 way = "at once"
-[view]
-file = false
 [simulation]
 real_time = true
 [simulation.sensor]

@@ -17,8 +17,6 @@ max_duration_s = 600.0
 [camera]
 driver = "simulated"
 frame_rate_hz = 25
-[view]
-file = false
 [start]
 way = "at once"
 [simulation.sensor]

@@ -29,8 +29,6 @@ operator = "A. Person"
 driver = "simulated"
 frame_rate_hz = 25
 exposure_us = 100.0
-[view]
-file = false
 [instrument]
 # no fit of a contact, and none of its figures
 kind = "tomlinson"

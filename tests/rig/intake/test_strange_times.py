@@ -37,11 +37,40 @@ def test_with_their_zone_times_go_on_through_the_change_of_the_clock(tmp_path: P
     assert found.first_ns == int(began.timestamp()) * 10**9
 
 
-def test_without_a_zone_a_change_of_the_clock_is_refused_or_said(tmp_path: Path) -> None:
+def test_without_a_zone_the_change_of_the_clock_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"time does not increase after .* 2024-10-27T02:00:00.000 follows"):
         TableColumns().read(_table(tmp_path / "autumn.csv", _local(AUTUMN, zone=False)))
-    found = TableColumns().read(_table(tmp_path / "spring.csv", _local(SPRING, zone=False)))
-    assert any("unevenly, up to 3600.05 s apart" in line for line in found.understood)
+    with pytest.raises(DataError, match=r"03:00:00.000' follows .*an hour and one step later.*summer time\?"):
+        TableColumns().read(_table(tmp_path / "spring.csv", _local(SPRING, zone=False)))
+
+
+def test_zones_of_some_rows_only_are_refused(tmp_path: Path) -> None:
+    """Rows without one would be hours from where they belong."""
+
+    def time(k: int) -> str:
+        return (AUTUMN + k * STEP).strftime("%Y-%m-%dT%H:%M:%S.%f") + ("+00:00" if k < 200 else "")
+
+    with pytest.raises(DataError, match=r"has a zone and .* has none; write all times with theirs"):
+        TableColumns().read(_table(tmp_path / "decay.csv", time))
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (
+            lambda k: f"{1200 + k // 1200}{0.05 * (k % 1200):05.2f}",
+            r"goes from 120059.8 to 120100 .*\(HHMMSS\)",
+        ),
+        (lambda k: f"{k // 1200 + 0.0005 * (k % 1200):.4f}", r"to 1 as the digits of a clock do \(MM.SS\)"),
+        (lambda k: f"{1_486_566_000_123 + 50 * k}", r"begins at 1486566000123 s, beyond the year 9999"),
+    ],
+)
+def test_a_clock_of_other_digits_or_another_unit_is_no_time_in_s(
+    tmp_path: Path, write: Callable[[int], str], said: str
+) -> None:
+    path = _table(tmp_path / "decay.csv", lambda k: write(4 * k), "t_s,x_mm")
+    with pytest.raises(ConfigurationError, match=said):
+        TableColumns().read(path)
 
 
 @pytest.mark.parametrize("day", ["2024-02-30", "31.04.2024", "2024/13/01"])
