@@ -300,7 +300,10 @@ def judge_refinement(
     first: FitResult,
     fit: DecayFit,
 ) -> Refinement:
-    """The second measurement `again` if the laws describe it as well as the first `swings`."""
+    """The second measurement `again` if the laws describe it as well as the first `swings`.
+
+    Both may begin with earlier half-cycles, which are fitted with them and not measured a second time.
+    """
     shift = measurement_shift(swings, again)
     reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
     if shift.complete:
@@ -324,6 +327,7 @@ def fitted_twice(
     blocks: Iterable[Deflections],
     fit: DecayFit,
     near: FitResult | None = None,
+    before: Sequence[HalfCycle] = (),
 ) -> tuple[Refinement, FitResult]:
     """Half-cycles fitted as detected, measured a second time with that fit's waveform, and fitted again.
 
@@ -333,6 +337,8 @@ def fitted_twice(
         The deflections in rad in which they were detected.
     near
         A fit of fewer of them.
+    before
+        Earlier half-cycles, which are fitted with `swings` and not measured a second time.
 
     Returns
     -------
@@ -343,7 +349,7 @@ def fitted_twice(
     DataError
         They cannot be fitted.
     """
-    weighted = with_learned_weights(swings)
+    weighted = with_learned_weights([*before, *swings])
     first = fit.of(weighted, near)
     every, moved = up_to_rest_step(weighted, first.evidence.knocks)
     if moved:
@@ -352,6 +358,7 @@ def fitted_twice(
         motion = fit.motion(first, every)
     except DataError:
         return Refinement(every, None, doubt=moved), first
-    found = judge_refinement(every, second_measurement(every, blocks, motion), motion, first, fit)
+    again = second_measurement(every[len(before) :], blocks, motion)
+    found = judge_refinement(every, [*every[: len(before)], *again], motion, first, fit)
     found = found._replace(doubt="; ".join(filter(None, [moved, found.doubt])))
     return found, found.exact or fit.of(found.swings, first)

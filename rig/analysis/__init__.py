@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, with_contact
     from rig.analysis.half_cycle_fits import clock_rate_of
     from rig.analysis.passing_deflections import PassingDeflections
-    from rig.analysis.record_fit import RecordedDeflections, analyse_record, analyse_run
+    from rig.analysis.record_fit import analyse_record, analyse_run
     from rig.analysis.screen import (
         print_results,
         print_series,
@@ -84,7 +84,7 @@ if TYPE_CHECKING:
         session_results,
     )
     from rig.analysis.table_fit import AnalysedTable, analyse_trajectory, series_of_runs
-    from rig.analysis.turning_plane import follow_plane
+    from rig.analysis.turning_plane import PlaneBalances, follow_plane
 else:
     _LAZY = {
         name: module
@@ -95,11 +95,11 @@ else:
             "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC with_contact",
             "half_cycle_fits": "clock_rate_of",
             "passing_deflections": "PassingDeflections",
-            "record_fit": "RecordedDeflections analyse_record analyse_run",
+            "record_fit": "analyse_record analyse_run",
             "screen": "print_results print_series print_table",
             "series": "AnalysedRun fitted_series refuse_copies session_results",
             "table_fit": "AnalysedTable analyse_trajectory series_of_runs",
-            "turning_plane": "follow_plane",
+            "turning_plane": "PlaneBalances follow_plane",
         }.items()
         for name in names.split()
     }

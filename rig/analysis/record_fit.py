@@ -64,7 +64,7 @@ def analyse_record(
         if not air_known:
             config = config.model_copy(update={"fit": config.fit.with_free_drag})
         refuse_without_effect(overrides, FITTED, "rig replay takes the recorded motion again")
-        blocks = RecordedDeflections(reader)
+        blocks = _RecordedDeflections(reader)
         return analyse_run(
             reader,
             config,
@@ -77,7 +77,7 @@ def analyse_record(
         )
 
 
-class RecordedDeflections:
+class _RecordedDeflections:
     """The deflections of a record, read anew at every iteration.
 
     `following` is the number after the last frame's, `beam` counts flags and models of the spots, each once.

@@ -162,6 +162,7 @@ def follow_plane(
     axes: Axes | None,
     *,
     along_line: bool = False,
+    balances: Sequence[Balance] | None = None,
 ) -> FollowedPlane:
     """Turn half-cycles and deflections into the plane of swing, where that changes anything.
 
@@ -174,6 +175,8 @@ def follow_plane(
     along_line
         Turn onto the line of the motion itself. Otherwise the axes count as calibrated where the decay
         begins.
+    balances
+        Those of the whole decay by `PlaneBalances`; None: they are made of the deflections.
 
     Notes
     -----
@@ -183,8 +186,9 @@ def follow_plane(
     good = [swing for swing in swings if not swing.flags]
     if len(good) < 2:
         return FollowedPlane(swings, deflections, along_line=along_line, axes=axes)
-    estimator = PlaneBalances(axes, mean_period(turning_points(good)))
-    balances = [one for block in deflections for one in estimator.of(block)]
+    if balances is None:
+        estimator = PlaneBalances(axes, mean_period(turning_points(good)))
+        balances = [one for block in deflections for one in estimator.of(block)]
     balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
     found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
     plane = plane_of_swing(balances, np.array([one.turn_time_ns for one in good], dtype=np.int64))

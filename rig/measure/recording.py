@@ -21,7 +21,7 @@ from processing.errors import DeviceError
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
 from rig.instrument import Block, Phase, Pipeline, RecordContents
-from rig.measure.posterior import Posterior
+from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import SideReadings, StepEvents
 from rig.measure.recorder import RecordEntry, Recorder
 from rig.measure.session_orders import StartJudge

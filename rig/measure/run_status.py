@@ -24,7 +24,7 @@ from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from rig.devices import Devices, LightWatch
 from rig.instrument import ObserverGuard, Phase, RecordContents, RunNow
-from rig.measure.posterior import Posterior
+from rig.measure.posterior_worker import Posterior
 from rig.settings import StopCondition
 from rig.terminal import loud, percent, quantity
 

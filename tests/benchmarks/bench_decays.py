@@ -19,7 +19,7 @@ from rig.analysis import evidence_of
 from rig.analysis.ambient import FittedDrag
 from rig.measure import FIRST_HALF_CYCLES
 from rig.measure.end_of_run import EndOfRun
-from rig.measure.posterior import next_fit_half_cycles
+from rig.measure.posterior_worker import next_fit_half_cycles
 from rig.settings.number_input import stop_conditions
 from tests.benchmarks.cases import SEEDS_APART, run_of
 from tests.benchmarks.coverage import (
