@@ -290,7 +290,7 @@ def test_the_readme_from_top_to_bottom(tmp_path: Path) -> None:
         *(line for line in indented(ROOT / "README.md") if line.startswith("rig ")),
         *indented(ROOT / "docs" / "measure.md", "Look at a run again"),
     ]
-    assert len(commands) >= 9
+    assert len(commands) >= 8
     for line in commands:
         words = shlex.split(line)[1:]
         # a minute of swings on a small sensor instead of twenty, and no contact, as `start.md` has one;

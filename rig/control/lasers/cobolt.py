@@ -66,6 +66,6 @@ class Cobolt(SerialLaser):
         return self.ask_flag("@cobasdr?")
 
     def _command(self, command: str) -> None:
-        answer = self.ask(command)
+        answer = self.ask(command, may_be_ok=True)
         if answer != "OK":
             raise LaserRefused(f"{self.name}: answered {answer!r} to {command}")

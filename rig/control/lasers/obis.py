@@ -14,8 +14,6 @@ from rig.control.lasers.serial_laser import LaserIdentity, LaserRefused, LaserSt
 from rig.control.serial_port import ReplyTimeout
 
 _WARMING_UP = 0x100
-_INTERLOCK = "SYSTem:LOCK?"
-"""The one question that some models answer by ``OK``."""
 
 
 class Obis(SerialLaser):
@@ -46,14 +44,15 @@ class Obis(SerialLaser):
             fault = "warming up" if (_number(self.ask("SYSTem:STATus?")) or 0) & _WARMING_UP else ""
         return LaserState(
             on=self.ask_flag("SOURce:AM:STATe?"),
-            interlock_closed=self.ask_flag(_INTERLOCK),
+            # some models answer it by OK
+            interlock_closed=self.ask_flag("SYSTem:LOCK?", may_be_ok=True),
             power_w=self.ask_float("SOURce:POWer:LEVel?"),
             fault=fault,
         )
 
-    def ask(self, command: str) -> str:
+    def ask(self, command: str, *, may_be_ok: bool = False) -> str:
         """The answer to a query; the ``OK`` that follows it is read too."""
-        answer = super().ask(command)
+        answer = super().ask(command, may_be_ok=may_be_ok)
         if answer.startswith("ERR"):
             raise LaserRefused(f"{self.name}: answered {answer} to {command}")
         self._handshake(command)
@@ -80,9 +79,6 @@ class Obis(SerialLaser):
         reader.clear()
         self.tell("SYSTem:COMMunicate:HANDshaking ON")
         reader.read_line(time.monotonic() + self._settings.timeout_s)
-
-    def _may_answer_ok(self, command: str) -> bool:
-        return command == _INTERLOCK or super()._may_answer_ok(command)
 
     def _handshake(self, command: str) -> None:
         _, reader = self._require_open()

@@ -213,8 +213,12 @@ class SerialLaser(ABC):
 
     # -- for the subclasses ---------------------------------------------------
 
-    def ask(self, command: str) -> str:
-        """Send a query and return the answer; the query is repeated if none arrives in time."""
+    def ask(self, command: str, *, may_be_ok: bool = False) -> str:
+        """Send a query and return the answer; the query is repeated if none arrives in time.
+
+        Where it cannot be the answer, ``OK`` is passed over: it confirms the LIGHT OFF that another program
+        wrote to the port, and comes to the program that has the port.
+        """
         line, reader = self._require_open()
         for _ in range(_RETRIES + 1):
             # a late answer to an earlier query must not be taken for the answer to this one
@@ -223,19 +227,12 @@ class SerialLaser(ABC):
             deadline_s = time.monotonic() + self._settings.timeout_s
             while (heard := reader.read_line(deadline_s)) is not None:
                 answer = heard.decode("latin-1").strip()
-                if answer != "OK" or self._may_answer_ok(command):
+                if may_be_ok or answer != "OK":
                     return answer
         raise ReplyTimeout(
             f"{self.name}: no reply to {command} within {self._settings.timeout_s:g} s,"
             f" sent {_RETRIES + 1} times; check port, baud rate and cable"
         )
-
-    def _may_answer_ok(self, command: str) -> bool:
-        """Whether ``OK`` can belong to a command; else it confirms what another program wrote to the port.
-
-        That is LIGHT OFF, whose confirmation comes to the program that has the port.
-        """
-        return not command.endswith("?")
 
     def ask_float(self, command: str) -> float:
         """The answer to a query as a number; raises LaserRefused if it is not a number."""
@@ -252,9 +249,9 @@ class SerialLaser(ABC):
         line, _ = self._require_open()
         line.write(command.encode("ascii") + self.terminator)
 
-    def ask_flag(self, command: str) -> bool:
+    def ask_flag(self, command: str, *, may_be_ok: bool = False) -> bool:
         """Whether the answer to a query says that something is on or closed."""
-        return self.ask(command).upper() in ("1", "ON", "OK", "CLOSED")
+        return self.ask(command, may_be_ok=may_be_ok).upper() in ("1", "ON", "OK", "CLOSED")
 
     def _switch(self, on: bool) -> None:
         self._command(self.on_command if on else self.off_command)

@@ -283,4 +283,4 @@ def test_an_off_by_another_program_among_its_questions_is_no_trip(ports: Ports, 
         assert not instrument.on
         assert not service.snapshot.state.on
         questions += 1
-    assert questions > 4
+    assert questions > 0
