@@ -29,6 +29,8 @@ _LOOK_S = 0.1
 _ALL = 1_000_000
 _NAMES = 20
 """Width of the names of figures."""
+_LINE_INTERVAL_S = 1.0
+"""Interval of lines in a pipe. One that nobody reads, as after a kill of the desk, ends the picture."""
 _DONE_WITHIN_S = 15.0
 """Longest wait of an order for the camera."""
 _UNSEEN_S, _UNASKED_S = 30.0, 5.0
@@ -89,7 +91,7 @@ class LivePicture:
         self.requests = CameraRequests()
         self.note = self.dark = ""
         self._left = self._over = False
-        self._lit_s = 0.0
+        self._lit_s = self._printed_s = 0.0
 
     @property
     def orders(self) -> Orders:
@@ -157,11 +159,18 @@ class LivePicture:
         return True
 
     def _print(self, look: AlignmentFrame, terminal: Live) -> None:
-        """Show the figures of a frame and a note at the terminal, where the last ones stay."""
+        """Show the figures of a frame and a note at the terminal, where they stay; else as a line."""
         figures, note = dict(look.rows()), self.dark or self.note
         answer(picture=figures)
-        lines = [f"{name:<{_NAMES}}{text}" for name, text in (*figures.items(), ("note", note)) if text]
-        terminal.update(Text("\n".join(lines)), refresh=True)
+        shown = [(name, text) for name, text in (*figures.items(), ("note", note)) if text]
+        console = terminal.console
+        if console.is_terminal:
+            terminal.update(Text("\n".join(f"{name:<{_NAMES}}{text}" for name, text in shown)), refresh=True)
+        elif time.monotonic() - self._printed_s >= _LINE_INTERVAL_S:
+            self._printed_s = time.monotonic()
+            console.print(
+                "  ".join(f"{name} {text}" for name, text in shown), soft_wrap=True, highlight=False
+            )
 
     def press(self, key: str) -> Future[str]:
         """Request what a key means; returns what will have come of it."""

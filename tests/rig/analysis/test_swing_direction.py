@@ -20,8 +20,7 @@ def test_a_run_of_a_film_without_a_lever_names_the_direction_and_what_to_state(t
     film = write_film(tmp_path / "swing.mkv", swing(count=300), Film())
     config = tmp_path / "mine.toml"
     config.write_text(
-        f"[camera]\ndriver = 'files'\n[camera.files]\npath = '{film.as_posix()}'\n"
-        "[view]\nmode = 'none'\n",
+        f"[camera]\ndriver = 'files'\n[camera.files]\npath = '{film.as_posix()}'\n[view]\nmode = 'none'\n",
         encoding="utf-8",
     )
     done = rig("run", config, "-o", tmp_path / "run", "--force")
