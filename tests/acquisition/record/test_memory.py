@@ -1,5 +1,6 @@
 """The memory of a writer does not grow during a long run."""
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -55,7 +56,11 @@ writer.close()
 def bytes_per_spot(path: Path, spots: int, block: int) -> float:
     """Growth of resident memory over the last nine tenths of a recording, flushed after every block."""
     arguments = [sys.executable, "-c", PROGRAM, str(path), str(spots), str(block)]
-    done = subprocess.run(arguments, capture_output=True, text=True, check=True, cwd=ROOT, timeout=300)
+    # one arena: with more the threads of flushes share the writer's memory, or not, by their moments
+    env = {**os.environ, "MALLOC_ARENA_MAX": "1"}
+    done = subprocess.run(
+        arguments, capture_output=True, text=True, check=True, cwd=ROOT, env=env, timeout=300
+    )
     return float(done.stdout)
 
 
