@@ -26,6 +26,8 @@ from rig.view.running_view import RunningView
 from rig.view.show import show_record
 
 _PAUSE_NS, _PICTURE_INTERVAL_NS = 2_000_000_000, 300_000_000
+_MAX_BYTES = 256 * 1024 * 1024
+"""Largest size of the record, of an hour at least; what comes later is not shown."""
 _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 
 
@@ -120,6 +122,9 @@ class BalanceView:
             for event in events:
                 writer.write_event(*event)
             writer.flush_if_due()
+            if writer.bytes_written > _MAX_BYTES:
+                self._failed = True
+                say(f"the view ends: its record has {_MAX_BYTES >> 20} MB; start rig balance again for more")
         except (OSError, RecordError) as error:
             self._failed = True
             say(f"the view ends: {error}")

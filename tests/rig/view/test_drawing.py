@@ -151,6 +151,21 @@ def test_a_line_that_reads_like_an_event_changes_no_lane() -> None:
     assert stream.drawn == []
 
 
+def test_the_record_of_a_balance_does_not_grow_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = complete(load_configuration(CONFIG))
+    camera, frame = make_camera(config), Frame(np.zeros((64, 64), np.uint8), 0, 0, 0)
+    seen = Deflections(np.array([0]), *np.full((4, 1), 1e-5), DeflectionUnit.RAD)
+    with BalanceView(config, tmp_path / "balance.rrd", lambda _: "", lambda _: None) as view:
+        view.begin(frame, camera.open())
+        for _ in range(3):
+            monkeypatch.setattr("rig.view.balance_view._MAX_BYTES", 0)
+            view.block([frame], Block([Spot(9.0, 9.0, *[0.1] * 8, 0)], seen, [], []))
+    camera.close()
+    assert " ".join(capsys.readouterr().err.split()).count("the view ends: its record has") == 1
+
+
 def test_a_turning_point_before_the_first_frame_is_shown(tmp_path: Path) -> None:
     """It is fitted, and the fit may place it there."""
     config, rrd = complete(load_configuration(CONFIG)), tmp_path / "balance.rrd"
