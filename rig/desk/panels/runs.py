@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from nicegui import run, ui
 
+from acquisition.record import records_of
 from processing.errors import ConfigurationError, RigError
 from rig.archive import find_runs
 from rig.desk.desk import Desk
@@ -22,7 +23,7 @@ from rig.terminal import quantity
 
 RERUN = "/rerun"
 """Path of the page around Rerun's."""
-KEYS = (("o", "runs: open the report"), ("v", "runs: show in Rerun"))
+KEYS = (("o", "runs: open the report"), ("v", "runs: show the last run in Rerun"))
 _COLUMNS = ("begun", "name", "sample", "runs", "state", *NUMBERS, "balance", "conditions", "operator")
 _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
   <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
@@ -86,7 +87,10 @@ def _build_actions(desk: Desk, tab: Tab, listed: "SessionList") -> None:
         ui.notify("the report is being written; open it when it is finished")
 
     def view() -> None:
-        desk.jobs.begin("view", str(chosen().folder), "--view", "web")
+        records = records_of(chosen().folder)
+        # of several runs the last
+        shown = max(records, key=lambda path: path.stat().st_mtime, default=chosen().folder)
+        desk.jobs.begin("view", str(shown), "--view", "web")
 
     async def ask_resume() -> None:
         row = chosen()
@@ -102,7 +106,7 @@ def _build_actions(desk: Desk, tab: Tab, listed: "SessionList") -> None:
 
     for name, do, words in (
         ("Report", report, "open the report, key o"),
-        ("Rerun", view, "show the session in Rerun, key v"),
+        ("Rerun", view, "show its last run in Rerun, key v"),
         ("Fit again", lambda: fit_again(desk, chosen().folder), "refit all runs into a new folder"),
         ("Resume …", ask_resume, "measure missing runs"),
     ):

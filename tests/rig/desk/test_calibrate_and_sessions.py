@@ -54,6 +54,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # without a lever: of a fit of a contact there would be figures, which nobody looks at
     shutil.copytree(SAMPLES / "uncalibrated", place / "runs" / "older")
     shutil.copy(SAMPLES / "first" / "session.json", place / "runs" / "older")
+    # a session of two runs, of which Rerun shows one
+    shutil.copy(SAMPLES / "first" / "run-1.mcap", place / "runs" / "older" / "run-2.mcap")
     config = load_configuration(place / "rig.toml").model_dump(mode="json")
     broken = place / "runs" / "broken"
     broken.mkdir()
