@@ -14,6 +14,7 @@ from rig.commands.arguments import (
     ResultsFolder,
     Set,
     View,
+    existing,
     folder_or_record,
     folder_without_run,
     in_json,
@@ -207,7 +208,7 @@ def view(
     if rrd is not None and view:
         raise ConfigurationError(f"--view {view} --rrd {rrd}: written or shown, not both; leave one out")
     # a followed record may not exist yet
-    found = record if follow else one_record(record)
+    found = record if follow else one_record(existing(record))
     mode: Literal["spawn", "web"] = "web" if view == "web" else "spawn"
     show_record(found, mode=mode, rrd=rrd, layout=layout, follow=follow, ports=ports)
     if rrd is not None and not follow:

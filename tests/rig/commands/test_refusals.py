@@ -49,6 +49,10 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
         ),
         (("run", "no.toml"), "no.toml: no such file; rig init writes"),
         (("replay", "no.mcap"), "no.mcap: no such record; give the path of a record, which rig run makes"),
+        (
+            ("view", "no/x.mcap"),
+            "no/x.mcap: no such record; there is no folder no; give the path of a record",
+        ),
         (("run",), "Missing argument"),
         (("rnu",), "Did you mean"),
         (("run", DEMO, "--set", "session.rnus=3"), "did you mean runs?"),

@@ -88,8 +88,10 @@ def wrong_words(folder: Path) -> Iterator[WrongWords]:
 
 
 def _status_of_noise(name: tuple[str, ...], argument: str | None) -> int:
-    """Of a command that is given bytes: most begin to read them; some see before that nothing is in them."""
-    return 2 if argument in _STATED or name == ("archive", "add") else 1
+    """Of a command that is given bytes: most begin to read them; some see before that nothing is in them, or
+    that what they are to write has the name of a file.
+    """
+    return 2 if argument in _STATED or name in (("archive", "add"), ("export",)) else 1
 
 
 def _keys(above: str, model: type) -> Iterator[tuple[str, FieldInfo, type | None]]:
