@@ -10,7 +10,7 @@ from rig.control.controller import Controller
 from rig.control.lasers import LaserSettings, make_laser
 from rig.control.lasers.thorlabs4000 import USB_VENDOR as THORLABS
 from rig.control.protocol import ControllerStatus
-from rig.control.sensors import EnvironmentService
+from rig.control.sensors import AmbientSensor
 from rig.control.serial_port import ports_here
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.terminal import Verdict
@@ -194,7 +194,7 @@ def check_environment(settings: EnvironmentSettings) -> tuple[Verdict, ...]:
     """Read the lines of a sensor with its own port until one matches the pattern, for at most 5 s."""
     if settings.kind != "serial":
         return ()
-    sensor = EnvironmentService(settings)
+    sensor = AmbientSensor(settings)
     if sensor.look(_SENSOR_PATIENCE_S):
         return (Verdict("environment sensor", True, sensor.last_line),)
     if sensor.last_error:

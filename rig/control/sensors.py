@@ -131,7 +131,7 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
     return None if all(map(math.isnan, asdict(reading).values())) else reading
 
 
-class EnvironmentService(SensorLines):
+class AmbientSensor(SensorLines):
     """A sensor of the air that has a port of its own."""
 
     def __init__(self, settings: EnvironmentSettings) -> None:

@@ -15,9 +15,9 @@ from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import ConfigurationError, DeviceError
 from rig.control import (
+    AmbientSensor,
     Controller,
     ControlService,
-    EnvironmentService,
     LaserService,
     make_laser,
     simulated_controller,
@@ -98,7 +98,7 @@ class Devices(LitDevices):
         self._folder = folder
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None
-        self.sensor: EnvironmentService | None = None
+        self.sensor: AmbientSensor | None = None
         self.seismometer: GroundSeismometer | None = None
         if config.controller.kind == "simulated":
             if not config.simulated or config.on_demand:
@@ -154,7 +154,7 @@ class Devices(LitDevices):
             with self._rehearsal_hint():
                 self.control.wait_open()
         if config.environment_sensor.kind == "serial":
-            self.sensor = self._closing.enter_context(EnvironmentService(config.environment_sensor))
+            self.sensor = self._closing.enter_context(AmbientSensor(config.environment_sensor))
         if (seismometer := make_seismometer(config)) is not None:
             self.seismometer = self._closing.enter_context(seismometer)
         laser = make_laser(config.laser)

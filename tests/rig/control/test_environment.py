@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rig.control import sensors
 from rig.control.firmware.bme280 import Bme280, Calibration, compensate
 from rig.control.protocol import AirReading
-from rig.control.sensors import EnvironmentService, parse_environment
+from rig.control.sensors import AmbientSensor, parse_environment
 from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import EnvironmentSettings
 from tests.rig.control.instruments import Instrument
@@ -62,7 +62,7 @@ def sensor(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Sensor:
 
 
 def test_a_line_in_two_pieces_is_one_and_what_is_missing_is_nan(sensor: Sensor, clock: Clock) -> None:
-    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
+    service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
     assert turn(service) == 0.0
     assert math.isnan(service.latest.temperature_c)
     (line,) = sensor.lines
@@ -80,7 +80,7 @@ def test_a_line_in_two_pieces_is_one_and_what_is_missing_is_nan(sensor: Sensor, 
 
 
 def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
-    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
+    service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
     turn(service)
     for number, text in enumerate((b"garbage\xff\r\n", b"T=1e400 P=1000\n", b"T=. P=1000\n"), 1):
         sensor.lines[0].say(text)
@@ -103,7 +103,7 @@ def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
     ],
 )
 def test_what_a_broken_sensor_says_is_no_reading(sensor: Sensor, line: bytes, read: AirReading) -> None:
-    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
+    service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
     turn(service)
     sensor.lines[0].say(line)
     turn(service)
@@ -119,7 +119,7 @@ def test_what_a_broken_sensor_says_is_no_reading(sensor: Sensor, line: bytes, re
 
 def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Clock) -> None:
     settings = EnvironmentSettings(kind="serial", port="x", request="READ?", period_s=2.0)
-    service = EnvironmentService(settings)
+    service = AmbientSensor(settings)
     sensor.reading = "20.5, 50.1, 999.9\n"
     began_s = clock.monotonic()
     while clock.monotonic() < began_s + 9.0:
@@ -128,7 +128,7 @@ def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Cl
     assert sensor.received.count("READ?") == 5
     assert service.latest == AirReading(20.5, 50.1, 99990.0)
     sensor.received.clear()
-    unasked = EnvironmentService(EnvironmentSettings(kind="serial", port="x", request=""))
+    unasked = AmbientSensor(EnvironmentSettings(kind="serial", port="x", request=""))
     for _ in range(50):
         turn(unasked)
     assert sensor.received == []
@@ -136,7 +136,7 @@ def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Cl
 
 def test_an_old_reading_is_not_passed_on_as_the_present_one(sensor: Sensor, clock: Clock) -> None:
     settings = EnvironmentSettings(kind="serial", port="x", pattern=THREE, stale_after_s=30.0)
-    service = EnvironmentService(settings)
+    service = AmbientSensor(settings)
     turn(service)
     sensor.lines[0].say(b"T=22.0 P=1000\n")
     turn(service)
@@ -150,7 +150,7 @@ def test_an_old_reading_is_not_passed_on_as_the_present_one(sensor: Sensor, cloc
 
 
 def test_one_that_is_unplugged_is_said_once_and_found_again(sensor: Sensor) -> None:
-    service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
+    service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
     turn(service)
     sensor.plugged_in = False
     assert turn(service) == 1.0
@@ -258,7 +258,7 @@ def test_the_rest_of_a_line_that_was_being_sent_is_no_reading() -> None:
     settings = EnvironmentSettings(kind="serial", port=os.ttyname(slave), pattern=r"^(?P<temperature_c>\S+)$")
     try:
         for _ in range(15):
-            service = EnvironmentService(settings)
+            service = AmbientSensor(settings)
             while service.last_ns < 0:
                 turn(service)
             assert service.latest.temperature_c == 21.5

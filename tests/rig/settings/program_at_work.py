@@ -16,10 +16,10 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
 from processing.errors import RigError
 from rig.control import (
+    AmbientSensor,
     Controller,
     ControllerSettings,
     ControlService,
-    EnvironmentService,
     EnvironmentSettings,
     LaserReport,
     Light,
@@ -202,7 +202,7 @@ def read_the_environment() -> None:
         for is_there in (True, False):
             if is_there:
                 patched.setattr(sensors, "SerialPort", lambda *_: Line())
-            with EnvironmentService(settings) as service:
+            with AmbientSensor(settings) as service:
                 deadline_s = time.monotonic() + 5.0
                 while time.monotonic() < deadline_s and not (service.last_line or service.last_error):
                     time.sleep(0.01)
