@@ -21,7 +21,7 @@ from rig.control.safety_state import (
     rig_state_path,
     state_folder,
 )
-from rig.control.sensors import AmbientSensor, SeismometerLines
+from rig.control.sensors import AmbientSensor, SeismometerReader
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import (
     ControllerSettings,

@@ -178,7 +178,7 @@ def sample_of(line: str, columns: Sequence[str], host_time_ns: int) -> Seismomet
     return SeismometerSample(host_time_ns, own_s, tuple(by_name.values()))
 
 
-class SeismometerLines(SensorLines):
+class SeismometerReader(SensorLines):
     """An auxiliary seismometer: every line of its serial port is a sample."""
 
     def __init__(self, settings: SeismometerSettings) -> None:

@@ -12,7 +12,7 @@ from acquisition.simulation.ground import SimulatedSeismometer
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import ConfigurationError, RigError
 from processing.units import nanoseconds, seconds
-from rig.control import SeismometerLines, SeismometerSettings
+from rig.control import SeismometerReader, SeismometerSettings
 from rig.settings import Configuration
 from rig.terminal import Verdict
 
@@ -111,7 +111,7 @@ class _ConnectedSeismometer(GroundSeismometer):
     def __init__(self, settings: SeismometerSettings) -> None:
         super().__init__()
         self._settings = settings
-        self._service = SeismometerLines(settings)
+        self._service = SeismometerReader(settings)
 
     def __enter__(self) -> Self:
         self._service.start()

@@ -7,7 +7,7 @@ import tty
 
 import pytest
 
-from rig.control import SeismometerLines, SeismometerSettings
+from rig.control import SeismometerReader, SeismometerSettings
 from rig.control.sensors import sample_of
 from rig.settings import keys_with_faults
 from tests.waiting import until
@@ -44,7 +44,7 @@ def test_a_serial_instrument_is_read_line_by_line() -> None:
     settings = SeismometerSettings(
         kind="serial", port=os.ttyname(slave), columns=("time_s", "z"), stale_after_s=LIMIT_S
     )
-    service = SeismometerLines(settings)
+    service = SeismometerReader(settings)
     assert service.silent
     samples = []
 

@@ -24,7 +24,7 @@ from rig.control import (
     LaserReport,
     Light,
     SafetyNow,
-    SeismometerLines,
+    SeismometerReader,
     SeismometerSettings,
     sensors,
     simulated_controller,
@@ -247,7 +247,7 @@ def suffer_every_fault() -> None:
 
 def listen_to_the_ground() -> None:
     """Seismometers at a port that is not there, and beside the simulated rig."""
-    with SeismometerLines(
+    with SeismometerReader(
         SeismometerSettings(kind="serial", port=NOWHERE, columns=("time_s", "z"))
     ) as service:
         service._take("0.1 5", 1)
