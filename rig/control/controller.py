@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from processing.errors import DeviceError
 from rig.control.protocol import (
-    AirReading,
+    AmbientReading,
     BoardEvent,
     ControllerIdentity,
     ControllerReset,
@@ -145,9 +145,9 @@ class Controller:
         """
         self._ask(f"SYST:TRIP:ACK {number}")
 
-    def environment(self) -> AirReading:
+    def environment(self) -> AmbientReading:
         """Reading of the controller's own sensor; NaN without a sensor, and for impossible values."""
-        return AirReading(*floats_of(self._ask("ENV?"), 3)).possible
+        return AmbientReading(*floats_of(self._ask("ENV?"), 3)).possible
 
     def set_laser_power_w(self, power_w: float) -> None:
         """Set the power; raises PowerLimit above the configured or the stored limit."""

@@ -147,7 +147,7 @@ class ControllerStatus:
 
 
 @dataclass(frozen=True, slots=True)
-class AirReading:
+class AmbientReading:
     """Temperature, humidity and pressure of the air; NaN without a sensor."""
 
     temperature_c: float = math.nan
@@ -155,9 +155,9 @@ class AirReading:
     pressure_pa: float = math.nan
 
     @property
-    def possible(self) -> "AirReading":
+    def possible(self) -> "AmbientReading":
         """The reading with NaN for impossible values, which a broken sensor or wire causes."""
-        return AirReading(
+        return AmbientReading(
             **{name: value if is_possible(name, value) else math.nan for name, value in asdict(self).items()}
         )
 

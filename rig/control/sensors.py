@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from processing.errors import DeviceError
 from processing.units import seconds
-from rig.control.protocol import AirReading
+from rig.control.protocol import AmbientReading
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 from rig.control.settings import OWN_TIME, EnvironmentSettings, SeismometerSettings
 from rig.control.worker import DeviceThread
@@ -109,7 +109,7 @@ class SensorLines(DeviceThread):
                 line.close()
 
 
-def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
+def parse_environment(pattern: re.Pattern[str], line: str) -> AmbientReading | None:
     """Reading from the pattern's named groups in a line; None without a match, or without a possible value.
 
     None also if a number is not finite. ``pressure_hpa`` is converted to Pa. A quantity that is missing, or
@@ -125,7 +125,7 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
     if not found or not all(math.isfinite(value) for value in found.values()):
         return None
     pressure_pa = found.get("pressure_pa", found.get("pressure_hpa", math.nan) * 100.0)
-    reading = AirReading(
+    reading = AmbientReading(
         found.get("temperature_c", math.nan), found.get("humidity_percent", math.nan), pressure_pa
     ).possible
     return None if all(map(math.isnan, asdict(reading).values())) else reading
@@ -138,15 +138,15 @@ class AmbientSensor(SensorLines):
         self._settings = settings
         self._pattern = re.compile(settings.pattern)
         self._asked_s = 0.0
-        self._latest = AirReading()
+        self._latest = AmbientReading()
         super().__init__(
             "rig-environment", lambda: SerialPort(settings.port, settings.baud), settings.stale_after_s
         )
 
     @property
-    def latest(self) -> AirReading:
+    def latest(self) -> AmbientReading:
         """Latest reading, NaN for quantities that are not sent, and all NaN in silence. Never blocks."""
-        return AirReading() if self.silent else self._latest
+        return AmbientReading() if self.silent else self._latest
 
     def _request(self, line: SerialLine, now_s: float) -> None:
         if self._settings.request and now_s - self._asked_s >= self._settings.period_s:

@@ -16,7 +16,7 @@ from processing.errors import DeviceError
 from rig.control.controller import Controller
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.protocol import (
-    AirReading,
+    AmbientReading,
     CommandRefused,
     ControllerIdentity,
     ControllerReset,
@@ -34,7 +34,7 @@ _RETRY_S = 0.02
 _WATCHDOG_MARGIN = 0.1
 """Fraction of the watchdog's time by which a board without useful replies is given up earlier, and commanded
 dark: heartbeats whose replies are lost still feed its own watchdog."""
-_NO_READING = AirReading()
+_NO_READING = AmbientReading()
 _NO_SENSOR = -240
 """Error code of the board's own sensor of the air."""
 
@@ -68,7 +68,7 @@ class ControlSnapshot:
     identity: ControllerIdentity | None = None
     status: ControllerStatus | None = None
     status_time_ns: int = 0
-    environment: AirReading = _NO_READING
+    environment: AmbientReading = _NO_READING
     reconnects: int = 0
     last_error: str = ""
 

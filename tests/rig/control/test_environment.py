@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from rig.control import sensors
 from rig.control.firmware.bme280 import Bme280, Calibration, compensate
-from rig.control.protocol import AirReading
+from rig.control.protocol import AmbientReading
 from rig.control.sensors import AmbientSensor, parse_environment
 from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import EnvironmentSettings
@@ -70,7 +70,7 @@ def test_a_line_in_two_pieces_is_one_and_what_is_missing_is_nan(sensor: Sensor, 
     turn(service)
     line.say(b"25\r\n")
     turn(service)
-    assert service.latest == AirReading(21.5, 40.25, 101325.0)
+    assert service.latest == AmbientReading(21.5, 40.25, 101325.0)
     assert service.last_ns == clock.monotonic_ns()
     line.say(b"T=22.0 P=1000\n")
     turn(service)
@@ -97,12 +97,12 @@ def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
 @pytest.mark.parametrize(
     ("line", "read"),
     [
-        (b"T=-999 H=40 P=1013\n", AirReading(math.nan, 40.0, 101300.0)),
-        (b"T=-127.00 P=1013\n", AirReading(math.nan, math.nan, 101300.0)),
-        (b"T=20 H=999.9 P=0\n", AirReading(20.0)),
+        (b"T=-999 H=40 P=1013\n", AmbientReading(math.nan, 40.0, 101300.0)),
+        (b"T=-127.00 P=1013\n", AmbientReading(math.nan, math.nan, 101300.0)),
+        (b"T=20 H=999.9 P=0\n", AmbientReading(20.0)),
     ],
 )
-def test_what_a_broken_sensor_says_is_no_reading(sensor: Sensor, line: bytes, read: AirReading) -> None:
+def test_what_a_broken_sensor_says_is_no_reading(sensor: Sensor, line: bytes, read: AmbientReading) -> None:
     service = AmbientSensor(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
     turn(service)
     sensor.lines[0].say(line)
@@ -126,7 +126,7 @@ def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Cl
         turn(service)
         clock.sleep(0.01)
     assert sensor.received.count("READ?") == 5
-    assert service.latest == AirReading(20.5, 50.1, 99990.0)
+    assert service.latest == AmbientReading(20.5, 50.1, 99990.0)
     sensor.received.clear()
     unasked = AmbientSensor(EnvironmentSettings(kind="serial", port="x", request=""))
     for _ in range(50):

@@ -12,7 +12,7 @@ from processing.errors import DeviceError
 from rig.control import controller as controller_module
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.firmware.core import VERSION
-from rig.control.protocol import AirReading, CommandRefused, ControllerReset, checksum, encode
+from rig.control.protocol import AmbientReading, CommandRefused, ControllerReset, checksum, encode
 from rig.control.serial_port import PortLost, ReplyTimeout
 from tests.rig.control.conftest import micropython_boards, settings_for
 from tests.rig.control.stepped import SteppedBoard, stepped_clock
@@ -75,7 +75,7 @@ def test_it_says_who_it_is_and_every_command_reaches_its_output(board: Board) ->
     assert status.brake_on
     assert status.interlock_closed
     assert (status.laser_power_w, status.trip) == (0.00025, "NONE")
-    assert controller.environment() == AirReading(20.125, 45.5, 101325.0)
+    assert controller.environment() == AmbientReading(20.125, 45.5, 101325.0)
     controller.release()
     assert board.outputs()["magnet"] == [0]
     with pytest.raises(CommandRefused, match="holds nothing"):
@@ -293,7 +293,7 @@ def test_a_late_reply_is_not_taken_for_a_fresh_one(wired: Board) -> None:
         controller.set_laser_power_w(0.0007)
     wire.to_host = lambda data: data
     wire.inject(b"".join(held))
-    assert controller.environment() == AirReading(20.125, 45.5, 101325.0)
+    assert controller.environment() == AmbientReading(20.125, 45.5, 101325.0)
     controller.close()
 
 

@@ -8,7 +8,7 @@ import pytest
 from processing.errors import DeviceError
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
-from rig.control.protocol import AirReading, CommandRefused
+from rig.control.protocol import AmbientReading, CommandRefused
 from rig.control.safety_state import SafetyState, TripCause
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
@@ -151,7 +151,7 @@ def test_it_is_open_after_the_first_turn(service: ControlService, board: Stepped
     snapshot = service.snapshot
     assert snapshot.state is ControlState.OPEN
     assert service.wait_open().serial == "TEST0001"
-    assert snapshot.environment == AirReading(20.125, 45.5, 101325.0)
+    assert snapshot.environment == AmbientReading(20.125, 45.5, 101325.0)
     assert (snapshot.status_time_ns, snapshot.reconnects) == (clock.monotonic_ns(), 0)
     assert service.take_events() == ("TEST0001 is connected, firmware 1.4",)
 

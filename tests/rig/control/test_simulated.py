@@ -8,7 +8,7 @@ import pytest
 from acquisition.simulation.inputs import RigInputs
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.light_permit import LightRefused
-from rig.control.protocol import AirReading
+from rig.control.protocol import AmbientReading
 from rig.control.service import ControlService
 from rig.control.settings import ControllerSettings
 from rig.control.simulated import simulated_controller
@@ -54,7 +54,7 @@ def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
         assert ended - began >= 0.095
         with pytest.raises(PowerLimit):
             service.set_laser_power_w(0.0011).result(5.0)
-        until(lambda: service.snapshot.environment == AirReading(20.0, 45.0, 101325.0))
+        until(lambda: service.snapshot.environment == AmbientReading(20.0, 45.0, 101325.0))
         rig.closed = False
         until(lambda: rig.last("laser_w") == 0.0)
         # by the board, or by the permit once it has heard
