@@ -36,4 +36,4 @@ from rig.control.states import (
     Loop,
     SafetyNow,
 )
-from rig.control.worker import in_thread
+from rig.control.worker import run_in_thread

@@ -17,7 +17,7 @@ from processing.errors import DeviceError
 from rig.control.lasers import LaserSettings, off_line
 from rig.control.protocol import TAG_MAX, encode
 from rig.control.settings import ControllerSettings
-from rig.control.worker import in_thread
+from rig.control.worker import run_in_thread
 
 _READ_BYTES = 4096
 _TAKEN_WITHIN_S = 0.4
@@ -113,7 +113,7 @@ def darken_directly(laser: LaserSettings, controller: ControllerSettings) -> lis
         orders.append((controller.port, off))
     if (line := off_line(laser)) is not None:
         orders.append((laser.port, line))
-    written = [(port, in_thread(_write, port, data)) for port, data in orders]
+    written = [(port, run_in_thread(_write, port, data)) for port, data in orders]
     end_s = time.monotonic() + _TAKEN_WITHIN_S
     problems = []
     for port, done in written:

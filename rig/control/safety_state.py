@@ -17,7 +17,7 @@ from processing.errors import DeviceError
 from rig.control.lasers import LaserSettings
 from rig.control.presses import Presses
 from rig.control.settings import ControllerSettings
-from rig.control.worker import in_thread
+from rig.control.worker import run_in_thread
 
 try:
     import fcntl
@@ -319,7 +319,7 @@ class SafetyState:
                         self.presses.touch()
                 raise
 
-        writing = in_thread(write)
+        writing = run_in_thread(write)
         self._writing.add(writing)
         writing.add_done_callback(self._writing.discard)
         try:

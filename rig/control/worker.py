@@ -26,7 +26,7 @@ class JobExpired(DeviceError):
     """A job waited too long and was not started, because a late command must not take effect."""
 
 
-def in_thread(call: Callable[..., T], *given: object) -> "Future[T]":
+def run_in_thread(call: Callable[..., T], *given: object) -> "Future[T]":
     """Call a function, which may hang at a disk, a port or another process, in a thread of its own.
 
     The program does not wait for that thread when it ends, and who stops waiting for it cannot cancel it.

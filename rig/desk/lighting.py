@@ -18,7 +18,7 @@ from rig.control import (
     Loop,
     SafetyNow,
     SafetyState,
-    in_thread,
+    run_in_thread,
 )
 from rig.desk.following import Following
 from rig.desk.run_reader import clock
@@ -44,7 +44,7 @@ AT = "the desk"
 def _takes_orders(folder: Path) -> bool:
     """Whether the session in a folder takes orders; False where its disk hangs."""
     try:
-        return in_thread((folder / ORDERS_NAME).exists).result(_FOUND_WITHIN_S)
+        return run_in_thread((folder / ORDERS_NAME).exists).result(_FOUND_WITHIN_S)
     except TimeoutError:
         return False
 

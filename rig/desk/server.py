@@ -25,7 +25,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from processing.errors import ConfigurationError
-from rig.control import in_thread
+from rig.control import run_in_thread
 from rig.desk.desk import Desk
 from rig.desk.page import DARK, DEAD_S, build_page, build_rerun
 from rig.desk.panels.live_picture import picture_now
@@ -218,7 +218,7 @@ def _light_off(desk: Desk) -> FastAPI:
     async def dark(request: Request) -> Response:
         try:
             # a thread of its own: those of a pool may all be waiting
-            off = in_thread(desk.lighting.off, urllib.parse.unquote(request.url.query))
+            off = run_in_thread(desk.lighting.off, urllib.parse.unquote(request.url.query))
             problems = await asyncio.wrap_future(off)
         except Exception:
             _log.exception("LIGHT OFF has failed")

@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from processing.errors import RigError
-from rig.control import SafetyState, darken_directly, in_thread
+from rig.control import SafetyState, darken_directly, run_in_thread
 from rig.devices.order_line import OrderConnection
 from rig.settings import Configuration
 
@@ -30,11 +30,11 @@ class LightOff:
         self._rig, self._place = rig, at
         self._lamps = config.laser, config.controller
         # in threads, because a port, and the disk of the rig's state, of a trip or of a folder, may hang
-        self._ports = in_thread(darken_directly, *self._lamps)
-        self._press = None if rig.presses is None else in_thread(rig.presses.press, at)
+        self._ports = run_in_thread(darken_directly, *self._lamps)
+        self._press = None if rig.presses is None else run_in_thread(rig.presses.press, at)
         absolute = {folder.absolute() for folder in folders}
-        self._orders = [in_thread(self._order_session_dark, folder) for folder in absolute]
-        self._orders.append(in_thread(self._order_holder_dark, absolute))
+        self._orders = [run_in_thread(self._order_session_dark, folder) for folder in absolute]
+        self._orders.append(run_in_thread(self._order_holder_dark, absolute))
 
     def result(self) -> tuple[list[str], bool, bool]:
         """Problems, whether a program has answered, and whether the press is stored for programs that start.

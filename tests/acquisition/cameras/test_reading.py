@@ -33,7 +33,7 @@ class Waiting:
         self.ends.append("end")
 
 
-def in_thread(action: Callable[[], object]) -> tuple[threading.Thread, list[object]]:
+def run_in_thread(action: Callable[[], object]) -> tuple[threading.Thread, list[object]]:
     """The running thread and, later, what the action returned."""
     returned: list[object] = []
     thread = threading.Thread(target=lambda: returned.append(action()), daemon=True)
@@ -54,7 +54,7 @@ def test_without_a_frame_in_time_it_can_be_read_again() -> None:
 def test_a_stop_ends_the_read_of_another_thread_and_then_the_run_once() -> None:
     camera = Waiting()
     reading = CameraRun(camera.step, camera.end)
-    reader, returned = in_thread(lambda: reading.read(10.0))
+    reader, returned = run_in_thread(lambda: reading.read(10.0))
     assert camera.asked.wait(10.0)
     assert not reading.stop(0.0), "the camera is still waiting"
     reading.when_ended(lambda: camera.ends.append("close"))

@@ -13,7 +13,14 @@ import pytest
 
 from acquisition import atomic_write
 from processing.errors import DeviceError
-from rig.control import ControllerSettings, LaserSettings, SafetyState, TripCause, in_thread, rig_state_path
+from rig.control import (
+    ControllerSettings,
+    LaserSettings,
+    SafetyState,
+    TripCause,
+    rig_state_path,
+    run_in_thread,
+)
 from rig.control.presses import Presses
 from tests.disk_without_locks import NO_LOCKS, without_locks
 
@@ -323,9 +330,9 @@ def test_a_trip_holds_at_once_while_the_disk_hangs_and_is_written_when_it_answer
 ) -> None:
     with SafetyState(path) as state:
         disk = HangingDisk(monkeypatch)
-        noted = in_thread(state.lit, True)
+        noted = run_in_thread(state.lit, True)
         assert disk.asked.wait(10.0)
-        tripped = in_thread(state.latch, TripCause.INTERLOCK, "it opened", True)
+        tripped = run_in_thread(state.latch, TripCause.INTERLOCK, "it opened", True)
         with pytest.raises(DeviceError, match="the disk hangs"):
             tripped.result(10.0)
         assert state.trip is not None
@@ -347,9 +354,9 @@ def test_an_acknowledgement_during_which_another_trip_comes_is_none(
         state.latch(TripCause.INTERLOCK, "it opened", lit=True)
         disk = HangingDisk(monkeypatch)
         if waits:
-            in_thread(state.lit, True)
+            run_in_thread(state.lit, True)
             assert disk.asked.wait(10.0)
-        acknowledged = in_thread(state.acknowledge, 1)
+        acknowledged = run_in_thread(state.acknowledge, 1)
         assert disk.asked.wait(10.0)
         with pytest.raises(DeviceError, match="the disk hangs"):
             state.latch(TripCause.OUTPUT, "it stays lit", lit=True)

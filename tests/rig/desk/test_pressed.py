@@ -7,7 +7,7 @@ from threading import Event
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.control import in_thread
+from rig.control import run_in_thread
 from rig.desk.desk import Desk
 from rig.devices.light_off import LightOff
 from tests.rig.desk.conftest import simulated_rig
@@ -94,7 +94,7 @@ def test_a_disk_that_hangs_holds_nothing_up(
     assert dark.is_set()
     dark.clear()
     monkeypatch.setattr("rig.devices.light_off._MAX_STORE_S", 60.0)
-    said = in_thread(desk.lighting.off, "two")
+    said = run_in_thread(desk.lighting.off, "two")
     assert dark.wait(10.0)
     dark.clear()
     goes_on.set()

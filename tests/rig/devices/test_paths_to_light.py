@@ -17,7 +17,7 @@ import rig
 from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from processing.errors import DeviceError
-from rig.control import NEEDS_REQUEST, ControlService, LightRefused, Stage, TripCause, in_thread
+from rig.control import NEEDS_REQUEST, ControlService, LightRefused, Stage, TripCause, run_in_thread
 from rig.control.light_permit import ENDED, LONGEST_PAUSE_S
 from rig.control.simulated import SimulatedBoard
 from rig.devices import Devices, LightWatch, SessionNews
@@ -247,7 +247,7 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
     with live_picture(config) as (picture, devices):
         until(lambda: len(lit.at) == 1 and shown() > 0)
         runs.clear()
-        asked = in_thread(picture.orders["light"], "")
+        asked = run_in_thread(picture.orders["light"], "")
         until(lambda: picture.requests.waiting)
         devices.light_off("the desk")
         until(lambda: devices.safety().light == "off")
