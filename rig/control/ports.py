@@ -1,5 +1,6 @@
 """Serial ports: their list, checks of the configured devices on them, and udev rules for access to them."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -8,14 +9,14 @@ from serial.tools import list_ports
 from processing.errors import DeviceError
 from rig.control.controller import Controller
 from rig.control.lasers import LaserSettings, make_laser
-from rig.control.lasers.thorlabs4000 import USB_VENDOR as THORLABS
+from rig.control.lasers.thorlabs4000 import USB_VENDOR as THORLABS_VENDOR
 from rig.control.protocol import ControllerStatus
 from rig.control.sensors import AmbientSensor
 from rig.control.serial_port import ports_here
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.terminal import Verdict
 
-PICO = 0x2E8A
+PICO_VENDOR = 0x2E8A
 """Raspberry Pi's USB vendor number, under which MicroPython presents the controller's board."""
 
 
@@ -23,7 +24,7 @@ def udev_matches() -> dict[str, str]:
     """Conditions of udev rules that match the device nodes, by kind of device."""
     return {
         "laser drivers that the kernel's usbtmc serves": (
-            f'SUBSYSTEM=="usbmisc", KERNEL=="usbtmc*", ATTRS{{idVendor}}=="{THORLABS:04x}"'
+            f'SUBSYSTEM=="usbmisc", KERNEL=="usbtmc*", ATTRS{{idVendor}}=="{THORLABS_VENDOR:04x}"'
         ),
         "serial ports on USB: the controller's board, lasers, sensors": (
             'SUBSYSTEM=="tty", KERNEL=="ttyACM[0-9]*|ttyUSB[0-9]*", SUBSYSTEMS=="usb"'
@@ -33,17 +34,17 @@ def udev_matches() -> dict[str, str]:
 
 def udev_board() -> str:
     """Condition of a udev rule that matches the controller's board itself."""
-    return f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{PICO:04x}"'
+    return f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{PICO_VENDOR:04x}"'
 
 
-_SENSOR_PATIENCE_S = 5.0
+_SENSOR_TIMEOUT_S = 5.0
 _TRIP_ERRORS = range(101, 105)
 """Error codes of the board that report trips; its latch reports them in more detail."""
 
 
 @dataclass(frozen=True, slots=True)
 class SerialPortInfo:
-    """A serial port of this computer; vendor and product are its USB numbers, -1 if it has none."""
+    """A serial port of this computer; `vendor` and `product` are its USB numbers, -1 if it has none."""
 
     device: str
     description: str
@@ -54,7 +55,7 @@ class SerialPortInfo:
 
 def list_serial_ports() -> tuple[SerialPortInfo, ...]:
     """All serial ports of this computer, sorted by name; none of them is opened."""
-    found = [
+    ports = [
         SerialPortInfo(
             port.device,
             "" if port.description in (None, "n/a") else port.description,
@@ -64,13 +65,16 @@ def list_serial_ports() -> tuple[SerialPortInfo, ...]:
         )
         for port in list_ports.comports()
     ]
-    return tuple(sorted(found, key=lambda port: port.device))
+    return tuple(sorted(ports, key=lambda port: port.device))
 
 
 def check_controller(
-    controller: Controller, settings: ControllerSettings, laser: LaserSettings, named: str
+    controller: Controller, settings: ControllerSettings, laser: LaserSettings, config_words: str
 ) -> tuple[Verdict, ...]:
-    """Open, check and close the controller; no output is switched on. `named` is the configuration's name."""
+    """Verdicts on the controller, which is opened and closed; no output is switched on.
+
+    `config_words` name the configuration in a command.
+    """
     if settings.kind == "none":
         return (Verdict("controller", True, "none is configured", made=False),)
     try:
@@ -103,50 +107,44 @@ def check_controller(
                 "" if enough else "lower laser.power_w, or laser_max_w in the board's limits.json",
             )
         )
-    checks += _light_verdicts(status, named)
+    checks += _light_verdicts(status, config_words)
     if code:
         checks.append(
             Verdict("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
         )
-    sensor = air.temperature_c == air.temperature_c
+    has_sensor = not math.isnan(air.temperature_c)
     checks.append(
         Verdict(
             "controller's sensor",
-            sensor,
+            has_sensor,
             f"{air.temperature_c:.2f} °C, {air.humidity_percent:.1f} %, {air.pressure_pa / 100:.1f} hPa"
-            if sensor
+            if has_sensor
             else "no reading",
-            "" if sensor else "plug the BME280 in, or set environment_sensor.kind to none or serial",
+            "" if has_sensor else "plug the BME280 in, or set environment_sensor.kind to none or serial",
         )
     )
     return tuple(checks)
 
 
-def _light_verdicts(status: ControllerStatus, named: str) -> Iterator[Verdict]:
+def _light_verdicts(status: ControllerStatus, config_words: str) -> Iterator[Verdict]:
     """Verdicts on light that the board detects although the laser is off, and on its latch."""
-    contradictions = [
-        words
-        for on, words in (
-            (status.readback, "the pin of its relay is high"),
-            (status.light_seen, "the photodiode sees light"),
-        )
-        if on
-    ]
+    contradictions = ["the pin of its relay is high"] * status.readback
+    contradictions += ["the photodiode sees light"] * bool(status.light_seen)
     if contradictions:
         remedy = "the laser may be lit: turn its key, then check relay and wiring"
         yield Verdict("laser output", False, f"it is off, and {' and '.join(contradictions)}", remedy)
     if (latch := status.latch) is not None:
-        remedy = f"check that nobody is in the beam path, then acknowledge what rig light show {named} names"
+        show = f"rig light show {config_words}"
         yield Verdict(
             "controller's latch",
             False,
             f"{latch.cause} is latched: no light until it is acknowledged",
-            remedy,
+            f"check that nobody is in the beam path, then acknowledge what {show} names",
         )
 
 
 def check_laser(settings: LaserSettings) -> tuple[Verdict, ...]:
-    """Open, check and close the laser; it stays off, and the controller's relay stays open."""
+    """Verdicts on the laser, which is opened and closed; it stays off, and the controller's relay open."""
     laser = make_laser(settings)
     if laser is None:
         return ()
@@ -159,14 +157,14 @@ def check_laser(settings: LaserSettings) -> tuple[Verdict, ...]:
         laser.close()
     checks = [
         Verdict("laser", True, f"{identity.vendor} {identity.model} {identity.serial}".replace("  ", " ")),
-        *_interlock(settings, state.interlock_closed),
+        *_interlock_verdicts(settings, state.interlock_closed),
     ]
     if state.fault:
         checks.append(Verdict("laser fault", False, state.fault, "check the laser's panel and manual"))
     return tuple(checks)
 
 
-def _interlock(settings: LaserSettings, closed: bool) -> Iterator[Verdict]:
+def _interlock_verdicts(settings: LaserSettings, closed: bool) -> Iterator[Verdict]:
     """Verdicts on the laser's interlock while the controller's relay, through which it may go, is open."""
     name = "laser switches off automatically"
     if settings.interlock == "own":
@@ -191,18 +189,18 @@ def _interlock(settings: LaserSettings, closed: bool) -> Iterator[Verdict]:
 
 
 def check_environment(settings: EnvironmentSettings) -> tuple[Verdict, ...]:
-    """Read the lines of a sensor with its own port until one matches the pattern, for at most 5 s."""
+    """Verdict on a sensor with its own port: whether a line matches the pattern within 5 s."""
     if settings.kind != "serial":
         return ()
     sensor = AmbientSensor(settings)
-    if sensor.look(_SENSOR_PATIENCE_S):
+    if sensor.wait_for_reading(_SENSOR_TIMEOUT_S):
         return (Verdict("environment sensor", True, sensor.last_line),)
     if sensor.last_error:
-        found = Verdict.failed("environment sensor", DeviceError(sensor.last_error), ports_here())
+        verdict = Verdict.failed("environment sensor", DeviceError(sensor.last_error), ports_here())
         without = "; or measure without it: --set environment_sensor.kind=none"
-        return (replace(found, remedy=found.remedy + without),)
+        return (replace(verdict, remedy=verdict.remedy + without),)
     last = sensor.last_line
-    reason = f"{last!r} does not match the pattern" if last else f"no line within {_SENSOR_PATIENCE_S:g} s"
+    reason = f"{last!r} does not match the pattern" if last else f"no line within {_SENSOR_TIMEOUT_S:g} s"
     return (
         Verdict(
             "environment sensor",

@@ -16,14 +16,14 @@ from rig.control import SeismometerReader, SeismometerSettings
 from rig.settings import Configuration
 from rig.terminal import Verdict
 
-_LOOK_S = 0.02
+_POLL_INTERVAL_S = 0.02
 
 
 class GroundSeismometer(ABC):
     """An auxiliary seismometer, sampled together with a camera's frames; a context manager."""
 
     def __init__(self) -> None:
-        self._looked_at: list[RecordedSeismometer] = []
+        self._recent_samples: list[RecordedSeismometer] = []
 
     def __enter__(self) -> Self:
         return self
@@ -37,14 +37,14 @@ class GroundSeismometer(ABC):
 
     def take(self, frame: Frame) -> list[RecordedSeismometer]:
         """Samples since the last call, up to a frame. Never blocks."""
-        looked_at, self._looked_at = self._looked_at, []
-        return [*looked_at, *self._new(frame)]
+        recent, self._recent_samples = self._recent_samples, []
+        return [*recent, *self._new(frame)]
 
     def recent(self, frame: Frame, last_s: float) -> list[RecordedSeismometer]:
         """Samples of the last seconds before a frame, which `take` returns again; older are dropped."""
         from_ns = frame.time_ns - nanoseconds(last_s)
-        self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
-        return list(self._looked_at)
+        self._recent_samples = [sample for sample in self.take(frame) if sample.time_ns >= from_ns]
+        return list(self._recent_samples)
 
     @abstractmethod
     def _new(self, frame: Frame) -> list[RecordedSeismometer]:
@@ -92,17 +92,17 @@ def check_seismometer(config: Configuration) -> Verdict:
         seismometer = make_seismometer(config)
         assert seismometer is not None
         with seismometer:
-            until_s = time.monotonic() + config.seismometer.stale_after_s
-            while seismometer.problem and time.monotonic() < until_s:
-                time.sleep(_LOOK_S)
+            deadline_s = time.monotonic() + config.seismometer.stale_after_s
+            while seismometer.problem and time.monotonic() < deadline_s:
+                time.sleep(_POLL_INTERVAL_S)
             problem = "; ".join(
                 dict.fromkeys([*filter(None, [seismometer.problem]), *seismometer.take_events()])
             )
-            alive = not seismometer.problem
+            has_samples = not seismometer.problem
     except RigError as error:
         return Verdict("seismometer", False, str(error), "see [seismometer]")
-    remedy = "" if alive else "see [seismometer]: its port, rate and columns"
-    return Verdict("seismometer", alive, f"{kind}, samples come" if alive else problem, remedy)
+    remedy = "" if has_samples else "see [seismometer]: its port, rate and columns"
+    return Verdict("seismometer", has_samples, f"{kind}, samples come" if has_samples else problem, remedy)
 
 
 class _ConnectedSeismometer(GroundSeismometer):
@@ -123,8 +123,10 @@ class _ConnectedSeismometer(GroundSeismometer):
     def _new(self, frame: Frame) -> list[RecordedSeismometer]:
         shift_ns = frame.time_ns - frame.host_time_ns
         return [
-            RecordedSeismometer(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
-            for one in self._service.take_samples()
+            RecordedSeismometer(
+                sample.host_time_ns + shift_ns, sample.host_time_ns, sample.own_time_s, *sample.components
+            )
+            for sample in self._service.take_samples()
         ]
 
     def take_events(self) -> tuple[str, ...]:
@@ -133,9 +135,9 @@ class _ConnectedSeismometer(GroundSeismometer):
     @property
     def problem(self) -> str:
         service = self._service
-        if not service.silent:
+        if not service.stale:
             return ""
-        if service.unread_lines:
+        if service.lines_without_reading:
             count = len(self._settings.columns)
             return f"{service.last_line!r} does not hold {count} numbers, for {list(self._settings.columns)}"
         age_s = service.age_s
@@ -159,9 +161,9 @@ class _SimulatedSeismometer(GroundSeismometer):
             return []
         clock = self._settings.clock
         rate = 1 + 1e-6 * clock.drift_ppm
-        found = self._seismometer.until((seconds(frame.time_ns) - clock.start_s) / rate, self._camera.run)
-        times_ns = nanoseconds(clock.start_s + rate * found.time_s)
+        readings = self._seismometer.until((seconds(frame.time_ns) - clock.start_s) / rate, self._camera.run)
+        times_ns = nanoseconds(clock.start_s + rate * readings.time_s)
         return [
             RecordedSeismometer(time_ns, frame.host_time_ns, math.nan, *counts)
-            for time_ns, counts in zip(times_ns.tolist(), found.counts.tolist(), strict=True)
+            for time_ns, counts in zip(times_ns.tolist(), readings.counts.tolist(), strict=True)
         ]

@@ -71,12 +71,12 @@ def test_a_line_in_two_pieces_is_one_and_what_is_missing_is_nan(sensor: Sensor, 
     line.say(b"25\r\n")
     turn(service)
     assert service.latest == AmbientReading(21.5, 40.25, 101325.0)
-    assert service.last_ns == clock.monotonic_ns()
+    assert service.last_reading_ns == clock.monotonic_ns()
     line.say(b"T=22.0 P=1000\n")
     turn(service)
     assert service.latest.temperature_c == 22.0
     assert math.isnan(service.latest.humidity_percent)
-    assert service.unread_lines == 0
+    assert service.lines_without_reading == 0
 
 
 def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
@@ -85,13 +85,13 @@ def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
     for number, text in enumerate((b"garbage\xff\r\n", b"T=1e400 P=1000\n", b"T=. P=1000\n"), 1):
         sensor.lines[0].say(text)
         turn(service)
-        assert service.unread_lines == number
+        assert service.lines_without_reading == number
         assert service.last_line == text.decode("latin-1").strip()
         assert math.isnan(service.latest.temperature_c)
     # an empty line is none
     sensor.lines[0].say(b"\r\n")
     turn(service)
-    assert service.unread_lines == 3
+    assert service.lines_without_reading == 3
 
 
 @pytest.mark.parametrize(
@@ -111,10 +111,10 @@ def test_what_a_broken_sensor_says_is_no_reading(sensor: Sensor, line: bytes, re
     assert (found.temperature_c, found.humidity_percent, found.pressure_pa) == pytest.approx(
         (read.temperature_c, read.humidity_percent, read.pressure_pa), nan_ok=True
     )
-    assert service.unread_lines == 0
+    assert service.lines_without_reading == 0
     sensor.lines[0].say(b"T=-999 P=0\n")
     turn(service)
-    assert service.unread_lines == 1
+    assert service.lines_without_reading == 1
 
 
 def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Clock) -> None:
@@ -259,7 +259,7 @@ def test_the_rest_of_a_line_that_was_being_sent_is_no_reading() -> None:
     try:
         for _ in range(15):
             service = AmbientSensor(settings)
-            while service.last_ns < 0:
+            while service.last_reading_ns < 0:
                 turn(service)
             assert service.latest.temperature_c == 21.5
             service._finish()

@@ -29,7 +29,7 @@ def test_numbers_are_taken_in_the_order_of_the_columns(
     sample = sample_of(line, columns, 5)
     assert sample is not None
     assert sample.host_time_ns == 5
-    assert sample.value == value
+    assert sample.components == value
     assert sample.own_time_s == own_s or (math.isnan(own_s) and math.isnan(sample.own_time_s))
 
 
@@ -45,21 +45,21 @@ def test_a_serial_instrument_is_read_line_by_line() -> None:
         kind="serial", port=os.ttyname(slave), columns=("time_s", "z"), stale_after_s=LIMIT_S
     )
     service = SeismometerReader(settings)
-    assert service.silent
+    assert service.stale
     samples = []
 
     def three() -> bool:
         # the first line may be taken for the rest of one
         os.write(master, b"0.1 5\r\n0.2 6\r\nhello\r\n")
         samples.extend(service.take_samples())
-        return len(samples) >= 3 and service.unread_lines > 0
+        return len(samples) >= 3 and service.lines_without_reading > 0
 
     with service:
         until(three)
-        assert not service.silent
+        assert not service.stale
     os.close(master)
     os.close(slave)
-    assert {(one.own_time_s, one.value) for one in samples} == {(0.1, (5.0,)), (0.2, (6.0,))}
+    assert {(sample.own_time_s, sample.components) for sample in samples} == {(0.1, (5.0,)), (0.2, (6.0,))}
     arrived = [one.host_time_ns for one in samples]
     assert arrived == sorted(arrived)
 

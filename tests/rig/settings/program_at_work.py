@@ -254,7 +254,7 @@ def listen_to_the_ground() -> None:
         deadline_s = time.monotonic() + 5.0
         while time.monotonic() < deadline_s and not service.take_events():
             time.sleep(0.01)
-        assert service.silent
+        assert service.stale
     truth = SimulationSettings.model_validate({"ground": {"model": "white"}})
     assert len(SimulatedSeismometer(truth).until(1.0, 0).counts)
     port = f"'{NOWHERE}'"
