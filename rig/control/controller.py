@@ -58,7 +58,7 @@ class Controller:
         self._line: SerialLine | None = None
         self._link: Link | None = None
         self._limit_w = 0.0
-        self.found: Latch | None = None
+        self.earlier_latch: Latch | None = None
         """Trip that was latched on the board before this session; None without one."""
 
     def open(self) -> ControllerIdentity:
@@ -99,10 +99,10 @@ class Controller:
             )
         if firmware != FIRMWARE:
             raise DeviceError(
-                f"{link.name}: the controller's firmware is {firmware}, wanted {FIRMWARE}; flash the one "
+                f"{link.name}: the controller's firmware is {firmware}, {FIRMWARE} is needed; flash the one "
                 "that came with this version (docs/controller.md, Flashing)"
             )
-        self.found = status_of(link.ask("SYST:STAT?")).latch
+        self.earlier_latch = status_of(link.ask("SYST:STAT?")).latch
         token = secrets.token_hex(8).upper()
         (stored_w,) = floats_of(link.ask(f"SYST:SESS {token},{round(self._settings.watchdog_s * 1000)}"), 1)
         self._limit_w = min(stored_w, self._laser_max_w)
@@ -125,10 +125,10 @@ class Controller:
             with contextlib.suppress(PortLost):
                 line.close()
 
-    def repeat_until(self, at_s: float) -> None:
+    def repeat_until(self, deadline_s: float) -> None:
         """Set the time (`time.monotonic`) after which no command is repeated, until the next `open`."""
         if self._link is not None:
-            self._link.repeat_until_s = at_s
+            self._link.repeat_until_s = deadline_s
 
     def heartbeat(self) -> ControllerStatus:
         """Restart the board's watchdog time; returns the board's state."""

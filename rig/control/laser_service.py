@@ -101,7 +101,7 @@ class LaserService(DeviceThread):
                 identity = self._laser.open()
                 self._is_open = True
                 self._snapshot = replace(self._snapshot, identity=identity, last_error="")
-                self._say(
+                self._report(
                     f"{identity.vendor} {identity.model} {identity.serial} open, dark".replace("  ", " ")
                 )
             self._obey_permit()
@@ -137,7 +137,7 @@ class LaserService(DeviceThread):
         refusal, before = self._permit.refusal, self._refused
         if refusal and not before:
             self._darken(self._laser)
-            self._say(f"laser off: {refusal}")
+            self._report(f"laser off: {refusal}")
         # set last, so that a command that failed is repeated at the next turn
         self._refused = refusal
 
@@ -152,17 +152,17 @@ class LaserService(DeviceThread):
             finally:
                 if state.excess != self._excess:
                     self._excess = state.excess
-                    self._say(f"laser off: {state.excess}")
+                    self._report(f"laser off: {state.excess}")
                     self._permit.trip(TripCause.OUTPUT, state.excess)
         self._excess = state.excess
         if (before is None or before.interlock_closed) and not state.interlock_closed:
             if before is not None:
-                self._say("interlock opened")
+                self._report("interlock opened")
             if self._own_interlock:
                 latch = self._permit.latch_found if before is None else self._permit.trip
                 latch(TripCause.INTERLOCK, Interlock.LASER.opened_text)
         if state.fault and (before is None or before.fault != state.fault):
-            self._say(state.fault)
+            self._report(state.fault)
 
     def _guarded(self, call: Callable[[SerialLaser], T]) -> T:
         if not self._is_open:
@@ -177,7 +177,7 @@ class LaserService(DeviceThread):
 
     def _lose(self, error: DeviceError) -> None:
         if str(error) != self._snapshot.last_error:
-            self._say(str(error))
+            self._report(str(error))
         was_open, self._is_open, self._asked = self._is_open, False, False
         self._snapshot = replace(self._snapshot, state=None, last_error=str(error))
         self._laser.close()

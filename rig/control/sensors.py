@@ -83,7 +83,7 @@ class SensorReader(DeviceThread):
         except DeviceError as error:
             # a persistent error is reported once
             if str(error) != self.last_error:
-                self._say(str(error))
+                self._report(str(error))
             self.last_error = str(error)
             self._finish()
             return _REOPEN_INTERVAL_S

@@ -189,12 +189,12 @@ class ControlService(DeviceThread):
         self._snapshot = replace(
             self._snapshot, state=ControlState.OPEN, identity=identity, reconnects=reconnects, last_error=""
         )
-        self._say(f"{identity.serial} is connected, firmware {identity.firmware}")
-        if (found := self._controller.found) is not None:
-            self._permit.latch_found(TripCause(found.cause), _WHY[found.cause])
+        self._report(f"{identity.serial} is connected, firmware {identity.firmware}")
+        if (latch := self._controller.earlier_latch) is not None:
+            self._permit.latch_found(TripCause(latch.cause), _WHY[latch.cause])
         elif self._was_reset:
             self._permit.trip(TripCause.POWER, _WHY[Trip.POWER])
-        self._latch, self._was_reset = self._controller.found, False
+        self._latch, self._was_reset = latch, False
 
     def _light(self, controller: Controller, offs: int) -> None:
         outdated = "it was switched off meanwhile" if self._offs != offs else ""
@@ -220,7 +220,7 @@ class ControlService(DeviceThread):
         refusal, before = self._permit.refusal, self._refused
         if refusal and not before:
             self._controller.laser_off()
-            self._say(f"laser off: {refusal}")
+            self._report(f"laser off: {refusal}")
         # set last, so that a command that failed is repeated at the next poll
         self._refused = refusal
 
@@ -230,7 +230,7 @@ class ControlService(DeviceThread):
         """
         status = self._snapshot.status
         if status is not None and status.laser_on and self._lit_after_offs != self._offs:
-            self._say("laser off: it is still lit, a command or its answer was lost")
+            self._report("laser off: it is still lit, a command or its answer was lost")
             self._darken(self._controller)
 
     def _beat(self) -> None:
@@ -241,13 +241,13 @@ class ControlService(DeviceThread):
         self._snapshot = replace(self._snapshot, status=status, status_time_ns=now_ns)
         events = controller.take_events()
         for event in events:
-            self._say(f"{event.name} {event.detail}".rstrip())
+            self._report(f"{event.name} {event.detail}".rstrip())
         self._latch_trips(status, {event.detail for event in events if event.name == "TRIP"})
         if status.errors_waiting:
             code, text = controller.next_error()
             # a board without a sensor reports this error at each request
             if code != _NO_SENSOR or not self._sensor_silent:
-                self._say(f"error {code}: {text}")
+                self._report(f"error {code}: {text}")
             self._sensor_silent = self._sensor_silent or code == _NO_SENSOR
         if self._environment_period_s is not None and now_s >= self._environment_due_s:
             self._environment_due_s = now_s + self._environment_period_s
@@ -300,11 +300,11 @@ class ControlService(DeviceThread):
             or (silent_s >= self._silent_for_s and not isinstance(error, CommandRefused | LightRefused))
         )
         if not lost:
-            self._say(str(error))
+            self._report(str(error))
             return
         self._was_reset = self._was_reset or isinstance(error, ControllerReset)
         if self._is_open or str(error) != self._snapshot.last_error:
-            self._say(str(error))
+            self._report(str(error))
         self._is_open = False
         self._snapshot = replace(
             self._snapshot,

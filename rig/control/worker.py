@@ -1,4 +1,4 @@
-"""A thread that operates one device: the base class of the services of controller, lasers and sensors."""
+"""A thread that operates one device: the base class for controller, lasers and sensors."""
 
 import itertools
 import logging
@@ -16,7 +16,7 @@ from typing import Any, Self, TypeVar
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
-_LONGEST_WAIT_S = 0.5
+_MAX_WAIT_S = 0.5
 _MAX_EVENTS = 1024
 
 T = TypeVar("T")
@@ -26,29 +26,31 @@ class JobExpired(DeviceError):
     """A job waited too long and was not started, because a late command must not take effect."""
 
 
-def run_in_thread(call: Callable[..., T], *given: object) -> "Future[T]":
+def run_in_thread(function: Callable[..., T], *args: object) -> "Future[T]":
     """Call a function, which may hang at a disk, a port or another process, in a thread of its own.
 
-    The program does not wait for that thread when it ends, and who stops waiting for it cannot cancel it.
+    The program does not wait for that thread when it ends. A caller that stops waiting cannot cancel the
+    call.
     """
     future: Future[T] = Future()
     future.set_running_or_notify_cancel()
 
-    def work() -> None:
+    def run() -> None:
         try:
-            future.set_result(call(*given))
+            future.set_result(function(*args))
         except BaseException as error:
             future.set_exception(error)
 
-    threading.Thread(target=work, name=getattr(call, "__name__", "in thread"), daemon=True).start()
+    threading.Thread(target=run, name=getattr(function, "__name__", "in thread"), daemon=True).start()
     return future
 
 
 @dataclass(order=True, slots=True)
 class _Job:
-    """A job of the queue; `order` is (0 if urgent, else 1; number of the job)."""
+    """A job of the queue, executed unless `deadline_s` (`time.monotonic`) has passed."""
 
     order: tuple[int, int]
+    """0 if urgent, else 1; and number of the job."""
     deadline_s: float = field(compare=False)
     call: Callable[[], Any] = field(compare=False)
     future: "Future[Any]" = field(compare=False)
@@ -72,7 +74,7 @@ class DeviceThread(ABC):
         self._longest_job_s = longest_job_s
         self._events: deque[str] = deque(maxlen=_MAX_EVENTS)
         self._jobs: queue.PriorityQueue[_Job] = queue.PriorityQueue()
-        self._count = itertools.count()
+        self._job_numbers = itertools.count()
         self._stopping = threading.Event()
         self._lock = threading.Lock()
         self._accepting = True
@@ -111,18 +113,18 @@ class DeviceThread(ABC):
             events.append(self._events.popleft())
         return tuple(events)
 
-    def _say(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         _log.info("%s: %s", self.name, text)
         self._events.append(text)
 
     def _queue(self, call: Callable[[], T], timeout_s: float, urgent: bool = False) -> "Future[T]":
-        """Queue a call, before the others if urgent; the future receives its result or error.
+        """Queue a job, before the others if urgent; the future receives its result or error.
 
-        A call that was not started within timeout_s is not made: its future raises `JobExpired`. After
-        `close` the future raises DeviceError immediately.
+        The future of a job that was not started within `timeout_s` raises `JobExpired`. After `close` the
+        future raises DeviceError immediately.
         """
         future: Future[T] = Future()
-        job = _Job((0 if urgent else 1, next(self._count)), time.monotonic() + timeout_s, call, future)
+        job = _Job((0 if urgent else 1, next(self._job_numbers)), time.monotonic() + timeout_s, call, future)
         with self._lock:
             if self._accepting:
                 self._jobs.put(job)
@@ -131,15 +133,17 @@ class DeviceThread(ABC):
         return future
 
     def close(self) -> bool:
-        """Fail the queued calls, put the device into its safe state, close it, and end the thread.
+        """Fail the queued jobs, put the device into its safe state, close it, and end the thread.
 
-        Returns False if that hangs.
-
-        Ctrl-C does not interrupt it: KeyboardInterrupt is raised after the device is in its safe state.
+        Returns False if that hangs. Ctrl-C does not interrupt it: KeyboardInterrupt is raised after the
+        device is in its safe state.
         """
         self._stopping.set()
+        if self._thread.ident is None:
+            self._fail_jobs()
+            return True
         self._queue(lambda: None, 0.0, urgent=True)  # wakes the thread
-        if self._thread.ident is None or self._thread is threading.current_thread():
+        if self._thread is threading.current_thread():
             return True
         interrupt: KeyboardInterrupt | None = None
         deadline_s = time.monotonic() + self._longest_job_s
@@ -154,26 +158,24 @@ class DeviceThread(ABC):
 
     def _run(self) -> None:
         try:
-            next_turn_s = 0.0
+            next_poll_s = 0.0
             while not self._stopping.is_set():
                 now_s = time.monotonic()
-                if now_s >= next_turn_s:
-                    next_turn_s = now_s + self._poll()
-                self._work(min(next_turn_s - time.monotonic(), _LONGEST_WAIT_S))
+                if now_s >= next_poll_s:
+                    next_poll_s = now_s + self._poll()
+                self._run_next_job(min(next_poll_s - time.monotonic(), _MAX_WAIT_S))
         except BaseException as error:
             _log.exception("%s ended", self.name)
             self.failure = error
         finally:
-            with self._lock:
-                self._accepting = False
-            self._fail_all()
+            self._fail_jobs()
             try:
                 self._finish()
             except BaseException as error:
                 _log.exception("%s did not finish", self.name)
                 self.failure = self.failure or error
 
-    def _work(self, wait_s: float) -> None:
+    def _run_next_job(self, wait_s: float) -> None:
         try:
             job = self._jobs.get(timeout=wait_s) if wait_s > 0 else self._jobs.get_nowait()
         except queue.Empty:
@@ -191,7 +193,10 @@ class DeviceThread(ABC):
             except Exception as error:
                 job.future.set_exception(error)
 
-    def _fail_all(self) -> None:
+    def _fail_jobs(self) -> None:
+        """Fail the queued jobs, and all later ones."""
+        with self._lock:
+            self._accepting = False
         while True:
             try:
                 job = self._jobs.get_nowait()

@@ -373,5 +373,5 @@ def turn(device: DeviceThread) -> float:
     """One turn of a service and the jobs that wait, as its thread does them; seconds to the next one."""
     pause_s = device._poll()
     while not device._jobs.empty():
-        device._work(0.0)
+        device._run_next_job(0.0)
     return pause_s

@@ -484,8 +484,8 @@ def test_a_trip_is_latched_over_sessions_until_its_number_is_acknowledged(board:
     board.wait_for(controller.interlock_closed, 20.0)
     controller.close()
     another = opened(board, watchdog_s=5.0)
-    assert another.found is not None
-    assert (another.found.number, another.found.cause) == (1, "INTERLOCK")
+    assert another.earlier_latch is not None
+    assert (another.earlier_latch.number, another.earlier_latch.cause) == (1, "INTERLOCK")
     assert latched(another) == (1, "INTERLOCK", lit)
     for number in (0, 2):
         with pytest.raises(CommandRefused, match="trip 1 is latched"):
@@ -509,8 +509,8 @@ def test_a_reset_keeps_what_was_latched(board: Board) -> None:
     with pytest.raises(ControllerReset):
         controller.heartbeat()
     controller.open()
-    assert controller.found is not None
-    assert controller.found.number >= 1
+    assert controller.earlier_latch is not None
+    assert controller.earlier_latch.number >= 1
     with pytest.raises(CommandRefused, match="is not acknowledged"):
         controller.laser_on()
     controller.close()

@@ -418,7 +418,7 @@ class TestWorker:
 
     def work_off(self, worker: Worker) -> None:
         while not worker._jobs.empty():
-            worker._work(0.0)
+            worker._run_next_job(0.0)
 
     def test_urgent_jobs_go_first_and_late_ones_do_not_act(
         self, worker: Worker, order: list[str], clock: Clock
@@ -452,6 +452,13 @@ class TestWorker:
         worker._run()
         assert order == ["finish"]
         for job in (waiting, worker._queue(lambda: order.append("after"), 10.0)):
+            with pytest.raises(DeviceError, match="test is closed"):
+                job.result(0)
+
+    def test_what_waits_fails_when_one_that_never_started_is_closed(self, worker: Worker) -> None:
+        waiting = worker._queue(lambda: None, 10.0)
+        assert worker.close()
+        for job in (waiting, worker._queue(lambda: None, 10.0)):
             with pytest.raises(DeviceError, match="test is closed"):
                 job.result(0)
 
