@@ -1,6 +1,7 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
 
 from rig.control.controller import Controller
+from rig.control.device_thread import run_in_thread
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, make_laser
 from rig.control.light_permit import NEEDS_REQUEST, Interlock, LightPermit, LightRefused, Stage
@@ -36,4 +37,3 @@ from rig.control.states import (
     Loop,
     SafetyNow,
 )
-from rig.control.worker import run_in_thread

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from processing.errors import DeviceError
+from rig.control.device_thread import DeviceThread
 from rig.control.lasers.serial_laser import ON_WITHIN_S, LaserIdentity, LaserState, SerialLaser
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost, ReplyTimeout
-from rig.control.worker import DeviceThread
 
 _REOPEN_S = 1.0
 _LOOK_AT_PERMIT_S = 0.5

@@ -14,10 +14,10 @@ from pydantic import BaseModel, ValidationError
 
 from acquisition import atomic_write
 from processing.errors import DeviceError
+from rig.control.device_thread import run_in_thread
 from rig.control.lasers import LaserSettings, off_line
 from rig.control.protocol import TAG_MAX, encode
 from rig.control.settings import ControllerSettings
-from rig.control.worker import run_in_thread
 
 _READ_BYTES = 4096
 _TAKEN_WITHIN_S = 0.4

@@ -14,10 +14,10 @@ from pydantic import BaseModel, ValidationError
 
 from acquisition import atomic_write
 from processing.errors import DeviceError
+from rig.control.device_thread import run_in_thread
 from rig.control.lasers import LaserSettings
 from rig.control.presses import Presses
 from rig.control.settings import ControllerSettings
-from rig.control.worker import run_in_thread
 
 try:
     import fcntl

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 from processing.errors import DeviceError
 from processing.units import seconds
+from rig.control.device_thread import DeviceThread
 from rig.control.protocol import AmbientReading
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 from rig.control.settings import OWN_TIME, EnvironmentSettings, SeismometerSettings
-from rig.control.worker import DeviceThread
 
 _REOPEN_INTERVAL_S = 1.0
 _READ_TIMEOUT_S = 0.1

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from processing.errors import DeviceError
 from rig.control.controller import Controller
+from rig.control.device_thread import DeviceThread
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.protocol import (
     AmbientReading,
@@ -27,7 +28,6 @@ from rig.control.protocol import (
 from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
-from rig.control.worker import DeviceThread
 
 _REOPEN_S = 0.5
 _RETRY_S = 0.02

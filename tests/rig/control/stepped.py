@@ -10,12 +10,12 @@ from contextlib import contextmanager
 
 import pytest
 
-from rig.control import laser_service, protocol, sensors, serial_port, service, worker
+from rig.control import device_thread, laser_service, protocol, sensors, serial_port, service
+from rig.control.device_thread import DeviceThread
 from rig.control.firmware.core import Firmware
 from rig.control.lasers import ldc500, obis, serial_laser
 from rig.control.protocol import checksum
 from rig.control.serial_port import LineReader, PortLost
-from rig.control.worker import DeviceThread
 from tests.rig.control import instruments
 from tests.rig.control.instruments import Instrument
 
@@ -363,7 +363,17 @@ class InstrumentLine:
 def stepped_clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """The clock of all that the host does with lines."""
     clock = Clock()
-    of_the_host = (sensors, laser_service, protocol, serial_port, service, worker, serial_laser, obis, ldc500)
+    of_the_host = (
+        sensors,
+        laser_service,
+        protocol,
+        serial_port,
+        service,
+        device_thread,
+        serial_laser,
+        obis,
+        ldc500,
+    )
     for module in (*of_the_host, instruments):
         monkeypatch.setattr(module, "time", clock)
     return clock

@@ -7,13 +7,13 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
+from rig.control.device_thread import DeviceThread, JobExpired
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
 from rig.control.protocol import AmbientReading, CommandRefused
 from rig.control.safety_state import SafetyState, TripCause
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
-from rig.control.worker import DeviceThread, JobExpired
 from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, turn
 
 HEARTBEAT_S, WATCHDOG_S = 0.5, 2.0
