@@ -31,12 +31,15 @@ class Light(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LaserReport:
-    """The laser's state as reported `age_s` ago; `set_w` is set at the controller, the rest is measured."""
+    """The laser's last report."""
 
     light: Light
     set_w: float | None = None
+    """Power that is set at the controller; None for a laser with a port of its own."""
     power_w: float | None = None
+    """Measured optical power."""
     current_a: float | None = None
+    """Measured diode current."""
     age_s: float = 0.0
 
     @property
@@ -49,9 +52,9 @@ class LaserReport:
         """The state in words, such as `on, 0.5 mW`."""
         if not self.on:
             return self.light
-        shown = "on" if self.set_w is None else f"on, {self.set_w * 1e3:g} mW"
-        shown += f", {self.power_w * 1e3:.3g} mW" if self.power_w else ""
-        return shown + (f", {self.current_a * 1e3:.4g} mA" if self.current_a else "")
+        text = "on" if self.set_w is None else f"on, {self.set_w * 1e3:g} mW"
+        text += f", {self.power_w * 1e3:.3g} mW" if self.power_w else ""
+        return text + (f", {self.current_a * 1e3:.4g} mA" if self.current_a else "")
 
 
 class Loop(StrEnum):
@@ -64,27 +67,30 @@ class Loop(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SafetyNow:
-    """The state of laser, controller and interlock; ages in s, infinite for what was never heard.
+    """The state of laser, controller and interlock; states older than `STALE_S` are unknown.
 
-    `trip` waits for an acknowledgement, `refusal` is the reason why no light is allowed (empty while it is),
-    `to_be_asked` whether a person must ask for light before there is any, `seen` whether the camera's frames
-    show the laser's spot, None where no frames are examined. States older than `STALE_S` are unknown.
-    `laser` is the report of the laser's device and `controller` the state of the connection, None for what
-    the program does not control; `status` is None, too, while the controller does not answer.
+    Ages are in s, and infinite for a device that never reported.
     """
 
     trip: LatchedTrip | None = None
+    """The trip that waits for an acknowledgement."""
     refusal: str = ""
+    """The reason why no light is allowed; empty while it is."""
     light: Light = Light.UNKNOWN
     light_age_s: float = math.inf
     interlock: Loop = Loop.UNKNOWN
     interlock_age_s: float = math.inf
-    seen: bool | None = None
-    seen_age_s: float = math.inf
-    to_be_asked: bool = False
+    spot_visible: bool | None = None
+    """Whether the camera's frames show the laser's spot; None where no frames are examined."""
+    spot_age_s: float = math.inf
+    needs_request: bool = False
+    """Whether a person must ask for light before there is any."""
     laser: LaserReport | None = None
+    """Report of the laser's device; None without a laser that the program controls."""
     controller: ControlState | None = None
+    """State of the connection; None without a controller."""
     status: ControllerStatus | None = None
+    """State of the board; None while it does not answer."""
 
     @property
     def controller_interlock_closed(self) -> bool:
@@ -94,11 +100,11 @@ class SafetyNow:
     @property
     def devices_text(self) -> str:
         """Laser and controller in words, such as `laser on, brake, interlock closed`; empty without them."""
-        words = []
+        texts = []
         if self.laser is not None:
-            words.append("laser on" if self.laser.on else f"laser {self.laser.text}")
+            texts.append("laser on" if self.laser.on else f"laser {self.laser.text}")
         if self.controller is None:
-            return ", ".join(words)
+            return ", ".join(texts)
         if self.status is None:
             return str(self.controller)
         outputs = {
@@ -107,9 +113,9 @@ class SafetyNow:
             "clamp": self.status.clamp_closed,
             "brake": self.status.brake_on,
         }
-        words += [name for name, on in outputs.items() if on]
+        texts += [name for name, on in outputs.items() if on]
         closed = self.controller_interlock_closed
-        return ", ".join([*words, "interlock closed" if closed else "INTERLOCK OPEN"])
+        return ", ".join([*texts, "interlock closed" if closed else "INTERLOCK OPEN"])
 
     @classmethod
     def from_news(cls, values: Mapping[str, Any]) -> "SafetyNow":
@@ -118,7 +124,7 @@ class SafetyNow:
 
 
 def _without_nulls(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values, also of parts, that are not null."""
+    """The values that are not null, at all depths."""
     return {
         key: _without_nulls(value) if isinstance(value, Mapping) else value
         for key, value in values.items()

@@ -68,7 +68,7 @@ def conditions(
         found[AlarmKey.ENVIRONMENT] = "the sensor of the environment does not answer"
     if picture_late_s > STALE_S:
         found[AlarmKey.CAMERA] = "the live picture is frozen"
-    tripped = safety.trip is not None or safety.to_be_asked
+    tripped = safety.trip is not None or safety.needs_request
     under = _UNDER_TRIP if tripped else frozenset()
     return {key: cause for key, cause in found.items() if key not in under}
 

@@ -132,7 +132,7 @@ class Lighting:
             return False
         if shown.running:
             # between two runs, too
-            return now.to_be_asked or bool(shown.news.get("darkness") and shown.state.get("alarm"))
+            return now.needs_request or bool(shown.news.get("darkness") and shown.state.get("alarm"))
         return bool(shown.state.get("dark"))
 
 
@@ -195,7 +195,7 @@ class Safety:
         """Store the states of light and interlock that are confirmed now."""
         at_s = time.time()
         if now.light in _CONFIRMED and now.light_age_s <= STALE_S:
-            agrees = now.seen is (now.light is Light.ON) and now.seen_age_s <= STALE_S
+            agrees = now.spot_visible is (now.light is Light.ON) and now.spot_age_s <= STALE_S
             by = f"{self._by} and camera" if agrees else self._by
             self.light = ConfirmedState(now.light, at_s - now.light_age_s, by)
         if now.interlock is not Loop.UNKNOWN and now.interlock_age_s <= STALE_S:

@@ -149,7 +149,7 @@ def _light(devices: Devices) -> RecordedLight:
     return RecordedLight(
         0,
         0 if safety.trip is None else safety.trip.number,
-        -1 if safety.seen is None else int(safety.seen),
+        -1 if safety.spot_visible is None else int(safety.spot_visible),
         safety.light.value,
         safety.interlock.value,
         devices.darkness(),

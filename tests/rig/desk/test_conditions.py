@@ -45,7 +45,7 @@ def dark(trip: LatchedTrip | None, **safety: Any) -> dict[str, Any]:
         (dark(PRESSED), set()),
         (dark(TRIP), {AlarmKey.TRIP}),
         # acknowledged, and dark until somebody asks for light
-        (dark(None, to_be_asked=True), set()),
+        (dark(None, needs_request=True), set()),
         ({"safety": replace(LIT, interlock=Loop.OPEN)}, {AlarmKey.INTERLOCK}),
         ({"safety": replace(LIT, light=Light.DISAGREES)}, {AlarmKey.LIGHT_DISAGREES}),
         (

@@ -22,8 +22,8 @@ def seen(light: Light, spot: bool | None, age_s: float = 0.1) -> SafetyNow:
         light_age_s=age_s,
         interlock=Loop.CLOSED,
         interlock_age_s=age_s,
-        seen=spot,
-        seen_age_s=age_s,
+        spot_visible=spot,
+        spot_age_s=age_s,
     )
 
 
