@@ -1,4 +1,4 @@
-"""Operates a laser with a port of its own in a thread: commands as futures, state, reconnection."""
+"""A laser with a port of its own, operated in a thread: commands as futures, state, reconnection."""
 
 import math
 import time
@@ -14,9 +14,9 @@ from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost, ReplyTimeout
 
-_REOPEN_S = 1.0
-_LOOK_AT_PERMIT_S = 0.5
-
+_REOPEN_INTERVAL_S = 1.0
+_MAX_POLL_INTERVAL_S = 0.5
+"""Longest time between two looks at the permit."""
 LONGEST_JOB_S = 2.0 * ON_WITHIN_S
 """Longest time of one command: switching on, with the delay of the safety class, and repeated queries."""
 
@@ -25,11 +25,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class LaserSnapshot:
-    """Latest known state, None while the laser does not answer; `state_time_ns` is host monotonic time."""
+    """What is known of the laser now."""
 
     identity: LaserIdentity | None = None
     state: LaserState | None = None
+    """Latest state; None while the laser does not answer."""
     state_time_ns: int = 0
+    """Host monotonic time at which `state` was read."""
     last_error: str = ""
 
 
@@ -37,8 +39,8 @@ class LaserService(DeviceThread):
     """Operates a laser from `start` to `close`; commands return futures, as in `ControlService`.
 
     If the connection is lost, the laser is opened again; `SerialLaser.open` switches it off. While `permit`
-    refuses the light, the laser is switched off. `own_interlock` is False for a laser whose interlock is the
-    controller's relay, which opens whenever the controller switches the light off.
+    refuses the light, the laser is switched off. `has_own_interlock` is False for a laser whose interlock is
+    the controller's relay, which opens whenever the controller switches the light off.
     """
 
     def __init__(
@@ -47,16 +49,16 @@ class LaserService(DeviceThread):
         period_s: float = 1.0,
         permit: LightPermit | None = None,
         *,
-        own_interlock: bool = True,
+        has_own_interlock: bool = True,
     ) -> None:
         self._laser = laser
         self._period_s = period_s
         self._permit = permit or LightPermit()
-        self._own_interlock = own_interlock
-        self._refused = ""
-        self._excess = ""
-        self._asked = False
-        self._offs = 0
+        self._has_own_interlock = has_own_interlock
+        self._last_refusal = ""
+        self._last_dark_reason = ""
+        self._light_requested = False
+        self._off_count = 0
         self._is_open = False
         self._snapshot = LaserSnapshot()
         super().__init__("rig-laser", LONGEST_JOB_S)
@@ -71,16 +73,16 @@ class LaserService(DeviceThread):
 
         A call of `off` before the laser emits makes it invalid.
         """
-        offs = self._offs
-        return self._submit(lambda laser: self._light(laser, offs), timeout_s=5.0)
+        off_count = self._off_count
+        return self._submit(lambda laser: self._switch_on(laser, off_count), timeout_s=5.0)
 
     def off(self) -> "Future[None]":
         """Switch the laser off, before all waiting commands; it has no time limit.
 
         Waiting calls of `enable` become invalid.
         """
-        self._offs += 1
-        return self._submit(self._darken, math.inf, urgent=True)
+        self._off_count += 1
+        return self._submit(self._switch_off, math.inf, urgent=True)
 
     def set_power_w(self, power_w: float) -> "Future[None]":
         """Set the optical power."""
@@ -108,60 +110,60 @@ class LaserService(DeviceThread):
             self._read()
         except DeviceError as error:
             self._lose(error)
-            return _REOPEN_S
-        return min(self._period_s, _LOOK_AT_PERMIT_S)
+            return _REOPEN_INTERVAL_S
+        return min(self._period_s, _MAX_POLL_INTERVAL_S)
 
-    def _light(self, laser: SerialLaser, offs: int) -> None:
+    def _switch_on(self, laser: SerialLaser, off_count: int) -> None:
         def outdated() -> str:
-            return "it was switched off meanwhile" if self._offs != offs else ""
+            return "it was switched off meanwhile" if self._off_count != off_count else ""
 
         # a laser that may be lit already is switched off by this thread, which then waits for no disk
-        refusal = self._permit.refusal if self._asked else self._permit.refusal_to_light
-        if why := refusal or outdated():
-            raise LightRefused(f"the laser stays off: {why}")
-        self._asked = True
+        refusal = self._permit.refusal if self._light_requested else self._permit.refusal_to_light
+        if reason := refusal or outdated():
+            raise LightRefused(f"the laser stays off: {reason}")
+        self._light_requested = True
         try:
             # from memory: a disk that hangs must not hold up what could switch the laser off again
             laser.enable(lambda: self._permit.refusal or outdated())
         except BaseException:
             # the caller learns that the laser is dark, so later light counts as not requested
-            self._asked = False
+            self._light_requested = False
             raise
 
-    def _darken(self, laser: SerialLaser) -> None:
-        self._asked = False
+    def _switch_off(self, laser: SerialLaser) -> None:
+        self._light_requested = False
         laser.off()
 
     def _obey_permit(self) -> None:
         """Switch the laser off when the permit begins to refuse it."""
-        refusal, before = self._permit.refusal, self._refused
-        if refusal and not before:
-            self._darken(self._laser)
+        refusal = self._permit.refusal
+        if refusal and not self._last_refusal:
+            self._switch_off(self._laser)
             self._report(f"laser off: {refusal}")
         # set last, so that a command that failed is repeated at the next turn
-        self._refused = refusal
+        self._last_refusal = refusal
 
     def _read(self) -> None:
-        before, state = self._snapshot.state, self._laser.state()
-        if state.on and not self._asked and not state.excess:
-            state = replace(state, excess="it is lit, but not by this program: check its panel and key")
+        previous, state = self._snapshot.state, self._laser.state()
+        if state.on and not self._light_requested and not state.dark_reason:
+            state = replace(state, dark_reason="it is lit, but not by this program: check its panel and key")
         self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
-        if state.excess:
+        if state.dark_reason:
             try:
-                self._darken(self._laser)
+                self._switch_off(self._laser)
             finally:
-                if state.excess != self._excess:
-                    self._excess = state.excess
-                    self._report(f"laser off: {state.excess}")
-                    self._permit.trip(TripCause.OUTPUT, state.excess)
-        self._excess = state.excess
-        if (before is None or before.interlock_closed) and not state.interlock_closed:
-            if before is not None:
+                if state.dark_reason != self._last_dark_reason:
+                    self._last_dark_reason = state.dark_reason
+                    self._report(f"laser off: {state.dark_reason}")
+                    self._permit.trip(TripCause.OUTPUT, state.dark_reason)
+        self._last_dark_reason = state.dark_reason
+        if (previous is None or previous.interlock_closed) and not state.interlock_closed:
+            if previous is not None:
                 self._report("interlock opened")
-            if self._own_interlock:
-                latch = self._permit.latch_found if before is None else self._permit.trip
+            if self._has_own_interlock:
+                latch = self._permit.latch_found if previous is None else self._permit.trip
                 latch(TripCause.INTERLOCK, Interlock.LASER.opened_text)
-        if state.fault and (before is None or before.fault != state.fault):
+        if state.fault and (previous is None or previous.fault != state.fault):
             self._report(state.fault)
 
     def _guarded(self, call: Callable[[SerialLaser], T]) -> T:
@@ -178,7 +180,7 @@ class LaserService(DeviceThread):
     def _lose(self, error: DeviceError) -> None:
         if str(error) != self._snapshot.last_error:
             self._report(str(error))
-        was_open, self._is_open, self._asked = self._is_open, False, False
+        was_open, self._is_open, self._light_requested = self._is_open, False, False
         self._snapshot = replace(self._snapshot, state=None, last_error=str(error))
         self._laser.close()
         if was_open:

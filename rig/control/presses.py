@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from acquisition import atomic_write
 from processing.errors import DeviceError
 from rig.control.device_thread import run_in_thread
-from rig.control.lasers import LaserSettings, off_line
+from rig.control.lasers import LaserSettings, off_bytes
 from rig.control.protocol import TAG_MAX, encode
 from rig.control.settings import ControllerSettings
 
@@ -111,7 +111,7 @@ def darken_directly(laser: LaserSettings, controller: ControllerSettings) -> lis
         first = 1 + secrets.randbelow(TAG_MAX - 1)
         off = b"".join(b"\n" + encode(tag, "LASer:STATe OFF") for tag in (first, first + 1))
         orders.append((controller.port, off))
-    if (line := off_line(laser)) is not None:
+    if (line := off_bytes(laser)) is not None:
         orders.append((laser.port, line))
     written = [(port, run_in_thread(_write, port, data)) for port, data in orders]
     end_s = time.monotonic() + _TAKEN_WITHIN_S

@@ -208,8 +208,8 @@ class LitDevices:
                 f"trip {number} cannot be acknowledged: {silent}, so its cause may still be present"
             )
         state = None if self.laser is None else self.laser.snapshot.state
-        if state is not None and state.excess:
-            raise DeviceError(f"trip {number} cannot be acknowledged: {state.excess}")
+        if state is not None and state.dark_reason:
+            raise DeviceError(f"trip {number} cannot be acknowledged: {state.dark_reason}")
         if self.permit.spot.contradicts and self.permit.spot.age_s <= STALE_S:
             raise DeviceError(f"trip {number} cannot be acknowledged: {_STILL_SEEN}")
         if self.control is not None:

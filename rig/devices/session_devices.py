@@ -159,9 +159,9 @@ class Devices(LitDevices):
             self.seismometer = self._closing.enter_context(seismometer)
         laser = make_laser(config.laser)
         if laser is not None:
-            own_interlock = config.laser.interlock == "own"
+            has_own_interlock = config.laser.interlock == "own"
             self.laser = self._closing.enter_context(
-                LaserService(laser, permit=self.permit, own_interlock=own_interlock)
+                LaserService(laser, permit=self.permit, has_own_interlock=has_own_interlock)
             )
 
     @contextmanager

@@ -207,7 +207,7 @@ class Program(Devices):
         if self.world.instrument is not None:
             made = make_laser(config.laser)
             assert made is not None
-            self.laser = LaserService(made, permit=self.permit, own_interlock=not self.world.wired)
+            self.laser = LaserService(made, permit=self.permit, has_own_interlock=not self.world.wired)
             turn(self.laser)
 
     def turn(self, now: bool = False) -> None:

@@ -12,7 +12,7 @@ def make_laser(settings: LaserSettings) -> SerialLaser | None:
     return _driver(settings.kind)(settings) if settings.kind in LASERS else None
 
 
-def off_line(settings: LaserSettings) -> bytes | None:
+def off_bytes(settings: LaserSettings) -> bytes | None:
     """The bytes that switch a laser with a port of its own off; None for "none" and "controller"."""
     if settings.kind not in LASERS:
         return None

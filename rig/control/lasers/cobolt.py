@@ -7,7 +7,7 @@ alone lights the laser, must be switched off by hand.
 
 from rig.control.lasers.serial_laser import LaserIdentity, LaserRefused, LaserState, SerialLaser
 
-_MODULATION = ("3", "4")
+_MODULATION_MODES = ("3", "4")
 _FAULTS = {"0": "", "1": "temperature error", "3": "", "4": "constant-power time-out"}
 """Faults by their numbers; an interlock error (3) is none, because `interlock_closed` reports it."""
 
@@ -19,7 +19,7 @@ class Cobolt(SerialLaser):
     set_header = "p"
     digits = 5
     terminator = b"\r"
-    step = 1e-5
+    resolution = 1e-5
 
     def identify(self) -> LaserIdentity:
         """Serial number; the family has no other identification."""
@@ -41,28 +41,28 @@ class Cobolt(SerialLaser):
         )
 
     def _prepare(self) -> None:
-        if self._autostarts():
+        if self._has_autostart():
             raise LaserRefused(
                 f"{self.name}: autostart is on, in which the laser lights by its key and rejects commands; "
                 "switch it off (@cobas 0, or in Cobolt Monitor) and turn the key off and on"
             )
-        if self._lights_directly():
+        if self._input_can_light():
             self._command("@cobasdr 0")
         self._command("cp")
 
     def _changed_mode(self) -> str:
-        if self.ask("gom?") in _MODULATION:
+        if self.ask("gom?") in _MODULATION_MODES:
             return "its modulation input sets the light"
-        if self._lights_directly():
+        if self._input_can_light():
             return "its direct input can light it"
-        return "its autostart is on" if self._autostarts() else ""
+        return "its autostart is on" if self._has_autostart() else ""
 
     # models without these settings answer with a syntax error
 
-    def _autostarts(self) -> bool:
+    def _has_autostart(self) -> bool:
         return self.ask_flag("@cobas?")
 
-    def _lights_directly(self) -> bool:
+    def _input_can_light(self) -> bool:
         return self.ask_flag("@cobasdr?")
 
     def _command(self, command: str) -> None:

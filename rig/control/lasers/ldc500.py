@@ -1,4 +1,4 @@
-"""SRS LDC500 series diode drivers: four-letter commands, lines end with LF, current in mA.
+"""SRS LDC500 series diode controllers: four-letter commands, lines end with LF, current in mA.
 
 `SILM` is the instrument's own current limit, which no later setting exceeds. Modulation by the analogue input
 is switched off, because it would add to the set current. A scan of the current, which only another program
@@ -7,13 +7,13 @@ can start, is refused.
 
 import time
 
-from rig.control.lasers.serial_laser import DiodeDriver, LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.serial_laser import DiodeController, LaserIdentity, LaserRefused, LaserState
 
-_CARRIED_OUT_S = 0.1
+_EXECUTION_S = 0.1
 
 
-class Ldc500(DiodeDriver):
-    """Diode driver in the mode of constant current."""
+class Ldc500(DiodeController):
+    """Diode controller in the mode of constant current."""
 
     on_command, off_command = "LDON ON", "LDON OFF"
     set_header, limit_header = "SILD", "SILM"
@@ -47,7 +47,7 @@ class Ldc500(DiodeDriver):
     def _command(self, command: str) -> None:
         self.tell(command)
         # an error is registered only after the command was executed, for which a query does not wait
-        time.sleep(_CARRIED_OUT_S)
+        time.sleep(_EXECUTION_S)
         # LEXE? is the error of the last execution, LCME? that of the last command; reading clears them.
         errors = (self.ask("LEXE?"), self.ask("LCME?"))
         if any(error not in ("0", "0.0") for error in errors):

@@ -22,7 +22,7 @@ class Obis(SerialLaser):
     on_command, off_command = "SOURce:AM:STATe ON", "SOURce:AM:STATe OFF"
     set_header = "SOURce:POWer:LEVel:IMMediate:AMPLitude"
     terminator = b"\r\n"
-    step = 1e-5
+    resolution = 1e-5
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""
@@ -30,7 +30,7 @@ class Obis(SerialLaser):
         identity = super().ask("*IDN?")
         if "COHERENT" not in identity.upper() or "OBIS" not in identity.upper():
             raise LaserRefused(f"{self.name}: {identity!r} is not a Coherent OBIS; check the port")
-        self._shake_hands()
+        self._begin_handshaking()
         return LaserIdentity(
             "Coherent", self.ask("SYSTem:INFormation:MODel?"), self.ask("SYSTem:INFormation:SNUMber?")
         )
@@ -55,7 +55,7 @@ class Obis(SerialLaser):
         answer = super().ask(command, may_be_ok=may_be_ok)
         if answer.startswith("ERR"):
             raise LaserRefused(f"{self.name}: answered {answer} to {command}")
-        self._handshake(command)
+        self._read_handshake(command)
         return answer
 
     def _prepare(self) -> None:
@@ -71,16 +71,16 @@ class Obis(SerialLaser):
         _, reader = self._require_open()
         reader.clear()
         self.tell(command)
-        self._handshake(command)
+        self._read_handshake(command)
 
-    def _shake_hands(self) -> None:
+    def _begin_handshaking(self) -> None:
         """Switch handshaking on; whether this is answered depends on what it was before."""
         _, reader = self._require_open()
         reader.clear()
         self.tell("SYSTem:COMMunicate:HANDshaking ON")
         reader.read_line(time.monotonic() + self._settings.timeout_s)
 
-    def _handshake(self, command: str) -> None:
+    def _read_handshake(self, command: str) -> None:
         _, reader = self._require_open()
         deadline_s = time.monotonic() + self._settings.timeout_s
         while (line := reader.read_line(deadline_s)) is not None:

@@ -17,12 +17,14 @@ from rig.control.serial_port import LineReader, PortLost, ReplyTimeout, SerialLi
 ON_WITHIN_S = 10.0
 """Longest time from the command to emission, including the delay that a laser's safety class requires."""
 _log = logging.getLogger(__name__)
-_RETRIES = 2
-_POLL_S = 0.1
-_METER_TOLERANCE = 1.05
-"""Largest measured power or current over its limit, because such meters err by some percent."""
-_DARK_W, _DARK_A = 1e-5, 1e-3
-"""Allowed readings of these meters in the dark, whatever the limit."""
+_MAX_RETRIES = 2
+_POLL_INTERVAL_S = 0.1
+_MAX_METER_RATIO = 1.05
+"""Largest ratio of a measured power or current to its limit; such meters err by some per cent."""
+_METER_OFFSET_W, _METER_OFFSET_A = 1e-5, 1e-3
+"""Readings of these meters in the dark, which are allowed on top of the limit."""
+_MAX_READ_BACK_ERROR = 0.02
+"""Largest relative difference between a value that was set and the one read back."""
 
 
 class LaserRefused(DeviceError):
@@ -40,43 +42,44 @@ class LaserIdentity:
 
 @dataclass(frozen=True, slots=True)
 class LaserState:
-    """State read from the laser; None for values that this family does not report.
-
-    `power_w` is the measured optical power, `current_a` the measured diode current; `fault` is empty if there
-    is none. `excess` is the reason why the laser must be dark although its settings are allowed: too much
-    light or current is measured, or something besides this program can change the light; else empty.
-    """
+    """State read from the laser; None for values that this family does not report."""
 
     on: bool
     interlock_closed: bool
     power_w: float | None = None
+    """Measured optical power."""
     current_a: float | None = None
+    """Measured diode current."""
     fault: str = ""
-    excess: str = ""
+    dark_reason: str = ""
+    """The reason why the laser must be dark although its settings are allowed: too much light or current is
+    measured, or something besides this program can change the light; else empty.
+    """
 
 
 class SerialLaser(ABC):
-    """A laser, or the driver of a laser diode, over a serial line; a subclass has the commands of its family.
+    """A laser, or a laser diode's controller, over a serial line; a subclass has its family's commands.
 
     Life cycle: ``open`` -> (``set_power_w`` or ``set_current_a``, ``enable``, ``state``, ``off``) any number
     of times -> ``close``, which may be called in any state. ``open`` sets or refuses all modes in which
     something else could change the light. Only one thread may call them. Each blocks for at most a few
-    timeouts (``enable`` for the delay of the safety class) and raises DeviceError with one line.
-
-    Limits are checked here before a value is sent, and are also written into the device if it has a limit of
-    its own. `unit` is that of the value that is set, "w" or "a". The value is set by `set_header` with a
-    number of `digits` decimals, `scale` times the value, and read back by the same header with a "?".
+    timeouts (``enable`` for the delay of the safety class) and raises DeviceError with one line. Limits are
+    checked before a value is sent, and are also written into a device that has a limit of its own.
     """
 
     terminator = b"\n"
     on_command: str
     off_command: str
     set_header: str
+    """Command that sets power or current; with a "?" it reads the value back."""
     scale = 1.0
+    """Number that is sent for 1 W or 1 A."""
     digits = 6
-    unit: ClassVar[Literal["w", "a"]] = "w"
-    step = 1e-6
-    """Resolution of the device in its unit: a value read back that differs by no more counts as set."""
+    """Number of decimals that are sent."""
+    set_key: ClassVar[Literal["power_w", "current_a"]] = "power_w"
+    """Key of the configuration with the value that is set."""
+    resolution = 1e-6
+    """Resolution of the device in W or A, by which a value read back may differ."""
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
         self._settings = settings
@@ -92,7 +95,7 @@ class SerialLaser(ABC):
 
     @abstractmethod
     def _read(self) -> LaserState:
-        """Read the laser's state, without `excess`."""
+        """Read the laser's state, without `dark_reason`."""
 
     @abstractmethod
     def _changed_mode(self) -> str:
@@ -118,8 +121,8 @@ class SerialLaser(ABC):
             identity = self.identify()
             self.off()
             self._prepare()
-            if strayed := self._changed_mode():
-                raise LaserRefused(f"{self.name}: {strayed}, and stays so; change it as its manual says")
+            if changed_mode := self._changed_mode():
+                raise LaserRefused(f"{self.name}: {changed_mode}, and stays so; change it as its manual says")
         except BaseException:
             self._close_port()
             raise
@@ -129,30 +132,22 @@ class SerialLaser(ABC):
     def state(self) -> LaserState:
         """Read the laser's state."""
         state = self._read()
-        return replace(state, excess=self._excess_of(state) or self._changed_mode())
+        return replace(state, dark_reason=self._excess(state) or self._changed_mode())
 
     def set_power_w(self, power_w: float) -> None:
         """Set the optical power; raises PowerLimit above max_power_w, LaserRefused for one set in amperes."""
-        if self.unit != "w":
-            raise LaserRefused(
-                f"{self.name}: this driver sets current_a, not power_w; change the configuration"
-            )
-        self._set_within(power_w, self._settings.max_power_w, "max_power_w")
+        self._set(power_w, "power_w")
 
     def set_current_a(self, current_a: float) -> None:
         """Set the diode current; raises PowerLimit above max_current_a, LaserRefused for one set in watts."""
-        if self.unit != "a":
-            raise LaserRefused(
-                f"{self.name}: this laser sets power_w, not current_a; change the configuration"
-            )
-        self._set_within(current_a, self._settings.max_current_a, "max_current_a")
+        self._set(current_a, "current_a")
 
-    def enable(self, refusal: Callable[[], str] = str) -> None:
-        """Switch on if the interlock is closed and there is no fault, and wait until the laser reports
-        emission.
+    def enable(self, refusal: Callable[[], str] = lambda: "") -> None:
+        """Switch on if nothing forbids it, and wait until the laser reports emission.
 
         `refusal` returns the reason why the laser must not light, or "". Raises InterlockOpen if the
-        interlock is open, LaserRefused if the laser does not emit, or as soon as it must not.
+        interlock is open, LaserRefused with a fault, without emission, or as soon as it must not emit. After
+        another error the laser may emit: `LaserService` switches off what it has not lit.
         """
         state = self.state()
         if not state.interlock_closed:
@@ -163,16 +158,16 @@ class SerialLaser(ABC):
             raise LaserRefused(
                 f"{self.name}: the laser reports {state.fault!r} and was not switched on; clear the fault"
             )
-        if why := state.excess or refusal():
-            raise LaserRefused(f"{self.name}: {why}; it was not switched on")
+        if reason := state.dark_reason or refusal():
+            raise LaserRefused(f"{self.name}: {reason}; it was not switched on")
         self._switch(True)
         # some families emit only after a delay that their safety class requires
         deadline_s = time.monotonic() + ON_WITHIN_S
         while True:
             state = self.state()
-            if why := state.excess or refusal():
+            if reason := state.dark_reason or refusal():
                 self._switch(False)
-                raise LaserRefused(f"{self.name}: {why}; it was switched off")
+                raise LaserRefused(f"{self.name}: {reason}; it was switched off")
             if state.on:
                 return
             if time.monotonic() > deadline_s:
@@ -180,7 +175,7 @@ class SerialLaser(ABC):
                 raise LaserRefused(
                     f"{self.name}: was switched on but does not emit after {ON_WITHIN_S:g} s; check its panel"
                 )
-            time.sleep(_POLL_S)
+            time.sleep(_POLL_INTERVAL_S)
 
     def off(self) -> None:
         """Switch off; LaserRefused if the laser still reports emission."""
@@ -193,7 +188,11 @@ class SerialLaser(ABC):
         if self._line is None:
             return
         try:
-            self._off_at_last()
+            for _ in range(_MAX_RETRIES):
+                with contextlib.suppress(LaserRefused, ReplyTimeout):
+                    self.off()
+                    return
+            self.off()
         except DeviceError as error:
             _log.error("%s: may still emit (%s); switch it off by hand", self.name, error)
         finally:
@@ -204,34 +203,27 @@ class SerialLaser(ABC):
         """Name of the laser in messages."""
         return f"{self._settings.kind} laser on {self._settings.port}"
 
-    def _off_at_last(self) -> None:
-        for _ in range(_RETRIES):
-            with contextlib.suppress(LaserRefused, ReplyTimeout):
-                self.off()
-                return
-        self.off()
-
     # -- for the subclasses ---------------------------------------------------
 
     def ask(self, command: str, *, may_be_ok: bool = False) -> str:
         """Send a query and return the answer; the query is repeated if none arrives in time.
 
-        Where it cannot be the answer, ``OK`` is passed over: it confirms the LIGHT OFF that another program
-        wrote to the port, and comes to the program that has the port.
+        ``OK`` is skipped unless `may_be_ok`: another program may have written LIGHT OFF to the same port, and
+        its confirmation arrives here.
         """
         line, reader = self._require_open()
-        for _ in range(_RETRIES + 1):
+        for _ in range(_MAX_RETRIES + 1):
             # a late answer to an earlier query must not be taken for the answer to this one
             reader.clear()
             line.write(command.encode("ascii") + self.terminator)
             deadline_s = time.monotonic() + self._settings.timeout_s
-            while (heard := reader.read_line(deadline_s)) is not None:
-                answer = heard.decode("latin-1").strip()
+            while (line_bytes := reader.read_line(deadline_s)) is not None:
+                answer = line_bytes.decode("latin-1").strip()
                 if may_be_ok or answer != "OK":
                     return answer
         raise ReplyTimeout(
             f"{self.name}: no reply to {command} within {self._settings.timeout_s:g} s,"
-            f" sent {_RETRIES + 1} times; check port, baud rate and cable"
+            f" sent {_MAX_RETRIES + 1} times; check port, baud rate and cable"
         )
 
     def ask_float(self, command: str) -> float:
@@ -256,38 +248,38 @@ class SerialLaser(ABC):
     def _switch(self, on: bool) -> None:
         self._command(self.on_command if on else self.off_command)
 
-    def _set(self, value: float) -> float:
-        """Set power or current in W or A; return the value read back from the device."""
-        return self._write_value(self.set_header, value)
-
     def _write_value(self, header: str, value: float) -> float:
         # rounded down, so that a limit is not exceeded (except by binary rounding)
         steps = math.floor(value * self.scale * 10**self.digits + 1e-6)
         self._command(f"{header} {steps / 10**self.digits:.{self.digits}f}")
         return self.ask_float(f"{header}?") / self.scale
 
-    def _set_within(self, value: float, limit: float, limit_name: str) -> None:
+    def _set(self, value: float, key: str) -> None:
+        if key != self.set_key:
+            raise LaserRefused(
+                f"{self.name}: this laser sets {self.set_key}, not {key}; change the configuration"
+            )
+        limit, unit = getattr(self._settings, f"max_{key}"), key[-1].upper()
         # this form of the condition also rejects NaN
         if not 0.0 <= value <= limit:
             raise PowerLimit(
-                f"{self.name}: {value:g} {self.unit.upper()} was asked for;"
-                f" 0 to {limit:g} is allowed by {limit_name}"
+                f"{self.name}: {value:g} {unit} was asked for; 0 to {limit:g} is allowed by max_{key}"
             )
-        applied = self._set(value)
-        if not math.isclose(applied, value, rel_tol=0.02, abs_tol=1.001 * self.step):
+        applied = self._write_value(self.set_header, value)
+        if not math.isclose(applied, value, rel_tol=_MAX_READ_BACK_ERROR, abs_tol=1.001 * self.resolution):
             self._switch(False)
             raise LaserRefused(
-                f"{self.name}: {value:g} {self.unit.upper()} was sent, {applied:g} was read back; "
-                "it was switched off"
+                f"{self.name}: {value:g} {unit} was sent, {applied:g} was read back; it was switched off"
             )
 
-    def _excess_of(self, state: LaserState) -> str:
+    def _excess(self, state: LaserState) -> str:
+        """The measured power or current that exceeds its limit, in words; empty if none does."""
         limits = self._settings
-        for value, limit, dark, unit, name in (
-            (state.power_w, limits.max_power_w, _DARK_W, "mW", "max_power_w"),
-            (state.current_a, limits.max_current_a, _DARK_A, "mA", "max_current_a"),
+        for value, limit, offset, unit, name in (
+            (state.power_w, limits.max_power_w, _METER_OFFSET_W, "mW", "max_power_w"),
+            (state.current_a, limits.max_current_a, _METER_OFFSET_A, "mA", "max_current_a"),
         ):
-            if value is not None and not value <= limit * _METER_TOLERANCE + dark:
+            if value is not None and not value <= limit * _MAX_METER_RATIO + offset:
                 return f"{value * 1e3:.3g} {unit} measured, {limit * 1e3:g} {unit} allowed by {name}"
         return ""
 
@@ -303,17 +295,17 @@ class SerialLaser(ABC):
                 line.close()
 
 
-class DiodeDriver(SerialLaser):
-    """A driver of laser diodes, whose current is set, with a limit of its own."""
+class DiodeController(SerialLaser):
+    """The controller of a laser diode, whose current is set, with a limit of its own."""
 
-    unit = "a"
+    set_key = "current_a"
     limit_header: str
 
-    def _identify(self, maker: str, models: tuple[str, ...], what: str) -> LaserIdentity:
-        """Vendor, model and serial number; raises LaserRefused for other models, with `what` is expected."""
+    def _identify(self, maker: str, models: tuple[str, ...], expected: str) -> LaserIdentity:
+        """Vendor, model and serial number; raises LaserRefused for other models, naming `expected`."""
         fields = [field.strip() for field in self.ask("*IDN?").split(",")]
         if len(fields) < 3 or maker not in fields[0].upper() or not fields[1].upper().startswith(models):
-            raise LaserRefused(f"{self.name}: {','.join(fields)!r} is not {what}; check the port")
+            raise LaserRefused(f"{self.name}: {','.join(fields)!r} is not {expected}; check the port")
         return LaserIdentity(fields[0], fields[1], fields[2].removeprefix("s/n"))
 
     def _write_limit(self) -> None:

@@ -12,20 +12,16 @@ LASERS: dict[str, str] = {
 }
 """Registry of the laser drivers: the values of ``laser.kind``, and the class of each.
 
-A driver is added by one line here and one file with a subclass of `SerialLaser` (serial_laser.py).
-It is imported when it is used.
+A driver is added by one line here and one file with a subclass of `SerialLaser` (serial_laser.py), which is
+imported when it is used.
 """
-WITHOUT_DRIVER = ("none", "controller")
-"""Kinds without a driver here: no laser, and one that the controller switches."""
 
 
 class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     """The laser: its driver, limit and setting of power or current, and warm-up time.
 
-    Drivers of laser diodes are set in amperes, whole lasers in watts. `power_w` or `current_a` above its
-    limit is rejected here, before anything is opened. `interlock` states whether the interlock of a laser
-    with a port of its own is wired through the controller's enable relay, whose watchdog then switches the
-    laser off.
+    Controllers of laser diodes are set in amperes, whole lasers in watts. `power_w` or `current_a` above its
+    limit is rejected here, before anything is opened.
     """
 
     kind: str = "none"
@@ -35,6 +31,9 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     max_power_w: float = Field(default=0.001, ge=0, le=1, allow_inf_nan=False)
     power_w: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     interlock: Literal["own", "controller"] = "own"
+    """Whether the interlock of a laser with a port of its own is wired through the controller's enable relay,
+    whose watchdog then switches the laser off.
+    """
     max_current_a: float = Field(default=0.0, ge=0, le=20, allow_inf_nan=False)
     current_a: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     pulse_us: float = Field(
@@ -57,8 +56,8 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
     @field_validator("kind")
     @classmethod
     def _check_kind(cls, kind: str) -> str:
-        if kind not in (known := (*WITHOUT_DRIVER, *LASERS)):
-            raise ValueError(f"unknown laser; choose one of {', '.join(known)}")
+        if kind not in (kinds := ("none", "controller", *LASERS)):
+            raise ValueError(f"unknown laser; choose one of {', '.join(kinds)}")
         return kind
 
     @model_validator(mode="after")

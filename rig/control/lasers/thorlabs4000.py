@@ -1,4 +1,4 @@
-"""Thorlabs 4000 series diode drivers (LDC4000, ITC4000): SCPI, lines end with LF, current in A.
+"""Thorlabs 4000 series diode controllers (LDC4000, ITC4000): SCPI, lines end with LF, current in A.
 
 They are USBTMC instruments (1313:804a is an ITC4001): ``port`` is "usbtmc", "usbtmc:SERIAL" or /dev/usbtmcN.
 A serial port is served as well.
@@ -11,15 +11,15 @@ permanently instead of only while it is low.
 
 from collections.abc import Callable
 
-from rig.control.lasers.serial_laser import DiodeDriver, LaserIdentity, LaserRefused, LaserState
+from rig.control.lasers.serial_laser import DiodeController, LaserIdentity, LaserRefused, LaserState
 from rig.control.lasers.settings import LaserSettings
 from rig.control.serial_port import SerialLine
 from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
 
 USB_VENDOR = 0x1313
-_MOST_ERRORS = 30
+_MAX_ERRORS = 30
 
-_TRIPS = {
+_PROTECTIONS = {
     "INTLock": "interlock",
     "KEYLock": "key switch",
     "EXTernal": "input LD ENABLE",
@@ -28,8 +28,8 @@ _TRIPS = {
 }
 
 
-class Thorlabs4000(DiodeDriver):
-    """Diode driver in the mode of constant current."""
+class Thorlabs4000(DiodeController):
+    """Diode controller in the mode of constant current."""
 
     on_command, off_command = "OUTPut:STATe ON", "OUTPut:STATe OFF"
     set_header = "SOURce:CURRent:LEVel:AMPLitude"
@@ -49,7 +49,9 @@ class Thorlabs4000(DiodeDriver):
 
     def _read(self) -> LaserState:
         """Output, protections and measured current."""
-        tripped = [name for key, name in _TRIPS.items() if self.ask_flag(f"OUTPut:PROTection:{key}:TRIPped?")]
+        tripped = [
+            name for key, name in _PROTECTIONS.items() if self.ask_flag(f"OUTPut:PROTection:{key}:TRIPped?")
+        ]
         return LaserState(
             on=self.ask_flag("OUTPut:STATe?"),
             interlock_closed="interlock" not in tripped,
@@ -62,7 +64,7 @@ class Thorlabs4000(DiodeDriver):
         self._command("SOURce:FUNCtion:MODE CURRent")
         self._command("SOURce:FUNCtion:SHAPe DC")
         self._command("SOURce:AM:STATe OFF")
-        if self._lights_by_its_input():
+        if self._input_can_light():
             self._command("OUTPut:PROTection:EXTernal:MODE PROTection")
         self._write_limit()
 
@@ -73,14 +75,14 @@ class Thorlabs4000(DiodeDriver):
             return "it makes pulses"
         if self.ask_flag("SOURce:AM:STATe?"):
             return "its amplitude modulation is on"
-        return "its input LD ENABLE can light it" if self._lights_by_its_input() else ""
+        return "its input LD ENABLE can light it" if self._input_can_light() else ""
 
-    def _lights_by_its_input(self) -> bool:
+    def _input_can_light(self) -> bool:
         return self.ask("OUTPut:PROTection:EXTernal:MODE?").upper().startswith("ENAB")
 
     def _command(self, command: str) -> None:
         self.tell(command)
-        for _ in range(_MOST_ERRORS):
+        for _ in range(_MAX_ERRORS):
             code, _, text = (part.strip() for part in self.ask("SYSTem:ERRor?").partition(","))
             if code.lstrip("+") == "0":
                 return

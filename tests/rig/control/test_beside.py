@@ -65,7 +65,7 @@ def test_a_port_that_hangs_keeps_no_other_from_its_command(monkeypatch: pytest.M
 
     with port() as (name, master):
         monkeypatch.setattr(presses.os, "open", hangs)
-        monkeypatch.setattr(presses, "off_line", lambda _: b"OFF")
+        monkeypatch.setattr(presses, "off_bytes", lambda _: b"OFF")
         controller = ControllerSettings(kind="serial", port="/dev/ttyHangs")
         laser = LaserSettings(kind="controller", max_power_w=0.001, power_w=0.0005).model_copy(
             update={"port": name}

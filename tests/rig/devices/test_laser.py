@@ -96,7 +96,7 @@ def test_too_much_light_is_acknowledged_only_when_it_is_gone() -> None:
                 devices.acknowledge(1, "test")
             instrument.measures = None
             laser = devices.laser
-            until(lambda: laser and (state := laser.snapshot.state) and not state.excess)
+            until(lambda: laser and (state := laser.snapshot.state) and not state.dark_reason)
             assert "acknowledged" in devices.acknowledge(1, "test")
             assert not instrument.on
     finally:

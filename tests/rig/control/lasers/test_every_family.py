@@ -109,9 +109,9 @@ def test_what_changes_light_behind_the_program_is_set_and_later_refused(
     instrument = FAMILIES[kind][0]()
     laser = laser_for(kind, ports.plug_in(instrument))
     laser.open()
-    assert laser.state().excess == ""
+    assert laser.state().dark_reason == ""
     change(instrument)
-    assert named in laser.state().excess
+    assert named in laser.state().dark_reason
     with pytest.raises(LaserRefused, match=f"{named}.*not switched on"):
         laser.enable()
     assert not instrument.on
@@ -125,12 +125,12 @@ def test_more_light_or_current_than_allowed_is_seen_and_not_lit(pair: Pair) -> N
     # a meter errs by some percent
     for measured in (None, LIMIT * 1.03):
         pair.instrument.measures = measured
-        assert pair.laser.state().excess == ""
+        assert pair.laser.state().dark_reason == ""
     pair.instrument.measures = LIMIT * 1.1
-    assert "allowed by max_" in pair.laser.state().excess
+    assert "allowed by max_" in pair.laser.state().dark_reason
     pair.instrument.measures = 0.050
     what = r"50 m[AW] measured, 30 m[AW] allowed by max_"
-    assert re.search(what, pair.laser.state().excess)
+    assert re.search(what, pair.laser.state().dark_reason)
     pair.laser.off()
     with pytest.raises(LaserRefused, match=what):
         pair.laser.enable()

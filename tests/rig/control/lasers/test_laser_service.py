@@ -5,7 +5,7 @@ import pytest
 from processing.errors import DeviceError
 from rig.control.controller import PowerLimit
 from rig.control.laser_service import LaserService
-from rig.control.lasers import LASERS, LaserSettings, off_line
+from rig.control.lasers import LASERS, LaserSettings, off_bytes
 from rig.control.light_permit import LightPermit
 from rig.control.serial_port import PortLost
 from tests.rig.control.instruments import FakeCobolt, FakeObis
@@ -235,7 +235,7 @@ class TestService:
         self, ports: Ports, instrument: FakeCobolt, permit: LightPermit, own: bool
     ) -> None:
         laser = laser_for("cobolt", ports.plug_in(instrument))
-        service = LaserService(laser, permit=permit, own_interlock=own)
+        service = LaserService(laser, permit=permit, has_own_interlock=own)
         permit.begin()
         turn(service)
         instrument.interlock_closed = False
@@ -257,13 +257,13 @@ def test_an_off_by_another_program_among_its_questions_is_no_trip(ports: Ports, 
     """LIGHT OFF writes to the port itself, and the instrument's "OK" comes to who has the port."""
     instrument, permit = FAMILIES[kind][0](), LightPermit(ports.clock.monotonic)
     laser = laser_for(kind, ports.plug_in(instrument))
-    off = off_line(LaserSettings(kind=kind, port="any"))
+    off = off_bytes(LaserSettings(kind=kind, port="any"))
     assert off is not None
     service, usual = LaserService(laser, permit=permit), instrument.hear
     turn(service)
     questions = 0
     while True:
-        instrument.on, service._asked, left = True, True, questions
+        instrument.on, service._light_requested, left = True, True, questions
         turn(service)
 
         def hear(data: bytes) -> bytes:

@@ -128,7 +128,7 @@ def test_the_monitor_diode_of_an_ldc500_counts(opened: Opened) -> None:
     instrument = FakeLdc500()
     laser = opened(instrument)
     instrument.monitor_mw = 40.0
-    assert "40 mW measured, 30 mW allowed by max_power_w" in laser.state().excess
+    assert "40 mW measured, 30 mW allowed by max_power_w" in laser.state().dark_reason
 
 
 def test_a_fault_forbids_lighting(ports: Ports) -> None:
