@@ -88,8 +88,8 @@ class Controller:
             identity = link.ask("*IDN?")
         except ReplyTimeout:
             raise ReplyTimeout(
-                f"{link.name}: no rig controller answers ({link.heard}); check port, cable and baud rate; "
-                f"{_OTHER_BOARDS}"
+                f"{link.name}: no rig controller answers ({link.received_text}); "
+                f"check port, cable and baud rate; {_OTHER_BOARDS}"
             ) from None
         maker, _, serial, firmware = (identity.split(",") + [""] * 4)[:4]
         if maker != _MAKER:

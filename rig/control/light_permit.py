@@ -13,19 +13,20 @@ from processing.errors import DeviceError
 from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
 
 _EXAMINE_INTERVAL_S = 0.4
-_MIN_CONTRAST = 0.25
-"""Smallest contrast of a spot, relative to that of the lit one; an output that is stuck on gives 1."""
-_MIN_OVER_NOISE = 8.0
-"""Smallest contrast of a spot, in units of the frame's noise."""
+_MIN_LIT_RATIO = 0.25
+"""Smallest ratio of a spot's contrast to that of the lit one; an output that is stuck on gives 1."""
+_MIN_NOISE_RATIO = 8.0
+"""Smallest ratio of a spot's contrast to the frame's noise."""
 _MAX_PIXELS = 500_000
 _NOISE_STEP = 8
-"""Every so many pixels, one is used for background and noise."""
+"""Background and noise are those of every eighth pixel."""
 _HOT_PIXELS = 3
+"""Number of brightest pixels that are ignored."""
 _MAX_FRAME_DELAY_S: Final = 1.0
 """Longest time for which frames that were exposed earlier still arrive after the laser was switched."""
-_MAX_SEEN_BEFORE_S: Final = 1.5
-"""Longest time before the laser was switched off at which the spot must have been seen; a spot that was last
-seen earlier may have left the sensor instead."""
+_MAX_UNSEEN_S: Final = 1.5
+"""Longest time for which the spot may be out of sight before the laser is switched off; after a longer one it
+may have left the sensor, and its absence confirms nothing."""
 
 
 class SpotWatch:
@@ -37,56 +38,58 @@ class SpotWatch:
 
     def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s
-        self._sampled_s = -np.inf
+        self._examined_s = -np.inf
         self._contrast_dn = 0.0
         self._noise_dn = 0.0
         # the contrast of the spot while the laser is lit
-        self._lit_dn = 0.0
+        self._lit_contrast_dn = 0.0
         self._examined_lit_s = self._seen_lit_s = -np.inf
         self._lit: bool | None = None
-        self._since_s = 0.0
+        self._switched_s = 0.0
         self.exposure_s = 0.0
 
     def examine(self, image: Image) -> None:
-        """Take account of a frame; it is examined if none was in the last 0.4 s."""
+        """Examine a frame, unless one was examined in the last 0.4 s."""
         now_s = self._clock_s()
-        if now_s - self._sampled_s < _EXAMINE_INTERVAL_S:
+        if now_s - self._examined_s < _EXAMINE_INTERVAL_S:
             return
         step = max(int(np.ceil(np.sqrt(image.size / _MAX_PIXELS))), 1)
         pixels = image[::step, ::step].ravel()
         if pixels.size <= _HOT_PIXELS:
             return
         sample = pixels[::_NOISE_STEP].astype(np.float32)
-        middle = float(np.median(sample))
-        peak = float(np.partition(pixels, -_HOT_PIXELS - 1)[-_HOT_PIXELS - 1])
-        self._noise_dn = max(1.5 * float(np.median(np.abs(sample - middle))), 1.0)
-        self._contrast_dn, self._sampled_s = peak - middle, now_s
+        background_dn = float(np.median(sample))
+        peak_dn = float(np.partition(pixels, -_HOT_PIXELS - 1)[-_HOT_PIXELS - 1])
+        self._noise_dn = max(1.5 * float(np.median(np.abs(sample - background_dn))), 1.0)
+        self._contrast_dn, self._examined_s = peak_dn - background_dn, now_s
 
     def note_laser(self, lit: bool) -> None:
-        """Take account of the state that the laser reports now."""
+        """Note whether the laser reports now that it is lit."""
         now_s = self._clock_s()
         if lit is not self._lit:
-            self._lit, self._since_s = lit, now_s
+            self._lit, self._switched_s = lit, now_s
             if lit:
-                self._lit_dn = 0.0
-        if lit and self._is_settled and self._contrast_dn > _MIN_OVER_NOISE * self._noise_dn:
-            self._lit_dn = max(self._lit_dn, self._contrast_dn)
+                self._lit_contrast_dn = 0.0
+        if lit and self._is_settled and self._contrast_dn > _MIN_NOISE_RATIO * self._noise_dn:
+            self._lit_contrast_dn = max(self._lit_contrast_dn, self._contrast_dn)
         if lit:
-            self._examined_lit_s = self._sampled_s
+            self._examined_lit_s = self._examined_s
             if self.visible:
-                self._seen_lit_s = self._sampled_s
+                self._seen_lit_s = self._examined_s
 
     @property
     def age_s(self) -> float:
         """Time since the newest frame that was examined; infinite without one."""
-        return self._clock_s() - self._sampled_s
+        return self._clock_s() - self._examined_s
 
     @property
     def visible(self) -> bool | None:
         """Whether the spot is in the newest frame; None if no frame showed it while the laser was lit."""
-        if not self._lit_dn:
+        if not self._lit_contrast_dn:
             return None
-        return self._contrast_dn >= max(_MIN_CONTRAST * self._lit_dn, _MIN_OVER_NOISE * self._noise_dn)
+        return self._contrast_dn >= max(
+            _MIN_LIT_RATIO * self._lit_contrast_dn, _MIN_NOISE_RATIO * self._noise_dn
+        )
 
     @property
     def contradicts(self) -> bool:
@@ -96,12 +99,12 @@ class SpotWatch:
     @property
     def confirms(self) -> bool:
         """Whether the laser reports that it is off, and frames confirm it: the spot is gone."""
-        was_seen = self._examined_lit_s - self._seen_lit_s <= _MAX_SEEN_BEFORE_S
+        was_seen = self._examined_lit_s - self._seen_lit_s <= _MAX_UNSEEN_S
         return self._lit is False and self._is_settled and was_seen and self.visible is False
 
     @property
     def _is_settled(self) -> bool:
-        return self._sampled_s - self._since_s > _MAX_FRAME_DELAY_S + 2.0 * self.exposure_s
+        return self._examined_s - self._switched_s > _MAX_FRAME_DELAY_S + 2.0 * self.exposure_s
 
 
 _log = logging.getLogger(__name__)
@@ -141,9 +144,9 @@ class LightRefused(DeviceError):
     """The laser stays dark: a trip is latched, or something else refuses the light."""
 
 
-_MAX_LOOK_INTERVAL_S: Final = 5.0
-"""Longest time between two looks for presses of LIGHT OFF; after a longer one light is refused."""
-ENDED: Final = "no frames are processed any more"
+_MAX_PRESS_CHECK_INTERVAL_S: Final = 5.0
+"""Longest time between two checks for presses of LIGHT OFF; after a longer one light is refused."""
+PROCESSING_ENDED: Final = "no frames are processed any more"
 NEEDS_REQUEST: Final = "the trip is acknowledged; the laser stays off until a person asks for light"
 
 
@@ -154,7 +157,7 @@ class LightPermit:
     light a laser. The stages report their progress; camera and processing are watched from `begin` on, the
     recorder from its first report until `note_end`.
     All methods may be called from any thread; all but `trip` and `look_for_presses`, which write the rig's
-    file, only set plain values. `tripped` is called with each trip, and whether it happened now, in the
+    file, only set plain values. `on_trip` is called with each trip, and whether it happened now, in the
     thread that detected it.
     """
 
@@ -162,27 +165,27 @@ class LightPermit:
         self,
         clock_s: Callable[[], float] = time.monotonic,
         state: SafetyState | None = None,
-        tripped: Callable[[LatchedTrip, bool], None] = lambda _trip, _now: None,
+        on_trip: Callable[[LatchedTrip, bool], None] = lambda _trip, _now: None,
     ) -> None:
         self._clock_s = clock_s
         self._state = state or SafetyState()
-        self._tripped = tripped
+        self._on_trip = on_trip
         self._progress_s: dict[Stage, float] = {}
-        self._begun = self._ended = False
-        self._refused_for_good = ""
+        self._expects_light = self._ended = False
+        self._final_refusal = ""
         self._needs_request = False
-        self._looked_s: float | None = None
+        self._press_check_s: float | None = None
         self.spot = SpotWatch(clock_s)
 
     def begin(self) -> None:
         """Note that a laser is about to be lit: from now on camera and processing must make progress."""
         now_s = self._clock_s()
         self._progress_s |= {Stage.CAMERA: now_s, Stage.PROCESSING: now_s}
-        self._begun, self._ended = True, False
+        self._expects_light, self._ended = True, False
 
     def end(self) -> None:
         """Note that the lasers go dark: no stage needs to make progress, and waiting requests are refused."""
-        self._begun, self._ended = False, True
+        self._expects_light, self._ended = False, True
 
     def note_progress(self, stage: Stage) -> None:
         """Note that a stage has made progress."""
@@ -197,9 +200,9 @@ class LightPermit:
         """Note that a stage has ended regularly."""
         self._progress_s.pop(stage, None)
 
-    def withdraw(self, why: str) -> None:
+    def withdraw(self, reason: str) -> None:
         """Refuse the light for good, for example after an interrupt; the first reason is kept."""
-        self._refused_for_good = self._refused_for_good or why
+        self._final_refusal = self._final_refusal or reason
 
     def trip(self, cause: TripCause, why: str) -> None:
         """Latch a cause, lit or dark: the light is refused until a person has acknowledged it.
@@ -217,13 +220,13 @@ class LightPermit:
     def _latch(self, cause: TripCause, why: str, now: bool) -> None:
         self._needs_request = True
         try:
-            self._state.latch(cause, why, self._begun)
+            self._state.latch(cause, why, self._expects_light)
         except DeviceError as error:
             _log.error("%s", error)
         # light may have been asked for meanwhile by a person who did not know of the trip
         self._needs_request = True
         if (trip := self.latched) is not None:
-            self._tripped(trip, now)
+            self._on_trip(trip, now)
 
     def look_for_presses(self) -> bool:
         """Latch a press of LIGHT OFF that another program noted beside the rig's state; True on one.
@@ -232,23 +235,23 @@ class LightPermit:
         """
         if self._state.presses is None:
             return False
-        before = self.latched
+        earlier = self.latched
         try:
-            trip = self._state.take_press(self._begun)
+            trip = self._state.take_press(self._expects_light)
         except DeviceError as error:
             _log.error("%s", error)
             trip = self.latched
-        self._looked_s = self._clock_s()
+        self._press_check_s = self._clock_s()
         if trip is None:
             return False
         self._needs_request = True
-        if before is None or trip.number != before.number:
-            self._tripped(trip, True)
+        if earlier is None or trip.number != earlier.number:
+            self._on_trip(trip, True)
         return True
 
-    def stop_looking(self) -> None:
-        """Note that nothing looks for presses any more, because the devices are being closed."""
-        self._looked_s = None
+    def stop_press_checks(self) -> None:
+        """Note that presses are not checked any more, because the devices are being closed."""
+        self._press_check_s = None
 
     @property
     def latched(self) -> LatchedTrip | None:
@@ -266,21 +269,26 @@ class LightPermit:
             self._needs_request = False
 
     @property
-    def begun(self) -> bool:
+    def expects_light(self) -> bool:
         """Whether a laser is, or is about to be, lit."""
-        return self._begun
+        return self._expects_light
 
     @property
     def refusal(self) -> str:
         """The reason why no laser may be lit; empty while lasers may be lit."""
         trip = self.latched
-        return self._refused_for_good or ("" if trip is None else trip.text) or self.stalled or self._unheard
+        return (
+            self._final_refusal
+            or ("" if trip is None else trip.text)
+            or self.stalled
+            or self._presses_unknown
+        )
 
     @property
-    def _unheard(self) -> str:
-        looked_s = self._looked_s
-        unheard = looked_s is not None and self._clock_s() - looked_s > _MAX_LOOK_INTERVAL_S
-        return "LIGHT OFF would not be heard: the disk of the rig's state hangs" if unheard else ""
+    def _presses_unknown(self) -> str:
+        check_s = self._press_check_s
+        is_late = check_s is not None and self._clock_s() - check_s > _MAX_PRESS_CHECK_INTERVAL_S
+        return "LIGHT OFF would not be heard: the disk of the rig's state hangs" if is_late else ""
 
     @property
     def refusal_to_light(self) -> str:
@@ -290,7 +298,7 @@ class LightPermit:
         """
         self.look_for_presses()
         request = NEEDS_REQUEST if self._needs_request else ""
-        return self.refusal or self._state.problem or request or (ENDED if self._ended else "")
+        return self.refusal or self._state.problem or request or (PROCESSING_ENDED if self._ended else "")
 
     @property
     def paused_s(self) -> float:
@@ -300,7 +308,7 @@ class LightPermit:
     @property
     def stalled(self) -> str:
         """The stage that has stalled, in words; empty while all make progress, and while nothing is lit."""
-        if not self._begun:
+        if not self._expects_light:
             return ""
         now_s = self._clock_s()
         for stage, progress_s in tuple(self._progress_s.items()):

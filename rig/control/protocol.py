@@ -102,11 +102,12 @@ class Trip(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Latch:
-    """A trip that waits on the board for its acknowledgement; `lit`: the laser was on when it occurred."""
+    """A trip that waits on the board for its acknowledgement."""
 
     number: int
     cause: Trip
     lit: bool
+    """Whether the laser was on when the trip occurred."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +121,7 @@ class ControllerIdentity:
 
 @dataclass(frozen=True, slots=True)
 class ControllerStatus:
-    """The board's outputs and inputs in its last reply to a heartbeat.
-
-    `latch` is the trip that waits for its acknowledgement, `readback` whether the pin of the laser's relay is
-    high, `light_seen` whether a photodiode sees light (None without one), `errors_waiting` the number
-    of entries in its error queue.
-    """
+    """The board's outputs and inputs in its last reply to a heartbeat."""
 
     uptime_ms: int
     interlock_closed: bool
@@ -136,9 +132,13 @@ class ControllerStatus:
     clamp_closed: bool
     brake_on: bool
     errors_waiting: int
+    """Number of entries in the board's error queue."""
     latch: Latch | None = None
+    """The trip that waits for its acknowledgement."""
     readback: bool = False
+    """Whether the pin of the laser's relay is high."""
     light_seen: bool | None = None
+    """Whether a photodiode sees light; None without one."""
 
     @property
     def trip(self) -> Trip:
@@ -148,7 +148,7 @@ class ControllerStatus:
 
 @dataclass(frozen=True, slots=True)
 class AmbientReading:
-    """Temperature, humidity and pressure of the air; NaN without a sensor."""
+    """Ambient temperature, humidity and pressure; NaN for a quantity that is not measured."""
 
     temperature_c: float = math.nan
     humidity_percent: float = math.nan
@@ -178,8 +178,8 @@ def status_of(values: str) -> ControllerStatus:
     fields = values.split(",")
     if len(fields) != 14:
         raise DeviceError(f"the controller answered {values!r}; a status of 14 fields was expected")
-    uptime_ms, interlock, laser, power_w, magnet, starter, clamp, brake, trip, errors, *latch = fields
-    number, lit, readback, light = latch
+    uptime_ms, interlock, laser, power_w, magnet, starter, clamp, brake, trip, errors, *rest = fields
+    number, lit, readback, light = rest
     try:
         return ControllerStatus(
             latch=Latch(int(number), Trip(trip), _is_one(lit)) if number != "0" else None,
@@ -216,7 +216,7 @@ def _is_one(field: str) -> bool:
 
 _SESSION_NEEDED = -203
 _MAX_EVENTS = 256
-_MAX_LINES_WAITING = 64
+_MAX_EARLIER_LINES = 64
 
 
 class ControllerReset(DeviceError):
@@ -275,19 +275,19 @@ class Link:
             line = encode(self._tag, command)
         except ValueError as error:
             raise CommandRefused(f"{self._line.name}: {error}") from None
-        patience_s = self._timeout_s if timeout_s is None else timeout_s
-        self._read_waiting_lines()
-        sent = 0
+        reply_timeout_s = self._timeout_s if timeout_s is None else timeout_s
+        self._take_earlier_lines()
+        send_count = 0
         for attempt in range(self._retries + 1):
             now_s = time.monotonic()
-            deadline_s = now_s + patience_s
+            deadline_s = now_s + reply_timeout_s
             if attempt:
                 if now_s >= self.repeat_until_s:
                     break
                 deadline_s = min(deadline_s, self.repeat_until_s)
             self._line.write(line)
-            sent += 1
-            reply = self._await(self._tag, deadline_s)
+            send_count += 1
+            reply = self._wait_for_reply(self._tag, deadline_s)
             if reply is None:
                 continue
             if reply.error_code == _SESSION_NEEDED:
@@ -302,13 +302,13 @@ class Link:
                 )
             return reply.values
         raise ReplyTimeout(
-            f"{self._line.name}: no reply to {command} within {patience_s:g} s,"
-            f" sent {sent} time{'s' * (sent > 1)}: {self.heard};"
+            f"{self._line.name}: no reply to {command} within {reply_timeout_s:g} s,"
+            f" sent {send_count} time{'s' * (send_count > 1)}: {self.received_text};"
             " check port, cable, baud rate and that the controller runs"
         )
 
     @property
-    def heard(self) -> str:
+    def received_text(self) -> str:
         """Description of the bytes that were received instead of a valid line, for messages."""
         junk = (self._last_junk or self._reader.unended).decode("latin-1").strip()
         return f"it sends {junk[:60]!r}, which is not a line of the controller" if junk else "it is silent"
@@ -319,20 +319,20 @@ class Link:
         self._events.clear()
         return events
 
-    def _read_waiting_lines(self) -> None:
-        """Read lines that arrived since the last command, so that an old NAK is not taken for a new reply."""
-        for _ in range(_MAX_LINES_WAITING):
+    def _take_earlier_lines(self) -> None:
+        """Take lines that came since the last command, so that an old NAK does not count as a new reply."""
+        for _ in range(_MAX_EARLIER_LINES):
             line = self._reader.read_line(0.0)
             if line is None:
                 return
-            self._hear(line)
+            self._decode(line)
 
-    def _await(self, tag: int, deadline_s: float) -> Reply | None:
+    def _wait_for_reply(self, tag: int, deadline_s: float) -> Reply | None:
         while True:
             line = self._reader.read_line(deadline_s)
             if line is None:
                 return None
-            message = self._hear(line)
+            message = self._decode(line)
             if isinstance(message, Reply):
                 if message.tag == tag:
                     return message
@@ -343,7 +343,7 @@ class Link:
                 # a device that sends without pause must not prevent the timeout
                 return None
 
-    def _hear(self, line: bytes) -> Reply | BoardEvent | None:
+    def _decode(self, line: bytes) -> Reply | BoardEvent | None:
         message = decode(line)
         if message is None:
             if line.strip():

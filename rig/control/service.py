@@ -1,4 +1,4 @@
-"""Operates the controller in a thread: commands as futures, heartbeat, reconnection.
+"""The controller, operated in a thread: commands as futures, heartbeat, reconnection.
 
 The serial line never delays frames: the threads that handle frames only read the latest snapshot, and no lock
 is held while this thread waits for the device.
@@ -29,18 +29,18 @@ from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
 
-_REOPEN_S = 0.5
-_RETRY_S = 0.02
+_REOPEN_INTERVAL_S = 0.5
+_RETRY_INTERVAL_S = 0.02
 _WATCHDOG_MARGIN = 0.1
 """Fraction of the watchdog's time by which a board without useful replies is given up earlier, and commanded
-dark: heartbeats whose replies are lost still feed its own watchdog."""
+off: heartbeats whose replies are lost still feed its own watchdog."""
 _NO_READING = AmbientReading()
 _NO_SENSOR = -240
-"""Error code of the board's own sensor of the air."""
+"""Error code of the board's own sensor of ambient conditions."""
 
 T = TypeVar("T")
 
-_WHY: dict[str, str] = {
+_TRIP_REASONS: dict[str, str] = {
     Trip.INTERLOCK: Interlock.CONTROLLER.opened_text,
     Trip.OUTPUT: "the controller's laser output did not follow what it was set to",
     Trip.POWER: "the controller was reset or had lost its power",
@@ -59,16 +59,15 @@ class ControlState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ControlSnapshot:
-    """The latest known state; `status_time_ns` is the host's monotonic time at which `status` was received.
-
-    `environment` is NaN until the first reading and while the controller is lost.
-    """
+    """What is known of the controller now."""
 
     state: ControlState = ControlState.OPENING
     identity: ControllerIdentity | None = None
     status: ControllerStatus | None = None
     status_time_ns: int = 0
+    """Host monotonic time at which `status` was received."""
     environment: AmbientReading = _NO_READING
+    """Reading of the board's sensor; NaN before the first, and while the controller is lost."""
     reconnects: int = 0
     last_error: str = ""
 
@@ -95,18 +94,19 @@ class ControlService(DeviceThread):
         self._controller = controller
         self._settings = settings
         self._permit = permit or LightPermit()
-        self._refused = ""
-        self._offs = 0
-        self._lit_after_offs = -1
+        self._last_refusal = ""
+        self._off_count = 0
+        # `_off_count` when the board reported light that was asked for; -1: light counts as not asked for
+        self._lit_at_off_count = -1
         self._environment_period_s = environment_period_s
         self._sensor_silent = False
         self._snapshot = ControlSnapshot()
         self._is_open = False
         self._was_open = False
-        self._latch: Latch | None = None
+        self._known_latch: Latch | None = None
         self._was_reset = False
         self._interlock_closed: bool | None = None
-        self._heard_s = 0.0
+        self._status_s = 0.0
         self._environment_due_s = 0.0
         super().__init__("rig-control")
 
@@ -136,33 +136,33 @@ class ControlService(DeviceThread):
     def laser_on(self) -> "Future[None]":
         """Switch the laser on, unless the interlock is open or `permit` refuses.
 
-        A later `laser_off` or `safe` that is carried out before makes it invalid.
+        A `laser_off` or `safe` that is called later but carried out earlier makes it invalid.
         """
-        offs = self._offs
-        return self.submit(lambda controller: self._light(controller, offs))
+        off_count = self._off_count
+        return self.submit(lambda controller: self._switch_on(controller, off_count))
 
     def laser_off(self) -> "Future[None]":
         """Switch the laser off, before all waiting commands; done once the board has replied with its state.
 
         It has no time limit. If it fails, it is repeated as long as the board reports that the laser is lit.
         """
-        self._offs += 1
-        return self.submit(self._darken, math.inf, urgent=True)
+        self._off_count += 1
+        return self.submit(self._switch_off, math.inf, urgent=True)
 
     def set_laser_power_w(self, power_w: float) -> "Future[None]":
         """Set the laser's power within its limits."""
-        return self.submit(lambda c: c.set_laser_power_w(power_w))
+        return self.submit(lambda controller: controller.set_laser_power_w(power_w))
 
     def safe(self) -> "Future[None]":
         """Put every output into its safe state, before all waiting commands; it has no time limit."""
-        self._offs += 1
+        self._off_count += 1
         return self.submit(Controller.safe, math.inf, urgent=True)
 
     def acknowledge(self) -> "Future[None]":
         """Clear the latch that the board reported last, which a person has acknowledged; no later one."""
         status = self._snapshot.status
         latch = None if status is None else status.latch
-        return self.submit(lambda controller: self._clear(controller, latch))
+        return self.submit(lambda controller: self._clear_latch(controller, latch))
 
     # -- in the thread --------------------------------------------------------
 
@@ -171,19 +171,19 @@ class ControlService(DeviceThread):
             if not self._is_open:
                 self._open()
             self._obey_permit()
-            self._beat()
+            self._read_status()
             self._keep_dark()
         except DeviceError as error:
             self._note_failure(error)
             # soon, because there may be time for a further attempt before the board is given up
-            return min(self._settings.heartbeat_s, _RETRY_S) if self._is_open else _REOPEN_S
+            return min(self._settings.heartbeat_s, _RETRY_INTERVAL_S) if self._is_open else _REOPEN_INTERVAL_S
         return self._settings.heartbeat_s
 
     def _open(self) -> None:
         identity = self._controller.open()
         self._is_open = True
-        self._lit_after_offs = -1
-        self._hear(time.monotonic())
+        self._lit_at_off_count = -1
+        self._note_status(time.monotonic())
         reconnects = self._snapshot.reconnects + self._was_open
         self._was_open = True
         self._snapshot = replace(
@@ -191,53 +191,51 @@ class ControlService(DeviceThread):
         )
         self._report(f"{identity.serial} is connected, firmware {identity.firmware}")
         if (latch := self._controller.earlier_latch) is not None:
-            self._permit.latch_found(TripCause(latch.cause), _WHY[latch.cause])
+            self._permit.latch_found(TripCause(latch.cause), _TRIP_REASONS[latch.cause])
         elif self._was_reset:
-            self._permit.trip(TripCause.POWER, _WHY[Trip.POWER])
-        self._latch, self._was_reset = latch, False
+            self._permit.trip(TripCause.POWER, _TRIP_REASONS[Trip.POWER])
+        self._known_latch, self._was_reset = latch, False
 
-    def _light(self, controller: Controller, offs: int) -> None:
-        outdated = "it was switched off meanwhile" if self._offs != offs else ""
+    def _switch_on(self, controller: Controller, off_count: int) -> None:
+        outdated = "it was switched off meanwhile" if self._off_count != off_count else ""
         if refusal := self._permit.refusal_to_light or outdated:
             raise LightRefused(f"{controller.name}: the laser stays off: {refusal}")
         # until the board has reported that it is lit, it counts as dark
-        self._lit_after_offs = -1
+        self._lit_at_off_count = -1
         controller.laser_on()
-        self._beat()
-        self._lit_after_offs = offs
+        self._read_status()
+        self._lit_at_off_count = off_count
 
-    def _darken(self, controller: Controller) -> None:
+    def _switch_off(self, controller: Controller) -> None:
         controller.laser_off()
-        self._beat()
+        self._read_status()
 
-    def _clear(self, controller: Controller, latch: Latch | None) -> None:
+    def _clear_latch(self, controller: Controller, latch: Latch | None) -> None:
         if latch is not None:
             controller.acknowledge(latch.number)
-        self._beat()
+        self._read_status()
 
     def _obey_permit(self) -> None:
         """Switch the laser off when the permit begins to refuse it."""
-        refusal, before = self._permit.refusal, self._refused
-        if refusal and not before:
+        refusal = self._permit.refusal
+        if refusal and not self._last_refusal:
             self._controller.laser_off()
             self._report(f"laser off: {refusal}")
         # set last, so that a command that failed is repeated at the next poll
-        self._refused = refusal
+        self._last_refusal = refusal
 
     def _keep_dark(self) -> None:
-        """Switch off a laser that is lit although it was switched off since, or although the command that lit
-        it failed: the command, or its reply, was lost.
-        """
+        """Switch off a laser that is lit against the last command: a command or its reply was lost."""
         status = self._snapshot.status
-        if status is not None and status.laser_on and self._lit_after_offs != self._offs:
+        if status is not None and status.laser_on and self._lit_at_off_count != self._off_count:
             self._report("laser off: it is still lit, a command or its answer was lost")
-            self._darken(self._controller)
+            self._switch_off(self._controller)
 
-    def _beat(self) -> None:
+    def _read_status(self) -> None:
         controller = self._controller
         status = controller.status() if self._permit.stalled else controller.heartbeat()
         now_s, now_ns = time.monotonic(), time.monotonic_ns()
-        self._hear(now_s)
+        self._note_status(now_s)
         self._snapshot = replace(self._snapshot, status=status, status_time_ns=now_ns)
         events = controller.take_events()
         for event in events:
@@ -255,27 +253,27 @@ class ControlService(DeviceThread):
             self._sensor_silent = self._sensor_silent and math.isnan(environment.temperature_c)
             self._snapshot = replace(self._snapshot, environment=environment)
 
-    def _hear(self, now_s: float) -> None:
+    def _note_status(self, now_s: float) -> None:
         """Note that the board has reported its state."""
-        self._heard_s = now_s
-        self._controller.repeat_until(now_s + self._silent_for_s)
+        self._status_s = now_s
+        self._controller.repeat_until(now_s + self._max_silence_s)
 
     @property
-    def _silent_for_s(self) -> float:
+    def _max_silence_s(self) -> float:
         """Longest time for which the board's state may be unknown."""
         return (1.0 - _WATCHDOG_MARGIN) * self._settings.watchdog_s
 
     def _latch_trips(self, status: ControllerStatus, event_causes: set[str]) -> None:
         """Latch each trip once, whether the board sent an event about it or only its status shows it."""
         causes, latch = set(event_causes), status.latch
-        if latch is not None and (self._latch is None or latch.number != self._latch.number):
+        if latch is not None and (self._known_latch is None or latch.number != self._known_latch.number):
             causes.add(latch.cause)
         first = self._interlock_closed is None
         if not status.interlock_closed and self._interlock_closed is not False:
             causes.add(Trip.INTERLOCK)
-        self._latch, self._interlock_closed = latch, status.interlock_closed
-        for cause in sorted(causes & _WHY.keys()):
-            (self._permit.latch_found if first else self._permit.trip)(TripCause(cause), _WHY[cause])
+        self._known_latch, self._interlock_closed = latch, status.interlock_closed
+        for cause in sorted(causes & _TRIP_REASONS.keys()):
+            (self._permit.latch_found if first else self._permit.trip)(TripCause(cause), _TRIP_REASONS[cause])
 
     def _guarded(self, call: Callable[[Controller], T]) -> T:
         if not self._is_open:
@@ -293,11 +291,11 @@ class ControlService(DeviceThread):
 
         A board that replies without reporting its state counts as silent.
         """
-        silent_s = time.monotonic() - self._heard_s
+        silent_s = time.monotonic() - self._status_s
         lost = (
             not self._is_open
             or isinstance(error, PortLost | ControllerReset)
-            or (silent_s >= self._silent_for_s and not isinstance(error, CommandRefused | LightRefused))
+            or (silent_s >= self._max_silence_s and not isinstance(error, CommandRefused | LightRefused))
         )
         if not lost:
             self._report(str(error))

@@ -192,7 +192,7 @@ class LivePicture:
     def _keep_lit_while_seen(self) -> None:
         """Switch the laser off once nobody looks at the desk that shows it, or the desk is gone."""
         devices, news, now_s = self._devices, self.news, time.monotonic()
-        if devices.permit.begun and news.asked_s > 0.0 and not at_terminal():
+        if devices.permit.expects_light and news.asked_s > 0.0 and not at_terminal():
             seen_s, asked_s = max(news.looked_s, self._lit_s), max(news.asked_s, self._lit_s)
             if now_s - seen_s > _UNSEEN_S or now_s - asked_s > _UNASKED_S:
                 self._left = True

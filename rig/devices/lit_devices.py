@@ -72,7 +72,7 @@ class LitDevices:
         self._lighting = threading.Lock()
         self._was_lit = self._is_lit = self._disagreed = False
         self.lights_again = True
-        self.permit = LightPermit(state=self.state, tripped=self._note_trip)
+        self.permit = LightPermit(state=self.state, on_trip=self._note_trip)
 
     def light(self, *, asked: bool = False, in_run: bool = False) -> str:
         """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
@@ -274,7 +274,7 @@ class LitDevices:
                 self._is_lit = False
                 self.audit(AuditEntry.UNKNOWN, why)
             return
-        if self.permit.begun and not self.permit.needs_request:
+        if self.permit.expects_light and not self.permit.needs_request:
             self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
         self.went_dark(why)
 

@@ -75,7 +75,7 @@ def _press_watch(devices: LitDevices) -> Iterator[None]:
         stop.set()
         # it must not write after the next program has the state, but a hanging disk must not block the end
         thread.join(_MAX_JOIN_S)
-        devices.permit.stop_looking()
+        devices.permit.stop_press_checks()
 
 
 class Devices(LitDevices):
@@ -198,7 +198,7 @@ class Devices(LitDevices):
             notes = (*setting_differences(requested, applied), *pulse_faults(config, info, applied))
             yield OpenCamera(camera, info, notes, applied, shift_to_light_ns(config, info, applied))
         finally:
-            if self._was_lit and not self.permit.begun and not config.on_demand:
+            if self._was_lit and not self.permit.expects_light and not config.on_demand:
                 self.see_dark(camera)
             if remark := end_within(camera.close, f"{name}: close()"):
                 # the terminal may have been closed, which must not block the end

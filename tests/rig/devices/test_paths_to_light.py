@@ -18,7 +18,7 @@ from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from processing.errors import DeviceError
 from rig.control import NEEDS_REQUEST, ControlService, LightRefused, Stage, TripCause, run_in_thread
-from rig.control.light_permit import ENDED, LONGEST_PAUSE_S
+from rig.control.light_permit import LONGEST_PAUSE_S, PROCESSING_ENDED
 from rig.control.simulated import SimulatedBoard
 from rig.devices import Devices, LightWatch, SessionNews
 from rig.devices.acknowledgement import TypedAcknowledgement
@@ -318,7 +318,7 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
         assert began.wait(10.0)
         # that of a desk, while the run's is under way
         second.start()
-        until(lambda: devices.permit.begun)
+        until(lambda: devices.permit.expects_light)
         devices.light_off("the desk")
         until(lambda: devices.safety().light == "off")
         trip = devices.permit.latched
@@ -354,8 +354,8 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_the_end_of_the_ru
         answers.set()
         asking.join(20.0)
         assert lit.at == []
-        assert [ENDED in text for text in said] == [True], said
-        assert not devices.permit.begun
+        assert [PROCESSING_ENDED in text for text in said] == [True], said
+        assert not devices.permit.expects_light
         # the next run lights by itself
         assert devices.light() == "laser on, 0.9 mW"
 

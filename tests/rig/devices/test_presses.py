@@ -167,7 +167,7 @@ def test_a_disk_that_hangs_hears_of_no_press_and_refuses_the_light(
 
     with Devices(config) as devices:
         devices.light()
-        monkeypatch.setattr(light_permit, "_MAX_LOOK_INTERVAL_S", 0.5)
+        monkeypatch.setattr(light_permit, "_MAX_PRESS_CHECK_INTERVAL_S", 0.5)
         monkeypatch.setattr(Presses, "newest", hangs)
         try:
             until(lambda: "LIGHT OFF would not be heard" in devices.darkness())

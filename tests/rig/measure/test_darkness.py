@@ -67,7 +67,7 @@ class Apparatus:
 
         # what is tested here are states: on a busy machine frames and answers may come seconds late
         monkeypatch.setattr(lit_devices, "_BOARD_CONFIRMS_WITHIN_S", 30.0)
-        monkeypatch.setattr(light_permit, "_MAX_LOOK_INTERVAL_S", 30.0)
+        monkeypatch.setattr(light_permit, "_MAX_PRESS_CHECK_INTERVAL_S", 30.0)
         for stage in Stage:
             monkeypatch.setitem(light_permit.LONGEST_PAUSE_S, stage, 30.0)
         monkeypatch.setattr(RecordWriter, "write_spots", write_spots)
