@@ -87,9 +87,8 @@ class SpotWatch:
         """Whether the spot is in the newest frame; None if no frame showed it while the laser was lit."""
         if not self._lit_contrast_dn:
             return None
-        return self._contrast_dn >= max(
-            _MIN_LIT_RATIO * self._lit_contrast_dn, _MIN_NOISE_RATIO * self._noise_dn
-        )
+        lit_dn, noise_dn = self._lit_contrast_dn, self._noise_dn
+        return self._contrast_dn >= max(_MIN_LIT_RATIO * lit_dn, _MIN_NOISE_RATIO * noise_dn)
 
     @property
     def contradicts(self) -> bool:
@@ -276,19 +275,10 @@ class LightPermit:
     @property
     def refusal(self) -> str:
         """The reason why no laser may be lit; empty while lasers may be lit."""
-        trip = self.latched
-        return (
-            self._final_refusal
-            or ("" if trip is None else trip.text)
-            or self.stalled
-            or self._presses_unknown
-        )
-
-    @property
-    def _presses_unknown(self) -> str:
-        check_s = self._press_check_s
-        is_late = check_s is not None and self._clock_s() - check_s > _MAX_PRESS_CHECK_INTERVAL_S
-        return "LIGHT OFF would not be heard: the disk of the rig's state hangs" if is_late else ""
+        trip, check_s = self.latched, self._press_check_s
+        late = check_s is not None and self._clock_s() - check_s > _MAX_PRESS_CHECK_INTERVAL_S
+        unheard = "LIGHT OFF would not be heard: the disk of the rig's state hangs" if late else ""
+        return self._final_refusal or ("" if trip is None else trip.text) or self.stalled or unheard
 
     @property
     def refusal_to_light(self) -> str:

@@ -1,4 +1,4 @@
-"""LIGHT OFF by another program than the one that has the devices: a press as a file, and a direct write."""
+"""LIGHT OFF by a program that does not have the devices: a file of presses, and a write to the ports."""
 
 import datetime
 import errno
@@ -19,16 +19,17 @@ from rig.control.lasers import LaserSettings, off_bytes
 from rig.control.protocol import TAG_MAX, encode
 from rig.control.settings import ControllerSettings
 
-_READ_BYTES = 4096
-_TAKEN_WITHIN_S = 0.4
+_MAX_FILE_BYTES = 4096
+_MAX_WRITE_S = 0.4
 """Longest wait until the ports have taken the command that switches the light off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """The newest press of LIGHT OFF; `mark` identifies it, and is empty if there was no press yet."""
+    """The newest press of LIGHT OFF."""
 
     mark: str
+    """Mark that identifies the press; empty if there was none yet."""
     why: str
 
 
@@ -69,17 +70,17 @@ class Presses:
     def newest(self) -> Press:
         """The newest press. Raises DeviceError for a file that cannot be read, as a press is then unknown."""
         try:
-            number = os.open(self.path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+            descriptor = os.open(self.path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
         except FileNotFoundError:
             return Press("", f"{self.path} is gone, so whether LIGHT OFF was pressed is unknown")
         except OSError as error:
             raise self._unreadable(error) from None
         try:
-            content, stat = os.read(number, _READ_BYTES), os.fstat(number)
+            content, stat = os.read(descriptor, _MAX_FILE_BYTES), os.fstat(descriptor)
         except OSError as error:
             raise self._unreadable(error) from None
         finally:
-            os.close(number)
+            os.close(descriptor)
         mark = f"{stat.st_mtime_ns} {hashlib.sha256(content).hexdigest()[:16]}"
         try:
             return Press(mark, f"LIGHT OFF was pressed at {_PressFile.model_validate_json(content).who}")
@@ -99,26 +100,25 @@ class Presses:
 
 
 def darken_directly(laser: LaserSettings, controller: ControllerSettings) -> list[str]:
-    """Write "off" to the ports of controller and laser, in whichever program; returns failures.
+    """Write "off" to the ports of controller and laser, in any program; returns failures.
 
-    It waits neither for a lock nor for a reply, which goes to the program that has the port, and is skipped
-    there; a port that hangs keeps no other one from its command. On a system on which a port cannot be opened
-    twice this is a failure.
+    It waits neither for a lock nor for a reply: the program that has the port receives the reply, and skips
+    it. A port that hangs delays no other port. A system on which a port cannot be opened twice is a failure.
     """
-    orders = []
+    commands = []
     if laser.kind == "controller" and controller.kind == "serial":
         # sent with two tags, in case that the first line lost its first bytes, or its tag was used before
-        first = 1 + secrets.randbelow(TAG_MAX - 1)
-        off = b"".join(b"\n" + encode(tag, "LASer:STATe OFF") for tag in (first, first + 1))
-        orders.append((controller.port, off))
-    if (line := off_bytes(laser)) is not None:
-        orders.append((laser.port, line))
-    written = [(port, run_in_thread(_write, port, data)) for port, data in orders]
-    end_s = time.monotonic() + _TAKEN_WITHIN_S
+        first_tag = 1 + secrets.randbelow(TAG_MAX - 1)
+        lines = (b"\n" + encode(tag, "LASer:STATe OFF") for tag in (first_tag, first_tag + 1))
+        commands.append((controller.port, b"".join(lines)))
+    if (off := off_bytes(laser)) is not None:
+        commands.append((laser.port, off))
+    writes = [(port, run_in_thread(_write, port, command)) for port, command in commands]
+    deadline_s = time.monotonic() + _MAX_WRITE_S
     problems = []
-    for port, done in written:
+    for port, write in writes:
         try:
-            done.result(max(end_s - time.monotonic(), 0.0))
+            write.result(max(deadline_s - time.monotonic(), 0.0))
         except TimeoutError:
             problems.append(f"{port}: cannot be switched off: the port hangs")
         except OSError as error:

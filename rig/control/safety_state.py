@@ -26,9 +26,9 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 _SCHEMA = 1
-_STORED_WITHIN_S = 0.2
-"""Longest wait of a trip for the disk: whoever latches it also switches the light off."""
-_ENDS_WITHIN_S = 5.0
+_MAX_STORE_S = 0.2
+"""Longest wait of a trip for the disk: the program that latches it also switches the light off."""
+_MAX_END_S = 5.0
 """Longest wait, at the end of a program, for a write under way."""
 
 
@@ -45,12 +45,13 @@ class TripCause(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LatchedTrip:
-    """A trip that waits for its acknowledgement; `lit`: the laser was, or should have been, lit."""
+    """A trip that waits for its acknowledgement."""
 
     number: int
     cause: TripCause
     why: str
     lit: bool
+    """Whether the laser was, or should have been, lit."""
 
     @property
     def text(self) -> str:
@@ -65,17 +66,16 @@ class _LatchEntry(BaseModel, frozen=True, extra="forbid"):
 
 
 class _SafetyFile(BaseModel, frozen=True, extra="forbid"):
-    """Content of the file: the last trip's number, and the latched trip.
-
-    `lit` is True from the moment when a program lights until it has confirmed that the light is off. `press`
-    is the mark of the last press of LIGHT OFF that was taken over.
-    """
+    """Content of the file."""
 
     schema_number: int = _SCHEMA
     number: int = 0
+    """Number of the last trip."""
     latched: _LatchEntry | None = None
     lit: bool = False
+    """True from the moment when a program lights until it has confirmed that the light is off."""
     press: str = ""
+    """Mark of the last press of LIGHT OFF that became a trip."""
 
 
 def rig_state_path(laser: LaserSettings, controller: ControllerSettings) -> Path | None:
@@ -95,25 +95,26 @@ def rig_state_path(laser: LaserSettings, controller: ControllerSettings) -> Path
 
 def state_folder() -> Path:
     """Folder of this user's state files, which outlive programs."""
-    stated = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
-    place = Path(stated) if stated else Path.home() / ".local" / "state"
-    return place / "optical-pendulum-rig"
+    parent = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
+    return (Path(parent) if parent else Path.home() / ".local" / "state") / "optical-pendulum-rig"
 
 
 _UNKNOWN = "so the latched trip is unknown"
 
 
 def _unknown_state(why: str) -> _SafetyFile:
+    """A state that counts as latched, because its file does not tell."""
     return _SafetyFile(number=1, latched=_LatchEntry(cause=TripCause.POWER, why=why, lit=True))
 
 
 def _device_at(port: str) -> str:
+    """USB numbers and serial number of the device at a port; empty where it has none."""
     # imported here, because most callers read a latch without looking for ports
     from serial.tools import list_ports
 
-    for found in list_ports.comports():
-        if found.device == port and found.serial_number:
-            return f"{found.vid:04x} {found.pid:04x} {found.serial_number}"
+    for info in list_ports.comports():
+        if info.device == port and info.serial_number:
+            return f"{info.vid:04x} {info.pid:04x} {info.serial_number}"
     return ""
 
 
@@ -122,8 +123,7 @@ class SafetyState:
 
     `trip` may be read, and `latch` called, from any thread; neither waits for a disk that hangs. A file that
     cannot be read or is missing counts as latched, because a new rig cannot be told from one whose state was
-    deleted. `presses` is the file of presses beside it (None without one), `problem` the reason why the last
-    write of the state failed.
+    deleted.
     """
 
     def __init__(self, path: Path | None = None, who: str = "") -> None:
@@ -131,11 +131,13 @@ class SafetyState:
         self._who = who
         self._stored = _SafetyFile()
         self._state_lock, self._file_lock, self._press_lock = (threading.Lock() for _ in range(3))
-        self._writing: set[futures.Future[None]] = set()
-        self._held: IO[bytes] | None = None
+        self._pending_writes: set[futures.Future[None]] = set()
+        self._lock_file: IO[bytes] | None = None
         self.presses = None if path is None else Presses(path.with_suffix(".off"))
+        """Presses of LIGHT OFF, in a file beside that of the state; None without one."""
         self._new_press = self._mark = ""
         self.problem = ""
+        """The reason why the last write of the state failed; else empty."""
 
     def __enter__(self) -> Self:
         if self.path is not None:
@@ -143,20 +145,20 @@ class SafetyState:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        if self._held is not None:
+        if self._lock_file is not None:
             # a trip that is being written is the next program's to know
-            futures.wait(tuple(self._writing), _ENDS_WITHIN_S)
-            self._held.close()
-            self._held = None
+            futures.wait(tuple(self._pending_writes), _MAX_END_S)
+            self._lock_file.close()
+            self._lock_file = None
 
-    def held_for(self, folder: Path) -> None:
-        """Note for other programs the folder in which the holder of the rig can be reached."""
-        if self._held is not None:
-            self._held.write(f"\n{folder.absolute()}".encode())
-            self._held.flush()
+    def note_folder(self, folder: Path) -> None:
+        """Note for other programs the folder in which this holder of the rig takes orders."""
+        if self._lock_file is not None:
+            self._lock_file.write(f"\n{folder.absolute()}".encode())
+            self._lock_file.flush()
 
     @property
-    def folder_of_holder(self) -> Path | None:
+    def holder_folder(self) -> Path | None:
         """The folder of the program that holds the rig, or held it last."""
         if self.path is None:
             return None
@@ -173,9 +175,12 @@ class SafetyState:
         try:
             stored = _SafetyFile.model_validate_json(self.path.read_bytes())
         except FileNotFoundError:
-            was_there = self._is_noted(self.path.with_suffix(".lock"))
+            # a program that has held the rig wrote the state before it noted itself in the lock
+            was_held = False
+            with suppress(OSError):
+                was_held = self.path.with_suffix(".lock").stat().st_size > 0
             new = f"nothing is known of its light: it is new here, or its state was deleted ({self.path})"
-            self._stored = _unknown_state(f"{self.path} is gone, {_UNKNOWN}" if was_there else new)
+            self._stored = _unknown_state(f"{self.path} is gone, {_UNKNOWN}" if was_held else new)
         except (OSError, ValidationError):
             self._stored = _unknown_state(f"{self.path} cannot be read, {_UNKNOWN}")
         else:
@@ -184,7 +189,7 @@ class SafetyState:
         self._look_for_press()
 
     def _look_for_press(self) -> None:
-        """Note a press that was not taken over yet; an unreadable file counts as such a press."""
+        """Note a press that is no trip yet; an unreadable file counts as such a press."""
         if self.presses is None:
             return
         try:
@@ -197,7 +202,7 @@ class SafetyState:
         self._new_press = "" if press.mark == self._stored.press else press.why
 
     def take_press(self, lit: bool) -> LatchedTrip | None:
-        """Latch a press of LIGHT OFF that was not taken over yet; None without one.
+        """Latch a press of LIGHT OFF that is no trip yet; None without one.
 
         A trip that is latched already stays as it is. Raises DeviceError, as `latch` does, where the latch
         holds but cannot be written.
@@ -209,22 +214,14 @@ class SafetyState:
                 self._new_press = ""
                 return None
             latched = stored.latched or _LatchEntry(cause=TripCause.PERSON, why=why, lit=lit)
-            self._note(press=mark, number=stored.number + (stored.latched is None), latched=latched)
+            self._change(press=mark, number=stored.number + (stored.latched is None), latched=latched)
             self._new_press = ""
             self._write_in_time()
             return self.trip
 
-    @staticmethod
-    def _is_noted(lock: Path) -> bool:
-        """Whether a program has held the rig before; it wrote the state before it noted itself in `lock`."""
-        try:
-            return lock.stat().st_size > 0
-        except OSError:
-            return False
-
     @property
     def trip(self) -> LatchedTrip | None:
-        """The latched trip, or the one of a press that was not taken over yet; None without either."""
+        """The latched trip, or that of a press that is not latched yet; None without either."""
         stored = self._stored
         if stored.latched is None:
             if not (why := self._new_press):
@@ -235,16 +232,15 @@ class SafetyState:
     def latch(self, cause: TripCause, why: str, lit: bool) -> LatchedTrip:
         """Latch a cause; the number grows, also if another trip is latched already.
 
-        That a person has pressed LIGHT OFF stays in the words of the trip that follows.
-        The latch holds from now on even where the file cannot be written, or where its disk has not done that
-        after 0.2 s (it is then written as soon as the disk answers); both raise DeviceError. A trip that
-        cannot be written is left to the next program as a press, which needs no space on the disk, and `keep`
-        tries again.
+        The text of a trip contains that of a press of LIGHT OFF that was latched before it. The latch holds
+        from now on even if the file cannot be written, or has not been written after 0.2 s (that happens once
+        the disk answers); both raise DeviceError. A trip that cannot be written is left to the next program
+        as a press, which needs no space on the disk, and `keep` tries again.
         """
         with self._state_lock:
-            before, number = self._stored.latched, self._stored.number + 1
-            if before is not None and before.cause is TripCause.PERSON:
-                why = f"{why}; {before.why}"
+            earlier, number = self._stored.latched, self._stored.number + 1
+            if earlier is not None and earlier.cause is TripCause.PERSON:
+                why = f"{why}; {earlier.why}"
             latched = _LatchEntry(cause=cause, why=why, lit=lit)
             self._stored = self._stored.model_copy(update={"number": number, "latched": latched})
         self._write_in_time()
@@ -270,8 +266,8 @@ class SafetyState:
                     if self._mark == mark:
                         self._new_press = ""
                     return
-        came = "it was acknowledged" if newest is None else f"a trip came: {newest.text}"
-        raise DeviceError(f"trip {number} cannot be acknowledged: meanwhile {came}")
+        change = "it was acknowledged" if newest is None else f"a trip came: {newest.text}"
+        raise DeviceError(f"trip {number} cannot be acknowledged: meanwhile {change}")
 
     @property
     def left_lit(self) -> bool:
@@ -287,20 +283,20 @@ class SafetyState:
         if lit or lit != self._stored.lit:
             with self._file_lock:
                 self._write(self._stored.model_copy(update={"lit": lit}))
-                self._note(lit=lit)
+                self._change(lit=lit)
 
     def keep(self) -> None:
         """Write the state again if that failed before, or if the file was deleted. Raises nothing."""
         if self.path is not None and (self.problem or not self.path.exists()):
             with suppress(DeviceError):
-                self._write_noted()
+                self._write_state()
 
-    def _note(self, **changed: object) -> None:
+    def _change(self, **changes: object) -> None:
         """Change the state in memory, where it holds from now on."""
         with self._state_lock:
-            self._stored = self._stored.model_copy(update=changed)
+            self._stored = self._stored.model_copy(update=changes)
 
-    def _write_noted(self) -> None:
+    def _write_state(self) -> None:
         """Write the state as it is in memory; DeviceError where that fails."""
         with self._file_lock:
             self._write(self._stored)
@@ -312,18 +308,18 @@ class SafetyState:
 
         def write() -> None:
             try:
-                self._write_noted()
+                self._write_state()
             except DeviceError:
                 if self.presses is not None:
                     with suppress(OSError):
                         self.presses.touch()
                 raise
 
-        writing = run_in_thread(write)
-        self._writing.add(writing)
-        writing.add_done_callback(self._writing.discard)
+        future = run_in_thread(write)
+        self._pending_writes.add(future)
+        future.add_done_callback(self._pending_writes.discard)
         try:
-            writing.result(_STORED_WITHIN_S)
+            future.result(_MAX_STORE_S)
         except TimeoutError:
             self.problem = f"{self.path}: the rig's state is not written yet: the disk hangs"
             raise DeviceError(self.problem) from None
@@ -347,17 +343,17 @@ class SafetyState:
             path.parent.mkdir(parents=True, exist_ok=True)
             # never through a symbolic link, which could name any file
             flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW
-            held = os.fdopen(os.open(path.with_suffix(".lock"), flags, 0o666), "r+b")
+            lock_file = os.fdopen(os.open(path.with_suffix(".lock"), flags, 0o666), "r+b")
         except OSError as error:
             raise DeviceError(f"{path}: the rig's state cannot be held: {error.strerror or error}") from None
         try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            by = held.read(200).decode(errors="replace").partition("\n")[0] or "another program"
-            held.close()
-            raise DeviceError(f"the rig's devices are in use by {by}: end it first") from None
+            holder = lock_file.read(200).decode(errors="replace").partition("\n")[0] or "another program"
+            lock_file.close()
+            raise DeviceError(f"the rig's devices are in use by {holder}: end it first") from None
         except OSError as error:
-            held.close()
+            lock_file.close()
             raise DeviceError(
                 f"{path.with_suffix('.lock')}: cannot be locked: {error.strerror or error}; another program "
                 "could light the laser: let XDG_STATE_HOME name a folder on a local disk"
@@ -365,8 +361,8 @@ class SafetyState:
         self.read()
         with suppress(DeviceError):
             # the file is written before the lock, so that a missing file later means a deleted one
-            self._write_noted()
-        held.truncate(0)
-        held.write(f"process {os.getpid()}{self._who and f' ({self._who})'}".encode())
-        held.flush()
-        self._held = held
+            self._write_state()
+        lock_file.truncate(0)
+        lock_file.write(f"process {os.getpid()}{self._who and f' ({self._who})'}".encode())
+        lock_file.flush()
+        self._lock_file = lock_file

@@ -187,7 +187,7 @@ class Desk:
     def _rig_holder(self) -> Path | None:
         """Folder of the command that has the rig; a simulated rig has no file that names it."""
         if self.rig.path is not None:
-            return self.rig.folder_of_holder
+            return self.rig.holder_folder
         return self.config.session.output if self.jobs.running(uses_camera=True) else None
 
     def align_whole_sensor(self) -> None:

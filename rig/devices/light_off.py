@@ -74,5 +74,5 @@ class LightOff:
 
     def _order_holder_dark(self, folders: Collection[Path]) -> bool:
         """Order a program that has the rig and works in another folder to darken; True if it answered."""
-        folder = self._rig.folder_of_holder
+        folder = self._rig.holder_folder
         return folder is not None and folder not in folders and self._order_session_dark(folder)

@@ -136,7 +136,7 @@ class Devices(LitDevices):
         config = self._config
         self._closing.enter_context(self.state)
         if self._folder is not None:
-            self.state.held_for(self._folder)
+            self.state.note_folder(self._folder)
         self._find_earlier_trips()
         if self.state.path is not None:
             self._closing.enter_context(_press_watch(self))

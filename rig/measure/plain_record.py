@@ -219,7 +219,7 @@ def acknowledge_trip(config: Configuration, number: int) -> int:
 
 def _sessions(config: Configuration) -> Iterator[Path]:
     """Folders where a session may run: that of the program that holds the rig, then those in the output."""
-    held = SafetyState(rig_state_path(config.laser, config.controller)).folder_of_holder
+    held = SafetyState(rig_state_path(config.laser, config.controller)).holder_folder
     if held is not None:
         yield held
     yield from running_sessions(config.session.output)

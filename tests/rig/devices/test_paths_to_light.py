@@ -485,7 +485,7 @@ def test_without_a_controller_the_state_is_the_rigs_and_outlives_the_program(tmp
             # opened after the trip: that it was opened is the asking
             devices.light()
             # killed: nothing is closed
-            devices.state._held.close()  # type: ignore[union-attr]
+            devices.state._lock_file.close()  # type: ignore[union-attr]
             with Devices(config, tmp_path) as after:
                 trip = after.permit.latched
                 assert trip is not None

@@ -147,7 +147,7 @@ def test_where_the_state_cannot_be_written_nothing_is_lit(
             disk.setattr(atomic_write, "replace", full)
             devices.permit.trip(TripCause.OUTPUT, "it stays lit")
             until(lambda: not instrument.on)
-            devices.state._held.close()  # type: ignore[union-attr]
+            devices.state._lock_file.close()  # type: ignore[union-attr]
             with Devices(config) as after:
                 assert after.permit.latched is not None
                 with pytest.raises(DeviceError):
