@@ -310,7 +310,7 @@ class Link:
     @property
     def received_text(self) -> str:
         """Description of the bytes that were received instead of a valid line, for messages."""
-        junk = (self._last_junk or self._reader.unended).decode("latin-1").strip()
+        junk = (self._last_junk or self._reader.incomplete_line).decode("latin-1").strip()
         return f"it sends {junk[:60]!r}, which is not a line of the controller" if junk else "it is silent"
 
     def take_events(self) -> tuple[BoardEvent, ...]:

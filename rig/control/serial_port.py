@@ -13,7 +13,7 @@ from processing.errors import DeviceError
 
 _WRITE_TIMEOUT_S = 1.0
 _BUFFER_MAX = 65536
-"""Largest number of bytes kept of a device that never ends a line."""
+"""Largest number of bytes that are stored of a device that never ends a line."""
 
 
 class PortLost(DeviceError):
@@ -67,7 +67,7 @@ class SerialPort:
                 url, baudrate=baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True
             )
         except (OSError, ValueError, serial.SerialException) as error:
-            raise PortLost(f"{url}: cannot open the serial port: {_why_closed(error)}") from error
+            raise PortLost(f"{url}: cannot open the serial port: {_open_failure(error)}") from error
 
     @property
     def name(self) -> str:
@@ -82,16 +82,16 @@ class SerialPort:
             raise self._loss_error("write", error) from error
 
     def read(self, timeout_s: float) -> bytes:
-        """All received bytes, at least one; b"" after timeout_s."""
+        """All received bytes, at least one; b"" after `timeout_s`."""
         try:
-            waiting = self._serial.in_waiting
-            if waiting:
-                return bytes(self._serial.read(waiting))
+            received_bytes = self._serial.in_waiting
+            if received_bytes:
+                return bytes(self._serial.read(received_bytes))
             self._serial.timeout = max(timeout_s, 0.0)
-            first = bytes(self._serial.read(1))
-            if first and (waiting := self._serial.in_waiting):
-                first += bytes(self._serial.read(waiting))
-            return first
+            data = bytes(self._serial.read(1))
+            if data and (received_bytes := self._serial.in_waiting):
+                data += bytes(self._serial.read(received_bytes))
+            return data
         except Exception as error:
             raise self._loss_error("read", error) from error
 
@@ -109,9 +109,9 @@ class SerialPort:
         except Exception as error:
             raise self._loss_error("close", error) from error
 
-    def _loss_error(self, doing: str, error: Exception) -> PortLost:
+    def _loss_error(self, operation: str, error: Exception) -> PortLost:
         return PortLost(
-            f"{self._url}: the serial port is no longer available ({doing}): {_reason(error)};"
+            f"{self._url}: the serial port is no longer available ({operation}): {_reason(error)};"
             " check the cable"
         )
 
@@ -140,14 +140,14 @@ class LineReader:
                 return None
 
     @property
-    def unended(self) -> bytes:
-        """The bytes received of a line that has not ended."""
+    def incomplete_line(self) -> bytes:
+        """The bytes of a line that has not ended."""
         return bytes(self._buffer)
 
     def finds_line_start(self, deadline_s: float) -> bool:
-        """Discard the rest of a line in whose middle a port may have been opened.
+        """Discard the rest of a line, in the middle of which the port may have been opened.
 
-        True if the next byte begins a line, because one has ended, or nothing came until deadline_s.
+        True if the next byte begins a line: one has ended, or nothing came until `deadline_s`.
         """
         return self.read_line(deadline_s) is not None or not self._buffer
 
@@ -157,7 +157,7 @@ class LineReader:
         self._buffer.clear()
 
 
-def _why_closed(error: Exception) -> str:
+def _open_failure(error: Exception) -> str:
     """The system's reason, without the port's name, which the library repeats, and the ports that exist."""
     number = getattr(error, "errno", None)
     if number in (errno.EAGAIN, errno.EBUSY):
@@ -170,12 +170,11 @@ def _why_closed(error: Exception) -> str:
 
 def ports_here() -> str:
     """The serial ports of this computer in words, as the remedy for a wrong port."""
-    here: list[str] = []
+    devices: list[str] = []
     with suppress(OSError):
-        here = sorted(port.device for port in list_ports.comports())
-    return (
-        f"present are {', '.join(here)}" if here else "this computer has no serial port: plug the device in"
-    )
+        devices = sorted(port.device for port in list_ports.comports())
+    present = ", ".join(devices)
+    return f"present are {present}" if present else "this computer has no serial port: plug the device in"
 
 
 def _reason(error: Exception) -> str:

@@ -15,7 +15,7 @@ from rig.control.firmware.core import Firmware
 from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import ControllerSettings
 
-_TURN_S = 0.005
+_LOOP_INTERVAL_S = 0.005
 
 
 def simulated_controller(
@@ -38,7 +38,7 @@ class SimulatedBoard:
     Parameters
     ----------
     inputs
-        The rig that the board's pins move; None: they are not connected.
+        The rig that the board's pins move; None if they are not connected.
     laser
         Called from the board's thread, instead of the rig's, with the optical power in W, 0.0 when off; it
         must return immediately.
@@ -81,15 +81,15 @@ class SimulatedBoard:
         with self.changed:
             self.open_lines += 1
             if self._thread is None:
-                self._thread = threading.Thread(target=self._live, name="simulated-board", daemon=True)
+                self._thread = threading.Thread(target=self._run, name="simulated-board", daemon=True)
                 self._thread.start()
         return _SimulatedLine(self)
 
-    def _live(self) -> None:
+    def _run(self) -> None:
         while True:
             with self.changed:
                 if not self.to_board:
-                    self.changed.wait(_TURN_S)
+                    self.changed.wait(_LOOP_INTERVAL_S)
             self._firmware.step()
             with self.changed:
                 if not self.open_lines and not self._firmware.token:

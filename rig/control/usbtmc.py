@@ -18,13 +18,12 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 PREFIX = "usbtmc"
-"""Port of the only such instrument; with ``:SERIAL`` behind it, of the one with this serial number."""
-_DEVICES = Path("/sys/class/usbmisc")
-_CLEAR = 0x5B02
-_SET_TIMEOUT = 0x40045B0A
+"""Port of the only such instrument; ``usbtmc:SERIAL`` is that of the one with this serial number."""
+_DEVICES_FOLDER = Path("/sys/class/usbmisc")
+_CLEAR, _SET_TIMEOUT = 0x5B02, 0x40045B0A
 """_IO(91, 2) and _IOW(91, 10, __u32) of linux/usb/tmc.h."""
 _MIN_TIMEOUT_MS = 100
-_ANSWER_BYTES = 4096
+_MAX_ANSWER_BYTES = 4096
 
 
 def is_usbtmc(port: str) -> bool:
@@ -32,27 +31,27 @@ def is_usbtmc(port: str) -> bool:
     return port.partition(":")[0] == PREFIX or Path(port).name.startswith(PREFIX)
 
 
-def find_usbtmc(port: str, vendor: int, devices: Path = _DEVICES) -> str:
+def find_usbtmc(port: str, vendor: int, devices: Path = _DEVICES_FOLDER) -> str:
     """The device node of an instrument; a path is returned as it is.
 
     Raises PortLost if there is none of this USB vendor and serial number, or several.
     """
     if port.partition(":")[0] != PREFIX:
         return port
-    wanted = port.partition(":")[2]
-    found = {}
+    wanted_serial = port.partition(":")[2]
+    paths = {}
     for node in sorted(devices.glob("usbtmc*")):
         # the class device belongs to an interface, whose parent is the USB device
         with contextlib.suppress(OSError, ValueError):
             usb = (node / "device").resolve().parent
             if int((usb / "idVendor").read_text(encoding="utf-8"), 16) == vendor:
-                found[(usb / "serial").read_text(encoding="utf-8").strip()] = f"/dev/{node.name}"
-    matching = {serial: path for serial, path in found.items() if wanted in ("", serial)}
+                paths[(usb / "serial").read_text(encoding="utf-8").strip()] = f"/dev/{node.name}"
+    matching = {serial: path for serial, path in paths.items() if wanted_serial in ("", serial)}
     if len(matching) == 1:
         return next(iter(matching.values()))
-    there = ", ".join(f"usbtmc:{serial}" for serial in found) or "none"
+    present = ", ".join(f"usbtmc:{serial}" for serial in paths) or "none"
     raise PortLost(
-        f"{port}: {len(matching)} USBTMC instruments of vendor {vendor:04x} fit, there is {there};"
+        f"{port}: {len(matching)} USBTMC instruments of vendor {vendor:04x} fit, there is {present};"
         " name one, switch it on, and see that the kernel has its module usbtmc"
     )
 
@@ -106,7 +105,7 @@ class UsbTmcLine:
             return b""
         try:
             self._set_timeout(timeout_s)
-            answer = os.read(self._fd, _ANSWER_BYTES)
+            answer = os.read(self._fd, _MAX_ANSWER_BYTES)
         except TimeoutError:
             self._clear()
             return b""
@@ -142,8 +141,8 @@ class UsbTmcLine:
             fcntl.ioctl(self._fd, _SET_TIMEOUT, struct.pack("@I", timeout_ms))
             self._timeout_ms = timeout_ms
 
-    def _loss_error(self, doing: str, error: OSError) -> PortLost:
+    def _loss_error(self, operation: str, error: OSError) -> PortLost:
         return PortLost(
-            f"{self._path}: the instrument is no longer available ({doing}): {error.strerror or error};"
+            f"{self._path}: the instrument is no longer available ({operation}): {error.strerror or error};"
             " check the cable"
         )

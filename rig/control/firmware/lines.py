@@ -36,9 +36,7 @@ class Refused(Exception):
 
 
 def _spellings(header: str) -> list[str]:
-    """All combinations of short and long mnemonics, as in SCPI: "LASer:POWer?" -> LAS:POW?, LASER:POW?,
-    ...
-    """
+    """All combinations of short and long mnemonics, as in SCPI: LAS:POW?, LASER:POW? ... of LASer:POWer?"""
     query = "?" if header.endswith("?") else ""
     forms = [""]
     for word in header.rstrip("?").split(":"):
@@ -96,15 +94,14 @@ class Lines:
 
     def _take(self, line: bytes) -> None:
         # a line whose end was lost may precede a complete one, so parsing begins at the last tag
-        tag_at = line.rfind(b"#")
-        if tag_at < 0:
+        tag_start = line.rfind(b"#")
+        if tag_start < 0:
             self._take_typed(line)
             return
-        line = line[tag_at:].rstrip(b"\r")
-        for seen, reply in self._replies:
-            if seen == line:
-                # a line is repeated if its reply was lost, so the reply is sent again without executing it
-                # again
+        line = line[tag_start:].rstrip(b"\r")
+        for earlier_line, reply in self._replies:
+            if earlier_line == line:
+                # the host repeats a line whose reply was lost: the reply is sent again, and nothing executed
                 self.board.write(reply)
                 return
         try:
