@@ -1,7 +1,7 @@
 """Finds, checks, opens and closes the devices: camera, controller, laser and sensors."""
 
 from rig.devices import picture
-from rig.devices.acknowledgement import LightWatch, TypedAcknowledgement, ask_leave, at_terminal
+from rig.devices.acknowledgement import LightWatch, TypedAcknowledgement, ask_acknowledgement, at_terminal
 from rig.devices.aligning import align_camera
 from rig.devices.alignment_look import (
     AlignmentFrame,

@@ -23,7 +23,7 @@ def at_terminal() -> bool:
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 
-def ask_leave(devices: LitDevices) -> None:
+def ask_acknowledgement(devices: LitDevices) -> None:
     """After a trip, ask at the terminal, if there is one, until it is acknowledged and light is asked for.
 
     An empty line, the end of input and Ctrl-C change nothing, so that `Devices.light` refuses.

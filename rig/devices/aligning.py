@@ -13,7 +13,7 @@ from rich.text import Text
 from acquisition.camera import CameraSettings, Frame
 from processing.errors import DeviceError, RigError
 from rig.control import NEEDS_REQUEST, LightRefused, Stage
-from rig.devices.acknowledgement import LightWatch, ask_leave, at_terminal
+from rig.devices.acknowledgement import LightWatch, ask_acknowledgement, at_terminal
 from rig.devices.alignment_look import AlignmentFrame, take_look
 from rig.devices.order_socket import Orders, SessionNews, light_shown_to_desk
 from rig.devices.picture import find_exposure
@@ -245,5 +245,5 @@ def align_camera(config: Configuration, *, seconds: float = 0.0) -> None:
             light_shown_to_desk(devices, output, picture.news, picture.orders),
             devices.camera(config) as opened,
         ):
-            ask_leave(devices)
+            ask_acknowledgement(devices)
             picture.show(opened, seconds=seconds)

@@ -20,7 +20,7 @@ from rig.devices import (
     NoSession,
     OrderConnection,
     SessionNews,
-    ask_leave,
+    ask_acknowledgement,
     light_shown_to_desk,
     png_of,
     read_frames,
@@ -75,7 +75,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
         Devices(config, folder, "a record alone") as devices,
         light_shown_to_desk(devices, folder, session_news),
     ):
-        ask_leave(devices)
+        ask_acknowledgement(devices)
         fitted = bool(config.session.stop_when)
         plan = RunPlan(config, source, record, record.stem, fitted=fitted, session_news=session_news)
         outcome = measure_run(plan, devices)
@@ -121,7 +121,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
         Devices(config, folder, "rig doctor --preflight") as devices,
         light_shown_to_desk(devices, folder),
     ):
-        ask_leave(devices)
+        ask_acknowledgement(devices)
         plan = RunPlan(
             config,
             Path(),

@@ -24,7 +24,7 @@ from rig.devices import (
     Devices,
     Orders,
     SessionNews,
-    ask_leave,
+    ask_acknowledgement,
     at_terminal,
     light_orders,
     wait_for_command,
@@ -133,7 +133,7 @@ def await_acknowledgement(devices: Devices, session_news: SessionNews, *, resuma
 
     Raises LightRefused, with the remedy, if nobody does. A session that is not `resumable` has no record yet.
     """
-    ask_leave(devices)
+    ask_acknowledgement(devices)
     trip = devices.permit.latched
     if (trip or devices.permit.needs_request) and session_news.watched and not at_terminal():
         what = "light is to be asked for" if trip is None else trip.text

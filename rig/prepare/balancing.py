@@ -10,7 +10,14 @@ from processing.balance import Balance, Turn, balance_checks
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from processing.units import nanoseconds
-from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_shown_to_desk, wait_for_command
+from rig.devices import (
+    AuditEntry,
+    Devices,
+    LightWatch,
+    ask_acknowledgement,
+    light_shown_to_desk,
+    wait_for_command,
+)
 from rig.instrument import (
     DIRECTIONS,
     WEIGHTS,
@@ -52,7 +59,7 @@ def measure(
         optics = optics_of(config, camera.info.full_scale_dn)
         prepare_kernels(optics.sensor, say)
         # lit only while frames are taken: at other times the operator's hands may be at the pendulum
-        ask_leave(devices)
+        ask_acknowledgement(devices)
         if lit := devices.light():
             say(lit)
         stream = devices.stream(config, camera)

@@ -119,7 +119,7 @@ def type_at_terminal(world: World) -> None:
         patch.object(acknowledgement, "_forget_what_was_typed"),
         patch.object(acknowledgement, "say"),
     ):
-        acknowledgement.ask_leave(program)
+        acknowledgement.ask_acknowledgement(program)
     if trip is not None and program.permit.latched is None:
         acknowledged(world, right)
 
