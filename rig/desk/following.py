@@ -23,7 +23,7 @@ from rig.devices import (
     ReferencePart,
     SessionBusy,
     SessionPicture,
-    middle_of,
+    crosshair_of,
     picture,
     running_sessions,
 )
@@ -192,11 +192,11 @@ class Following:
             own = seen.image[:row]
         figures = picture.figures(own, full_scale_dn)
         self.focus.append((time.monotonic(), figures.sharpness_per_px))
-        middle_px = middle_of(seen.image, None if config is None else config.lever_reference_px)
+        crosshair_px = crosshair_of(seen.image, None if config is None else config.lever_reference_px)
         # those of this frame: the news may have others already, or not yet
         applied = CameraSettings.model_validate(seen.camera["applied"])
         return AlignmentFrame(
-            seen.image, full_scale_dn, figures, seen.spot, middle_px, applied, seen.beam, reference
+            seen.image, full_scale_dn, figures, seen.spot, crosshair_px, applied, seen.beam, reference
         )
 
     def _follow(self) -> None:

@@ -23,9 +23,9 @@ from rig.control import (
 from rig.desk.following import Following
 from rig.desk.run_reader import clock
 from rig.devices import (
-    HEARD_WITHIN_S,
-    NOT_OURS,
+    MAX_ANSWER_S,
     ORDERS_NAME,
+    SWITCHED_BY_HAND,
     Devices,
     LightOff,
 )
@@ -75,7 +75,7 @@ class Lighting:
                 reply.set_result(self._off())
             except Exception as error:
                 reply.set_exception(error)
-        return reply.result(2.0 * HEARD_WITHIN_S)
+        return reply.result(2.0 * MAX_ANSWER_S)
 
     def _off(self) -> list[str]:
         desk = self._desk
@@ -101,7 +101,7 @@ class Lighting:
         problems, answered, kept = pressed.result()
         heard = heard or answered
         if desk.config.laser.kind == "none":
-            problems.append(NOT_OURS)
+            problems.append(SWITCHED_BY_HAND)
         elif not heard:
             is_stored = kept and desk.rig.presses is not None
             stored = ": it is kept, and nothing is lit until it is acknowledged" if is_stored else ""
@@ -117,7 +117,7 @@ class Lighting:
         if desk.following.news:
             return desk.following.order(f"acknowledge {number}")
         with Devices(desk.config, desk.config.session.output, "the desk") as devices:
-            devices.wait_until_heard()
+            devices.wait_for_reports()
             return devices.acknowledge(number, "the desk")
 
     def again(self) -> str:

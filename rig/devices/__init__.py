@@ -7,20 +7,20 @@ from rig.devices.alignment_look import (
     AlignmentFrame,
     ReferencePart,
     annotated_picture,
-    middle_of,
+    crosshair_of,
     take_look,
 )
 from rig.devices.audit import AuditEntry
 from rig.devices.clocks import (
     ClockAnchors,
     ClockRate,
-    wrong_rate,
+    impossible_rate_text,
 )
 from rig.devices.doctor import RULES_FOLDER, examine, install_rules, udev_rules
 from rig.devices.frame_stream import FrameStream
-from rig.devices.laser import STAYS_LIT, WIRE_IT, check_wiring, through_controller, wait_for_command
-from rig.devices.light_off import HEARD_WITHIN_S, LightOff
-from rig.devices.lit_devices import NOT_OURS
+from rig.devices.laser import STAYS_LIT, WIRING_REMEDY, check_wiring, through_controller, wait_for_command
+from rig.devices.light_off import MAX_ANSWER_S, LightOff
+from rig.devices.lit_devices import SWITCHED_BY_HAND
 from rig.devices.order_line import NoSession, OrderConnection, SessionBusy, running_sessions
 from rig.devices.order_socket import (
     LOOPBACK,

@@ -68,7 +68,7 @@ class AlignmentFrame(NamedTuple):
     ----------
     spot
         Fitted spot; its fields are NaN if none was found.
-    middle_px
+    crosshair_px
         Position (x, y) at which the spot should rest: the light lever's reference, else the frame's middle.
     applied
         Settings that the camera has read back.
@@ -82,7 +82,7 @@ class AlignmentFrame(NamedTuple):
     full_scale_dn: int
     figures: PictureFigures
     spot: Spot
-    middle_px: tuple[float, float]
+    crosshair_px: tuple[float, float]
     applied: CameraSettings
     beam: Verdict | None = None
     reference: ReferencePart | None = None
@@ -174,7 +174,7 @@ class AlignmentFrame(NamedTuple):
 
     @property
     def _off_px(self) -> tuple[float, float]:
-        return self.spot.x_px - self.middle_px[0], self.spot.y_px - self.middle_px[1]
+        return self.spot.x_px - self.crosshair_px[0], self.spot.y_px - self.crosshair_px[1]
 
     @property
     def _edge_px(self) -> float:
@@ -200,7 +200,7 @@ def _offset(off_px: tuple[float, float], places: int) -> str:
     return ", ".join(decimals(value, places, sign=True) for value in off_px)
 
 
-def middle_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
+def crosshair_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
     """Position (x, y) at which the spot should rest: the reference, else the middle of the frame."""
     rows, columns = image.shape
     return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
@@ -234,7 +234,7 @@ def take_look(
             remedy="expose shorter, or less gain",
         )
     return AlignmentFrame(
-        image, full_scale_dn, seen, spot, middle_of(image, reference_px), applied, beam, other
+        image, full_scale_dn, seen, spot, crosshair_of(image, reference_px), applied, beam, other
     )
 
 
@@ -266,7 +266,7 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     def at(x_px: float, y_px: float) -> tuple[int, int]:
         return round((x_px - left + 0.5) * scale - 0.5), round((y_px - top + 0.5) * scale - 0.5)
 
-    cross = at(*look.middle_px)
+    cross = at(*look.crosshair_px)
     blue = palette.rgba(palette.SKY_BLUE)[:3]
     cv2.line(picture, (cross[0], 0), (cross[0], size[1] - 1), blue, thin)
     cv2.line(picture, (0, cross[1]), (size[0] - 1, cross[1]), blue, thin)
@@ -295,7 +295,7 @@ def _part(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
     """Left, top, width and height of the shown part in px of the frame."""
     rows, columns = look.image.shape
     width, height = max(8, round(columns / zoom)), max(8, round(rows / zoom))
-    x_px, y_px = (look.spot.x_px, look.spot.y_px) if look.found else look.middle_px
+    x_px, y_px = (look.spot.x_px, look.spot.y_px) if look.found else look.crosshair_px
     left = int(np.clip(round(x_px - 0.5 * width), 0, max(columns - width, 0)))
     top = int(np.clip(round(y_px - 0.5 * height), 0, max(rows - height, 0)))
     return left, top, min(width, columns), min(height, rows)

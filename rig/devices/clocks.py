@@ -50,7 +50,7 @@ def u_of_kernel_clock() -> float:
     return float(state.estimated_error_us * 1e-6) if synchronised else math.nan
 
 
-def wrong_rate(relation: ClockRelation) -> str:
+def impossible_rate_text(relation: ClockRelation) -> str:
     """Rate of the camera's clock in words, if it is impossible for a clock that counts ns; else empty."""
     if abs(relation.drift_ppm) - 3.0 * relation.u_drift_ppm <= MAX_DRIFT_PPM:
         return ""

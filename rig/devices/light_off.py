@@ -12,7 +12,7 @@ from rig.settings import Configuration
 
 _MAX_STORE_S = 0.5
 """Longest wait until the press is stored; everything is commanded off before that."""
-HEARD_WITHIN_S = 1.5
+MAX_ANSWER_S = 1.5
 """Longest wait for the answers to orders; devices are commanded off before that."""
 
 
@@ -50,7 +50,7 @@ class LightOff:
             darken_directly(*self._lamps)
         answered = False
         with suppress(TimeoutError):
-            for order in as_completed(self._orders, HEARD_WITHIN_S):
+            for order in as_completed(self._orders, MAX_ANSWER_S):
                 answered = answered or (order.exception() is None and order.result())
         return problems, answered, not not_stored
 

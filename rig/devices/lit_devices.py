@@ -49,7 +49,7 @@ _LASER_CONFIRMS_WITHIN_S = 5.0
 _LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
 LEFT_LIT = "a program that had lit the laser was killed, or could not say that it is off"
 _STILL_SEEN = "the laser was commanded off, but the camera still sees its spot"
-NOT_OURS = "no laser is switched by this program: turn its key"
+SWITCHED_BY_HAND = "no laser is switched by this program: turn its key"
 _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
 
@@ -102,7 +102,7 @@ class LitDevices:
         if trip is None:
             return ""
         if self._config.laser.kind == "none":
-            return f"{NOT_OURS}, then start again"
+            return f"{SWITCHED_BY_HAND}, then start again"
         if self.state.path is None:
             return "it is a simulated laser: start again"
         return (
@@ -159,7 +159,7 @@ class LitDevices:
         self.permit.look_for_presses()
         if self.permit.latched is None:
             self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
-        return "the laser is commanded off" if self._config.laser.kind != "none" else NOT_OURS
+        return "the laser is commanded off" if self._config.laser.kind != "none" else SWITCHED_BY_HAND
 
     def _find_earlier_trips(self) -> None:
         """Latch, before devices are opened, an earlier press and a light that was not confirmed off."""
@@ -184,7 +184,7 @@ class LitDevices:
         if self.laser is not None:
             self.laser.off()
 
-    def wait_until_heard(self) -> None:
+    def wait_for_reports(self) -> None:
         """Wait until the devices with light and interlock have answered, for at most 3 s."""
         end_s = time.monotonic() + _HEARD_WITHIN_S
         while time.monotonic() < end_s and self._silent():
@@ -338,7 +338,7 @@ class LitDevices:
             # if this fails, the next program finds the light noted as on, and latches a trip
             self.state.lit(False)
         if not asked:
-            return NOT_OURS, interrupt
+            return SWITCHED_BY_HAND, interrupt
         confirming = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.confirms
         return f"laser off, confirmed by the {' and the '.join(confirming)}", interrupt
 
@@ -362,7 +362,7 @@ class LitDevices:
                 return f"the controller has tripped: {snapshot.status.trip}"
         return laser.text
 
-    def darkness_heard(self) -> str:
+    def reported_darkness(self) -> str:
         """The reason of `darkness` by reports from now on, for which it waits up to 3 s, or the latched trip.
 
         After a standstill of the computer, frames are dark before any device has reported that.

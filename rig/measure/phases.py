@@ -264,7 +264,7 @@ class PhasesBeforeRecord:
 
     def _raise_if_dark(self) -> None:
         """Raise DeviceError if the laser that this program has lit is dark: the cause of a failed check."""
-        if self._devices.permit.expects_light and (why := self._devices.darkness_heard()):
+        if self._devices.permit.expects_light and (why := self._devices.reported_darkness()):
             raise DeviceError(f"the laser is dark: {why}; nothing was recorded")
 
     def _seismometer_verdict(self, look: TrialFrames) -> Verdict:

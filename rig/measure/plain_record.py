@@ -13,8 +13,8 @@ from acquisition import atomic_write
 from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
 from rig.control import Light, SafetyNow, SafetyState, rig_state_path
 from rig.devices import (
-    NOT_OURS,
     ORDERS_NAME,
+    SWITCHED_BY_HAND,
     Devices,
     LightOff,
     NoSession,
@@ -187,7 +187,7 @@ def light_off(config: Configuration) -> int:
     sessions = [path.parent for path in config.session.output.glob(f"*/{ORDERS_NAME}")]
     problems, heard, _ = LightOff(config, rig, _TERMINAL, sessions).result()
     if config.laser.kind == "none":
-        problems.append(NOT_OURS)
+        problems.append(SWITCHED_BY_HAND)
     elif rig.presses is None and not heard:
         problems.append(f"no session of this simulated rig runs in {config.session.output}")
     for problem in problems:
@@ -210,7 +210,7 @@ def acknowledge_trip(config: Configuration, number: int) -> int:
             say(reply)
             return 0
     with Devices(config, config.session.output, "rig light acknowledge") as devices:
-        devices.wait_until_heard()
+        devices.wait_for_reports()
         reply = devices.acknowledge(number, "rig light acknowledge")
         answer(acknowledged=number, said=reply)
         say(reply)
@@ -236,7 +236,7 @@ def _device_state(config: Configuration) -> SafetyNow:
     """The state read from the devices, unlit; from the state file if another program has them."""
     try:
         with Devices(config, None, "rig light show") as devices:
-            devices.wait_until_heard()
+            devices.wait_for_reports()
             return devices.safety()
     except DeviceError as error:
         say(str(error), error=True)

@@ -15,7 +15,7 @@ from processing.errors import DataError
 from processing.spot import FixedLight, Spot, SpotFlag, fixed_light
 from processing.units import seconds
 from rig.control import LaserReport, SafetyNow
-from rig.devices import STAYS_LIT, WIRE_IT, wrong_rate
+from rig.devices import STAYS_LIT, WIRING_REMEDY, impossible_rate_text
 from rig.instrument import beam_quality
 from rig.measure.preflight.rest_checks import (
     TrialFrames,
@@ -89,7 +89,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
     rate = f"{relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm"
     if on_demand:
         rate = "no rate: made on demand"
-    elif wrong_by := wrong_rate(relation):
+    elif wrong_by := impossible_rate_text(relation):
         remedy = "the driver misreads its unit, or the computer's clock was set: see rig doctor"
         return judged("clock", False, (wrong_by, remedy), rate, limit)
     jitter_us = relation.frame_jitter_s * 1e6
@@ -227,7 +227,7 @@ def laser(now: LaserReport | None, goes_dark_by_itself: bool) -> Verdict:
     if now is None:
         return Verdict("laser", True, measured="none is configured", limit="lit", made=False)
     if now.on and not goes_dark_by_itself:
-        return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.text, limit="lit")
+        return Verdict("laser", True, STAYS_LIT, WIRING_REMEDY, measured=now.text, limit="lit")
     wrong = "there is no light for the measurement", "run rig doctor; close the interlock, turn its key"
     return judged("laser", now.on, wrong, now.text, "lit")
 

@@ -24,11 +24,11 @@ FULL_SCALE_DN = 255
 SHAPE = (400, 300)
 
 
-def look_at(image: np.ndarray, middle_px: tuple[float, float] = (149.5, 199.5)) -> AlignmentFrame:
+def look_at(image: np.ndarray, crosshair_px: tuple[float, float] = (149.5, 199.5)) -> AlignmentFrame:
     tracker = SpotTracker(SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN))
     spot = tracker.track(image)
     return AlignmentFrame(
-        image, FULL_SCALE_DN, figures(image, FULL_SCALE_DN), spot, middle_px, CameraSettings()
+        image, FULL_SCALE_DN, figures(image, FULL_SCALE_DN), spot, crosshair_px, CameraSettings()
     )
 
 

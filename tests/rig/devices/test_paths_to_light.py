@@ -514,7 +514,7 @@ def test_what_has_gone_dark_by_itself_is_lit_by_no_later_run(
             devices.darken("the run has ended")
         # another run, series or program
         with Devices(config, tmp_path) as devices:
-            devices.wait_until_heard()
+            devices.wait_for_reports()
             with pytest.raises(LightRefused, match=r"trip 1 \(WATCHDOG\): the laser went dark"):
                 devices.light()
             devices.acknowledge(1, "test")

@@ -53,7 +53,7 @@ def test_pressed_while_a_program_starts_nothing_is_lit(
     if when == "before it starts":
         presses.press("the desk")
     with Devices(config) as devices:
-        devices.wait_until_heard()
+        devices.wait_for_reports()
         if when == "before it lights":
             presses.press("the desk")
         elif when == "as it lights":
@@ -133,7 +133,7 @@ def test_where_the_state_cannot_be_written_nothing_is_lit(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with Devices(config) as devices:
-        devices.wait_until_heard()
+        devices.wait_for_reports()
         with monkeypatch.context() as disk:
             disk.setattr(atomic_write, "replace", full)
             with pytest.raises(LightRefused, match="the rig's state cannot be written: No space left"):
