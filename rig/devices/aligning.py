@@ -145,7 +145,11 @@ class LivePicture:
                     if stream.drained:
                         raise stream.failure or DeviceError("the camera has delivered its last frame")
                     continue
-                image, crosshair_px, applied = frames[-1].image, self._config.lever_reference_px, self._applied
+                image, crosshair_px, applied = (
+                    frames[-1].image,
+                    self._config.lever_reference_px,
+                    self._applied,
+                )
                 look = take_look(image, full_scale_dn, trackers, crosshair_px, applied)
                 of_reference = None if look.reference is None else look.reference.spot
                 self.news.show(image, look.spot, of_reference, look.beam)

@@ -31,7 +31,9 @@ from rig.control import (
 _COMMAND_S = 5.0
 _ANSWERS_WITHIN_S = 5.0
 STAYS_LIT = "it stays lit when this program is killed"
-WIRING_REMEDY = "wire its interlock through the controller's enable relay and set laser.interlock = 'controller'"
+WIRING_REMEDY = (
+    "wire its interlock through the controller's enable relay and set laser.interlock = 'controller'"
+)
 
 
 def through_controller(settings: LaserSettings) -> bool:
