@@ -1,7 +1,7 @@
-"""LIGHT OFF by a program that has no devices: to the ports, the rig's state, and what may light."""
+"""LIGHT OFF by a program that has no devices: to the ports, the rig's state, and programs that may light."""
 
 from collections.abc import Collection
-from concurrent.futures import Future, as_completed
+from concurrent.futures import as_completed
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,42 +23,44 @@ class LightOff:
     the ports directly, because a frozen session takes its order only when it goes on. Meanwhile the press is
     stored beside the rig's state, where every program reads it before it lights: a program that is only
     starting cannot take an order. The sessions of `folders`, and the program that has the rig, are ordered to
-    darken. `at` names where the button was pressed.
+    switch off. `place` names where the button was pressed.
     """
 
-    def __init__(self, config: Configuration, rig: SafetyState, at: str, folders: Collection[Path]) -> None:
-        self._rig, self._place = rig, at
-        self._lamps = config.laser, config.controller
+    def __init__(
+        self, config: Configuration, rig: SafetyState, place: str, folders: Collection[Path]
+    ) -> None:
+        self._rig, self._place = rig, place
+        self._settings = config.laser, config.controller
         # in threads, because a port, and the disk of the rig's state, of a trip or of a folder, may hang
-        self._ports = run_in_thread(darken_directly, *self._lamps)
-        self._press = None if rig.presses is None else run_in_thread(rig.presses.press, at)
+        self._port_writes = run_in_thread(darken_directly, *self._settings)
+        self._press = None if rig.presses is None else run_in_thread(rig.presses.press, place)
         absolute = {folder.absolute() for folder in folders}
-        self._orders = [run_in_thread(self._order_session_dark, folder) for folder in absolute]
-        self._orders.append(run_in_thread(self._order_holder_dark, absolute))
+        self._orders = [run_in_thread(self._order_session_off, folder) for folder in absolute]
+        self._orders.append(run_in_thread(self._order_holder_off, absolute))
 
     def result(self) -> tuple[list[str], bool, bool]:
         """Problems, whether a program has answered, and whether the press is stored for programs that start.
 
         "Off" is written to the ports once more, for what began to light before the press was stored.
         """
-        problems = self._ports.result()
-        if not_stored := self._storage_problem(self._press):
+        problems = self._port_writes.result()
+        if storage_problem := self._storage_problem():
             problems.append(
-                f"it is not kept ({not_stored}): a program that starts may light; turn the key switch"
+                f"it is not kept ({storage_problem}): a program that starts may light; turn the key switch"
             )
         elif self._press is not None:
-            darken_directly(*self._lamps)
+            darken_directly(*self._settings)
         answered = False
         with suppress(TimeoutError):
             for order in as_completed(self._orders, MAX_ANSWER_S):
                 answered = answered or (order.exception() is None and order.result())
-        return problems, answered, not not_stored
+        return problems, answered, not storage_problem
 
-    def _storage_problem(self, press: Future[None] | None) -> str:
-        """Why the press is not stored beside the rig's state; empty if it is, or without such a place."""
+    def _storage_problem(self) -> str:
+        """Why the press is not stored beside the rig's state; empty if it is, or if there is no state."""
         try:
-            if press is not None:
-                press.result(_MAX_STORE_S)
+            if self._press is not None:
+                self._press.result(_MAX_STORE_S)
         except TimeoutError:
             return f"{self._rig.path}: the disk hangs"
         except Exception as error:
@@ -66,13 +68,13 @@ class LightOff:
             return str(error)
         return ""
 
-    def _order_session_dark(self, folder: Path) -> bool:
+    def _order_session_off(self, folder: Path) -> bool:
         with suppress(RigError), OrderConnection(folder) as line:
             line.order(f"dark {self._place}")
             return True
         return False
 
-    def _order_holder_dark(self, folders: Collection[Path]) -> bool:
-        """Order a program that has the rig and works in another folder to darken; True if it answered."""
+    def _order_holder_off(self, folders: Collection[Path]) -> bool:
+        """Order a program that has the rig and works in another folder to switch off; True if it answered."""
         folder = self._rig.holder_folder
-        return folder is not None and folder not in folders and self._order_session_dark(folder)
+        return folder is not None and folder not in folders and self._order_session_off(folder)

@@ -64,7 +64,7 @@ def test_whatever_keeping_a_press_meets_it_is_said_and_all_else_is_done(
     desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     ordered: list[object] = []
-    monkeypatch.setattr(LightOff, "_order_holder_dark", lambda _, told: bool(ordered.append(told)))
+    monkeypatch.setattr(LightOff, "_order_holder_off", lambda _, told: bool(ordered.append(told)))
     desk = desk_of(REAL + LASER)
 
     def press(_presses: object, _at: str) -> None:

@@ -106,7 +106,7 @@ def test_too_much_light_is_acknowledged_only_when_it_is_gone() -> None:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """For a laser that is not there, which nobody needs to wait for."""
-    monkeypatch.setattr("rig.devices.laser._ANSWERS_WITHIN_S", 2.0)
+    monkeypatch.setattr("rig.devices.laser._MAX_ANSWER_S", 2.0)
     monkeypatch.setattr("rig.devices.lit_devices._LASER_CONFIRMS_WITHIN_S", 0.2)
 
 

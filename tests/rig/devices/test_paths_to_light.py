@@ -51,8 +51,8 @@ SWITCHES = {
     ("devices/lit_devices.py", "_light_once", "light"),
     ("devices/laser.py", "light", "enable"),
     ("devices/laser.py", "light", "laser_on"),
-    ("control/service.py", "_light", "laser_on"),
-    ("control/laser_service.py", "_light", "enable"),
+    ("control/service.py", "_switch_on", "laser_on"),
+    ("control/laser_service.py", "_switch_on", "enable"),
 }
 
 

@@ -113,7 +113,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         return usual(service, 0.0)
 
     monkeypatch.setattr(ControlService, "wait_open", wait_open)
-    monkeypatch.setattr("rig.devices.laser._ANSWERS_WITHIN_S", 2.0)
+    monkeypatch.setattr("rig.devices.laser._MAX_ANSWER_S", 2.0)
     monkeypatch.setattr("rig.devices.lit_devices._LASER_CONFIRMS_WITHIN_S", 0.2)
 
 
