@@ -91,7 +91,7 @@ class TypedAcknowledgement:
 
     def _light(self) -> None:
         try:
-            say(self._devices.light(asked=True))
+            say(self._devices.light(on_request=True))
         except DeviceError as error:
             say(str(error), error=True)
 
@@ -166,12 +166,12 @@ class LightWatch:
         kind, claim = EventKind.LASER_DARK, "the laser is dark"
         if not confirmed:
             kind, claim = EventKind.LASER_UNKNOWN, "it is not known whether the laser is lit"
-            why = "; ".join(filter(None, (why, self._last_said(now_s), devices.without_word)))
+            why = "; ".join(filter(None, (why, self._last_said(now_s), devices.silence_consequence)))
         if self.alarm:
             # the device that was silent answers again
             devices.audit(AuditEntry.DARK, why)
         else:
-            devices.fell_dark(why)
+            devices.note_unexpected_dark(why)
         self.alarm, self._confirmed = f"{claim}: {why}", confirmed
         return [(kind, why)]
 

@@ -42,23 +42,24 @@ from rig.devices.laser import (
 )
 from rig.settings import Configuration
 
-_LOOK_S = 0.02
-_BOARD_CONFIRMS_WITHIN_S = 2.0
-_LASER_CONFIRMS_WITHIN_S = 5.0
-"""Longest wait for a confirmation that the laser is off, which is commanded at once."""
-_LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
+_POLL_INTERVAL_S = 0.02
+_MAX_BOARD_CONFIRM_S, _MAX_LASER_CONFIRM_S = 2.0, 5.0
+"""Longest waits for a confirmation that the laser is off, which is commanded before."""
+_MAX_DARK_FRAMES_S = 3.0
+"""Longest search for frames that show that the laser is off."""
+_MAX_REPORT_S = 3.0
+"""Longest wait for the reports of the devices."""
 LEFT_LIT = "a program that had lit the laser was killed, or could not say that it is off"
-_STILL_SEEN = "the laser was commanded off, but the camera still sees its spot"
+_SPOT_VISIBLE = "the laser was commanded off, but the camera still sees its spot"
 SWITCHED_BY_HAND = "no laser is switched by this program: turn its key"
-_SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
+_SILENT_STATES = (Light.SILENT, Light.CONTROLLER_SILENT)
 
 
 class LitDevices:
-    """The devices that can light, opened by `Devices`; `folder` has their audit log, `task` is its purpose.
+    """The devices that can light, opened by `Devices`.
 
     After a trip nothing is lit until a person has acknowledged it by its number and a person asks for light
-    again. The trip belongs to the rig, not to a session: `SafetyState`. `lights_again` becomes False when the
-    session will not light the laser any more.
+    again. The trip belongs to the rig, not to a session: `SafetyState`.
     """
 
     def __init__(self, config: Configuration, folder: Path | None, task: str) -> None:
@@ -69,30 +70,31 @@ class LitDevices:
         self.state = SafetyState(rig_state_path(config.laser, config.controller), task)
         self._log = AuditLog(folder, config.session.operator, task)
         self._task = task
-        self._lighting = threading.Lock()
-        self._was_lit = self._is_lit = self._disagreed = False
+        self._light_lock = threading.Lock()
+        self._was_lit = self._is_lit = self._is_contradicted = False
         self.lights_again = True
+        """False once the session will not light the laser any more."""
         self.permit = LightPermit(state=self.state, on_trip=self._note_trip)
 
-    def light(self, *, asked: bool = False, in_run: bool = False) -> str:
+    def light(self, *, on_request: bool = False, in_run: bool = False) -> str:
         """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
 
-        `asked`: a person asks for light now, which is required after a trip, also an acknowledged one.
-        `in_run`: light only while the present run processes frames; after its end the request is invalid.
+        `on_request` states that a person asks for light now, which is required after a trip, also after an
+        acknowledged one. A request `in_run` is valid only while the present run processes frames.
 
-        From now on frames must be read and taken, else the laser is switched off again (`LightPermit`). To
-        be called when the first frame is due. Raises LightRefused while a trip is not acknowledged. Nothing
+        It is called when the first frame is due: from then on frames must be read and taken, else the laser
+        is switched off again (`LightPermit`). Raises LightRefused while a trip is not acknowledged. Nothing
         else in this program lights a laser.
         """
-        self.hear_presses()
+        self.obey_presses()
         if trip := self.permit.latched:
             self.audit(AuditEntry.REFUSED, trip.text)
             raise LightRefused(f"the laser stays off: {trip.text}; {self.remedy}")
         # before the wait for the lock: a trip during the wait then counts as later than the request
-        if asked:
+        if on_request:
             self.permit.request_light()
-        # if a run and an order light at the same time, the second finds the laser lit
-        with self._lighting:
+        # the later of a run and an order that light at the same time finds the laser lit
+        with self._light_lock:
             return self._light_once(in_run)
 
     @property
@@ -115,8 +117,8 @@ class LitDevices:
         if self.permit.needs_request:
             self.audit(AuditEntry.REFUSED, NEEDS_REQUEST)
             raise LightRefused(NEEDS_REQUEST)
-        if why := self.darkness():
-            self.went_dark(why)
+        if reason := self.darkness():
+            self.note_dark(reason)
             if self.state.path is not None or not through_controller(self._config.laser):
                 self._note_lit()
             # before it is lit, because a disk may hang
@@ -141,20 +143,20 @@ class LitDevices:
             self.audit(AuditEntry.REFUSED, str(error))
             raise LightRefused(f"the laser stays off: {error}") from None
 
-    def darken(self, why: str = "frames are not processed any more") -> None:
+    def darken(self, reason: str = "frames are not processed any more") -> None:
         """Switch the laser off before all waiting commands; never blocks."""
         # first, so that no command to light comes between
         self.permit.end()
-        self._order_dark()
-        self.went_dark(why)
+        self._command_off()
+        self.note_dark(reason)
 
     def light_off(self, who: str) -> str:
         """Switch the laser off at once, until acknowledged, by order of a person at the place `who`.
 
-        Waits for no device; after the devices are commanded it may wait for the disk of the rig's state. A
-        trip that is latched already stays as it is.
+        No device is waited for; after the commands to the devices it may wait for the disk of the rig's
+        state. A trip that is latched already stays as it is.
         """
-        self._order_dark()
+        self._command_off()
         # the press may be noted beside the rig's state as well: it then counts once
         self.permit.look_for_presses()
         if self.permit.latched is None:
@@ -171,13 +173,13 @@ class LitDevices:
         with suppress(DeviceError):
             self.state.lit(False)
 
-    def hear_presses(self) -> None:
-        """Darken and latch after a press of LIGHT OFF that is noted beside the rig's state."""
+    def obey_presses(self) -> None:
+        """Switch off and latch a trip after a press of LIGHT OFF that is noted beside the rig's state."""
         if self.permit.look_for_presses():
-            self._order_dark()
+            self._command_off()
         self.state.keep()
 
-    def _order_dark(self) -> None:
+    def _command_off(self) -> None:
         """Command controller and laser off, before all waiting commands; never blocks."""
         if self.control is not None and self._config.laser.kind != "none":
             self.control.laser_off()
@@ -186,9 +188,9 @@ class LitDevices:
 
     def wait_for_reports(self) -> None:
         """Wait until the devices with light and interlock have answered, for at most 3 s."""
-        end_s = time.monotonic() + _HEARD_WITHIN_S
-        while time.monotonic() < end_s and self._silent():
-            time.sleep(_LOOK_S)
+        deadline_s = time.monotonic() + _MAX_REPORT_S
+        while time.monotonic() < deadline_s and self._silent_device():
+            time.sleep(_POLL_INTERVAL_S)
 
     def acknowledge(self, number: int, who: str) -> str:
         """Clear the trip of this number, which a person at the place `who` acknowledges after a check.
@@ -203,15 +205,15 @@ class LitDevices:
             raise DeviceError(f"trip {number} cannot be acknowledged: latched is {trip.text}")
         if interlock:
             raise DeviceError(f"{interlock.text} is still open: close it, then acknowledge trip {number}")
-        if silent := self._silent():
+        if silent_device := self._silent_device():
             raise DeviceError(
-                f"trip {number} cannot be acknowledged: {silent}, so its cause may still be present"
+                f"trip {number} cannot be acknowledged: {silent_device}, so its cause may still be present"
             )
         state = None if self.laser is None else self.laser.snapshot.state
         if state is not None and state.dark_reason:
             raise DeviceError(f"trip {number} cannot be acknowledged: {state.dark_reason}")
         if self.permit.spot.contradicts and self.permit.spot.age_s <= STALE_S:
-            raise DeviceError(f"trip {number} cannot be acknowledged: {_STILL_SEEN}")
+            raise DeviceError(f"trip {number} cannot be acknowledged: {_SPOT_VISIBLE}")
         if self.control is not None:
             # the board has its own numbers, and refuses to clear a trip that it has not yet reported
             wait_for_command(self.control.acknowledge())
@@ -221,29 +223,29 @@ class LitDevices:
         return f"{trip.text}: acknowledged"
 
     def compare(self) -> None:
-        """Compare the devices' state with the frames; light in them while the laser is off latches a trip."""
+        """Latch a trip if the frames show light while the devices report that the laser is off."""
         laser, spot = self.laser_report(), self.permit.spot
         if laser is None or laser.light not in (Light.ON, Light.OFF, Light.INTERLOCK_OPEN):
             return
         spot.note_laser(laser.on)
         if not spot.contradicts:
-            self._disagreed = False
-        elif not self._disagreed:
-            self._disagreed = True
-            self.permit.trip(TripCause.OUTPUT, _STILL_SEEN)
+            self._is_contradicted = False
+        elif not self._is_contradicted:
+            self._is_contradicted = True
+            self.permit.trip(TripCause.OUTPUT, _SPOT_VISIBLE)
 
-    def see_dark(self, camera: Camera) -> None:
+    def confirm_dark_by_frames(self, camera: Camera) -> None:
         """After `darken`, examine frames of a stopped camera until they show that the laser is off.
 
-        This ends after some seconds, or with an error of the camera; the frames then confirm nothing.
+        After some seconds, and after an error of the camera, the frames confirm nothing.
         """
         spot = self.permit.spot
-        end_s = time.monotonic() + _LOOKS_FOR_S + 2.0 * spot.exposure_s
+        deadline_s = time.monotonic() + _MAX_DARK_FRAMES_S + 2.0 * spot.exposure_s
         with suppress(RigError, OSError):
             camera.start()
             try:
-                while time.monotonic() < end_s and not (spot.confirms or spot.contradicts):
-                    if (frame := camera.read(_LOOKS_FOR_S)) is None:
+                while time.monotonic() < deadline_s and not (spot.confirms or spot.contradicts):
+                    if (frame := camera.read(_MAX_DARK_FRAMES_S)) is None:
                         return
                     spot.examine(frame.image)
                     self.compare()
@@ -254,29 +256,29 @@ class LitDevices:
         if now:
             self.audit(AuditEntry.TRIP, trip.why, cause=trip.cause, lit=trip.lit)
         self.audit(AuditEntry.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
-        self.went_dark(trip.text)
+        self.note_dark(trip.text)
 
-    def went_dark(self, why: str) -> None:
+    def note_dark(self, reason: str) -> None:
         """Note that the light is off; never blocks."""
         if self._is_lit:
             self._is_lit = False
-            self.audit(AuditEntry.DARK, why)
+            self.audit(AuditEntry.DARK, reason)
 
-    def fell_dark(self, why: str) -> None:
+    def note_unexpected_dark(self, reason: str) -> None:
         """Note that a laser which should be lit is dark, and latch a trip, so that no later run lights it.
 
         A person who switched it off, at its panel or from another program, may be in the beam path. No trip
-        is latched for a laser that does not answer, which may still be lit, and for one that a trip darkened,
-        acknowledged or not.
+        is latched for a laser that does not answer, which may still be lit, and for one that a trip switched
+        off, acknowledged or not.
         """
         if not self.confirmed_dark:
             if self._is_lit:
                 self._is_lit = False
-                self.audit(AuditEntry.UNKNOWN, why)
+                self.audit(AuditEntry.UNKNOWN, reason)
             return
         if self.permit.expects_light and not self.permit.needs_request:
-            self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
-        self.went_dark(why)
+            self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {reason}")
+        self.note_dark(reason)
 
     @property
     def confirmed_dark(self) -> bool:
@@ -285,8 +287,8 @@ class LitDevices:
         return laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)
 
     @property
-    def without_word(self) -> str:
-        """What happens, in words, to a laser whose device does not answer."""
+    def silence_consequence(self) -> str:
+        """What happens to a laser whose device does not answer, in words."""
         if not through_controller(self._config.laser):
             return STAYS_LIT
         return (
@@ -303,8 +305,8 @@ class LitDevices:
         own = self._config.laser.interlock == "own"
         return Interlock.LASER if own and state is not None and not state.interlock_closed else None
 
-    def _silent(self) -> str:
-        """The device, in words, that does not answer, so that its interlock is unknown. Never blocks."""
+    def _silent_device(self) -> str:
+        """The device that does not answer, in words, so that its interlock is unknown. Never blocks."""
         if self.control is not None and self.control.snapshot.status is None:
             return Light.CONTROLLER_SILENT
         if self.laser is not None and self.laser.snapshot.state is None:
@@ -317,19 +319,19 @@ class LitDevices:
 
     def _darken_at_end(self) -> tuple[str, KeyboardInterrupt | None]:
         """Switch the laser off; returns a text on what confirms it, or that nothing does, and a Ctrl-C."""
-        asked: list[tuple[str, Callable[[], Future[None]], float]] = []
+        switches: list[tuple[str, Callable[[], Future[None]], float]] = []
         if self.control is not None and through_controller(self._config.laser):
-            asked.append(("controller", self.control.laser_off, _BOARD_CONFIRMS_WITHIN_S))
+            switches.append(("controller", self.control.laser_off, _MAX_BOARD_CONFIRM_S))
         if self.laser is not None:
-            asked.append(("laser", self.laser.off, _LASER_CONFIRMS_WITHIN_S))
-        commands = [(who, off, off(), within_s) for who, off, within_s in asked]
+            switches.append(("laser", self.laser.off, _MAX_LASER_CONFIRM_S))
+        commands = [(who, off, off(), max_wait_s) for who, off, max_wait_s in switches]
         self.darken("the devices are closed")
-        begun_s, interrupt = time.monotonic(), None
-        for who, off, command, within_s in commands:
-            why, interrupted = confirmed_dark(off, command, begun_s + within_s)
+        start_s, interrupt = time.monotonic(), None
+        for who, off, command, max_wait_s in commands:
+            reason, interrupted = confirmed_dark(off, command, start_s + max_wait_s)
             interrupt = interrupt or interrupted
-            if why:
-                doubt = f"the {who} does not confirm that it is off ({why})"
+            if reason:
+                doubt = f"the {who} does not confirm that it is off ({reason})"
                 return f"THE LASER MAY BE LIT: {doubt}; go and check", interrupt
         self.compare()
         if (trip := self.permit.latched) is not None and trip.cause is TripCause.OUTPUT:
@@ -337,9 +339,9 @@ class LitDevices:
         with suppress(DeviceError):
             # if this fails, the next program finds the light noted as on, and latches a trip
             self.state.lit(False)
-        if not asked:
+        if not switches:
             return SWITCHED_BY_HAND, interrupt
-        confirming = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.confirms
+        confirming = [who for who, _, _ in switches] + ["camera"] * self.permit.spot.confirms
         return f"laser off, confirmed by the {' and the '.join(confirming)}", interrupt
 
     def darkness(self) -> str:
@@ -363,22 +365,22 @@ class LitDevices:
         return laser.text
 
     def reported_darkness(self) -> str:
-        """The reason of `darkness` by reports from now on, for which it waits up to 3 s, or the latched trip.
+        """The latched trip, or the reason of `darkness` by later reports, for which it waits up to 3 s.
 
         After a standstill of the computer, frames are dark before any device has reported that.
         """
-        since_ns, end_s = time.monotonic_ns(), time.monotonic() + _HEARD_WITHIN_S
-        while self._config.laser.kind != "none" and time.monotonic() < end_s:
+        since_ns, deadline_s = time.monotonic_ns(), time.monotonic() + _MAX_REPORT_S
+        while self._config.laser.kind != "none" and time.monotonic() < deadline_s:
             if (trip := self.permit.latched) is not None:
                 return trip.text
             control = None if self.control is None else self.control.snapshot
             laser = None if self.laser is None else self.laser.snapshot
-            heard = [control.status_time_ns] if control is not None and control.status is not None else []
-            heard += [laser.state_time_ns] if laser is not None and laser.state is not None else []
-            wanted = (control is not None) + (laser is not None)
-            if len(heard) == wanted and all(at_ns > since_ns for at_ns in heard):
+            times_ns = [control.status_time_ns] if control is not None and control.status is not None else []
+            times_ns += [laser.state_time_ns] if laser is not None and laser.state is not None else []
+            device_count = (control is not None) + (laser is not None)
+            if len(times_ns) == device_count and all(time_ns > since_ns for time_ns in times_ns):
                 break
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_INTERVAL_S)
         return self.darkness()
 
     def laser_report(self) -> LaserReport | None:
@@ -391,25 +393,25 @@ class LitDevices:
         """The state of laser, controller and interlock, with the ages of their reports. Never blocks."""
         report, spot = self.laser_report(), self.permit.spot
         laser = report or LaserReport(Light.UNKNOWN)
-        loops, connection, known = [], None, None
+        loops, connection, recent_status = [], None, None
         if self.control is not None:
             snapshot = self.control.snapshot
             connection, status, status_age_s = snapshot.state, snapshot.status, age_s(snapshot.status_time_ns)
             if status is not None:
                 loops.append((status.interlock_closed, status_age_s))
-            known = status if connection is ControlState.OPEN and status_age_s <= STALE_S else None
+            recent_status = status if connection is ControlState.OPEN and status_age_s <= STALE_S else None
         if self.laser is not None and self._config.laser.interlock == "own":
             state = self.laser.snapshot.state
             if state is not None:
                 loops.append((state.interlock_closed, age_s(self.laser.snapshot.state_time_ns)))
-        oldest_s = max((old_s for _, old_s in loops), default=math.inf)
+        oldest_s = max((loop_age_s for _, loop_age_s in loops), default=math.inf)
         loop = Loop.CLOSED if all(closed for closed, _ in loops) else Loop.OPEN
         return SafetyNow(
             trip=self.permit.latched,
             refusal=self.permit.refusal or self.state.problem,
             light=Light.DISAGREES if spot.contradicts else laser.light,
             # the age of a device's state is infinite while the device is silent
-            light_age_s=math.inf if laser.light in _SILENT else laser.age_s,
+            light_age_s=math.inf if laser.light in _SILENT_STATES else laser.age_s,
             interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
             interlock_age_s=oldest_s,
             spot_visible=spot.visible if spot.age_s <= STALE_S else None,
@@ -417,5 +419,5 @@ class LitDevices:
             needs_request=self.permit.needs_request,
             laser=report,
             controller=connection,
-            status=known,
+            status=recent_status,
         )

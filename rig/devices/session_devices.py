@@ -65,7 +65,7 @@ def _press_watch(devices: LitDevices) -> Iterator[None]:
 
     def look() -> None:
         while not stop.wait(_LOOK_INTERVAL_S):
-            devices.hear_presses()
+            devices.obey_presses()
 
     thread = threading.Thread(target=look, name="presses", daemon=True)
     thread.start()
@@ -199,7 +199,7 @@ class Devices(LitDevices):
             yield OpenCamera(camera, info, notes, applied, shift_to_light_ns(config, info, applied))
         finally:
             if self._was_lit and not self.permit.expects_light and not config.on_demand:
-                self.see_dark(camera)
+                self.confirm_dark_by_frames(camera)
             if remark := end_within(camera.close, f"{name}: close()"):
                 # the terminal may have been closed, which must not block the end
                 with suppress(OSError):

@@ -121,7 +121,7 @@ def relight(devices: Devices) -> str:
     if (trip := devices.permit.latched) is not None:
         raise LightRefused(f"{trip.text}: acknowledge it first")
     if devices.permit.expects_light:
-        return devices.light(asked=True, in_run=True) or "the laser is lit already"
+        return devices.light(on_request=True, in_run=True) or "the laser is lit already"
     if not devices.lights_again:
         raise LightRefused("no run follows that would light the laser; start one")
     devices.permit.request_light()

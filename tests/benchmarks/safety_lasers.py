@@ -111,7 +111,7 @@ def _asked(world: World, relit: int) -> tuple[str, str]:
                 return needed, "lit without an acknowledgement"
             program.acknowledge(trip.number, "a person")
             needed = f"asked, acknowledged ({trip.cause})"
-        program.light(asked=True)
+        program.light(on_request=True)
     world.live(0.5)
     wrong = "" if world.lit else "not lit afterwards"
     return needed, wrong or "lit again by itself" * bool(relit)

@@ -99,7 +99,7 @@ def _ask(config: Path) -> None:
             print("ACKNOWLEDGED", flush=True)
             devices.acknowledge(latched.number, "the benchmark")
             try:
-                devices.light(asked=True)
+                devices.light(on_request=True)
                 print("LIT", flush=True)
             except LightRefused as still:
                 print(f"STILL {still}", flush=True)

@@ -215,7 +215,7 @@ class Program(Devices):
         if not self.stalled:
             for stage in (Stage.CAMERA, Stage.PROCESSING):
                 self.permit.note_progress(stage)
-        self.hear_presses()
+        self.obey_presses()
         now_s = self.world.clock.monotonic()
         for place, service in enumerate((self.control, self.laser)):
             if service is not None and (now or now_s >= self._due_s[place]):

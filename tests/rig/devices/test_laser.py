@@ -107,7 +107,7 @@ def test_too_much_light_is_acknowledged_only_when_it_is_gone() -> None:
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """For a laser that is not there, which nobody needs to wait for."""
     monkeypatch.setattr("rig.devices.laser._MAX_ANSWER_S", 2.0)
-    monkeypatch.setattr("rig.devices.lit_devices._LASER_CONFIRMS_WITHIN_S", 0.2)
+    monkeypatch.setattr("rig.devices.lit_devices._MAX_LASER_CONFIRM_S", 0.2)
 
 
 def test_a_laser_that_is_not_there_is_named(impatient: None) -> None:

@@ -308,7 +308,7 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
 
     def ask() -> None:
         try:
-            said.append(devices.light(asked=asked))
+            said.append(devices.light(on_request=asked))
         except DeviceError as error:
             said.append(str(error))
 
@@ -329,7 +329,7 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
         second.join(20.0)
         assert lit.at == []
         assert all("until a person asks for light" in text for text in said), said
-        assert devices.light(asked=True) == "laser on, 0.9 mW"
+        assert devices.light(on_request=True) == "laser on, 0.9 mW"
 
 
 def test_lighting_that_still_waits_for_a_device_is_outdated_by_the_end_of_the_run(
@@ -376,16 +376,16 @@ def test_the_last_run_of_a_session_is_followed_by_no_light(
 ) -> None:
     """When the laser is told off the camera is still looked at, and the channel still takes orders."""
     answers: list[str] = []
-    usual = Devices.see_dark
+    usual = Devices.confirm_dark_by_frames
 
-    def see_dark(devices: Devices, camera: Any) -> None:
+    def confirm(devices: Devices, camera: Any) -> None:
         try:
             answers.append(orders(devices, Notes(tmp_path, ""), SessionNews())["light"](""))
         except LightRefused as refused:
             answers.append(str(refused))
         usual(devices, camera)
 
-    monkeypatch.setattr(Devices, "see_dark", see_dark)
+    monkeypatch.setattr(Devices, "confirm_dark_by_frames", confirm)
     # a machine that stands still for longer between two runs is no trip of its own
     for stage in Stage:
         monkeypatch.setitem(LONGEST_PAUSE_S, stage, 60.0)
@@ -437,7 +437,7 @@ def test_a_trip_is_acknowledged_and_then_asked_for_light(
         assert not devices.safety().refusal
         with pytest.raises(LightRefused, match="until a person asks for light"):
             devices.light()
-        devices.light(asked=True)
+        devices.light(on_request=True)
         assert len(lit.at) == before + 1
 
 
@@ -518,7 +518,7 @@ def test_what_has_gone_dark_by_itself_is_lit_by_no_later_run(
             with pytest.raises(LightRefused, match=r"trip 1 \(WATCHDOG\): the laser went dark"):
                 devices.light()
             devices.acknowledge(1, "test")
-            devices.light(asked=True)
+            devices.light(on_request=True)
             assert instrument.on
     finally:
         instrument.close()

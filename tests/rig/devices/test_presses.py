@@ -72,7 +72,7 @@ def test_pressed_while_a_program_starts_nothing_is_lit(
         assert instrument.highest_lit == 0.0
         devices.acknowledge(1, "test")
         assert devices.permit.latched is None
-        devices.light(asked=True)
+        devices.light(on_request=True)
         assert instrument.on
 
 
@@ -122,7 +122,7 @@ def test_the_order_and_the_press_are_one_trip_also_after_an_early_acknowledgemen
             time.sleep(0.05)
         assert watch.alarm
         assert devices.permit.latched is None
-        devices.light(asked=True)
+        devices.light(on_request=True)
         assert instrument.on
 
 
@@ -151,7 +151,7 @@ def test_where_the_state_cannot_be_written_nothing_is_lit(
             with Devices(config) as after:
                 assert after.permit.latched is not None
                 with pytest.raises(DeviceError):
-                    after.light(asked=True)
+                    after.light(on_request=True)
                 assert not instrument.on
 
 
@@ -176,7 +176,7 @@ def test_a_disk_that_hangs_hears_of_no_press_and_refuses_the_light(
 
             def ask() -> None:
                 try:
-                    devices.light(asked=True)
+                    devices.light(on_request=True)
                 except DeviceError as error:
                     refused.append(str(error))
 

@@ -114,7 +114,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(ControlService, "wait_open", wait_open)
     monkeypatch.setattr("rig.devices.laser._MAX_ANSWER_S", 2.0)
-    monkeypatch.setattr("rig.devices.lit_devices._LASER_CONFIRMS_WITHIN_S", 0.2)
+    monkeypatch.setattr("rig.devices.lit_devices._MAX_LASER_CONFIRM_S", 0.2)
 
 
 @pytest.mark.parametrize(

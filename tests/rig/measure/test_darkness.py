@@ -66,7 +66,7 @@ class Apparatus:
             usual_laser(inputs, power_w)
 
         # what is tested here are states: on a busy machine frames and answers may come seconds late
-        monkeypatch.setattr(lit_devices, "_BOARD_CONFIRMS_WITHIN_S", 30.0)
+        monkeypatch.setattr(lit_devices, "_MAX_BOARD_CONFIRM_S", 30.0)
         monkeypatch.setattr(light_permit, "_MAX_PRESS_CHECK_INTERVAL_S", 30.0)
         for stage in Stage:
             monkeypatch.setitem(light_permit.LONGEST_PAUSE_S, stage, 30.0)
@@ -95,7 +95,7 @@ def test_a_run_whose_laser_goes_dark_ends_with_an_error_and_a_whole_record(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pull_cable(monkeypatch, apparatus.recording.is_set)
-    monkeypatch.setattr(lit_devices, "_BOARD_CONFIRMS_WITHIN_S", 0.5)
+    monkeypatch.setattr(lit_devices, "_MAX_BOARD_CONFIRM_S", 0.5)
     tell = f"import sys; open({str(tmp_path / 'told')!r}, 'a').write(sys.argv[1] + ' ')"
     told = {"session.notify_command": json.dumps([sys.executable, "-c", tell])}
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words({**LIVE, **told}))
@@ -213,7 +213,7 @@ def test_a_laser_that_stays_lit_is_seen_and_latched(
             usual(inputs, power_w)
 
     monkeypatch.setattr(RigInputs, "laser", stuck)
-    monkeypatch.setattr(lit_devices, "_LOOKS_FOR_S", 30.0)
+    monkeypatch.setattr(lit_devices, "_MAX_DARK_FRAMES_S", 30.0)
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
     assert "confirmed" not in done.stderr
     assert "THE LASER MAY BE LIT: trip 1 (OUTPUT): the laser was commanded off, but the camera" in done.stderr
@@ -225,7 +225,7 @@ def test_a_laser_that_stays_lit_is_seen_and_latched(
 def test_a_laser_that_is_off_is_seen_to_be(
     tmp_path: Path, apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lit_devices, "_LOOKS_FOR_S", 30.0)
+    monkeypatch.setattr(lit_devices, "_MAX_DARK_FRAMES_S", 30.0)
     done = rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out", *set_words(LIVE))
     assert "laser off, confirmed by the controller and the camera\n" in done.stderr
 
