@@ -1,4 +1,4 @@
-"""The audit log of light, acknowledgements, forced starts, turned weights and brakes: lines of JSON."""
+"""The audit log: lines of JSON on light, acknowledgements, forced starts, turned weights and brakes."""
 
 import datetime
 import getpass
@@ -14,8 +14,9 @@ from pathlib import Path
 from rig.terminal import say
 
 AUDIT_NAME = "audit.jsonl"
-_IDLE_S = 1.0
-_PATIENCE_S = 5.0
+_MAX_IDLE_S = 1.0
+"""Time without a new line after which the thread ends."""
+_MAX_WRITE_S = 5.0
 """Longest wait for the log to be written, so that a hanging disk does not block for longer."""
 
 
@@ -27,7 +28,7 @@ class AuditEntry(StrEnum):
     UNKNOWN = "unknown"
     """Nothing confirms any more that the light is on, or that it is off."""
     TRIP = "trip"
-    """A trip has occurred now; a latch without this entry was found when the devices were opened."""
+    """A trip has occurred now; a latch without this entry was there when the devices were opened."""
     LATCH = "latch"
     ACKNOWLEDGE = "acknowledge"
     FORCE = "force"
@@ -46,7 +47,7 @@ class AuditLog:
         self._path = None if folder is None else folder.absolute() / AUDIT_NAME
         self._session = {"operator": operator, "task": task}
         self._queue: queue.Queue[dict[str, object]] = queue.Queue()
-        self._starting = threading.Lock()
+        self._thread_lock = threading.Lock()
         self._thread: threading.Thread | None = None
 
     def append(self, kind: AuditEntry, reason: str, **details: object) -> None:
@@ -55,7 +56,7 @@ class AuditLog:
             return
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         author = {"user": _user(), "host": socket.gethostname(), **self._session}
-        with self._starting:
+        with self._thread_lock:
             self._queue.put({"utc": now, **author, "what": kind, "why": reason, **details})
             if self._thread is None:
                 self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
@@ -64,16 +65,18 @@ class AuditLog:
     def wait(self) -> None:
         """Wait until everything is written, for at most 5 s."""
         with self._queue.all_tasks_done:
-            done = self._queue.all_tasks_done.wait_for(lambda: not self._queue.unfinished_tasks, _PATIENCE_S)
-        if not done:
+            written = self._queue.all_tasks_done.wait_for(
+                lambda: not self._queue.unfinished_tasks, _MAX_WRITE_S
+            )
+        if not written:
             say(f"{self._path}: the audit log is not written: its disk does not answer", error=True)
 
     def _write(self) -> None:
         while True:
             try:
-                line = self._queue.get(timeout=_IDLE_S)
+                line = self._queue.get(timeout=_MAX_IDLE_S)
             except queue.Empty:
-                with self._starting:
+                with self._thread_lock:
                     if self._queue.empty():
                         self._thread = None
                         return
@@ -95,13 +98,13 @@ class AuditLog:
         # never through a symbolic link, which could name any file
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
         with os.fdopen(os.open(path, flags, 0o644), "r+b") as file:
-            text = json.dumps(line).encode() + b"\n"
+            line_bytes = json.dumps(line).encode() + b"\n"
             # a line that was cut, by a full disk or a power cut, is ended
             if end := file.seek(0, os.SEEK_END):
                 file.seek(end - 1)
-                text = text if file.read(1) == b"\n" else b"\n" + text
+                line_bytes = line_bytes if file.read(1) == b"\n" else b"\n" + line_bytes
             # one write, so that two programs do not mix their lines
-            file.write(text)
+            file.write(line_bytes)
             file.flush()
             os.fsync(file.fileno())
 

@@ -116,7 +116,7 @@ def type_at_terminal(world: World) -> None:
         patched_wait(program),
         patch.object(acknowledgement, "at_terminal", lambda: True),
         patch.object(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in typed))),
-        patch.object(acknowledgement, "_forget_what_was_typed"),
+        patch.object(acknowledgement, "_discard_typing"),
         patch.object(acknowledgement, "say"),
     ):
         acknowledgement.ask_acknowledgement(program)
