@@ -64,10 +64,9 @@ class AuditLog:
 
     def wait(self) -> None:
         """Wait until everything is written, for at most 5 s."""
-        with self._queue.all_tasks_done:
-            written = self._queue.all_tasks_done.wait_for(
-                lambda: not self._queue.unfinished_tasks, _MAX_WRITE_S
-            )
+        done = self._queue.all_tasks_done
+        with done:
+            written = done.wait_for(lambda: not self._queue.unfinished_tasks, _MAX_WRITE_S)
         if not written:
             say(f"{self._path}: the audit log is not written: its disk does not answer", error=True)
 

@@ -316,7 +316,7 @@ class FrameStream:
                 self._camera.open()
                 differences = self._configure_again()
                 if self._settings.ptp:
-                    wait_for_network_clock(self._camera, ended=self._stop)
+                    wait_for_network_clock(self._camera, stop=self._stop)
                 self._camera.start()
             except DeviceError:
                 self._stop.wait(0.25)
