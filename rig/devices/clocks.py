@@ -38,7 +38,7 @@ class _Timex(ctypes.Structure):
 
 
 def u_of_kernel_clock() -> float:
-    """Standard uncertainty in s of the computer's UTC clock; NaN unless the kernel calls it synchronised."""
+    """Standard uncertainty in s of the clock of the day; NaN unless the kernel calls it synchronised."""
     if not sys.platform.startswith("linux"):
         return math.nan
     state = _Timex()
@@ -106,7 +106,7 @@ class HostClockReading(NamedTuple):
 
 
 def read_clocks() -> HostClockReading:
-    """Read the UTC clock between two readings of the monotonic one."""
+    """Read the clock of the day between two readings of the monotonic one."""
     start_ns = time.monotonic_ns()
     utc_ns = time.time_ns()
     end_ns = time.monotonic_ns()
@@ -114,7 +114,7 @@ def read_clocks() -> HostClockReading:
 
 
 class ClockAnchors:
-    """Anchors of the computer's two clocks, every 10 s and after every step of the UTC clock."""
+    """Anchors of the computer's two clocks, every 10 s and after every step of the clock of the day."""
 
     def __init__(self, read: Callable[[], HostClockReading] = read_clocks) -> None:
         self._read = read
@@ -122,7 +122,7 @@ class ClockAnchors:
         self._due_ns = 0
 
     def take(self, time_ns: int) -> tuple[ClockAnchor | None, list[Event]]:
-        """An anchor, if one is due, and an event, if the UTC clock has stepped.
+        """An anchor, if one is due, and an event, if the clock of the day has stepped.
 
         `time_ns` is the time of the latest frame.
         """

@@ -37,12 +37,14 @@ from rig.settings import Configuration
 from rig.terminal import Verdict, print_json_line, print_verdicts
 
 _RATE_FRAMES = 60
+"""Number of frames by which the rate is judged."""
 _MAX_RATE_ERROR = 0.1
 """Largest relative error of the frame rate, which the host's clock measures over few frames; preflight checks
 the rate by the camera's own clock with a narrower limit."""
+_MIN_FREE_BYTES = 2e9
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
-_STEADY_CLOCKS = {"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter", "hpet"}
+_STEADY_CLOCK_SOURCES = {"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter", "hpet"}
 
 
 def examine(config: Configuration, *, json_lines: bool = False) -> int:
@@ -57,9 +59,9 @@ def examine(config: Configuration, *, json_lines: bool = False) -> int:
     return 0 if all(check.ok for check in checks) else 1
 
 
-def _checks(stated: Configuration) -> Iterator[Verdict]:
-    config = complete(stated)
-    yield from check_settings(config, stated)
+def _checks(original: Configuration) -> Iterator[Verdict]:
+    config = complete(original)
+    yield from check_settings(config, original)
     try:
         devices = Devices(config)
     except ConfigurationError as error:
@@ -68,26 +70,26 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
         devices = Devices(config)
     try:
         with devices.state as state:
-            yield check_trip(state, stated.command_words)
+            yield check_trip(state, original.command_words)
             for verdict in check_controller(
-                devices.make_controller(), config.controller, config.laser, stated.command_words
+                devices.make_controller(), config.controller, config.laser, original.command_words
             ):
-                lost = verdict.name == "controller" and not verdict.ok and config.rehearsal_hint
-                remedy = f"{verdict.remedy}; {config.rehearsal_hint}" if lost else verdict.remedy
+                is_missing = verdict.name == "controller" and not verdict.ok and config.rehearsal_hint
+                remedy = f"{verdict.remedy}; {config.rehearsal_hint}" if is_missing else verdict.remedy
                 yield replace(verdict, remedy=remedy)
             yield from check_laser(config.laser)
     except DeviceError as error:
         yield Verdict.failed("controller and laser", error, "end that program, or ask it")
     if config.controller.kind == "none":
-        for key, value, wants in (
+        for key, value, is_needed in (
             ("start.way", config.start.way, config.start.by_controller),
             ("environment_sensor.kind", "controller", config.environment_sensor.kind == "controller"),
         ):
-            if wants:
+            if is_needed:
                 reason = f"{key} = {value!r}, but controller.kind = 'none'"
-                # a run is possible without readings of the air
-                fails = key == "start.way"
-                yield Verdict("controller", not fails, reason, f"set controller.kind, or another {key}")
+                # a run is possible without readings of ambient conditions
+                is_fault = key == "start.way"
+                yield Verdict("controller", not is_fault, reason, f"set controller.kind, or another {key}")
     yield from check_environment(config.environment_sensor)
     yield check_seismometer(config)
     if config.camera.driver == "usb3vision":
@@ -98,47 +100,48 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
     yield check_governor(_read(_GOVERNOR), os.cpu_count() or 1)
 
 
-def check_trip(state: SafetyState, named: str) -> Verdict:
-    """Check that no trip waits for its acknowledgement; `named` is the configuration's name."""
+def check_trip(state: SafetyState, config_words: str) -> Verdict:
+    """Verdict on the latch of trips; `config_words` name the configuration in a command."""
     trip = state.trip
     if trip is None and state.left_lit:
-        remedy = f"look at the laser, then rig light show {named}: it latches the trip, and names it"
+        remedy = f"look at the laser, then rig light show {config_words}: it latches the trip, and names it"
         return Verdict("permit of light", False, LEFT_LIT, remedy)
     if trip is None:
         return Verdict("permit of light", True, "no trip is latched")
-    remedy = f"check that nobody is in the beam path, then rig light acknowledge {named} {trip.number}"
+    remedy = f"check that nobody is in the beam path, then rig light acknowledge {config_words} {trip.number}"
     return Verdict("permit of light", False, trip.text, remedy)
 
 
-def check_settings(config: Configuration, stated: Configuration) -> Iterator[Verdict]:
-    """Check that the configuration contains what a fit needs; `stated` is the one before it was completed."""
+def check_settings(config: Configuration, original: Configuration) -> Iterator[Verdict]:
+    """Verdicts on what a fit needs of the configuration; `original` is the one before it was completed."""
     try:
         check_materials(config)
-        lacking = "not stated: nothing can be fitted", "state mass_kg and ball_radius_m under [pendulum]"
-        origin = _origin("pendulum", config, stated)
-        yield Verdict("pendulum", bool(origin), *((origin, "") if origin else lacking))
+        origin = _origin("pendulum", config, original)
+        missing = "not stated: nothing can be fitted", "state mass_kg and ball_radius_m under [pendulum]"
+        yield Verdict("pendulum", bool(origin), *((origin, "") if origin else missing))
     except RigError as error:
         yield Verdict.failed("pendulum", error, "correct the material")
-    lacking = "no calibration: amplitudes will be in px", "state arm_m and pixel_pitch_m under [lever]"
-    origin = _origin("lever", config, stated)
-    yield Verdict("light lever", bool(origin), *((origin, "") if origin else lacking))
-    noise = _origin("sensor", config, stated)
+    origin = _origin("lever", config, original)
+    missing = "no calibration: amplitudes will be in px", "state arm_m and pixel_pitch_m under [lever]"
+    yield Verdict("light lever", bool(origin), *((origin, "") if origin else missing))
+    noise = _origin("sensor", config, original)
     yield Verdict("sensor's noise", True, noise or "not stated: a typical sensor is assumed")
 
 
 def _origin(
-    section: Literal["pendulum", "lever", "sensor"], config: Configuration, stated: Configuration
+    section: Literal["pendulum", "lever", "sensor"], config: Configuration, original: Configuration
 ) -> str:
     """Origin of a section of the complete configuration, in words; empty if the section is missing."""
     if getattr(config, section) is None:
         return ""
-    if getattr(stated, section) is not None:
+    if getattr(original, section) is not None:
         return "stated"
-    return "from its calibration" if getattr(stated.calibration, section, None) else "the simulated rig's own"
+    path = getattr(original.calibration, section, None)
+    return "from its calibration" if path else "the simulated rig's own"
 
 
 def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
-    """Open the camera, take some frames, close it."""
+    """Verdicts on the camera, which is opened, gives some frames and is closed."""
     try:
         with devices.camera(config) as camera:
             info = camera.info
@@ -159,8 +162,8 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
                 frame_bytes = frame.image.nbytes
             status = camera.camera.status
             camera.camera.stop()
-            asked_hz = None if config.camera.trigger else config.camera.frame_rate_hz
-            yield check_frames(arrivals, status, asked_hz, on_demand=config.on_demand)
+            requested_hz = None if config.camera.trigger else config.camera.frame_rate_hz
+            yield check_frames(arrivals, status, requested_hz, on_demand=config.on_demand)
             if config.camera.driver == "usb3vision" and frame_bytes:
                 frames = frames_ahead(camera.applied.frame_rate_hz, frame_bytes)
                 yield from check_usb_memory(frame_bytes, frames)
@@ -171,9 +174,9 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
 
 
 def check_frames(
-    arrivals: Sequence[tuple[int, int]], status: CameraStatus, asked_hz: float | None, *, on_demand: bool
+    arrivals: Sequence[tuple[int, int]], status: CameraStatus, requested_hz: float | None, *, on_demand: bool
 ) -> Verdict:
-    """Check that all frames came, and at the requested rate.
+    """Verdict on some frames: whether all came, and at the requested rate.
 
     Parameters
     ----------
@@ -185,31 +188,31 @@ def check_frames(
         Frames are made when they are read, and have no rate.
     """
     lost = f"lost: {FrameLosses.from_status(status)}"
-    enough = len(arrivals) == _RATE_FRAMES and status.dropped == 0
-    remedy = "" if enough else "another port or cable; a lower frame_rate_hz; a smaller region"
+    ok = len(arrivals) == _RATE_FRAMES and status.dropped == 0
+    remedy = "" if ok else "another port or cable; a lower frame_rate_hz; a smaller region"
     if on_demand:
-        return Verdict("frames", enough, f"{len(arrivals)}, made on demand: no rate to judge, {lost}", remedy)
+        return Verdict("frames", ok, f"{len(arrivals)}, made on demand: no rate to judge, {lost}", remedy)
     numbers, times_ns = zip(*arrivals, strict=True) if arrivals else ((0,), (0,))
     span_s = seconds(times_ns[-1] - times_ns[0])
     rate_hz = (numbers[-1] - numbers[0]) / span_s if span_s > 0 else 0.0
-    found = f"{len(arrivals)} at {rate_hz:.3g} frames/s, {lost}"
-    if enough and asked_hz is not None and abs(rate_hz / asked_hz - 1) > _MAX_RATE_ERROR:
+    result = f"{len(arrivals)} at {rate_hz:.3g} frames/s, {lost}"
+    if ok and requested_hz is not None and abs(rate_hz / requested_hz - 1) > _MAX_RATE_ERROR:
         slow = "exposure too long, or the bus too slow: a shorter exposure, a smaller region, another port"
         fast = "the camera does not keep the rate: check it with rig camera show"
-        found += f"; {asked_hz:g} were asked for"
-        return Verdict("frames", False, found, slow if rate_hz < asked_hz else fast)
-    return Verdict("frames", enough, found, remedy)
+        result += f"; {requested_hz:g} were asked for"
+        return Verdict("frames", False, result, slow if rate_hz < requested_hz else fast)
+    return Verdict("frames", ok, result, remedy)
 
 
 def check_disk(output: Path) -> Verdict:
-    """Check the free space in the output folder, and whether it is writable."""
-    place = output
-    while not place.exists():
-        place = place.parent if place.parent != place else Path()
-    free_bytes = shutil.disk_usage(place).free
-    writable = os.access(place, os.W_OK)
-    ok = writable and free_bytes > 2e9
-    reason = f"{free_bytes / 1e9:.1f} GB free at {place.resolve()}"
+    """Verdict on the free space of the output folder, and on its permissions."""
+    folder = output
+    while not folder.exists():
+        folder = folder.parent if folder.parent != folder else Path()
+    free_bytes = shutil.disk_usage(folder).free
+    writable = os.access(folder, os.W_OK)
+    ok = writable and free_bytes > _MIN_FREE_BYTES
+    reason = f"{free_bytes / 1e9:.1f} GB free at {folder.resolve()}"
     return Verdict(
         "disk",
         ok,
@@ -219,10 +222,10 @@ def check_disk(output: Path) -> Verdict:
 
 
 def check_clock(source: str) -> Verdict:
-    """Check the kernel's clock source; with a slow one the arrival times of frames jitter."""
+    """Verdict on the kernel's clock source; with a slow one the arrival times of frames jitter."""
     if not source:
         return Verdict("clock", True, "this system does not report its clock source")
-    ok = source in _STEADY_CLOCKS
+    ok = source in _STEADY_CLOCK_SOURCES
     return Verdict(
         "clock",
         ok,
@@ -232,7 +235,7 @@ def check_clock(source: str) -> Verdict:
 
 
 def check_governor(governor: str, processors: int) -> Verdict:
-    """Check that the processor does not reduce its frequency while frames arrive."""
+    """Verdict on the frequency governor, which must not slow the processor down while frames arrive."""
     if not governor:
         return Verdict("processor", True, f"{processors} cores; no frequency governor")
     ok = governor not in {"powersave", "conservative"}
@@ -255,7 +258,7 @@ _USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 
 
 def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
-    """Check the permission to open the camera, and the negotiated USB speed."""
+    """Verdicts on the permission to open the camera, and on the negotiated USB speed."""
     allowed = Verdict(
         "camera permission",
         camera.accessible,
@@ -276,7 +279,7 @@ def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
 
 
 def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
-    """Check the USB3 Vision cameras that may have this serial number; None: all of them."""
+    """Verdicts on the USB3 Vision cameras that may have this serial number; None: all of them."""
     try:
         cameras = find_cameras()
     except DeviceError as missing:
@@ -288,27 +291,27 @@ def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
 
 
 def check_usb_memory(frame_bytes: int, frames: int, memory: Path = _USBFS_MEMORY) -> tuple[Verdict, ...]:
-    """Check that Linux has memory for the USB transfers of `frames` frames, which use half of it at most."""
+    """Verdict on Linux's memory for the USB transfers of `frames` frames, which use half of it at most."""
     if sys.platform != "linux" or not memory.is_file():
         return ()
     limit_mb = int(memory.read_text(encoding="utf-8"))
-    wanted_mb = -(-2 * frames * frame_bytes // 2**20)
+    needed_mb = -(-2 * frames * frame_bytes // 2**20)
     # 0 means no limit
-    enough = limit_mb == 0 or limit_mb >= wanted_mb
+    enough = limit_mb == 0 or limit_mb >= needed_mb
     return (
         Verdict(
             "USB buffer memory",
             enough,
-            f"{limit_mb} MB for all USB devices, {frames} frames ahead need {wanted_mb} MB",
-            "" if enough else f"echo {wanted_mb} | sudo tee {memory}",
+            f"{limit_mb} MB for all USB devices, {frames} frames ahead need {needed_mb} MB",
+            "" if enough else f"echo {needed_mb} | sudo tee {memory}",
         ),
     )
 
 
 RULES_FOLDER = Path("/etc/udev/rules.d")
-_FILE = "70-optical-pendulum-rig.rules"
-_ACCESS = 'MODE="0660", TAG+="uaccess"'
-_HEAD = """\
+_RULES_FILE = "70-optical-pendulum-rig.rules"
+_RULE_ACCESS = 'MODE="0660", TAG+="uaccess"'
+_RULES_HEAD = """\
 # Devices of an optical pendulum rig, written by rig doctor --install-udev: whoever sits at the computer may
 # use them, and so may a group, for services and remote users.
 # The number must stay below 73, where systemd grants what the tag "uaccess" asks for."""
@@ -320,13 +323,13 @@ def udev_rules() -> str:
     Video4Linux's nodes have systemd's own rules, and cameras on a network have no node.
     """
     lines = [
-        _HEAD,
+        _RULES_HEAD,
         "# USB3 Vision cameras of every make, also for pylon and libaravis",
-        f'{UDEV_RULE}, GROUP="plugdev", {_ACCESS}',
+        f'{UDEV_RULE}, GROUP="plugdev", {_RULE_ACCESS}',
     ]
     for kind, match in udev_matches().items():
         group = "dialout" if "tty" in match else "plugdev"
-        lines += [f"# {kind}", f'{match}, GROUP="{group}", {_ACCESS}']
+        lines += [f"# {kind}", f'{match}, GROUP="{group}", {_RULE_ACCESS}']
     lines += [
         "# ModemManager writes to every new serial port: not to the board that switches the laser",
         f'{udev_board()}, ENV{{ID_MM_DEVICE_IGNORE}}="1"',
@@ -353,17 +356,17 @@ def install_rules(folder: Path = RULES_FOLDER) -> tuple[Path, str]:
         raise ConfigurationError("--install-udev: udev is a part of Linux; this system needs no such rules")
     if folder == RULES_FOLDER and not folder.is_dir():
         raise ConfigurationError(f"{folder}: no such folder; this system has no udev, and needs no rules")
-    path = folder / _FILE
+    path = folder / _RULES_FILE
     try:
         atomic_write.replace(path, udev_rules().encode(), mode=0o644)
     except PermissionError:
         raise DeviceError(f"{path}: only root may write it: {as_root()}") from None
     except OSError as error:
         raise DeviceError(f"{path}: cannot be written: {error.strerror or error}") from None
-    again = "plug the devices in again"
+    next_step = "plug the devices in again"
     if folder == RULES_FOLDER and not _reload_rules():
-        again = f"sudo udevadm control --reload, then {again}"
-    return path, again
+        next_step = f"sudo udevadm control --reload, then {next_step}"
+    return path, next_step
 
 
 def _reload_rules() -> bool:
@@ -371,5 +374,5 @@ def _reload_rules() -> bool:
     udevadm = shutil.which("udevadm")
     if udevadm is None or os.geteuid() != 0:
         return False
-    done = subprocess.run([udevadm, "control", "--reload"], capture_output=True, timeout=30, check=False)
-    return done.returncode == 0
+    result = subprocess.run([udevadm, "control", "--reload"], capture_output=True, timeout=30, check=False)
+    return result.returncode == 0

@@ -22,7 +22,7 @@ from rig.control import LightPermit, Stage
 from rig.devices.clocks import wait_for_network_clock
 from rig.instrument import setting_differences, with_read_back
 
-_SLEPT_NS = 1_000_000_000
+_MIN_SLEEP_NS = 1_000_000_000
 _MAX_CLOCK_READING_NS = 10_000_000
 """Largest time between the readings of two clocks; it is longer if the program was stopped there."""
 
@@ -52,7 +52,7 @@ def _clock_with_sleep() -> int | None:
 
 
 class SleepWatch:
-    """Refuses frames of a computer that has slept since `begin`; `read` gives the two clocks."""
+    """Refuses frames of a computer that has slept since `begin`; `read` returns the two clocks."""
 
     def __init__(self, read: Callable[[], AwakeTime] = read_awake) -> None:
         self._read = read
@@ -60,13 +60,13 @@ class SleepWatch:
 
     def begin(self) -> None:
         """Compare with this moment from now on."""
-        self._first = self._read()
+        self._start = self._read()
 
     def raise_if_slept(self) -> None:
         """Raise DeviceError if the computer has slept since `begin`; called with every frame."""
         now = self._read()
-        slept_ns = (now.with_sleep_ns - self._first.with_sleep_ns) - (now.awake_ns - self._first.awake_ns)
-        if slept_ns > _SLEPT_NS:
+        slept_ns = (now.with_sleep_ns - self._start.with_sleep_ns) - (now.awake_ns - self._start.awake_ns)
+        if slept_ns > _MIN_SLEEP_NS:
             raise DeviceError(
                 f"the computer slept for {seconds(slept_ns):.0f} s, in which its clock stood: times after it "
                 "cannot be believed; keep it awake while it measures (systemd-inhibit rig run ..., lid open)"
@@ -74,21 +74,21 @@ class SleepWatch:
 
 
 _log = logging.getLogger(__name__)
-_LOOK_NS = 250_000_000
-_WAIT_S = 0.05
-_FEWEST, _MOST_ON_DEMAND = 8, 64
-_FIRST_S = 0.5
+_LOSSES_INTERVAL_NS = 250_000_000
+_POLL_INTERVAL_S = 0.05
+_MIN_QUEUE_FRAMES, _MAX_FRAMES_ON_DEMAND = 8, 64
+_FIRST_FRAME_TIMEOUT_S = 0.5
 """Timeout of each attempt to read the first frame, after which a stop is noticed."""
+_REOPEN_INTERVAL_S = 0.25
 
 
 class FrameStream:
     """Reads a camera in a thread into a bounded queue, reconnects it after unplugging, counts lost frames.
 
     With `policy` "wait" the camera waits while the queue is full, otherwise frames are dropped and counted,
-    and a camera whose clock cannot be right is refused. `ended` is a text with the reason why the stream
-    ended, `failure` the error that ended it. `permit` is notified of frames that arrive and are taken, on
-    which the light of a laser depends. `time_shift_ns` is added to the camera's timestamps. `applied` are the
-    settings read back from the camera, because a reconnected camera has lost other settings too.
+    and a camera whose clock cannot be right is refused. `permit` is notified of frames that arrive and are
+    taken, on which the light of a laser depends. `time_shift_ns` is added to the camera's timestamps.
+    `applied` are the settings read back from the camera: a reconnected camera has lost all settings.
     """
 
     def __init__(
@@ -106,34 +106,36 @@ class FrameStream:
         self._camera = camera
         self.permit = permit or LightPermit()
         self._settings = settings
-        self._kept = settings if applied is None else with_read_back(settings, applied)
+        self._all_settings = settings if applied is None else with_read_back(settings, applied)
         self.policy: Policy = policy
         self._timeout_s = timeout_s
         self._reconnect_s = reconnect_s
         self._stop = threading.Event()
         self._closed = False
         # a full queue loses no frames on demand, and a short one keeps them in the processor's cache
-        most = _MOST_ON_DEMAND if policy == "wait" else math.inf
-        self._queue = BoundedQueue[Frame](most, policy, MAX_QUEUE_BYTES, fewest=_FEWEST)
+        max_frames = _MAX_FRAMES_ON_DEMAND if policy == "wait" else math.inf
+        self._queue = BoundedQueue[Frame](max_frames, policy, MAX_QUEUE_BYTES, fewest=_MIN_QUEUE_FRAMES)
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._counts = CameraCounts(lambda: camera.status)
         self._thread: threading.Thread | None = None
-        self._begun = threading.Event()
-        self._first: Frame | None = None
+        self._has_begun = threading.Event()
+        self._first_frame: Frame | None = None
         self._events: deque[tuple[EventKind, str]] = deque()
-        self._sleep = SleepWatch()
+        self._sleep_watch = SleepWatch()
         self._steps: deque[RecordedClockStep] = deque()
-        self._lost_before = self._at_last_look = FrameLosses()
-        self._look_ns = 0
-        self._hanging = ReadMonitor(timeout_s)
+        self._earlier_losses = self._last_losses = FrameLosses()
+        self._losses_due_ns = 0
+        self._read_monitor = ReadMonitor(timeout_s)
         self.ended = ""
+        """The reason why the stream ended; empty before."""
         self.failure: Exception | None = None
+        """The error that ended the stream."""
 
     def start_camera(self) -> None:
         """Start the camera; `begin` waits for its first frame."""
         with driver_errors("camera", "start()"):
             self._camera.start()
-        self._sleep.begin()
+        self._sleep_watch.begin()
 
     def begin(self) -> Frame | None:
         """Wait for the first frame and start the thread; None if the source is empty.
@@ -143,35 +145,35 @@ class FrameStream:
         # `close` waits for this thread, because a camera must not be closed while it is read
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
         self._thread.start()
-        while not (self._begun.wait(_WAIT_S) or self._stop.is_set()):
-            self._raise_if_it_hangs(_WAIT_S)
-        if self._first is None and self.failure is not None:
+        while not (self._has_begun.wait(_POLL_INTERVAL_S) or self._stop.is_set()):
+            self._raise_if_hanging(_POLL_INTERVAL_S)
+        if self._first_frame is None and self.failure is not None:
             raise self.failure
-        return self._first
+        return self._first_frame
 
-    def take(self, at_most: int, timeout_s: float) -> list[Frame]:
-        """Up to `at_most` frames in order; empty after the timeout, and if drained."""
+    def take(self, max_frames: int, timeout_s: float) -> list[Frame]:
+        """Up to `max_frames` frames in order; empty after the timeout, and if drained."""
         self.permit.note_progress(Stage.PROCESSING)
         if remark := self._queue.remark():
             self._events.append((EventKind.BACKLOG, remark))
-        frames = self._queue.take(at_most, timeout_s)
+        frames = self._queue.take(max_frames, timeout_s)
         try:
-            self._raise_if_it_hangs(0.0 if frames else timeout_s)
+            self._raise_if_hanging(0.0 if frames else timeout_s)
         except DeviceError:
             self._queue.close()
         return frames
 
-    def waits_on_purpose(self) -> None:
-        """Note that camera and processing have not stalled, but wait for a fit, as frames on demand may."""
+    def note_deliberate_wait(self) -> None:
+        """Note that camera and processing wait for a fit, as frames on demand may, and have not stalled."""
         for stage in (Stage.CAMERA, Stage.PROCESSING):
             self.permit.note_progress(stage)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
-        taken = taken_from(self._events)
+        events = taken_from(self._events)
         if remark := self._counts.take_remark():
-            taken.append((EventKind.WATCHER_FAILED, f"the camera's counts: {remark}"))
-        return taken
+            events.append((EventKind.WATCHER_FAILED, f"the camera's counts: {remark}"))
+        return events
 
     def take_clock_steps(self) -> list[RecordedClockStep]:
         """Steps of the camera's clock since the last call, which are subtracted from the frames' times."""
@@ -204,12 +206,12 @@ class FrameStream:
 
     @property
     def losses(self) -> FrameLosses:
-        """Frames lost since the start, or since `count_losses_anew`, by cause."""
-        return self._all_losses().since(self._lost_before)
+        """Frames lost since the start, or since `restart_losses`, by cause."""
+        return self._all_losses().since(self._earlier_losses)
 
-    def count_losses_anew(self) -> None:
+    def restart_losses(self) -> None:
         """Make `losses` count only frames that are lost from now on."""
-        self._lost_before = self._all_losses()
+        self._earlier_losses = self._all_losses()
 
     def _all_losses(self) -> FrameLosses:
         return FrameLosses.from_status(
@@ -222,86 +224,86 @@ class FrameStream:
     def __len__(self) -> int:
         return len(self._queue)
 
-    def _raise_if_it_hangs(self, waited_s: float) -> None:
+    def _raise_if_hanging(self, waited_s: float) -> None:
         # a source of frames on demand may take any time
-        if (hangs := self._hanging.check(waited_s)) and self.policy != "wait":
+        if (hangs := self._read_monitor.check(waited_s)) and self.policy != "wait":
             error = DeviceError(hangs)
             self._fail(error, hangs)
             raise error
 
     def _read(self) -> Frame | None:
         """The camera's next frame, after a reconnection if necessary; None at the end."""
-        silent_s, opened_again = 0.0, False
-        begun = self._begun.is_set()
+        silent_s, was_reopened = 0.0, False
+        has_begun = self._has_begun.is_set()
         while not self._stop.is_set():
             # a source on demand may be slow; silence of a free-running camera is reported early
             on_demand = self.policy == "wait"
             patience_s = self._timeout_s if on_demand else self._line.patience_s(self._timeout_s)
-            patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
-            self._hanging.enter()
+            patience_s = min(patience_s if has_begun else _FIRST_FRAME_TIMEOUT_S, self._timeout_s - silent_s)
+            self._read_monitor.enter()
             try:
-                read = self._camera.read(patience_s)
+                frame = self._camera.read(patience_s)
             except (FrameTimeout, CameraLost) as lost:
                 if isinstance(lost, FrameTimeout):
                     lost = self._with_reasons(lost)
-                    if begun and silent_s == 0.0 and patience_s < self._timeout_s:
+                    if has_begun and silent_s == 0.0 and patience_s < self._timeout_s:
                         self._events.append((EventKind.CAMERA_SILENT, str(lost)))
                     silent_s += patience_s
                     if silent_s < self._timeout_s - 1e-6:
                         continue
                 # drivers notice an unplugged cable late or never, so a silent camera is opened again; if it
                 # then stays silent, it was connected all the time
-                if not begun or (isinstance(lost, FrameTimeout) and (on_demand or opened_again)):
+                if not has_begun or (isinstance(lost, FrameTimeout) and (on_demand or was_reopened)):
                     raise lost from None
-                opened_again = opened_again or isinstance(lost, FrameTimeout)
+                was_reopened = was_reopened or isinstance(lost, FrameTimeout)
                 self._events.append((EventKind.CAMERA_LOST, str(lost)))
-                self._hanging.leave()
+                self._read_monitor.leave()
                 self._reconnect(lost)
                 self._line.restart()
                 silent_s = 0.0
                 continue
-            if read is None:
+            if frame is None:
                 self.ended = self.ended or "the camera delivered its last frame"
             elif not on_demand:
-                self._sleep.raise_if_slept()
-            if silent_s and begun and read is not None:
+                self._sleep_watch.raise_if_slept()
+            if silent_s and has_begun and frame is not None:
                 text = f"after more than {silent_s:.2f} s of silence"
                 self._events.append((EventKind.CAMERA_SPEAKS, text))
-            return read
+            return frame
         return None
 
     def _acquire(self) -> None:
         """Read, check, number, and hand over."""
         try:
-            while (read := self._read()) is not None:
-                passed = self._line.take(read)
-                self.permit.frame_read(read.image)
-                if read.host_time_ns >= self._look_ns:
-                    self._look_ns = int(read.host_time_ns) + _LOOK_NS
-                    self._at_last_look = self._all_losses()
-                self._events.extend(passed.notes)
-                self._steps.extend(passed.steps)
-                for joined in passed.frames:
-                    self._first = self._first or joined
-                    self._queue.put(joined)
-                    self._begun.set()
+            while (frame := self._read()) is not None:
+                numbered = self._line.take(frame)
+                self.permit.frame_read(frame.image)
+                if frame.host_time_ns >= self._losses_due_ns:
+                    self._losses_due_ns = int(frame.host_time_ns) + _LOSSES_INTERVAL_NS
+                    self._last_losses = self._all_losses()
+                self._events.extend(numbered.notes)
+                self._steps.extend(numbered.steps)
+                for numbered_frame in numbered.frames:
+                    self._first_frame = self._first_frame or numbered_frame
+                    self._queue.put(numbered_frame)
+                    self._has_begun.set()
         except FrameTimeout as error:
-            unused = self._all_losses().since(self._at_last_look)
-            came = f"of those that came {unused.discarded_text}"
-            why = came if unused.discarded else "the camera has stalled"
+            unused = self._all_losses().since(self._last_losses)
+            lost_text = f"of those that came {unused.discarded_text}"
+            why = lost_text if unused.discarded else "the camera has stalled"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
             self._fail(error, self._error_text(error))
         finally:
             self._queue.close()
-            self._begun.set()
+            self._has_begun.set()
 
-    def _with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
+    def _with_reasons(self, error: FrameTimeout) -> FrameTimeout:
         """The error, with the number of frames that came and could not be used, not a trigger's fault."""
-        unused = self._all_losses().since(self._at_last_look)
+        unused = self._all_losses().since(self._last_losses)
         if not unused.discarded:
-            return lost
-        name = str(lost).partition(": ")[0]
+            return error
+        name = str(error).partition(": ")[0]
         return FrameTimeout(
             f"{name}: no usable frame; of those that came {unused.discarded_text}; use a lower rate or "
             "size, another port or cable; rig camera show lists what the camera reports"
@@ -309,7 +311,7 @@ class FrameStream:
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
         deadline_s = time.monotonic() + self._reconnect_s
-        before = self._counts.latest
+        earlier_counts = self._counts.latest
         while not self._stop.is_set() and time.monotonic() < deadline_s:
             try:
                 self._camera.close()
@@ -319,9 +321,9 @@ class FrameStream:
                     wait_for_network_clock(self._camera, stop=self._stop)
                 self._camera.start()
             except DeviceError:
-                self._stop.wait(0.25)
+                self._stop.wait(_REOPEN_INTERVAL_S)
             else:
-                self._counts.go_on(before)
+                self._counts.go_on(earlier_counts)
                 if differences:
                     self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))
                 return
@@ -330,11 +332,11 @@ class FrameStream:
     def _configure_again(self) -> str:
         """Set the requested settings and the camera's other ones; returns the differences after that."""
         try:
-            now = self._camera.configure(self._kept)
+            applied = self._camera.configure(self._all_settings)
         except DeviceError:
             # some settings can be read back but not set
-            now = self._camera.configure(self._settings)
-        return "; ".join(setting_differences(self._kept, now))
+            applied = self._camera.configure(self._settings)
+        return "; ".join(setting_differences(self._all_settings, applied))
 
     @staticmethod
     def _error_text(error: Exception) -> str:

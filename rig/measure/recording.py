@@ -244,7 +244,7 @@ class Recording:
         entry.messages = [*messages, *self._notes()]
         self._record(entry)
         if run.posterior is not None:
-            callbacks = self._recorder.flush, self._stream.waits_on_purpose
+            callbacks = self._recorder.flush, self._stream.note_deliberate_wait
             self._guard.call(_LIVE_FIT, None, run.posterior.take, block.swings, *callbacks)
         overdue = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
         if block.swings or self._on_demand or overdue:

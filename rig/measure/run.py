@@ -249,7 +249,7 @@ class MeasurementRun:
         # made on demand are timed by their first frame
         epoch_offset_ns = at_first_ns if self.stream.policy == "wait" else utc_offset_ns(frames[-1])
         if self.phases is not None:
-            self.stream.count_losses_anew()
+            self.stream.restart_losses()
         preflight = () if self.phases is None else self.phases.verdicts
         recorder = Recorder(
             self.open_record(epoch_offset_ns, frames[0], preflight),
