@@ -35,37 +35,34 @@ PATH_S = 20.0
 """Length of the trajectory that a page draws, in s."""
 _PATH_POINTS = 400
 _PICTURE_INTERVAL_S = 0.1
-_WATCHED_S = 60.0
+_MAX_ABSENCE_S = 60.0
 """Longest absence of a desk, which may come back, before a run that waits for an acknowledgement ends."""
 
 
 class SessionPicture(NamedTuple):
-    """A frame (ny, nx) in DN, the spot in it, and its number.
-
-    `reference` is the reference's spot where there is one, `beam` the verdict on the beam where there is one,
-    `camera` its full scale and settings with which the frame was taken.
-    """
+    """A frame (ny, nx) in DN, the spot in it, and its number."""
 
     image: Image
     spot: Spot
     number: int
     camera: Mapping[str, Any]
+    """Full scale and settings with which the frame was taken."""
     reference: Spot | None = None
     beam: Verdict | None = None
+    """Verdict on the beam; None where it was not judged."""
 
 
 class SessionNews:
-    """The state of a session; written by its threads, read by those that answer.
+    """The state of a session, which its threads write, and which those that answer requests read.
 
-    Of frames it keeps only references, set in the processing thread. A frame is kept only if a program has
-    asked for one, at most ten times a second. `asked_s` is the monotonic time of the last request for news,
-    `looked_s` that of the last request for a picture.
+    It holds a reference to the newest frame that a program has requested, at most ten times a second.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self.asked_s = self.looked_s = -math.inf
-        self._picture_wanted = False
+        self.news_request_s = self.picture_request_s = -math.inf
+        """Monotonic times of the last requests for news, and for a picture."""
+        self._picture_requested = False
         self._picture_number = 0
         self._picture_s = 0.0
         self._frame: SessionPicture | None = None
@@ -75,12 +72,12 @@ class SessionNews:
         self._path: deque[Deflections] = deque()
         self._values: dict[str, Any] = {"run": run, "record": record, "camera": camera}
         self._values |= {"state": {}, "rows": (), "preflight": ()}
-        self._frames_s = self._seen_s = math.nan
+        self._frames_s = self._spot_s = math.nan
 
     def begin_run(
         self, title: str, full_scale_dn: int, applied: CameraSettings | None, record: Path | None = None
     ) -> None:
-        """Note the begin of a run, with the camera's settings as read back, and the path of its `record`."""
+        """Begin the news of a run, with the camera's settings as read back, and the path of its `record`."""
         settings = {} if applied is None else applied.model_dump(exclude_none=True)
         camera = {"full_scale_dn": full_scale_dn, "applied": settings}
         with self._lock:
@@ -95,9 +92,9 @@ class SessionNews:
         """The phase of the run; empty before any."""
         return str(self._values["state"].get("phase") or "")
 
-    def waits(self, what: str) -> None:
+    def waits(self, progress: str) -> None:
         """Set the state between two runs: that of the last run, and what the next one waits for."""
-        self._values["state"] = {**self._values["state"], "progress": what}
+        self._values["state"] = {**self._values["state"], "progress": progress}
 
     def preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Set the preflight table."""
@@ -119,10 +116,10 @@ class SessionNews:
         if spots:
             self._frames_s = now_s
             # a spot that was never found counts as lost since the first frame
-            if math.isnan(self._seen_s) or not spots[-1].flags & SpotFlag.LOST:
-                self._seen_s = now_s
-        if self._picture_wanted and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
-            self._picture_wanted, self._picture_s = False, now_s
+            if math.isnan(self._spot_s) or not spots[-1].flags & SpotFlag.LOST:
+                self._spot_s = now_s
+        if self._picture_requested and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
+            self._picture_requested, self._picture_s = False, now_s
             self.show(frames[-1].image, spots[-1], block.references[-1] if block.references else None)
 
     def show(
@@ -132,9 +129,9 @@ class SessionNews:
         self._frames_s = time.monotonic()
         self._picture_number += 1
         # a camera's frames are read-only and never written to again; anything else is copied
-        held = image.copy() if image.flags.writeable else image
+        stored_image = image.copy() if image.flags.writeable else image
         self._frame = SessionPicture(
-            held, spot, self._picture_number, self._values["camera"], reference, beam
+            stored_image, spot, self._picture_number, self._values["camera"], reference, beam
         )
 
     # -- for those that answer -----------------------------------------------
@@ -146,24 +143,24 @@ class SessionNews:
         last processed frame, `spot_lost_s` the time for which the spot has been lost; NaN before the first
         frame. Recorded values are read from `record`.
         """
-        self.asked_s = time.monotonic()
+        self.news_request_s = time.monotonic()
         with self._lock:
             path, values = list(self._path), dict(self._values)
         return {
             **values,
             "frames_age_s": time.monotonic() - self._frames_s,
-            "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
+            "spot_lost_s": max(self._frames_s - self._spot_s, 0.0),
             "path": thinned_path(path),
         }
 
     @property
-    def watched(self) -> bool:
+    def is_watched(self) -> bool:
         """Whether a program has asked for the news within the last minute."""
-        return time.monotonic() - self.asked_s < _WATCHED_S
+        return time.monotonic() - self.news_request_s < _MAX_ABSENCE_S
 
     def picture(self, after: int = 0) -> SessionPicture | None:
         """The newest frame if its number is above `after`, else None; this also requests the next one."""
-        self._picture_wanted, self.looked_s = True, time.monotonic()
+        self._picture_requested, self.picture_request_s = True, time.monotonic()
         frame = self._frame
         return None if frame is None or frame.number <= after else frame
 
@@ -175,8 +172,8 @@ def thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
     step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
     # there may be thousands of single deflections, so they are joined before they are divided by their unit
     size = path[0].unit.shown_size
-    x = np.concatenate([one.x for one in path])[::step] / size
-    y = np.concatenate([one.y for one in path])[::step] / size
+    x = np.concatenate([piece.x for piece in path])[::step] / size
+    y = np.concatenate([piece.y for piece in path])[::step] / size
     return {"x": _or_none(x), "y": _or_none(y)}
 
 
@@ -189,8 +186,10 @@ LOOPBACK = "127.0.0.1"
 BEAT = "beat"
 """Request that is answered at once with None."""
 NEWS, LOOK = "news", "look"
-_LOOK_S = 0.2
-_HEARS_WITHIN_S, _WAIT_S = 1.0, 0.02
+_POLL_TIMEOUT_S = 0.2
+_MAX_NOTICE_S, _POLL_INTERVAL_S = 1.0, 0.02
+"""Longest time for which a client may learn at the end that the laser is off, and interval of the checks."""
+_MAX_CONNECT_S = 1.0
 Orders = Mapping[str, Callable[[str], str]]
 """Functions by the first word of an order; called with the rest, they return what was done, or raise
 RigError.
@@ -201,9 +200,9 @@ class OrderSocket:
     """A context manager: while it is open, the file in the session's folder names port and key.
 
     Each connection has a thread of its own, so that a client that stops in the middle blocks no other; both
-    sides first prove that they know the key. `extra` is called for each answer, for values that only the
-    devices have. If the socket cannot be opened, the session measures unwatched, for the reason in `problem`.
-    Raises ConfigurationError where another program is watched in this folder: orders would reach only one.
+    sides first prove that they know the key. `extra_news` is called for each answer, for values that only the
+    devices have. Raises ConfigurationError where another program takes orders in this folder: they would
+    reach only one of the two.
     """
 
     def __init__(
@@ -211,24 +210,25 @@ class OrderSocket:
         folder: Path,
         session_news: SessionNews,
         orders: Orders,
-        extra: Callable[[], Mapping[str, Any]] = dict,
+        extra_news: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         self._path = folder / ORDERS_NAME
         self._answers: dict[str, Callable[[Any], Any]] = {
             **orders,
             BEAT: lambda _: None,
-            NEWS: lambda _: plain_values({**session_news.news(), **extra()}),
+            NEWS: lambda _: plain_values({**session_news.news(), **extra_news()}),
             LOOK: session_news.picture,
         }
         self._key = secrets.token_bytes(24)
-        self._over = threading.Event()
+        self._ended = threading.Event()
         self._socket: socket.socket | None = None
         self.problem = ""
+        """The reason why no socket could be opened, so that the session measures unwatched; else empty."""
 
     def __enter__(self) -> Self:
         try:
             self._socket = socket.create_server((LOOPBACK, 0), backlog=64)
-            self._socket.settimeout(_LOOK_S)
+            self._socket.settimeout(_POLL_TIMEOUT_S)
             port = self._socket.getsockname()[1]
             _write(self._path, {"port": port, "key": self._key.hex(), "pid": os.getpid()})
         except ConfigurationError:
@@ -243,7 +243,7 @@ class OrderSocket:
 
     def __exit__(self, *_error: object) -> None:
         # connected clients would otherwise be answered as long as the process lives, which may fit the data
-        self._over.set()
+        self._ended.set()
         if self._socket is not None:
             with suppress(OSError):
                 self._path.unlink()
@@ -255,7 +255,7 @@ class OrderSocket:
             self._socket = None
 
     def _accept(self, listening: socket.socket) -> None:
-        while not self._over.is_set():
+        while not self._ended.is_set():
             try:
                 accepted, _ = listening.accept()
             except TimeoutError:
@@ -271,12 +271,12 @@ class OrderSocket:
         with connection, suppress(OSError, EOFError, AssertionError, AuthenticationError):
             answer_challenge(connection, self._key)
             deliver_challenge(connection, self._key)
-            while not self._over.is_set():
-                if connection.poll(_LOOK_S):
-                    asked = connection.recv()
-                    if self._over.is_set():
+            while not self._ended.is_set():
+                if connection.poll(_POLL_TIMEOUT_S):
+                    request = connection.recv()
+                    if self._ended.is_set():
                         return
-                    connection.send(self._answer(*asked))
+                    connection.send(self._answer(*request))
 
     def _answer(self, name: str, value: Any) -> tuple[bool, Any]:
         """Whether a request or an order was carried out, and its result or the reason why not."""
@@ -295,7 +295,7 @@ def safety_values(devices: Devices) -> dict[str, Any]:
 
 
 def light_orders(devices: Devices) -> Orders:
-    """The orders of whoever has the devices; `acknowledge` takes the trip's number and the person."""
+    """Orders of a program that has the devices; `acknowledge` takes the trip's number and the person."""
 
     def acknowledge(value: str) -> str:
         number, _, by = value.partition(" ")
@@ -308,15 +308,14 @@ def light_orders(devices: Devices) -> Orders:
 
 @contextmanager
 def light_shown_to_desk(
-    devices: Devices, folder: Path, session_news: SessionNews | None = None, more: Orders | None = None
+    devices: Devices, folder: Path, session_news: SessionNews | None = None, more_orders: Orders | None = None
 ) -> Iterator[None]:
-    """Context in which a command that is no session lets the desk show its light, and darken it.
+    """Context in which a command that is no session lets the desk show its light, and switch it off.
 
-    It takes `more` orders than those of `light_orders`.
-
-    `folder` is the one that the devices were opened with: the rig's lock names it, and a desk knows that of
-    its own commands. Without a laser no folder is made, and no socket opened, unless there are `session_news`
-    (with pictures). Who has asked a moment ago hears at the end that the laser is off.
+    It takes the orders of `light_orders` and `more_orders`. `folder` is the one that the devices were opened
+    with: the rig's lock names it, and a desk knows that of its own commands. Without a laser no folder is
+    made, and no socket opened, unless there are `session_news` (with pictures). A client that has asked a
+    moment ago learns at the end that the laser is off.
     """
     if devices.laser_report() is not None:
         with suppress(OSError):
@@ -325,53 +324,55 @@ def light_shown_to_desk(
     elif session_news is None or not folder.is_dir():
         yield
         return
-    orders = {**light_orders(devices), **(more or {})}
-    told = session_news or SessionNews()
-    with OrderSocket(folder, told, orders, lambda: safety_values(devices)):
+    orders = {**light_orders(devices), **(more_orders or {})}
+    news = session_news or SessionNews()
+    with OrderSocket(folder, news, orders, lambda: safety_values(devices)):
         try:
             yield
         finally:
             devices.darken("the devices are closed")
-            _tell_dark(devices, told)
+            _tell_dark(devices, news)
 
 
-def _tell_dark(devices: Devices, told: SessionNews) -> None:
-    """Answer whoever looks at the light until that has heard that it is off, or for a second."""
-    begun_s, dark_s = time.monotonic(), math.inf
-    while begun_s - _HEARS_WITHIN_S < told.asked_s < dark_s and time.monotonic() < begun_s + _HEARS_WITHIN_S:
+def _tell_dark(devices: Devices, news: SessionNews) -> None:
+    """Answer the client that watches the light until it has learned that it is off, or for a second."""
+    start_s, dark_s = time.monotonic(), math.inf
+    first_s, deadline_s = start_s - _MAX_NOTICE_S, start_s + _MAX_NOTICE_S
+    while first_s < news.news_request_s < dark_s and time.monotonic() < deadline_s:
         if devices.confirmed_dark:
             dark_s = min(dark_s, time.monotonic())
-        time.sleep(_WAIT_S)
+        time.sleep(_POLL_INTERVAL_S)
 
 
 def _write(path: Path, values: Mapping[str, object]) -> None:
-    """Make the file as a whole, readable by this user only; one that a killed program has left is replaced.
+    """Write the file at once, readable by this user only, over one that a killed program has left.
 
     Raises ConfigurationError where the program of the present file lives.
     """
-    new = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
-    with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+    draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
+    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "w", encoding="ascii") as file:
         json.dump(values, file)
     try:
         # of two that begin at once only one makes the link
-        os.link(new, path)
-        new.unlink()
+        os.link(draft, path)
+        draft.unlink()
     except OSError:
         if (process := _watched_process(path)) is not None:
-            new.unlink()
+            draft.unlink()
             raise ConfigurationError(
                 f"{path.parent}: process {process} takes its orders there: end it, or name another folder"
             ) from None
-        new.replace(path)
+        draft.replace(path)
 
 
 def _watched_process(path: Path) -> int | None:
     """The process that takes orders by this file, also one that is frozen; None if it is gone."""
     with suppress(OSError, ValueError, KeyError, TypeError):
-        stated = json.loads(path.read_text(encoding="ascii"))
-        process = int(stated["pid"])
+        address = json.loads(path.read_text(encoding="ascii"))
+        process = int(address["pid"])
         if lives(process):
-            socket.create_connection((LOOPBACK, int(stated["port"])), timeout=_HEARS_WITHIN_S).close()
+            socket.create_connection((LOOPBACK, int(address["port"])), timeout=_MAX_CONNECT_S).close()
             return process
     return None
 

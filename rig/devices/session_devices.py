@@ -37,43 +37,42 @@ from rig.instrument import (
 from rig.settings import Configuration
 from rig.terminal import say
 
-_LOOK_INTERVAL_S, _MAX_JOIN_S = 0.1, 1.0
-"""Interval of looks for presses of LIGHT OFF, and longest wait for the end of the last look."""
+_PRESS_CHECK_INTERVAL_S, _MAX_JOIN_S = 0.1, 1.0
+"""Interval of checks for presses of LIGHT OFF, and longest wait for the end of the last check."""
 
 
 class OpenCamera(NamedTuple):
-    """A configured camera.
-
-    `notes` lists the settings that differ from the requested ones, `applied` are all of them as read back.
-    `time_shift_ns` is added to its timestamps.
-    """
+    """A configured camera."""
 
     camera: Camera
     info: CameraInfo
     notes: tuple[str, ...]
+    """Settings that differ from the requested ones, in words."""
     applied: CameraSettings = CameraSettings()
+    """All settings as read back."""
     time_shift_ns: int = 0
+    """Time that is added to the camera's timestamps."""
 
 
 @contextmanager
 def _press_watch(devices: LitDevices) -> Iterator[None]:
-    """Context in which presses of LIGHT OFF by programs that cannot send an order here are looked for.
+    """Context in which a thread checks for presses of LIGHT OFF by programs that cannot send an order here.
 
-    In a thread of its own, so that a hanging disk delays no command to a device.
+    The thread is its own, so that a hanging disk delays no command to a device.
     """
     stop = threading.Event()
 
-    def look() -> None:
-        while not stop.wait(_LOOK_INTERVAL_S):
+    def check() -> None:
+        while not stop.wait(_PRESS_CHECK_INTERVAL_S):
             devices.obey_presses()
 
-    thread = threading.Thread(target=look, name="presses", daemon=True)
+    thread = threading.Thread(target=check, name="presses", daemon=True)
     thread.start()
     try:
         yield
     finally:
         stop.set()
-        # it must not write after the next program has the state, but a hanging disk must not block the end
+        # the thread must not write once the next program has the state; a hanging disk must not block the end
         thread.join(_MAX_JOIN_S)
         devices.permit.stop_press_checks()
 
@@ -84,8 +83,7 @@ class Devices(LitDevices):
     The configured devices are opened in the order controller, sensor, laser, camera, and closed in reverse
     order, also after an error; closing turns the laser off. Laser and controller stay on between the runs of
     a series. `task` is the purpose for which they are opened. Changes of the light and actions of people are
-    added to the audit log in `folder`, if that is given. `state` is the latch of a rig without a file
-    (simulated). Raises DeviceError where another program has the rig.
+    added to the audit log in `folder`, if given. Raises DeviceError where another program has the rig.
     """
 
     def __init__(
@@ -235,7 +233,7 @@ class Devices(LitDevices):
         return simulated_controller(config.controller, limit_w, inputs, interlock.laser, interlock.closed)
 
     def required_control(self, task: str) -> ControlService:
-        """The controller; raises ConfigurationError, which names the task, if there is none."""
+        """The controller; raises ConfigurationError, which names the task, without one."""
         if self.control is None:
             raise ConfigurationError(f"{task} needs a controller: set controller.kind to serial or simulated")
         return self.control

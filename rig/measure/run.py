@@ -105,7 +105,7 @@ class MeasurementRun:
     def operator_present(self) -> bool:
         """Whether a person at the terminal or a desk could acknowledge a trip and ask for light."""
         typed = self.typed_acknowledgement
-        return (typed is not None and typed.available) or self.plan.session_news.watched
+        return (typed is not None and typed.available) or self.plan.session_news.is_watched
 
     def open_record(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
         """Create the file with configuration, provenance and preflight table.

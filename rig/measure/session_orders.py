@@ -135,10 +135,10 @@ def await_acknowledgement(devices: Devices, session_news: SessionNews, *, resuma
     """
     ask_acknowledgement(devices)
     trip = devices.permit.latched
-    if (trip or devices.permit.needs_request) and session_news.watched and not at_terminal():
+    if (trip or devices.permit.needs_request) and session_news.is_watched and not at_terminal():
         what = "light is to be asked for" if trip is None else trip.text
         session_news.waits(f"{what}: the next run waits for a person")
-        while session_news.watched and (devices.permit.latched or devices.permit.needs_request):
+        while session_news.is_watched and (devices.permit.latched or devices.permit.needs_request):
             time.sleep(_CHECK_INTERVAL_S)
     if devices.permit.latched or devices.permit.needs_request:
         what = "nobody has asked for light since the trip" if trip is None else f"{trip.text}, and nobody has"

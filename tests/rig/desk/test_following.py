@@ -29,7 +29,7 @@ from tests.waiting import until
 @pytest.fixture
 def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Following]:
     """One that follows a session in `session` which answers, and has held the rig."""
-    monkeypatch.setattr(order_line, "_ANSWER_S", 0.2)
+    monkeypatch.setattr(order_line, "_MAX_ANSWER_S", 0.2)
     folder = tmp_path / "session"
     folder.mkdir()
     told = SessionNews()

@@ -158,6 +158,21 @@ def test_keys_set_the_camera_and_its_figures_are_shown(
     assert re.search(r"^peak +8[4-7]\.\d %, background", capsys.readouterr().out)
 
 
+def test_a_search_of_the_exposure_that_fails_leaves_the_settings_of_the_camera_known(
+    config: Configuration,
+) -> None:
+    optics = config.simulation.optics.model_copy(update={"peak_dn": 0.0})
+    dark = config.model_copy(update={"simulation": config.simulation.model_copy(update={"optics": optics})})
+    with Devices(dark) as devices, devices.camera(dark) as opened:
+        picture = LivePicture(dark, devices)
+        search = picture.press("a")
+        picture.show(opened, seconds=0.1)
+        assert "the peak stays" in search.result(0)
+        present = opened.camera.configure(CameraSettings())
+        assert present.exposure_us != opened.applied.exposure_us
+        assert picture.news.news()["camera"]["applied"] == present.model_dump(exclude_none=True)
+
+
 @pytest.mark.parametrize(("fails", "said"), [(True, "the sensor is gone"), (False, "its last frame")])
 def test_a_camera_that_ends_ends_the_picture_with_its_reason(
     config: Configuration, monkeypatch: pytest.MonkeyPatch, fails: bool, said: str

@@ -248,7 +248,7 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
         until(lambda: len(lit.at) == 1 and shown() > 0)
         runs.clear()
         asked = run_in_thread(picture.orders["light"], "")
-        until(lambda: picture.requests.waiting)
+        until(lambda: picture.requests.pending)
         devices.light_off("the desk")
         until(lambda: devices.safety().light == "off")
         trip = devices.permit.latched
@@ -270,12 +270,12 @@ def test_a_live_picture_that_nobody_sees_at_a_desk_goes_dark_until_light_is_aske
     config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, silent: str
 ) -> None:
     """No browser fetches it, or the desk is frozen or gone."""
-    monkeypatch.setattr("rig.devices.aligning._UNSEEN_S", 1.0)
-    monkeypatch.setattr("rig.devices.aligning._UNASKED_S", 1.0)
+    monkeypatch.setattr("rig.devices.aligning._MAX_UNSEEN_S", 1.0)
+    monkeypatch.setattr("rig.devices.aligning._MAX_SILENCE_S", 1.0)
     with live_picture(config) as (picture, devices):
         told = picture.news
         until(lambda: len(lit.at) == 1 and not devices.darkness())
-        told.asked_s = told.looked_s = time.monotonic() + 60.0
+        told.news_request_s = told.picture_request_s = time.monotonic() + 60.0
         setattr(told, silent, time.monotonic())
         until(lambda: devices.confirmed_dark)
         until(lambda: "nobody has looked" in told.news()["state"]["dark"])
