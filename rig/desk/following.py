@@ -20,7 +20,7 @@ from rig.devices import (
     AlignmentFrame,
     NoSession,
     OrderConnection,
-    ReferencePart,
+    ReferenceSpot,
     SessionBusy,
     SessionPicture,
     crosshair_of,
@@ -188,7 +188,7 @@ class Following:
         own, reference = seen.image, None
         if config is not None and config.reference is not None and seen.reference is not None:
             row = config.reference.from_row_px
-            reference = ReferencePart.in_image(seen.reference, row, seen.image, full_scale_dn)
+            reference = ReferenceSpot.in_image(seen.reference, row, seen.image, full_scale_dn)
             own = seen.image[:row]
         figures = picture.figures(own, full_scale_dn)
         self.focus.append((time.monotonic(), figures.sharpness_per_px))

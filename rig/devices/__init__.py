@@ -5,7 +5,7 @@ from rig.devices.acknowledgement import LightWatch, TypedAcknowledgement, ask_ac
 from rig.devices.aligning import align_camera
 from rig.devices.alignment_look import (
     AlignmentFrame,
-    ReferencePart,
+    ReferenceSpot,
     annotated_picture,
     crosshair_of,
     take_look,

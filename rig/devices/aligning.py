@@ -122,20 +122,18 @@ class LivePicture:
         optics = optics_of(self._config, info.full_scale_dn)
         # compiled in the dark: a laser may be lit only while frames are processed
         prepare_kernels(optics.sensor, say)
-        deadline_s = time.monotonic() + seconds if seconds else float("inf")
+        end_s = time.monotonic() + seconds if seconds else float("inf")
         watch = LightWatch(devices)
         self.note = "; ".join(filter(None, (*opened.notes, self._light())))
         try:
             with Live(auto_refresh=False) as terminal:
-                while not self._has_ended and self._run_until_request(optics, watch, terminal, deadline_s):
+                while not self._has_ended and self._run_until_request(optics, watch, terminal, end_s):
                     # a camera is configured while it is stopped, and goes on with the next round
                     self.note = self.requests.carry_out()
         finally:
             devices.darken("the live picture is closed")
 
-    def _run_until_request(
-        self, optics: Optics, watch: LightWatch, terminal: Live, deadline_s: float
-    ) -> bool:
+    def _run_until_request(self, optics: Optics, watch: LightWatch, terminal: Live, end_s: float) -> bool:
         """Process the newest frames until a request comes; False once the time is over."""
         devices, full_scale_dn = self._devices, self._opened.info.full_scale_dn
         self.news.begin_run("live picture", full_scale_dn, self._applied)
@@ -157,7 +155,7 @@ class LivePicture:
                 watch.look()
                 self._keep_lit_while_watched()
                 self._print(look, terminal)
-                if time.monotonic() >= deadline_s:
+                if time.monotonic() >= end_s:
                     return False
                 time.sleep(_FRAME_INTERVAL_S)
         return True
@@ -195,13 +193,10 @@ class LivePicture:
 
     def _keep_lit_while_watched(self) -> None:
         """Switch the laser off once no browser shows the picture, or the desk has gone."""
-        devices, news, now_s = self._devices, self.news, time.monotonic()
+        devices, news, lit_s, now_s = self._devices, self.news, self._lit_s, time.monotonic()
         if devices.permit.expects_light and news.news_request_s > 0.0 and not at_terminal():
-            picture_s, news_s = (
-                max(news.picture_request_s, self._lit_s),
-                max(news.news_request_s, self._lit_s),
-            )
-            if now_s - picture_s > _MAX_UNSEEN_S or now_s - news_s > _MAX_SILENCE_S:
+            is_unseen = now_s - max(news.picture_request_s, lit_s) > _MAX_UNSEEN_S
+            if is_unseen or now_s - max(news.news_request_s, lit_s) > _MAX_SILENCE_S:
                 self._is_abandoned = True
                 devices.darken(_ABANDONED)
         self.dark = _ABANDONED if self._is_abandoned else devices.darkness()

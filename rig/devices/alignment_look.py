@@ -1,4 +1,4 @@
-"""A frame during the alignment of the camera, with the spot in it, their figures and verdicts."""
+"""A frame during the alignment of the camera: its spot, its figures, the verdicts on them, its picture."""
 
 import math
 from dataclasses import replace
@@ -19,27 +19,26 @@ from rig.terminal import Verdict, decimals, palette
 _MAX_CENTRE_DISTANCE = 0.1
 """Largest distance of a centred spot from the crosshair, over the frame's shorter side."""
 _MIN_EDGE_DISTANCE = 0.15
-"""Distance from all edges, in its shorter side, from which a spot off the centre may swing."""
-_OFF_MIDDLE = "at rest it belongs to the crosshair; a swing passes there"
-_MIN_SHARPNESS = 0.95
-"""Smallest sharpness of a good focus, over the best so far."""
+"""Distance from all edges, over the frame's shorter side, from which a spot off the centre may swing."""
+_OFF_CENTRE_REMEDY = "at rest it belongs to the crosshair; a swing passes there"
+_MIN_SHARPNESS_RATIO = 0.95
+"""Smallest ratio of the sharpness of a good focus to the best so far."""
 
 
-class ReferencePart(NamedTuple):
-    """The spot in the reference's part of a frame, and the number of saturated pixels there.
-
-    `spot` is in px of the whole frame; its fields are NaN if none was found.
-    """
+class ReferenceSpot(NamedTuple):
+    """The spot in the reference's part of a frame."""
 
     spot: Spot
+    """Spot in px of the whole frame; its fields are NaN if none was found."""
     from_row_px: int
+    """First row of the reference's part."""
     saturated_px: int
+    """Number of saturated pixels there."""
 
     @classmethod
-    def in_image(cls, spot: Spot, from_row_px: int, image: Image, full_scale_dn: int) -> "ReferencePart":
-        """A spot that was found in an image."""
-        below = image[from_row_px:]
-        return cls(spot, from_row_px, int(np.count_nonzero(below >= full_scale_dn)))
+    def in_image(cls, spot: Spot, from_row_px: int, image: Image, full_scale_dn: int) -> "ReferenceSpot":
+        """The spot of an image whose part from a row on is the reference's."""
+        return cls(spot, from_row_px, int(np.count_nonzero(image[from_row_px:] >= full_scale_dn)))
 
     @property
     def found(self) -> bool:
@@ -85,7 +84,7 @@ class AlignmentFrame(NamedTuple):
     crosshair_px: tuple[float, float]
     applied: CameraSettings
     beam: Verdict | None = None
-    reference: ReferencePart | None = None
+    reference: ReferenceSpot | None = None
 
     @property
     def found(self) -> bool:
@@ -97,56 +96,56 @@ class AlignmentFrame(NamedTuple):
 
         `sharpest_per_px` is the best sharpness so far, with which the focus is compared.
         """
-        seen, limits = self.figures, PreflightSettings()
+        figures, limits = self.figures, PreflightSettings()
         low, high = limits.min_peak_fraction, limits.max_peak_fraction
-        peak_ok = low <= seen.peak <= high
+        peak_ok = low <= figures.peak <= high
         lamps = [
             Verdict(
                 "peak",
                 peak_ok,
-                remedy="" if peak_ok else "expose longer" if seen.peak < low else "expose shorter",
-                measured=f"{100 * seen.peak:.0f} %",
+                remedy="" if peak_ok else "expose longer" if figures.peak < low else "expose shorter",
+                measured=f"{100 * figures.peak:.0f} %",
                 limit=f"{100 * low:.0f} to {100 * high:.0f} %",
             ),
             Verdict(
                 "saturated",
-                not seen.saturated_px,
-                remedy="expose shorter, or less gain" if seen.saturated_px else "",
-                measured=f"{seen.saturated_px} px" if seen.saturated_px else "none",
+                not figures.saturated_px,
+                remedy="expose shorter, or less gain" if figures.saturated_px else "",
+                measured=f"{figures.saturated_px} px" if figures.saturated_px else "none",
                 limit="none",
             ),
         ]
-        of_reference = [] if self.reference is None else [self.reference.lamp]
+        reference = [] if self.reference is None else [self.reference.lamp]
         if not self.found:
-            gone = Verdict("spot", False, remedy="let the beam fall on the sensor", measured="none found")
-            return [*lamps, gone, *of_reference]
+            remedy = "let the beam fall on the sensor"
+            return [*lamps, Verdict("spot", False, remedy=remedy, measured="none found"), *reference]
         off_px, shortest_px = max(map(abs, self._off_px)), min(self.image.shape)
         centred = off_px <= _MAX_CENTRE_DISTANCE * shortest_px
-        off_middle = "" if centred or self._edge_px >= _MIN_EDGE_DISTANCE * shortest_px else _OFF_MIDDLE
+        may_swing = centred or self._edge_px >= _MIN_EDGE_DISTANCE * shortest_px
         lamps.append(
             Verdict(
                 "centring",
                 True,
-                remedy=off_middle,
+                remedy="" if may_swing else _OFF_CENTRE_REMEDY,
                 measured=f"{_offset(self._off_px, 0)} px",
                 limit=f"{_MAX_CENTRE_DISTANCE * shortest_px:.0f} px",
             )
         )
-        sharp = seen.sharpness_per_px >= _MIN_SHARPNESS * sharpest_per_px
-        focus = "" if sharp else f"was {sharpest_per_px:.4f} /px: turn the focus back"
-        measured = f"{seen.sharpness_per_px:.4f} /px"
-        lamps.append(Verdict("focus", True, remedy=focus, measured=measured, limit="the best so far"))
-        return [*lamps, *([] if self.beam is None else [self.beam]), *of_reference]
+        is_sharp = figures.sharpness_per_px >= _MIN_SHARPNESS_RATIO * sharpest_per_px
+        focus_remedy = "" if is_sharp else f"was {sharpest_per_px:.4f} /px: turn the focus back"
+        measured = f"{figures.sharpness_per_px:.4f} /px"
+        lamps.append(Verdict("focus", True, remedy=focus_remedy, measured=measured, limit="the best so far"))
+        return [*lamps, *([] if self.beam is None else [self.beam]), *reference]
 
     def rows(self) -> list[tuple[str, str]]:
         """The figures as rows of (name, text); those of the spot only if there is one."""
-        seen, spot, applied = self.figures, self.spot, self.applied
+        figures, spot, applied = self.figures, self.spot, self.applied
         height_px, width_px = self.image.shape
         exposure, gain = applied.exposure_us, applied.gain_db
         rows = [
-            ("peak", f"{100 * seen.peak:.1f} %, background {100 * seen.background:.1f} %"),
-            ("saturated", f"{seen.saturated_px} px" if seen.saturated_px else "none"),
-            ("sharpness", f"{seen.sharpness_per_px:.4f} /px"),
+            ("peak", f"{100 * figures.peak:.1f} %, background {100 * figures.background:.1f} %"),
+            ("saturated", f"{figures.saturated_px} px" if figures.saturated_px else "none"),
+            ("sharpness", f"{figures.sharpness_per_px:.4f} /px"),
         ]
         if self.found:
             rows += [
@@ -157,18 +156,18 @@ class AlignmentFrame(NamedTuple):
                     "sigma",
                     f"{spot.sigma_x_px:.2f} × {spot.sigma_y_px:.2f} px, ellipticity {self._ellipticity:.2f}",
                 ),
-                ("fit", f"χ²/dof {spot.chi2_per_dof:.2f}, {', '.join(self._doubts) or 'a clean spot'}"),
+                ("fit", f"χ²/dof {spot.chi2_per_dof:.2f}, {', '.join(self._flag_texts) or 'a clean spot'}"),
             ]
         else:
             rows.append(("spot", "none found"))
         if self.reference is not None:
             rows.append(("reference", self.reference.lamp.measured))
         offset_px = (applied.offset_x_px, applied.offset_y_px)
-        begins = "" if None in offset_px else f" from ({offset_px[0]}, {offset_px[1]})"
-        exposed = "unknown" if exposure is None else f"{exposure:.6g} µs"
+        origin = "" if None in offset_px else f" from ({offset_px[0]}, {offset_px[1]})"
+        exposure_text = "unknown" if exposure is None else f"{exposure:.6g} µs"
         rows += [
-            ("region", f"{width_px} × {height_px} px{begins}"),
-            ("exposure", f"{exposed}, gain {'unknown' if gain is None else f'{gain:.3g} dB'}"),
+            ("region", f"{width_px} × {height_px} px{origin}"),
+            ("exposure", f"{exposure_text}, gain {'unknown' if gain is None else f'{gain:.3g} dB'}"),
         ]
         return rows if self.beam is None else [*rows, ("beam", self.beam.judgement_text)]
 
@@ -190,14 +189,14 @@ class AlignmentFrame(NamedTuple):
         return max(spot.sigma_x_px, spot.sigma_y_px) / min(spot.sigma_x_px, spot.sigma_y_px)
 
     @property
-    def _doubts(self) -> list[str]:
+    def _flag_texts(self) -> list[str]:
         return [
             flag.name.lower().replace("_", " ") for flag in SpotFlag if self.spot.flags & flag and flag.name
         ]
 
 
-def _offset(off_px: tuple[float, float], places: int) -> str:
-    return ", ".join(decimals(value, places, sign=True) for value in off_px)
+def _offset(off_px: tuple[float, float], digits: int) -> str:
+    return ", ".join(decimals(value, digits, sign=True) for value in off_px)
 
 
 def crosshair_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
@@ -214,27 +213,28 @@ def take_look(
     applied: CameraSettings,
     limits: PreflightSettings | None = None,
 ) -> AlignmentFrame:
-    """Find the spot in a frame, and judge frame and beam, by default with the preflight's default limits.
+    """The spot of a frame, with verdicts on frame and beam, by default with the preflight's default limits.
 
     Figures and beam are those of the pendulum's part of the frame.
     """
     (spot,), references = trackers.track([image])
-    row = trackers.reference_row
-    part, other = image[:row], None
-    if row is not None and references:
-        other = ReferencePart.in_image(references[0], row, image, full_scale_dn)
-    beam = beam_quality([part], [spot], trackers.tracker.model, full_scale_dn, limits or PreflightSettings())
-    seen = picture.figures(part, full_scale_dn)
-    if beam.ok and seen.saturated_px:
+    first_row = trackers.reference_row
+    pendulum_image, reference = image[:first_row], None
+    if first_row is not None and references:
+        reference = ReferenceSpot.in_image(references[0], first_row, image, full_scale_dn)
+    model, limits = trackers.tracker.model, limits or PreflightSettings()
+    beam = beam_quality([pendulum_image], [spot], model, full_scale_dn, limits)
+    figures = picture.figures(pendulum_image, full_scale_dn)
+    if beam.ok and figures.saturated_px:
         # the shape of a beam that is cut off at full scale cannot be judged
         beam = replace(
             beam,
             ok=False,
-            reason=f"{seen.saturated_px} px are saturated",
+            reason=f"{figures.saturated_px} px are saturated",
             remedy="expose shorter, or less gain",
         )
     return AlignmentFrame(
-        image, full_scale_dn, seen, spot, crosshair_of(image, reference_px), applied, beam, other
+        image, full_scale_dn, figures, spot, crosshair_of(image, reference_px), applied, beam, reference
     )
 
 
@@ -245,8 +245,8 @@ Picture = NDArray[np.uint8]
 def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom: float = 1.0) -> Picture:
     """Picture of the frame, or of its part around the spot, fitted into a size; RGB (height, width, 3).
 
-    Saturated pixels stay visible however much the frame is reduced. A `zoom` above 1 is the ratio of the
-    frame to the part, which is centred on the spot, or on the crosshair where there is none.
+    Saturated pixels stay visible however much the frame is reduced. `zoom` is the ratio of the frame to its
+    shown part, which is centred on the spot, or on the crosshair without a spot.
 
     Returns
     -------
@@ -259,34 +259,35 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     size = max(1, round(part_width * scale)), max(1, round(part_height * scale))
     # the root is taken of each possible value, not of each pixel, which is faster
     roots = np.sqrt(np.arange(np.iinfo(part.dtype).max + 1) / look.full_scale_dn)
-    drawn = _resize(roots[part], size, scale)
-    picture = np.repeat((255.0 * np.clip(drawn, 0.0, 1.0)).astype(np.uint8)[..., np.newaxis], 3, axis=2)
-    thin = max(1, round(min(size) / 300))
+    brightness = _resize(roots[part], size, scale)
+    picture = np.repeat((255.0 * np.clip(brightness, 0.0, 1.0)).astype(np.uint8)[..., np.newaxis], 3, axis=2)
+    line_width = max(1, round(min(size) / 300))
 
-    def at(x_px: float, y_px: float) -> tuple[int, int]:
+    def pixel(x_px: float, y_px: float) -> tuple[int, int]:
         return round((x_px - left + 0.5) * scale - 0.5), round((y_px - top + 0.5) * scale - 0.5)
 
-    cross = at(*look.crosshair_px)
+    cross = pixel(*look.crosshair_px)
     blue = palette.rgba(palette.SKY_BLUE)[:3]
-    cv2.line(picture, (cross[0], 0), (cross[0], size[1] - 1), blue, thin)
-    cv2.line(picture, (0, cross[1]), (size[0] - 1, cross[1]), blue, thin)
+    cv2.line(picture, (cross[0], 0), (cross[0], size[1] - 1), blue, line_width)
+    cv2.line(picture, (0, cross[1]), (size[0] - 1, cross[1]), blue, line_width)
     reference = look.reference
     if reference is not None:
         # below this line the frame is the reference's
-        row = at(0.0, reference.from_row_px - 0.5)[1]
-        cv2.line(picture, (0, row), (size[0] - 1, row), palette.rgba(palette.BLUISH_GREEN)[:3], thin)
+        row = pixel(0.0, reference.from_row_px - 0.5)[1]
+        cv2.line(picture, (0, row), (size[0] - 1, row), palette.rgba(palette.BLUISH_GREEN)[:3], line_width)
     for spot, colour in (
         *([(look.spot, palette.YELLOW)] if look.found else []),
         *([(reference.spot, palette.BLUISH_GREEN)] if reference is not None and reference.found else []),
     ):
-        half = tuple(max(1, round(_ELLIPSE_SIGMAS * s * scale)) for s in (spot.sigma_x_px, spot.sigma_y_px))
-        rgb = palette.rgba(colour)[:3]
-        angle_deg = math.degrees(spot.rotation_rad)
-        cv2.ellipse(picture, at(spot.x_px, spot.y_px), half, angle_deg, 0.0, 360.0, rgb, thin)
-    full = part >= look.full_scale_dn
-    if full.any():
+        sigmas_px = spot.sigma_x_px, spot.sigma_y_px
+        half_axes = tuple(max(1, round(_ELLIPSE_SIGMAS * sigma_px * scale)) for sigma_px in sigmas_px)
+        rgb, angle_deg = palette.rgba(colour)[:3], math.degrees(spot.rotation_rad)
+        centre = pixel(spot.x_px, spot.y_px)
+        cv2.ellipse(picture, centre, half_axes, angle_deg, 0.0, 360.0, rgb, line_width)
+    is_saturated = part >= look.full_scale_dn
+    if is_saturated.any():
         # a pixel of the picture is marked if any part of it is saturated
-        saturated = _resize(full.astype(np.float64), size, scale) > 0.0
+        saturated = _resize(is_saturated.astype(np.float64), size, scale) > 0.0
         picture[saturated] = palette.rgba(palette.VERMILLION)[:3]
     return picture
 
@@ -303,5 +304,5 @@ def _part(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
 
 def _resize(values: NDArray[np.float64], size: tuple[int, int], scale: float) -> NDArray[np.float64]:
     """Resized values: means over areas if reduced, repeated pixels if enlarged."""
-    way = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
-    return np.asarray(cv2.resize(values, size, interpolation=way), dtype=np.float64)
+    interpolation = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(values, size, interpolation=interpolation), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Looks at a camera without a run: figures of a picture, the right exposure, features."""
+"""Frames of a camera without a run: figures of a picture, the right exposure, features."""
 
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,9 +15,12 @@ from acquisition.frames.guard import FrameChecks
 from processing.errors import DataError, DeviceError
 
 _FLOOR = 0.1
+"""Part of the peak that is subtracted, to exclude the noise of the background."""
 # sqrt(A / B) for exp(-u) - 0.1 where it is positive, u = r^2 / (2 s^2), u0 = ln 10:
 # A = (1 - exp(-2 u0) (1 + 2 u0)) / 2, B = 0.99 / 2 - 0.2 * 0.9 + 0.01 u0
-_OF_A_CUT_GAUSSIAN = 1.1816
+_FLOOR_FACTOR = 1.1816
+"""Factor by which the subtracted floor raises the sharpness of a Gaussian."""
+_MARGIN_PX = 2
 
 
 class PictureFigures(NamedTuple):
@@ -44,30 +47,28 @@ class PictureFigures(NamedTuple):
 
 def figures(image: Image, full_scale_dn: int) -> PictureFigures:
     """Figures of a picture, shape (ny, nx), in DN."""
-    calm = cv2.medianBlur(image, 3)
+    smooth = cv2.medianBlur(image, 3)
     background_dn = float(np.median(image))
-    light = calm.astype(np.float64) - background_dn
-    # subtract a tenth of the peak, to exclude the noise of the background
+    light = smooth.astype(np.float64) - background_dn
     floor_dn = _FLOOR * max(light.max(initial=0.0), 0.0)
-    light = np.maximum(_where_lit(light, floor_dn) - floor_dn, 0.0)
-    rows, columns = np.gradient(light)
+    light = np.maximum(_lit_part(light, floor_dn) - floor_dn, 0.0)
+    gradient_y, gradient_x = np.gradient(light)
     energy = float(np.sum(light * light))
-    gradient = float(np.sum(rows * rows + columns * columns))
+    gradient = float(np.sum(gradient_y * gradient_y + gradient_x * gradient_x))
     return PictureFigures(
-        float(calm.max()) / full_scale_dn,
+        float(smooth.max()) / full_scale_dn,
         int(np.count_nonzero(image >= full_scale_dn)),
         background_dn / full_scale_dn,
-        float(np.sqrt(gradient / energy)) / _OF_A_CUT_GAUSSIAN if energy > 0 else 0.0,
+        float(np.sqrt(gradient / energy)) / _FLOOR_FACTOR if energy > 0 else 0.0,
     )
 
 
-def _where_lit(light: NDArray[np.float64], floor_dn: float) -> NDArray[np.float64]:
-    """The part of the picture above the floor, with a margin for its gradient; it is small, and so fast."""
+def _lit_part(light: NDArray[np.float64], floor_dn: float) -> NDArray[np.float64]:
+    """The part of the picture above the floor, with a margin for its gradient; the whole would be slow."""
     left, top, width, height = cv2.boundingRect((light > floor_dn).astype(np.uint8))
-    margin = 2
     return light[
-        max(top - margin, 0) : max(top + height + margin, 2),
-        max(left - margin, 0) : max(left + width + margin, 2),
+        max(top - _MARGIN_PX, 0) : max(top + height + _MARGIN_PX, 2),
+        max(left - _MARGIN_PX, 0) : max(left + width + _MARGIN_PX, 2),
     ]
 
 
@@ -83,24 +84,24 @@ def average(frames: Sequence[Frame]) -> Image:
 
 def png_of(image: NDArray[Any], path: Path) -> bytes:
     """An image as PNG, with every bit; DataError, which names the `path`, if it cannot be one."""
-    done, png = cv2.imencode(".png", image)
-    if not done:
+    is_encoded, png = cv2.imencode(".png", image)
+    if not is_encoded:
         raise DataError(f"{path}: cannot be written as PNG")
     return png.tobytes()
 
 
 def read_frames(
-    camera: Camera, count: int, patience_s: float, on_frame: Callable[[Frame], object] = lambda _: None
+    camera: Camera, count: int, timeout_s: float, on_frame: Callable[[Frame], object] = lambda _: None
 ) -> list[Frame]:
-    """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer.
+    """`count` frames of a configured camera, which is started and stopped; DataError if it gives fewer.
 
-    Frames that no camera may deliver raise DeviceError. `on_frame` is called with every frame as it comes.
+    A frame that no camera may deliver raises DeviceError. `on_frame` is called with every frame as it comes.
     """
-    frames, delivered = list[Frame](), FrameChecks()
+    frames, checks = list[Frame](), FrameChecks()
     camera.start()
     try:
-        while len(frames) < count and (frame := camera.read(patience_s)) is not None:
-            frames.append(delivered.check(frame))
+        while len(frames) < count and (frame := camera.read(timeout_s)) is not None:
+            frames.append(checks.check(frame))
             on_frame(frames[-1])
     finally:
         camera.stop()
@@ -110,20 +111,22 @@ def read_frames(
 
 
 _MEDIAN_FRAMES = 9
-"""Number of frames; it is odd, so that a flash or a late change of the exposure does not move the median."""
+"""Number of frames of a median; it is odd, so that a flash or a late change of the exposure has no effect."""
 _MAX_EXPOSURE_STEPS = 16
 """Largest number of steps, by factors of 0.4 to 8: from 10 us to 1 s are 6 steps, back 13."""
-_TIMEOUT_S = 5.0
+_FRAME_TIMEOUT_S = 5.0
 _PEAK_TOLERANCE = 0.03
 """Relative tolerance of the peak; with a target of 0.7 of full scale, saturation is still far."""
 
 
 class Exposure(NamedTuple):
-    """The settings read back from the camera, and the peak as a fraction of full scale."""
+    """The result of a search for the exposure time."""
 
     applied: CameraSettings
+    """Settings read back from the camera."""
     exposure_us: float
     peak: float
+    """Peak as a fraction of full scale."""
 
 
 def find_exposure(
@@ -153,55 +156,55 @@ def find_exposure(
     if exposure_us is None:
         raise DeviceError(f"{info.model}: the exposure time cannot be set; reduce the laser power instead")
     # a longer exposure would slow the camera down
-    longest_us = 0.95e6 / applied.frame_rate_hz if applied.frame_rate_hz else 1e6
-    seen: PictureFigures | None = None
+    max_us = 0.95e6 / applied.frame_rate_hz if applied.frame_rate_hz else 1e6
+    picture: PictureFigures | None = None
     for _ in range(_MAX_EXPOSURE_STEPS):
-        seen = _look(camera, info, on_frame)
-        if not seen.saturated_px and abs(seen.peak - target) <= _PEAK_TOLERANCE * target:
-            return Exposure(applied, exposure_us, seen.peak)
-        light = seen.peak - seen.background
-        if seen.saturated_px:
+        picture = _measure(camera, info, on_frame)
+        if not picture.saturated_px and abs(picture.peak - target) <= _PEAK_TOLERANCE * target:
+            return Exposure(applied, exposure_us, picture.peak)
+        light = picture.peak - picture.background
+        if picture.saturated_px:
             factor = 0.4
         elif light <= 0.01:
             factor = 8.0
         else:
-            factor = min(max((target - seen.background) / light, 0.1), 8.0)
-        wanted_us = min(exposure_us * factor, longest_us)
-        applied = camera.configure(CameraSettings(exposure_us=wanted_us))
+            factor = min(max((target - picture.background) / light, 0.1), 8.0)
+        next_us = min(exposure_us * factor, max_us)
+        applied = camera.configure(CameraSettings(exposure_us=next_us))
         if applied.exposure_us is None or applied.exposure_us == exposure_us:
             break
         exposure_us = applied.exposure_us
-    assert seen is not None
-    state = "saturated" if seen.saturated_px else f"at {100 * seen.peak:.0f} % of full scale"
+    assert picture is not None
+    state = "saturated" if picture.saturated_px else f"at {100 * picture.peak:.0f} % of full scale"
     raise DeviceError(
         f"{info.model}: the peak stays {state} with an exposure of {exposure_us:g} µs "
-        f"(at most {longest_us:g} µs at this frame rate), not at {100 * target:.0f} %; "
+        f"(at most {max_us:g} µs at this frame rate), not at {100 * target:.0f} %; "
         "change laser power, gain or frame rate, and check that the spot is on the sensor"
     )
 
 
-def _look(camera: Camera, info: CameraInfo, on_frame: Callable[[Frame], object]) -> PictureFigures:
-    frames = read_frames(camera, _MEDIAN_FRAMES, _TIMEOUT_S, on_frame)
-    seen = [figures(frame.image, info.full_scale_dn) for frame in frames]
+def _measure(camera: Camera, info: CameraInfo, on_frame: Callable[[Frame], object]) -> PictureFigures:
+    frames = read_frames(camera, _MEDIAN_FRAMES, _FRAME_TIMEOUT_S, on_frame)
+    pictures = [figures(frame.image, info.full_scale_dn) for frame in frames]
     return PictureFigures(
-        statistics.median(one.peak for one in seen),
-        max(one.saturated_px for one in seen),
-        statistics.median(one.background for one in seen),
-        statistics.median(one.sharpness_per_px for one in seen),
+        statistics.median(picture.peak for picture in pictures),
+        max(picture.saturated_px for picture in pictures),
+        statistics.median(picture.background for picture in pictures),
+        statistics.median(picture.sharpness_per_px for picture in pictures),
     )
 
 
-_NO_LIMIT = 2.0**62
-"""A larger limit means none: cameras report the type's largest number for a feature without a limit."""
+_MAX_LIMIT = 2.0**62
+"""Largest limit of a feature: cameras report the type's largest number for a feature without a limit."""
 
 
 def feature_lines(readings: Iterable[FeatureReading]) -> Iterator[str]:
     """One line for each feature: name, value with its unit, range or choices, access."""
-    shown = [(reading.name, _value(reading), _remark(reading)) for reading in readings]
-    names = max((len(name) for name, _, _ in shown), default=0)
-    values = min(max((len(value) for _, value, _ in shown), default=0), 24)
-    for name, value, remark in shown:
-        yield f"{name:<{names}}  {value:<{values}}  {remark}".rstrip()
+    rows = [(reading.name, _value(reading), _remark(reading)) for reading in readings]
+    name_width = max((len(name) for name, _, _ in rows), default=0)
+    value_width = min(max((len(value) for _, value, _ in rows), default=0), 24)
+    for name, value, remark in rows:
+        yield f"{name:<{name_width}}  {value:<{value_width}}  {remark}".rstrip()
 
 
 def _value(reading: FeatureReading) -> str:
@@ -228,6 +231,6 @@ def _remark(reading: FeatureReading) -> str:
     low, high = reading.minimum, reading.maximum
     if isinstance(reading.value, bool | str | bytes) or low is None or high is None:
         return ""
-    if abs(low) >= _NO_LIMIT and abs(high) >= _NO_LIMIT:
+    if abs(low) >= _MAX_LIMIT and abs(high) >= _MAX_LIMIT:
         return ""
     return f"{low:.9g} to {high:.9g} {reading.unit}".strip()
