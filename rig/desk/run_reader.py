@@ -111,7 +111,7 @@ class RecordFollower:
                 self._path.append(deflections)
                 while deflections.times_ns[-1] - self._path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     self._path.popleft()
-            for swing in new.swings:
+            for swing in new.half_cycles:
                 if not swing.flags:
                     at_s = _after_s(swing.turn_time_ns, start_ns)
                     self._measured.append((at_s, round(swing.amplitude / size, _DIGITS)))

@@ -19,9 +19,9 @@ from processing.swing import HalfCycle, TurningPointDetector
 from rig.instrument.configured_camera import ObserverGuard, shutter_of
 from rig.settings import Configuration
 
-_MAX_WAITING_CALLS = 4096
+_MAX_PENDING_CALLS = 4096
 _BATCH_NS = 50_000_000
-"""Time span of samples that are handed to a thread together: at 1000 frames/s each frame would wake two."""
+"""Time span of samples that a thread gets together: at 1000 frames/s single frames would cost more."""
 _BALANCE = "the estimate of the balance"
 
 Estimates: TypeAlias = tuple[list[HalfCycle], list[Balance]]
@@ -31,7 +31,7 @@ class EstimateThread:
     """A thread that calls `estimate` on batches of samples in order, so that frames do not wait for it.
 
     One estimate takes as long as many frames. The estimates are the same as without the thread, since they do
-    not depend on how samples are divided. An error in one is raised by a later call. `update` waits only
+    not depend on how samples are divided. A later call raises the error of an estimate. `update` waits only
     while thousands of calls are pending.
     """
 
@@ -47,17 +47,17 @@ class EstimateThread:
             self._batch.append(samples)
             if samples.times_ns[-1] - self._batch[0].times_ns[0] >= _BATCH_NS:
                 self._hand_over()
-        ready = []
-        while self._pending and (self._pending[0].done() or len(self._pending) > _MAX_WAITING_CALLS):
-            ready.append(self._pending.popleft().result())
-        return _together(ready)
+        finished = []
+        while self._pending and (self._pending[0].done() or len(self._pending) > _MAX_PENDING_CALLS):
+            finished.append(self._pending.popleft().result())
+        return _joined_estimates(finished)
 
     def finish(self) -> Estimates:
         """Wait for the estimates that are still being made, and return them."""
         self._hand_over()
-        ready = [pending.result() for pending in self._pending]
+        finished = [pending.result() for pending in self._pending]
         self._pending.clear()
-        return _together(ready)
+        return _joined_estimates(finished)
 
     def _hand_over(self) -> None:
         if self._batch:
@@ -65,27 +65,26 @@ class EstimateThread:
             self._pending.append(self._executor.submit(self._estimate, samples))
 
 
-def _together(parts: Iterable[Estimates]) -> Estimates:
+def _joined_estimates(parts: Iterable[Estimates]) -> Estimates:
     half_cycles: list[HalfCycle] = []
     balances: list[Balance] = []
-    for some, others in parts:
-        half_cycles += some
-        balances += others
+    for new_half_cycles, new_balances in parts:
+        half_cycles += new_half_cycles
+        balances += new_balances
     return half_cycles, balances
 
 
 class Block(NamedTuple):
-    """Results of some consecutive frames: one spot and one deflection per frame.
-
-    `references` are the reference spots, if there are any. `swings` and `balances` are completed by this
-    block; they may have begun in earlier blocks.
-    """
+    """Results of some consecutive frames: one spot and one deflection per frame."""
 
     spots: list[Spot]
     deflections: Deflections
-    swings: list[HalfCycle]
+    half_cycles: list[HalfCycle]
+    """Half-cycles that this block completes; they may have begun in earlier blocks."""
     balances: list[Balance]
+    """Balances that this block completes."""
     references: Sequence[Spot] = ()
+    """Spots of the reference, if there is one."""
 
     def write(
         self,
@@ -98,8 +97,8 @@ class Block(NamedTuple):
         if numbers:
             clocks = device_times_ns, host_times_ns
             writer.write_spots(numbers, *clocks, self.spots, self.deflections, self.references)
-        for swing in self.swings:
-            writer.write_swing(swing)
+        for half_cycle in self.half_cycles:
+            writer.write_swing(half_cycle)
         for balance in self.balances:
             writer.write_balance(balance)
 
@@ -111,7 +110,7 @@ class DualSpotTracker:
     """
 
     def __init__(self, sensor: SensorModel, reference_row: int | None = None) -> None:
-        self.tracker, self._other = SpotTracker(sensor), SpotTracker(sensor)
+        self.tracker, self._reference_tracker = SpotTracker(sensor), SpotTracker(sensor)
         self.reference_row = reference_row
 
     def track(self, images: Sequence[Image]) -> tuple[list[Spot], list[Spot]]:
@@ -120,7 +119,7 @@ class DualSpotTracker:
         spots = [self.tracker.track(image[:row]) for image in images]
         if row is None or row >= len(images[0]):
             return spots, []
-        references = [self._other.track(image[row:]) for image in images]
+        references = [self._reference_tracker.track(image[row:]) for image in images]
         return spots, [spot._replace(y_px=spot.y_px + row) for spot in references]
 
     def pendulum_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
@@ -164,8 +163,8 @@ class Pipeline:
 
     def process(self, frames: Sequence[Frame]) -> Block:
         """Track the spot in some consecutive frames, and continue with `detect`."""
-        seen = self.look(frames)
-        return self.detect(seen.spots, seen.deflections)._replace(references=seen.references)
+        block = self.look(frames)
+        return self.detect(block.spots, block.deflections)._replace(references=block.references)
 
     def look(self, frames: Sequence[Frame]) -> Block:
         """Spots and deflections of some consecutive frames, without half-cycles and balances."""
@@ -188,7 +187,7 @@ class Pipeline:
         return half_cycles, balances
 
     def finish(self) -> Estimates:
-        """Half-cycles that are completed by the end of the samples, and what is still being estimated."""
+        """Half-cycles that the end of the samples completes, and the estimates that are still being made."""
         half_cycles, balances = ([], []) if self._thread is None else self._thread.finish()
         return [*half_cycles, *self._detector.finish()], balances
 
@@ -197,8 +196,7 @@ class DeflectionConverter:
     """Converts spots to deflections: tilts along the pendulum's axes, in rad.
 
     Without a lever they are displacements along the same axes in px; without stated axes along those of the
-    sensor (x to the right, y upward). `reference_px` is the position (x, y) of the spot at zero tilt, `unit`
-    the unit of the deflections.
+    sensor (x to the right, y upward).
     """
 
     def __init__(
@@ -209,24 +207,24 @@ class DeflectionConverter:
         self._lever = lever
         self._axes = axes
         self.unit = deflection_unit(lever)
-        middle_px = (0.5 * (sensor_shape[1] - 1), 0.5 * (sensor_shape[0] - 1))
-        self.reference_px = middle_px
+        x_px, y_px = 0.5 * (sensor_shape[1] - 1), 0.5 * (sensor_shape[0] - 1)
         if lever is not None:
-            self.reference_px = (
-                middle_px[0] if lever.reference_x_px is None else lever.reference_x_px,
-                middle_px[1] if lever.reference_y_px is None else lever.reference_y_px,
-            )
+            x_px = x_px if lever.reference_x_px is None else lever.reference_x_px
+            y_px = y_px if lever.reference_y_px is None else lever.reference_y_px
+        self.reference_px = x_px, y_px
+        """Position (x, y) of the spot at zero tilt."""
 
     def __call__(self, times_ns: NDArray[np.int64], spots: Sequence[Spot]) -> Deflections:
         """Deflections of the spots of frames at these times."""
         table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4)
         x_px, y_px, u_x_px, u_y_px = table.T
         times_ns = self._shutter.times_ns(times_ns, y_px, self._rows)
+        spot_px = x_px, y_px, u_x_px, u_y_px
         if self._lever is None:
-            shifts = displacements(self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
-            return Deflections(times_ns, *shifts, self.unit)
-        tilts = deflections(self._lever, self._axes, x_px, y_px, u_x_px, u_y_px, self.reference_px)
-        return Deflections(times_ns, *tilts, self.unit)
+            values = displacements(self._axes, *spot_px, self.reference_px)
+        else:
+            values = deflections(self._lever, self._axes, *spot_px, self.reference_px)
+        return Deflections(times_ns, *values, self.unit)
 
 
 @dataclass(frozen=True, slots=True)

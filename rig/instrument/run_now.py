@@ -27,9 +27,9 @@ from processing.swing import HalfCycle
 from processing.units import seconds
 
 _MAX_KNOWN_U_PPM = 100.0
-"""Largest u of a known rate: any quartz is right within this, so that a rate known no better says nothing."""
-_LONGEST_WAIT_PERIODS = 3.0
-"""Periods without a further half-cycle after which an amplitude is old: each is known half a period late."""
+"""Largest u of a known rate: any quartz is right within this, so a rate with a larger u tells nothing."""
+_MAX_WAIT_PERIODS = 3.0
+"""Periods without a further half-cycle after which an amplitude is old; each comes half a period late."""
 
 U_FREE_RUNNING: Final = 50e-6
 """Relative standard uncertainty of a computer's free-running quartz oscillator."""
@@ -40,21 +40,23 @@ U_QUARTZ: Final = 0.7e-6
 
 
 def rate_text(drift_ppm: float, u_drift_ppm: float) -> str:
-    """Rate and standard uncertainty with two digits of the latter, 0.1 ppb at the finest."""
+    """Rate and standard uncertainty with two digits of the latter, at most 0.1 ppb fine."""
     digits = min(max(1 - math.floor(math.log10(max(u_drift_ppm, 1e-9))), 0), 4)
     return f"{drift_ppm:+.{digits}f} ± {max(u_drift_ppm, 10.0**-digits):.{digits}f} ppm"
 
 
 @dataclass(frozen=True, slots=True)
 class CameraClock:
-    """Rate of the camera's clock against the computer's, minus 1, and the steps subtracted from its times.
+    """Rate of the camera's clock against the computer's, and its steps.
 
     NaN if unknown: a camera without a clock, or frames made on demand.
     """
 
     drift_ppm: float = math.nan
+    """Rate minus 1."""
     u_drift_ppm: float = math.nan
     steps: int = 0
+    """Number of steps, which are subtracted from the times."""
     largest_step_s: float = 0.0
 
     @property
@@ -69,8 +71,8 @@ class CameraClock:
         if self.known:
             parts.append(f"{rate_text(self.drift_ppm, self.u_drift_ppm)} against the computer's")
         if self.steps:
-            times = "once" if self.steps == 1 else f"{self.steps} times, at most"
-            parts.append(f"stepped {times} by {self.largest_step_s:+.4g} s")
+            count = "once" if self.steps == 1 else f"{self.steps} times, at most"
+            parts.append(f"stepped {count} by {self.largest_step_s:+.4g} s")
         return ", ".join(parts)
 
 
@@ -99,22 +101,20 @@ _PHASES: Final = {phase.value: phase for phase in Phase}
 
 
 class RecordContents(NamedTuple):
-    """One piece of a record: half-cycles, balances, events, and messages of the session.
-
-    `start_ns` is the time of the record's first frame, `last_ns` that of its last frame so far; both are 0
-    before it.
-    """
+    """One piece of a record: half-cycles, balances, events, and messages of the session."""
 
     start_ns: int = 0
+    """Time of the record's first frame; 0 before it."""
     last_ns: int = 0
-    swings: Sequence[HalfCycle] = ()
+    """Time of the last frame so far; 0 before the first."""
+    half_cycles: Sequence[HalfCycle] = ()
     balances: Sequence[Balance] = ()
     events: Sequence[Event] = ()
     messages: Sequence[TimedMessage] = ()
 
     def messages_of_kind(self, kind: type[_Value]) -> list[_Value]:
         """The messages of one kind."""
-        return [one for one in self.messages if isinstance(one, kind)]
+        return [message for message in self.messages if isinstance(message, kind)]
 
     @property
     def elapsed_s(self) -> float:
@@ -137,32 +137,26 @@ def piece_contents(reader: RecordReader, piece: Piece, start_ns: int, last_ns: i
 
 @dataclass(frozen=True, slots=True)
 class RunNow:
-    """State of a run at one moment. The amplitude is in arcsec, or in px without a lever calibration.
-
-    `progress` says how far the phase is. `frame_age_s` is the time between the arrival of the oldest frame of
-    the last block and the start of its processing; it grows if processing is too slow. `losses` are the
-    dropped frames by cause, as counted by the camera. `instruction` is a request to the operator, `light` and
-    `interlock` are their states in words, `trip` is the trip that waits for an acknowledgement, `controller`
-    the state of laser and controller in words, `beam` the model fitted to the spot, `clock` the rate of the
-    camera's clock against the computer's, `alarm` a fault of light or disk, empty without one,
-    `disk_silent_s` the time for which a write has hung. Amplitude and period are those of the last half-cycle
-    without a flag, which turned `amplitude_s` after the first frame. `estimates` are the contact's parameters
-    by key, from the first `estimated_from` half-cycles; empty before the first fit.
-    """
+    """State of a run at one moment. Amplitude and period are those of the last half-cycle without a flag."""
 
     phase: Phase = Phase.WAITING
     progress: str = ""
+    """How far the phase is."""
     elapsed_s: float = 0.0
     frames: int = 0
     dropped_frames: int = 0
     lost_spots: int = 0
     half_cycles: int = 0
     amplitude: float = math.nan
+    """Amplitude in arcsec, or in px without a lever calibration."""
     amplitude_s: float = math.nan
+    """Time from the first frame to the turning point of that half-cycle."""
     period_s: float = math.nan
     queue_frames: int = 0
     frame_age_s: float = math.nan
+    """Time between the arrival of the oldest frame of the last block and the start of its processing."""
     losses: FrameLosses = field(default_factory=FrameLosses)
+    """Dropped frames by cause, as counted by the camera."""
     record_bytes: int = 0
     disk_free_bytes: float = math.nan
     reason: str = ""
@@ -172,32 +166,40 @@ class RunNow:
     light: str = ""
     interlock: str = ""
     trip: str = ""
+    """The trip that waits for an acknowledgement."""
     darkness: str = ""
     controller: str = ""
+    """State of laser and controller in words."""
     instruction: str = ""
+    """Request to the operator."""
     alarm: str = ""
+    """A fault of light or disk; empty without one."""
     disk_silent_s: float = 0.0
+    """Time for which a write has hung."""
     beam: str = ""
+    """Model that is fitted to the spot."""
     clock: CameraClock = field(default_factory=CameraClock)
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    """Parameters of the contact by key; empty before the first fit."""
     estimated_from: int = 0
+    """Number of half-cycles of `estimates`."""
     balance: Balance | None = None
 
     @property
-    def doing(self) -> str:
+    def phase_text(self) -> str:
         """Phase and progress in words."""
         return f"{self.phase}: {self.progress}" if self.progress else self.phase.value
 
     @property
-    def before_record(self) -> bool:
+    def precedes_record(self) -> bool:
         """Whether nothing is recorded yet."""
         return self.phase in (Phase.REST, Phase.WARM_UP, Phase.PREFLIGHT, Phase.RELEASE)
 
     @property
     def no_swing_s(self) -> float:
-        """Time in s since the half-cycle of the amplitude, if others should have followed; 0 if not."""
+        """Time since the half-cycle of the amplitude, if others should have followed; else 0."""
         since_s = self.elapsed_s - self.amplitude_s
-        return since_s if since_s > _LONGEST_WAIT_PERIODS * self.period_s else 0.0
+        return since_s if since_s > _MAX_WAIT_PERIODS * self.period_s else 0.0
 
     def for_new_record(self) -> "RunNow":
         """The state at the beginning of a record, without values of the record of a rejected start."""
@@ -212,20 +214,21 @@ class RunNow:
             changes |= self._changed_by(message, changes)
         if contents.last_ns:
             changes["elapsed_s"] = contents.elapsed_s
-        if contents.swings:
-            changes["half_cycles"] = self.half_cycles + len(contents.swings)
-        if good := [swing for swing in contents.swings if not swing.flags]:
-            changes["amplitude"] = good[-1].amplitude / unit.shown_size
-            changes["amplitude_s"] = seconds(good[-1].turn_time_ns - contents.start_ns)
-        if periods_s := [2.0 * one.half_period_s for one in good if math.isfinite(one.half_period_s)]:
-            changes["period_s"] = periods_s[-1]
+        if contents.half_cycles:
+            changes["half_cycles"] = self.half_cycles + len(contents.half_cycles)
+        for half_cycle in contents.half_cycles:
+            if not half_cycle.flags:
+                changes["amplitude"] = half_cycle.amplitude / unit.shown_size
+                changes["amplitude_s"] = seconds(half_cycle.turn_time_ns - contents.start_ns)
+                if math.isfinite(half_cycle.half_period_s):
+                    changes["period_s"] = 2.0 * half_cycle.half_period_s
         if contents.balances:
             changes["balance"] = contents.balances[-1]
         return replace(self, **changes) if changes else self
 
-    def _changed_by(self, message: TimedMessage, before: Mapping[str, Any]) -> dict[str, Any]:
-        """The changes made by a message of the session, after the changes `before` it."""
-        clock: CameraClock = before.get("clock", self.clock)
+    def _changed_by(self, message: TimedMessage, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """The changes made by a message of the session, after the `changes` by earlier ones."""
+        clock: CameraClock = changes.get("clock", self.clock)
         match message:
             case RecordedPhase():
                 changed = {name: getattr(message, name) for name in message._fields[3:]}
@@ -245,7 +248,7 @@ class RunNow:
             case RecordedLosses():
                 losses = FrameLosses(*message[1:])
                 # frames lost after the last one leave no gap in the numbers
-                dropped = max(before.get("dropped_frames", self.dropped_frames), losses.total)
+                dropped = max(changes.get("dropped_frames", self.dropped_frames), losses.total)
                 return {"losses": losses, "dropped_frames": dropped}
             case Environment():
                 return dict(zip(message._fields[1:], message[1:], strict=True))
@@ -253,7 +256,7 @@ class RunNow:
                 largest_s = max(clock.largest_step_s, seconds(message.step_ns), key=abs)
                 return {"clock": replace(clock, steps=clock.steps + 1, largest_step_s=largest_s)}
             case RecordedEstimate():
-                known = {**before.get("estimates", self.estimates)}
-                known[message.quantity] = Estimate(message.value, message.u_value)
-                return {"estimates": known, "estimated_from": message.half_cycles}
+                estimates = {**changes.get("estimates", self.estimates)}
+                estimates[message.quantity] = Estimate(message.value, message.u_value)
+                return {"estimates": estimates, "estimated_from": message.half_cycles}
         return {}

@@ -127,7 +127,7 @@ class StepEvents:
         found: list[Event] = []
         lost = SpotFlag.LOST
         self._background_dn += [spot.background_dn for spot in block.spots if not spot.flags & lost]
-        for swing in block.swings:
+        for swing in block.half_cycles:
             rest = math.nan if swing.flags else swing.centre / self._unit.shown_size
             step = self._rest.take(swing.turn_time_ns, rest)
             if step is not None:

@@ -214,10 +214,10 @@ class Recording:
                 continue
             elapsed_s = self._counts.elapsed_s
             if self._judge is not None:
-                rejection = self._judge.rejection(block.swings, block.balances, elapsed_s)
+                rejection = self._judge.rejection(block.half_cycles, block.balances, elapsed_s)
                 if rejection:
                     return rejection
-            reason = self._end.reason(block.swings, elapsed_s, self._posterior.estimates)
+            reason = self._end.reason(block.half_cycles, elapsed_s, self._posterior.estimates)
             if reason is not None:
                 self._stop.request(reason)
             if reason is not None or (self._stop and self._stop.skip_waiting):
@@ -235,7 +235,7 @@ class Recording:
         """Process frames that were taken at `taken_ns` and record them."""
         counts, run = self._counts, self._run
         block = self._pipeline.process(frames)
-        self._half_cycles += len(block.swings)
+        self._half_cycles += len(block.half_cycles)
         entry = counts.record_entry(frames, block, self._pipeline)
         self._last = frames[-1]
         messages, clock_events = self._readings.take(frames)
@@ -245,9 +245,9 @@ class Recording:
         self._record(entry)
         if run.posterior is not None:
             callbacks = self._recorder.flush, self._stream.note_deliberate_wait
-            self._guard.call(_LIVE_FIT, None, run.posterior.take, block.swings, *callbacks)
+            self._guard.call(_LIVE_FIT, None, run.posterior.take, block.half_cycles, *callbacks)
         overdue = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
-        if block.swings or self._on_demand or overdue:
+        if block.half_cycles or self._on_demand or overdue:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - frames[0].host_time_ns)
@@ -258,8 +258,9 @@ class Recording:
 
     def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
-        counts, (swings, balances) = self._counts, self._pipeline.finish()
-        rest = self._pipeline.measure(np.empty(0, np.int64), [])._replace(swings=swings, balances=balances)
+        counts, (half_cycles, balances) = self._counts, self._pipeline.finish()
+        rest = self._pipeline.measure(np.empty(0, np.int64), [])
+        rest = rest._replace(half_cycles=half_cycles, balances=balances)
         attachments = self._readings.end_attachments()
         if not rejection:
             # the stream is closed first, so that the record names a camera that cannot be stopped
@@ -271,7 +272,7 @@ class Recording:
             text = f"in all: {self._guard.text}"
             self._recorder.put(RecordEntry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
         early = [] if rejection or self._stop.early is None else [end._replace(kind=self._stop.early)]
-        self._half_cycles += len(swings)
+        self._half_cycles += len(half_cycles)
         last = [*self._device_events(), *early, end]
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
@@ -283,7 +284,7 @@ class Recording:
         For them notes are events, too.
         """
         block, counts = entry.block, self._counts
-        swings, balances = ([], []) if block is None else (block.swings, block.balances)
+        swings, balances = ([], []) if block is None else (block.half_cycles, block.balances)
         if block is not None or entry.events or entry.messages:
             self._recorder.put(entry)
         if swings or balances or entry.events or entry.messages:

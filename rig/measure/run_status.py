@@ -192,7 +192,7 @@ def run_panel(
         for row in rows:
             table.add_row(*row)
     parts: list[RenderableType] = [
-        Text.assemble((f"{title}  ", "bold"), (now.doing, "bold cyan"), no_wrap=True),
+        Text.assemble((f"{title}  ", "bold"), (now.phase_text, "bold cyan"), no_wrap=True),
         *([_phase_line(phases, now.phase)] if phases else []),
         _progress_bar(done, width - 4),
         table,

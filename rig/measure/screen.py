@@ -87,7 +87,7 @@ class RunDisplay:
 
     def take(self, contents: RecordContents) -> None:
         """Keep half-cycles for the forecast, and lines of the log."""
-        for swing in contents.swings:
+        for swing in contents.half_cycles:
             if not swing.flags:
                 self._swings.append((seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude))
         for event in contents.events:
@@ -193,7 +193,7 @@ class RunDisplay:
         losses = f"{now.dropped_frames} frames dropped{reasons}, {now.lost_spots} spots lost"
         frames_hz, bytes_per_s = self._rates(now)
         camera = f"{frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"
-        if now.before_record:
+        if now.precedes_record:
             losses = camera = "counted from the record on"
         rows = [
             ("elapsed", f"{_clock(now.elapsed_s)}, {now.half_cycles} half-cycles"),
@@ -237,13 +237,13 @@ class RunDisplay:
 
     def _time_to_limit_s(self, now: RunNow) -> float:
         """Time in s until the longest duration of the run, which counts from the start of the record."""
-        if now.before_record:
+        if now.precedes_record:
             return self.longest_s
         return max(self.longest_s - now.elapsed_s, 0.0)
 
     def _forecast_of_end(self, now: RunNow) -> Forecast:
         """Time to the end of the run, by amplitude or time limit, whichever is first; NaN if unknown."""
-        if now.before_record:
+        if now.precedes_record:
             return _NO_FORECAST
         limit_s = self._time_to_limit_s(now)
         # without a lever no amplitude ends the run
@@ -279,9 +279,9 @@ class RunDisplay:
     def _rates(self, now: RunNow) -> tuple[float, float]:
         """Frames and bytes per second over the last seconds of the record; 0 before it begins."""
         counts = self._counts
-        if now.before_record or (counts and now.frames < counts[-1][1]):
+        if now.precedes_record or (counts and now.frames < counts[-1][1]):
             counts.clear()
-        if not now.before_record:
+        if not now.precedes_record:
             counts.append((now.elapsed_s, now.frames, now.record_bytes))
         while len(counts) > 2 and now.elapsed_s - counts[1][0] >= _RATES_SPAN_S:
             counts.popleft()
@@ -305,7 +305,7 @@ class RunDisplay:
         return numbers
 
     def _done_fraction(self, now: RunNow) -> float:
-        if now.before_record:
+        if now.precedes_record:
             return 0.0
         time_fraction = min(now.elapsed_s / self.longest_s, 1.0)
         if not self._initial > self._final or math.isnan(now.amplitude):
@@ -318,11 +318,11 @@ class RunDisplay:
             "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self.unit.shown}{_old(now)}  "
         )
         counted = f"{now.frames} frames ({now.dropped_frames} dropped, {now.lost_spots} lost)"
-        if now.before_record:
+        if now.precedes_record:
             # frames are counted from the record on
             counted = ""
         tail = f"  {now.reason}" if now.reason else ""
-        phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
+        phase = "" if now.phase is Phase.MEASURING else f"{now.phase_text}  "
         return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{counted}{tail}".rstrip()
 
 

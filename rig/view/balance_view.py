@@ -98,7 +98,7 @@ class BalanceView:
         shift_ns = self._shift_ns
         moved = block._replace(
             deflections=replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns),
-            swings=[replace(one, turn_time_ns=one.turn_time_ns - shift_ns) for one in block.swings],
+            half_cycles=[replace(one, turn_time_ns=one.turn_time_ns - shift_ns) for one in block.half_cycles],
             balances=[replace(one, time_ns=one.time_ns - shift_ns) for one in block.balances],
         )
         advice = [Event(one.time_ns, EventKind.ADVICE, self._advise(one)) for one in moved.balances]

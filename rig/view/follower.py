@@ -105,7 +105,7 @@ class RecordDrawer:
         for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):
             if topic in piece:
                 draw(reader.table(topic, piece))
-        self._draw_half_cycles(contents.swings)
+        self._draw_half_cycles(contents.half_cycles)
         for event in contents.events:
             if event.kind == EventKind.ADVICE:
                 self._advised = True

@@ -101,7 +101,7 @@ class Replay:
             spots = self._track_again(rows, windows) if self._retrack else _spots(rows)
             block = self._block(rows, spots)
             sequences = rows["sequence"].astype(np.int64)
-            self._swings += block.swings
+            self._swings += block.half_cycles
             self._deflections.append(block.deflections)
             self._beam.take(sequences, [spot.flags for spot in spots])
             self._comparison.spots(rows, spots)

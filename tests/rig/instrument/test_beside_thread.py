@@ -45,7 +45,7 @@ def test_the_same_swings_and_balances_as_in_line() -> None:
     last_swings, last_balances = pipeline.finish()
     threaded = [balance for block in found for balance in block.balances] + last_balances
     assert [repr(balance) for balance in threaded] == [repr(balance) for balance in in_line]
-    assert [*(swing for block in found for swing in block.swings), *last_swings] == swings
+    assert [*(swing for block in found for swing in block.half_cycles), *last_swings] == swings
 
 
 def test_frames_that_come_one_by_one_are_gathered_and_give_the_same() -> None:

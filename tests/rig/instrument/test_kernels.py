@@ -48,7 +48,7 @@ def followed(full_scale):
         frames.append(Frame(image, k, k * 50_000_000, k * 50_000_000))
     for start in range(0, len(frames), 50):
         block = pipeline.process(frames[start : start + 50])
-        swings += len(block.swings)
+        swings += len(block.half_cycles)
         for frame, spot in zip(frames[start : start + 50], block.spots):
             encode_window(0, 0, frame.image[10:-10, 40:-40].copy(), 40, 10, spot)
     swings += len(pipeline.finish()[0])

@@ -82,7 +82,7 @@ def half_cycle(index: int, rest_arcsec: float, background_dn: float) -> Block:
         index, index * HALF_PERIOD_NS, 1e-4, 5e-4, 1e-8, 2.0, 1e-4, rest_arcsec * ARCSEC_RAD, 1, 0
     )
     nothing = Deflections(*[np.empty(0)] * 5, DeflectionUnit.RAD)
-    return Block(spots=spots, deflections=nothing, swings=[swing], balances=[])
+    return Block(spots=spots, deflections=nothing, half_cycles=[swing], balances=[])
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,7 @@ def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
         HalfCycle(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
         for n in range(30)
     ]
-    shown.take(RecordContents(swings=swings))
+    shown.take(RecordContents(half_cycles=swings))
     return shown
 
 

@@ -73,7 +73,7 @@ def make_record(
             block = pipeline.measure(times_ns[part], spots[part])
             listed = times_ns[part].tolist()
             writer.write_spots(sequences[part].tolist(), listed, listed, block.spots, block.deflections)
-            for swing in block.swings:
+            for swing in block.half_cycles:
                 writer.write_swing(swing)
             for balance in block.balances:
                 writer.write_balance(balance)
