@@ -217,6 +217,19 @@ def test_a_lever_that_moved_between_the_checks_is_flagged(tmp_path: Path) -> Non
     assert any("moved by +0.5 %" in line for line in warnings)
 
 
+def test_a_check_that_is_named_twice_is_one_check_and_is_read(tmp_path: Path) -> None:
+    readings = [-50.0, 0.0, 50.0, 0.0, -50.0]
+    folder = Filing(tmp_path / "c")
+    lever = calibrate_lever(tilts(tmp_path / "l.toml", readings), folder)
+    check = check_known_angle(tilts(tmp_path / "k.toml", readings), lever, folder)
+    config, now = in_use(lever=lever), datetime.datetime.now(datetime.UTC)
+    for path, unread in ((check, []), (tmp_path / "gone.toml", ["gone.toml"])):
+        files = config.calibration.model_copy(update={"checks": (check, path)})
+        tree, warnings = judge_calibration(config.model_copy(update={"calibration": files}), {}, now, now)
+        assert len(tree["checks"]) == 1
+        assert [line.rpartition("/")[2] for line in warnings if "could not be read" in line] == unread
+
+
 def test_stated_and_calibrated_differently_is_refused(tmp_path: Path) -> None:
     path = calibrate_lever(write(tmp_path / "g.toml", GEOMETRY), Filing(tmp_path))
     tree = {"lever": {"arm_m": 2.0, "pixel_pitch_m": 4.8e-6}, "calibration": {"lever": str(path)}}
