@@ -1,4 +1,4 @@
-"""A measured balance judged by the configuration: verdicts, effects of the weights, height, advice."""
+"""A measured balance against the configuration: verdicts, effects of the weights, height, advice."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -70,8 +70,8 @@ def check_materials(config: Configuration) -> None:
             raise ConfigurationError(f"pendulum: {error} under [materials.NAME]") from None
 
 
-_FREE_ARCSEC: Final = 1e3
-"""Amplitude in arcsec above which a limit of the swing limits nothing."""
+_MAX_SWING_ARCSEC: Final = 1e3
+"""Largest limit of the amplitude that is stated; a larger one limits nothing."""
 PLANE_OF_SWING: Final = "plane of swing"
 """Name of the condition that the plane of swing must not turn."""
 _MIN_EXCESS_U: Final = 2.0
@@ -101,9 +101,9 @@ _CONDITION_OF_CHECK: Final[Mapping[str, _Condition]] = {
     "rest position X": _Condition("tilt at rest, X", "it rests askew", "set the balance with rig balance"),
     "rest position Y": _Condition("tilt at rest, Y", "it rests askew", "set the balance with rig balance"),
 }
-"""Faults of a balance that are conditions of a run; not the direction of the line, which is the camera's."""
+"""Conditions of a run by the check of its balance; the direction of the line is the camera's, and is none."""
 
-BALANCE_CONDITIONS: Final = frozenset(one.name for one in _CONDITION_OF_CHECK.values())
+BALANCE_CONDITIONS: Final = frozenset(condition.name for condition in _CONDITION_OF_CHECK.values())
 """Names of the conditions of a run that its balance decides."""
 
 
@@ -114,19 +114,20 @@ def balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Ver
 
 def run_balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Verdict]:
     """The verdicts of a whole run, with a warning if it is unknown whether the plane of swing turned."""
-    found = balance_verdicts(balance, limits)
-    if any(one.name == PLANE_OF_SWING for one in found):
-        return found
+    verdicts = balance_verdicts(balance, limits)
+    if any(verdict.name == PLANE_OF_SWING for verdict in verdicts):
+        return verdicts
     remedy = "measure longer, with at least 20 frames in two periods and both axes on the sensor"
-    return [*found, Verdict(PLANE_OF_SWING, True, "whether it turned is not known: too few periods", remedy)]
+    unknown = "whether it turned is not known: too few periods"
+    return [*verdicts, Verdict(PLANE_OF_SWING, True, unknown, remedy)]
 
 
 def balance_failures(balance: Balance, limits: BalanceLimits) -> list[str]:
     """Name, value and limit of each condition that the balance of one period certainly fails."""
     return [
-        f"{one.name} {one.measured}, limit {one.limit}"
-        for one in _verdicts(balance, limits, _MIN_EXCESS_U)
-        if not one.ok
+        f"{verdict.name} {verdict.measured}, limit {verdict.limit}"
+        for verdict in _verdicts(balance, limits, _MIN_EXCESS_U)
+        if not verdict.ok
     ]
 
 
@@ -159,10 +160,10 @@ def _verdict(condition: _Condition, check: BalanceCheck, beyond_u: float) -> Ver
 
 
 Floats = NDArray[np.float64]
-_U_ACROSS = 0.3
-"""Standard uncertainty of a weight's effect out of its plane, relative to its effect in the plane."""
-_EDGE_PX = 24
-"""Distance of a resting spot from the sensor's edges: about its width."""
+_U_RATIO = 0.3
+"""Ratio of the uncertainty of a weight's effect out of its plane to that in the plane."""
+_MIN_EDGE_DISTANCE_PX = 24
+"""Smallest distance of a resting spot from the sensor's edges: about its width."""
 WEIGHTS = ("x", "y", "height")
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "height": (0.0, 0.0, 1.0)}
 
@@ -185,8 +186,8 @@ def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | 
         # a positive turn moves the height weight down, and the mass centre with it
         turn = np.array([tilt_arcsec, tilt_arcsec, -shift_m])
         direction = np.array(DIRECTIONS[name])
-        across = [_U_ACROSS, _U_ACROSS, 1.0] if name == "height" else [1.0, 1.0, _U_ACROSS]
-        effects[name] = (direction * turn, config.balance.u_effect * np.array(across) * np.abs(turn))
+        u_ratios = [_U_RATIO, _U_RATIO, 1.0] if name == "height" else [1.0, 1.0, _U_RATIO]
+        effects[name] = (direction * turn, config.balance.u_effect * np.array(u_ratios) * np.abs(turn))
     return effects
 
 
@@ -231,7 +232,7 @@ def sensor_room(config: Configuration, sensor_shape: tuple[int, int]) -> Room | 
     px_per_arcsec = np.linalg.inv(np.column_stack([right - middle, down - middle]))
     scale = np.linalg.norm(px_per_arcsec, axis=1)
     normals = px_per_arcsec / scale[:, None]
-    half_arcsec = np.maximum(middle_px - _EDGE_PX, 1.0) / scale
+    half_arcsec = np.maximum(middle_px - _MIN_EDGE_DISTANCE_PX, 1.0) / scale
     offset_arcsec = normals @ middle
     return Room(
         np.vstack([normals, -normals]),
@@ -245,7 +246,7 @@ def turn_text(turn: Turn | Unreachable | None, checks: Sequence[BalanceCheck]) -
         return f"out of reach: {turn.why}"
     if turn is not None:
         parts = ", then ".join(
-            f"{abs(part):.2f} turns {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn.parts
+            f"{abs(turns):.2f} turns {'clockwise' if turns > 0 else 'anticlockwise'}" for turns in turn.parts
         )
         swing = swing_text(turn.swing_arcsec)
         return f"turn weight {turn.weight}: {parts} ({turn.why}){swing and f'; {swing}'}"
@@ -254,15 +255,17 @@ def turn_text(turn: Turn | Unreachable | None, checks: Sequence[BalanceCheck]) -
 
 
 def swing_text(swing_arcsec: float) -> str:
-    """How far the pendulum may swing after a turn; empty if any swing stays on the sensor."""
-    return f"then let it swing by at most {swing_arcsec:.0f} arcsec" if swing_arcsec < _FREE_ARCSEC else ""
+    """How far the pendulum may swing after a turn, in words; empty if any swing stays on the sensor."""
+    if swing_arcsec >= _MAX_SWING_ARCSEC:
+        return ""
+    return f"then let it swing by at most {swing_arcsec:.0f} arcsec"
 
 
 def _checks_line(checks: Sequence[BalanceCheck]) -> str:
-    rest = ", ".join(check.name for check in checks if not check.ok)
+    failed = ", ".join(check.name for check in checks if not check.ok)
     unknown = ", ".join(check.name for check in checks if not check.is_known)
-    verdict = f"out of limits: {rest}" if rest else "balanced: within all limits"
-    return f"{verdict} that are known; unknown: {unknown}" if unknown and not rest else verdict
+    verdict = f"out of limits: {failed}" if failed else "balanced: within all limits"
+    return f"{verdict} that are known; unknown: {unknown}" if unknown and not failed else verdict
 
 
 class Advice(NamedTuple):
@@ -286,8 +289,8 @@ def advice_for(
 ) -> Advice:
     """The faults of a balance and the weight to turn.
 
-    Uses the effects `learned` by `rig balance` if given, else the nominal effects. Empty for a balance in px,
-    because the limits are in arcsec, and for a recorded balance without rest position.
+    It is based on the effects that `rig balance` has `learned`, or else on the nominal ones. Empty for a
+    balance in px, because the limits are in arcsec, and for a recorded balance without rest position.
     """
     if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
         return Advice()
@@ -296,11 +299,12 @@ def advice_for(
     state = np.array([checks[0].value, checks[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}
     responses = learned or (WeightResponses(effects, config.balance) if effects else None)
-    head = _checks_line(checks) if responses is None else turn_text(responses.advise(state, room), checks)
-    lines = [
+    turn = None if responses is None else responses.advise(state, room)
+    next_step = _checks_line(checks) if responses is None else turn_text(turn, checks)
+    faults = [
         f"{check.name} {judged_number(check.value, check.u_value, check.limit)} {check.unit} "
         f"(limit {check.limit:g}): {check.meaning}"
         for check in checks
         if not check.ok
     ]
-    return Advice(head, tuple(lines))
+    return Advice(next_step, tuple(faults))

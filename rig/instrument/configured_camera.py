@@ -1,4 +1,4 @@
-"""The configured camera: settings, times of its light, simulated calibration; and the observer guard."""
+"""The configured camera: its settings, the times of its light, a simulated calibration; observer guard."""
 
 import logging
 import math
@@ -20,12 +20,10 @@ from rig.settings import BalanceSettings, Configuration, PendulumSettings
 
 
 def make_camera(config: Configuration) -> Camera:
-    """Make the configured camera without opening it."""
+    """The configured camera, not opened yet."""
     name = config.camera.driver
-    sections = drivers.find_driver(name).sections
-    if sections:
-        return drivers.make_camera(name, *(getattr(config, section) for section in sections))
-    return drivers.make_camera(name, config.camera.driver_settings())
+    sections = [getattr(config, section) for section in drivers.find_driver(name).sections]
+    return drivers.make_camera(name, *(sections or [config.camera.driver_settings()]))
 
 
 def camera_settings(config: Configuration) -> CameraSettings:
@@ -33,7 +31,7 @@ def camera_settings(config: Configuration) -> CameraSettings:
     return CameraSettings(**{name: getattr(config.camera, name) for name in CameraSettings.model_fields})
 
 
-_IMAGE_SETTINGS = (
+_IMAGE_KEYS = (
     "exposure_us", "gain_db", "frame_rate_hz", "pixel_format",
     "width_px", "height_px", "offset_x_px", "offset_y_px",
 )  # fmt: skip
@@ -41,27 +39,23 @@ _IMAGE_SETTINGS = (
 
 def with_read_back(requested: CameraSettings, applied: CameraSettings) -> CameraSettings:
     """The settings that reproduce the images: as requested, or else as read back from the camera."""
-    unrequested = [name for name in _IMAGE_SETTINGS if getattr(requested, name) is None]
+    unrequested = [name for name in _IMAGE_KEYS if getattr(requested, name) is None]
     return requested.model_copy(update={name: getattr(applied, name) for name in unrequested})
 
 
 def setting_differences(requested: CameraSettings, applied: CameraSettings) -> list[str]:
     """One line for each setting in which the camera differs from the request."""
     lines = []
-    plain = requested.model_dump(exclude_none=True, exclude={"features"})
-    pairs = [(name, wanted, getattr(applied, name)) for name, wanted in plain.items()]
-    pairs += [
-        (f"features.{name}", wanted, applied.features.get(name, "nothing"))
-        for name, wanted in requested.features.items()
+    settings = requested.model_dump(exclude_none=True, exclude={"features"})
+    rows = [(name, value, getattr(applied, name)) for name, value in settings.items()]
+    rows += [
+        (f"features.{name}", value, applied.features.get(name, "nothing"))
+        for name, value in requested.features.items()
     ]
-    for name, wanted, got in pairs:
-        near = (
-            isinstance(wanted, float)
-            and isinstance(got, int | float)
-            and abs(got - wanted) <= 1e-3 * abs(wanted)
-        )
-        if got != wanted and not near:
-            lines.append(f"camera.{name} = {wanted} was requested, the camera reports {got}")
+    for name, value, report in rows:
+        is_number = isinstance(value, float) and isinstance(report, int | float)
+        if report != value and not (is_number and abs(report - value) <= 1e-3 * abs(value)):
+            lines.append(f"camera.{name} = {value} was requested, the camera reports {report}")
     if applied.exposure_us is not None and requested.frame_rate_hz is not None:
         possible_hz = 1e6 / applied.exposure_us
         if min(requested.frame_rate_hz, applied.frame_rate_hz or math.inf) > 1.001 * possible_hz:
@@ -76,10 +70,10 @@ def check_full_scale(config: Configuration, info: CameraInfo, applied: CameraSet
     """Raise ConfigurationError if [sensor] states more than a pixel of this camera can hold."""
     # the full scale that a camera reports when opened may belong to its previous pixel format
     bits = re.search(r"\d+$", applied.pixel_format or "")
-    most_dn = max(info.full_scale_dn, 2 ** int(bits[0]) - 1 if bits else 0)
-    if config.sensor is not None and config.sensor.full_scale_dn > most_dn:
+    max_dn = max(info.full_scale_dn, 2 ** int(bits[0]) - 1 if bits else 0)
+    if config.sensor is not None and config.sensor.full_scale_dn > max_dn:
         raise ConfigurationError(
-            f"sensor.full_scale_dn = {config.sensor.full_scale_dn:g}: the camera ends at {most_dn} DN; "
+            f"sensor.full_scale_dn = {config.sensor.full_scale_dn:g}: the camera ends at {max_dn} DN; "
             "state that, or ask for more bits with camera.pixel_format"
         )
 
@@ -95,20 +89,20 @@ def shift_to_light_ns(config: Configuration, info: CameraInfo, applied: CameraSe
     The middle of the light is that of the laser's pulse, or else of the first row's exposure. 0 for a camera
     without a clock, and if the shift depends on an exposure that is unknown.
     """
-    stamped = config.camera.stamped or info.stamped
+    stamp = config.camera.stamped or info.stamped
     exposure_us = applied.exposure_us
     if config.laser.pulse_us:
         middle_us = config.laser.pulse_delay_us + 0.5 * config.laser.pulse_us
     else:
         middle_us = 0.5 * (exposure_us or 0.0)
-    if not info.has_clock or (exposure_us is None and (stamped != "start" or not config.laser.pulse_us)):
+    if not info.has_clock or (exposure_us is None and (stamp != "start" or not config.laser.pulse_us)):
         return 0
-    stamped_us = 0.0
-    if stamped == "middle":
-        stamped_us = 0.5 * (exposure_us or 0.0)
-    elif stamped == "end":
-        stamped_us = (exposure_us or 0.0) + 1e6 * _readout_s(config, info, applied)
-    return round(1e3 * (middle_us - stamped_us))
+    stamp_us = 0.0
+    if stamp == "middle":
+        stamp_us = 0.5 * (exposure_us or 0.0)
+    elif stamp == "end":
+        stamp_us = (exposure_us or 0.0) + 1e6 * _readout_s(config, info, applied)
+    return round(1e3 * (middle_us - stamp_us))
 
 
 def pulse_faults(config: Configuration, info: CameraInfo, applied: CameraSettings) -> list[str]:
@@ -164,24 +158,24 @@ def fill_from_truth(config: Configuration) -> Configuration:
 
 def _sensor(truth: SimulationSettings, config: Configuration) -> SensorModel:
     camera = config.camera
-    depth = (
+    bit_depth = (
         truth.sensor.bit_depth
         if camera.pixel_format is None
         else int(camera.pixel_format.removeprefix("mono"))
     )
     binning = camera.binning or 1
-    state = truth.sensor.at(depth, camera.gain_db or 0.0).binned(binning)
+    sensor_state = truth.sensor.at(bit_depth, camera.gain_db or 0.0).binned(binning)
     return SensorModel(
-        gain_e_per_dn=state.gain_e_per_dn,
-        read_noise_e=state.read_noise_e,
-        full_scale_dn=state.full_scale_dn,
-        pedestal_dn=state.black_level_dn,
+        gain_e_per_dn=sensor_state.gain_e_per_dn,
+        read_noise_e=sensor_state.read_noise_e,
+        full_scale_dn=sensor_state.full_scale_dn,
+        pedestal_dn=sensor_state.black_level_dn,
         prnu=truth.sensor.prnu / binning,
     )
 
 
 def _shutter(truth: SimulationSettings, binning: int) -> Shutter | None:
-    """None for a global shutter, which needs no correction."""
+    """The rolling shutter; None for a global one, which needs no correction."""
     sensor = truth.sensor
     return Shutter(sensor.row_time_s * binning, first_row=sensor.first_row) if sensor.row_time_s else None
 
@@ -190,12 +184,12 @@ def _lever(truth: SimulationSettings, camera: CameraSettings) -> Lever:
     optics, sensor, binning = truth.optics, truth.sensor, camera.binning or 1
 
     def in_frame(
-        at_px: float | None, size_px: int, offset_px: int | None, region_px: int | None
+        place_px: float | None, size_px: int, offset_px: int | None, region_px: int | None
     ) -> float | None:
-        """Place in the frame, in pixels of the sensor; None: the middle, where the frame is all of it."""
-        if at_px is None and region_px is None:
+        """Place in the frame, in pixels of the sensor; None for the middle of a frame of the whole sensor."""
+        if place_px is None and region_px is None:
             return None
-        return (0.5 * (size_px - 1) if at_px is None else at_px) - binning * (offset_px or 0)
+        return (0.5 * (size_px - 1) if place_px is None else place_px) - binning * (offset_px or 0)
 
     return Lever(
         arm_m=optics.arm_m,
@@ -234,7 +228,7 @@ def _pendulum(truth: SimulationSettings) -> PendulumSettings:
 
 
 def _balance(truth: SimulationSettings, balance: BalanceSettings) -> BalanceSettings:
-    """Add the inertia about the contact that gives the true period, and the elasticity of the contact."""
+    """The balance with the inertia about the contact that gives the true period, and the elasticity."""
     if balance.inertia_kg_m2 is not None:
         return balance
     contact = truth.contact
@@ -262,7 +256,7 @@ def _materials(truth: SimulationSettings) -> dict[str, Material]:
 
 
 def complete(config: Configuration) -> Configuration:
-    """Fill missing sections from calibration files and from the true values of a simulated rig.
+    """The configuration with missing sections from calibration files and true values of a simulated rig.
 
     The lever becomes that of the camera's binning and colour plane.
     """
@@ -281,46 +275,47 @@ _log = logging.getLogger(__name__)
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-_MAX_FAILURES_IN_A_ROW = 10
-"""Failures in a row after which an observer is not called any more, because each failure costs time."""
+_MAX_SUCCESSIVE_FAILURES = 10
+"""Successive failures after which an observer is not called any more, because each failure costs time."""
 
 
 class ObserverGuard:
     """Calls observers (display, view, notices, forecast, live fit, balance) so that their errors end no run.
 
-    It may be used from several threads. `failures` counts failures by the observer's name.
+    It may be used from several threads.
     """
 
     def __init__(self) -> None:
         self.failures: Counter[str] = Counter()
-        self._in_a_row: Counter[str] = Counter()
+        """Number of failures by the observer's name."""
+        self._successive_failures: Counter[str] = Counter()
         self._news: list[str] = []
 
     def call(
         self,
         name: str,
-        otherwise: Result,
+        default: Result,
         call: Callable[Arguments, Result],
         *args: Arguments.args,
-        **words: Arguments.kwargs,
+        **kwargs: Arguments.kwargs,
     ) -> Result:
-        """The value of a call; `otherwise` if it raises an Exception, or is not made any more."""
-        if self._in_a_row[name] >= _MAX_FAILURES_IN_A_ROW:
-            return otherwise
+        """The value of a call; `default` if it raises an Exception, or is not made any more."""
+        if self._successive_failures[name] >= _MAX_SUCCESSIVE_FAILURES:
+            return default
         try:
-            found = call(*args, **words)
+            result = call(*args, **kwargs)
         except Exception as error:
             self.failures[name] += 1
-            self._in_a_row[name] += 1
-            why = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(": ")
+            self._successive_failures[name] += 1
+            reason = f"{type(error).__name__}: {error}".splitlines()[0].rstrip(": ")
             if self.failures[name] == 1:
                 _log.exception("%s has failed, the run goes on", name)
-                self._news.append(f"{name} has failed, the run goes on: {why}")
-            if self._in_a_row[name] == _MAX_FAILURES_IN_A_ROW:
-                self._news.append(f"{name} is left out after {_MAX_FAILURES_IN_A_ROW} failures in a row")
-            return otherwise
-        self._in_a_row[name] = 0
-        return found
+                self._news.append(f"{name} has failed, the run goes on: {reason}")
+            if self._successive_failures[name] == _MAX_SUCCESSIVE_FAILURES:
+                self._news.append(f"{name} is left out after {_MAX_SUCCESSIVE_FAILURES} failures in a row")
+            return default
+        self._successive_failures[name] = 0
+        return result
 
     def take_news(self) -> list[str]:
         """Texts for the log since the last call."""

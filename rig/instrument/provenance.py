@@ -45,13 +45,17 @@ _PACKAGES = ("optical-pendulum-rig", *_NUMERICAL_PACKAGES, "mcap", "rerun-sdk")
 
 def versions() -> dict[str, str]:
     """Versions of this program and of the libraries that influence the numbers."""
-    found = {"python": platform.python_version(), "platform": platform.platform(), "commit": code_commit()}
+    version_of = {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "commit": code_commit(),
+    }
     for name in _PACKAGES:
         try:
-            found[name] = importlib.metadata.version(name)
+            version_of[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            version_of[name] = "not installed"
+    return version_of
 
 
 @functools.cache
@@ -64,9 +68,9 @@ def code_identity() -> str:
     for package in ("rig", "acquisition", "calibration", "processing"):
         for path in sorted((_ROOT / package).rglob("*.py")):
             digest.update(f"{path.relative_to(_ROOT).as_posix()}\0".encode() + path.read_bytes())
-    known = versions()
-    digest.update("".join(f"{name} {known[name]}\n" for name in _NUMERICAL_PACKAGES).encode())
-    return f"{known[_PACKAGES[0]]} ({known['commit'][:8]}) {digest.hexdigest()[:16]}"
+    version_of = versions()
+    digest.update("".join(f"{name} {version_of[name]}\n" for name in _NUMERICAL_PACKAGES).encode())
+    return f"{version_of[_PACKAGES[0]]} ({version_of['commit'][:8]}) {digest.hexdigest()[:16]}"
 
 
 @functools.cache
@@ -75,18 +79,10 @@ def code_commit() -> str:
 
     A checkout whose files differ from the commit gets the addition "changed".
     """
+    words = ["describe", "--always", "--abbrev=40", "--dirty=, changed", "--exclude=*"]
     try:
-        done = subprocess.run(
-            [
-                "git",
-                "-C",
-                str(_ROOT),
-                "describe",
-                "--always",
-                "--abbrev=40",
-                "--dirty=, changed",
-                "--exclude=*",
-            ],
+        git = subprocess.run(
+            ["git", "-C", str(_ROOT), *words],
             capture_output=True,
             text=True,
             encoding="utf-8",
@@ -94,17 +90,11 @@ def code_commit() -> str:
             check=False,
             stdin=subprocess.DEVNULL,
         )
-        if done.returncode == 0 and (_ROOT / ".git").exists():
-            return done.stdout.strip()
+        if git.returncode == 0 and (_ROOT / ".git").exists():
+            return git.stdout.strip()
         origin = importlib.metadata.distribution(_PACKAGES[0]).read_text("direct_url.json")
         return str(json.loads(origin or "{}")["vcs_info"]["commit_id"])
-    except (
-        OSError,
-        subprocess.SubprocessError,
-        ValueError,
-        KeyError,
-        importlib.metadata.PackageNotFoundError,
-    ):
+    except (OSError, subprocess.SubprocessError, ValueError, KeyError, ImportError):
         return "unknown"
 
 
@@ -126,12 +116,9 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
             "sample": session.sample,
             "contact_history": session.contact_history,
             **{
-                name: at.isoformat()
-                for name, at in (
-                    ("contact_made", session.contact_made),
-                    ("surfaces_cleaned", session.surfaces_cleaned),
-                )
-                if at is not None
+                name: getattr(session, name).isoformat()
+                for name in ("contact_made", "surfaces_cleaned")
+                if getattr(session, name) is not None
             },
             "notes": session.notes,
             "host": socket.gethostname(),
@@ -145,17 +132,13 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
 
 def configuration_attachments(config: Configuration, source: Path) -> dict[str, bytes]:
     """Files to attach to a record: the complete configuration, the user's original file, calibrations."""
-    attachments = {CONFIGURATION_NAME: _stored(config)}
+    text = json.dumps(stored_configuration(config), indent=1, ensure_ascii=False)
+    attachments = {CONFIGURATION_NAME: text.encode()}
     if source.is_file() and source.suffix == ".toml":
         attachments[SOURCE_NAME] = source.read_bytes()
-    description = record_description()
-    if description:
+    if description := record_description():
         attachments[RECORD_DESCRIPTION] = description
     return {**attachments, **calibration_attachments(config)}
-
-
-def _stored(config: Configuration) -> bytes:
-    return json.dumps(stored_configuration(config), indent=1, ensure_ascii=False).encode()
 
 
 def inputs_sha256(reader: RecordReader) -> dict[str, str]:
@@ -224,9 +207,9 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
     is called with a line if something is compiled.
     """
 
-    def announce(kept: bool) -> None:
-        again = "at every start: no cache can be written; NUMBA_CACHE_DIR can name one"
-        say(f"{_COMPILING}), {'only once after an installation' if kept else again}")
+    def announce(is_cached: bool) -> None:
+        uncached = "at every start: no cache can be written; NUMBA_CACHE_DIR can name one"
+        say(f"{_COMPILING}), {'only once after an installation' if is_cached else uncached}")
 
     with at_compilation(announce):
         compile_tracker(sensor)
