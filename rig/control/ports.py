@@ -69,7 +69,11 @@ def list_serial_ports() -> tuple[SerialPortInfo, ...]:
 
 
 def check_controller(
-    controller: Controller, settings: ControllerSettings, laser: LaserSettings, config_words: str
+    controller: Controller,
+    settings: ControllerSettings,
+    laser: LaserSettings,
+    environment: EnvironmentSettings,
+    config_words: str,
 ) -> tuple[Verdict, ...]:
     """Verdicts on the controller, which is opened and closed; no output is switched on.
 
@@ -80,49 +84,44 @@ def check_controller(
     try:
         identity = controller.open()
         status = controller.heartbeat()
-        air = controller.environment()
-        code, text = controller.next_error()
+        # without a sensor the board notes an error at each request
+        air = controller.environment() if environment.kind == "controller" else None
+        code, error_text = controller.next_error()
         while code in _TRIP_ERRORS:
-            code, text = controller.next_error()
+            code, error_text = controller.next_error()
     except DeviceError as error:
         return (Verdict.failed("controller", error, ports_here()),)
     finally:
         controller.close()
     checks = [
         Verdict("controller", True, f"serial {identity.serial}, firmware {identity.firmware}"),
-        Verdict(
+        Verdict.checked(
             "interlock",
             status.interlock_closed,
-            "closed" if status.interlock_closed else "open: the laser stays off",
-            "" if status.interlock_closed else "close cover and door; check that the loop is plugged in",
+            "closed",
+            "close cover and door; check that the loop is plugged in",
+            "open: the laser stays off",
         ),
     ]
     if laser.kind == "controller":
-        enough = laser.power_w <= identity.laser_max_w
-        checks.append(
-            Verdict(
-                "laser power",
-                enough,
-                f"{laser.power_w:g} W is configured, the controller's limit is {identity.laser_max_w:g} W",
-                "" if enough else "lower laser.power_w, or laser_max_w in the board's limits.json",
-            )
-        )
+        limit_w = identity.laser_max_w
+        text = f"{laser.power_w:g} W is configured, the controller's limit is {limit_w:g} W"
+        remedy = "lower laser.power_w, or laser_max_w in the board's limits.json"
+        checks.append(Verdict.checked("laser power", laser.power_w <= limit_w, text, remedy))
     checks += _light_verdicts(status, config_words)
     if code:
+        remedy = "remove the cause, then reset the board"
+        checks.append(Verdict("controller errors", False, f"{error_text} ({code})", remedy))
+    if air is not None:
         checks.append(
-            Verdict("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
+            Verdict.checked(
+                "controller's sensor",
+                not math.isnan(air.temperature_c),
+                f"{air.temperature_c:.2f} °C, {air.humidity_percent:.1f} %, {air.pressure_pa / 100:.1f} hPa",
+                "plug the BME280 in, or set environment_sensor.kind to none or serial",
+                "no reading",
+            )
         )
-    has_sensor = not math.isnan(air.temperature_c)
-    checks.append(
-        Verdict(
-            "controller's sensor",
-            has_sensor,
-            f"{air.temperature_c:.2f} °C, {air.humidity_percent:.1f} %, {air.pressure_pa / 100:.1f} hPa"
-            if has_sensor
-            else "no reading",
-            "" if has_sensor else "plug the BME280 in, or set environment_sensor.kind to none or serial",
-        )
-    )
     return tuple(checks)
 
 
@@ -168,9 +167,8 @@ def _interlock_verdicts(settings: LaserSettings, closed: bool) -> Iterator[Verdi
     """Verdicts on the laser's interlock while the controller's relay, through which it may go, is open."""
     name = "laser switches off automatically"
     if settings.interlock == "own":
-        reason = "closed" if closed else "open: the laser stays off"
-        remedy = "" if closed else "close the laser's interlock and turn its key"
-        yield Verdict("laser interlock", closed, reason, remedy)
+        remedy = "close the laser's interlock and turn its key"
+        yield Verdict.checked("laser interlock", closed, "closed", remedy, "open: the laser stays off")
         yield Verdict(
             name,
             True,
@@ -178,13 +176,12 @@ def _interlock_verdicts(settings: LaserSettings, closed: bool) -> Iterator[Verdi
             "wire its interlock through a controller's enable relay and set laser.interlock = 'controller'",
         )
     else:
-        yield Verdict(
+        yield Verdict.checked(
             name,
             not closed,
-            "its interlock is closed while the controller's relay is open: it is not wired through it"
-            if closed
-            else "the controller's relay opens its interlock if the program ends or is killed",
-            "check the wiring in docs/controller.md" if closed else "",
+            "the controller's relay opens its interlock if the program ends or is killed",
+            "check the wiring in docs/controller.md",
+            "its interlock is closed while the controller's relay is open: it is not wired through it",
         )
 
 
@@ -193,19 +190,12 @@ def check_environment(settings: EnvironmentSettings) -> tuple[Verdict, ...]:
     if settings.kind != "serial":
         return ()
     sensor = AmbientSensor(settings)
-    if sensor.wait_for_reading(_SENSOR_TIMEOUT_S):
-        return (Verdict("environment sensor", True, sensor.last_line),)
-    if sensor.last_error:
+    has_reading = sensor.wait_for_reading(_SENSOR_TIMEOUT_S)
+    if sensor.last_error and not has_reading:
         verdict = Verdict.failed("environment sensor", DeviceError(sensor.last_error), ports_here())
         without = "; or measure without it: --set environment_sensor.kind=none"
         return (replace(verdict, remedy=verdict.remedy + without),)
-    last = sensor.last_line
-    reason = f"{last!r} does not match the pattern" if last else f"no line within {_SENSOR_TIMEOUT_S:g} s"
-    return (
-        Verdict(
-            "environment sensor",
-            False,
-            reason,
-            "check port, baud rate, request and pattern in [environment_sensor]",
-        ),
-    )
+    line = sensor.last_line
+    fault = f"{line!r} does not match the pattern" if line else f"no line within {_SENSOR_TIMEOUT_S:g} s"
+    remedy = "check port, baud rate, request and pattern in [environment_sensor]"
+    return (Verdict.checked("environment sensor", has_reading, line, remedy, fault),)

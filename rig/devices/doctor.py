@@ -72,7 +72,11 @@ def _checks(original: Configuration) -> Iterator[Verdict]:
         with devices.state as state:
             yield check_trip(state, original.command_words)
             for verdict in check_controller(
-                devices.make_controller(), config.controller, config.laser, original.command_words
+                devices.make_controller(),
+                config.controller,
+                config.laser,
+                config.environment_sensor,
+                original.command_words,
             ):
                 is_missing = verdict.name == "controller" and not verdict.ok and config.rehearsal_hint
                 remedy = f"{verdict.remedy}; {config.rehearsal_hint}" if is_missing else verdict.remedy
@@ -103,11 +107,9 @@ def _checks(original: Configuration) -> Iterator[Verdict]:
 def check_trip(state: SafetyState, config_words: str) -> Verdict:
     """Verdict on the latch of trips; `config_words` name the configuration in a command."""
     trip = state.trip
-    if trip is None and state.left_lit:
-        remedy = f"look at the laser, then rig light show {config_words}: it latches the trip, and names it"
-        return Verdict("permit of light", False, LEFT_LIT, remedy)
     if trip is None:
-        return Verdict("permit of light", True, "no trip is latched")
+        remedy = f"look at the laser, then rig light show {config_words}: it latches the trip, and names it"
+        return Verdict.checked("permit of light", not state.left_lit, "no trip is latched", remedy, LEFT_LIT)
     remedy = f"check that nobody is in the beam path, then rig light acknowledge {config_words} {trip.number}"
     return Verdict("permit of light", False, trip.text, remedy)
 
@@ -117,13 +119,14 @@ def check_settings(config: Configuration, original: Configuration) -> Iterator[V
     try:
         check_materials(config)
         origin = _origin("pendulum", config, original)
-        missing = "not stated: nothing can be fitted", "state mass_kg and ball_radius_m under [pendulum]"
-        yield Verdict("pendulum", bool(origin), *((origin, "") if origin else missing))
+        remedy = "state mass_kg and ball_radius_m under [pendulum]"
+        yield Verdict.checked("pendulum", bool(origin), origin, remedy, "not stated: nothing can be fitted")
     except RigError as error:
         yield Verdict.failed("pendulum", error, "correct the material")
     origin = _origin("lever", config, original)
-    missing = "no calibration: amplitudes will be in px", "state arm_m and pixel_pitch_m under [lever]"
-    yield Verdict("light lever", bool(origin), *((origin, "") if origin else missing))
+    remedy = "state arm_m and pixel_pitch_m under [lever]"
+    fault = "no calibration: amplitudes will be in px"
+    yield Verdict.checked("light lever", bool(origin), origin, remedy, fault)
     noise = _origin("sensor", config, original)
     yield Verdict("sensor's noise", True, noise or "not stated: a typical sensor is assumed")
 
@@ -146,12 +149,8 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
         with devices.camera(config) as camera:
             info = camera.info
             yield Verdict("camera", True, f"{info.vendor} {info.model} {info.serial}".strip())
-            yield Verdict(
-                "camera settings",
-                not camera.notes,
-                "; ".join(camera.notes) or "as requested",
-                "request only what the camera supports" if camera.notes else "",
-            )
+            remedy, notes = "request only what the camera supports", "; ".join(camera.notes)
+            yield Verdict.checked("camera settings", not notes, "as requested", remedy, notes)
             camera.camera.start()
             arrivals, frame_bytes = [], 0
             for _ in range(_RATE_FRAMES):
@@ -212,26 +211,17 @@ def check_disk(output: Path) -> Verdict:
     free_bytes = shutil.disk_usage(folder).free
     writable = os.access(folder, os.W_OK)
     ok = writable and free_bytes > _MIN_FREE_BYTES
-    reason = f"{free_bytes / 1e9:.1f} GB free at {folder.resolve()}"
-    return Verdict(
-        "disk",
-        ok,
-        reason if writable else f"{reason}, not writable",
-        "" if ok else "free space, or set session.output",
-    )
+    text = f"{free_bytes / 1e9:.1f} GB free at {folder.resolve()}{'' if writable else ', not writable'}"
+    return Verdict.checked("disk", ok, text, "free space, or set session.output")
 
 
 def check_clock(source: str) -> Verdict:
     """Verdict on the kernel's clock source; with a slow one the arrival times of frames jitter."""
     if not source:
         return Verdict("clock", True, "this system does not report its clock source")
-    ok = source in _STEADY_CLOCK_SOURCES
-    return Verdict(
-        "clock",
-        ok,
-        f"the computer's time is from {source}",
-        "" if ok else "boot with clocksource=tsc where the processor has it",
-    )
+    remedy = "boot with clocksource=tsc where the processor has it"
+    steady = source in _STEADY_CLOCK_SOURCES
+    return Verdict.checked("clock", steady, f"the computer's time is from {source}", remedy)
 
 
 def check_governor(governor: str, processors: int) -> Verdict:
@@ -239,12 +229,8 @@ def check_governor(governor: str, processors: int) -> Verdict:
     if not governor:
         return Verdict("processor", True, f"{processors} cores; no frequency governor")
     ok = governor not in {"powersave", "conservative"}
-    return Verdict(
-        "processor",
-        ok,
-        f"{processors} cores, governor {governor}",
-        "" if ok else "cpupower frequency-set -g performance",
-    )
+    remedy = "cpupower frequency-set -g performance"
+    return Verdict.checked("processor", ok, f"{processors} cores, governor {governor}", remedy)
 
 
 def _read(path: Path) -> str:
@@ -259,23 +245,17 @@ _USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 
 def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
     """Verdicts on the permission to open the camera, and on the negotiated USB speed."""
-    allowed = Verdict(
+    permission = Verdict.checked(
         "camera permission",
         camera.accessible,
-        camera.name if camera.accessible else f"no permission to open {camera.name}",
-        ""
-        if camera.accessible
-        else f"only root may open USB devices unless a udev rule allows it: {as_root()}, "
+        camera.name,
+        f"only root may open USB devices unless a udev rule allows it: {as_root()}, "
         "then plug the camera in again",
+        f"no permission to open {camera.name}",
     )
     slow = 0 < camera.usb_speed < SUPER_SPEED
-    speed = Verdict(
-        "camera USB speed",
-        not slow,
-        camera.speed_text,
-        "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub" if slow else "",
-    )
-    return allowed, speed
+    remedy = "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub"
+    return permission, Verdict.checked("camera USB speed", not slow, camera.speed_text, remedy)
 
 
 def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
@@ -298,14 +278,8 @@ def check_usb_memory(frame_bytes: int, frames: int, memory: Path = _USBFS_MEMORY
     needed_mb = -(-2 * frames * frame_bytes // 2**20)
     # 0 means no limit
     enough = limit_mb == 0 or limit_mb >= needed_mb
-    return (
-        Verdict(
-            "USB buffer memory",
-            enough,
-            f"{limit_mb} MB for all USB devices, {frames} frames ahead need {needed_mb} MB",
-            "" if enough else f"echo {needed_mb} | sudo tee {memory}",
-        ),
-    )
+    text = f"{limit_mb} MB for all USB devices, {frames} frames ahead need {needed_mb} MB"
+    return (Verdict.checked("USB buffer memory", enough, text, f"echo {needed_mb} | sudo tee {memory}"),)
 
 
 RULES_FOLDER = Path("/etc/udev/rules.d")

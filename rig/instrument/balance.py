@@ -256,9 +256,8 @@ def turn_text(turn: Turn | Unreachable | None, checks: Sequence[BalanceCheck]) -
 
 def swing_text(swing_arcsec: float) -> str:
     """How far the pendulum may swing after a turn, in words; empty if any swing stays on the sensor."""
-    if swing_arcsec >= _MAX_SWING_ARCSEC:
-        return ""
-    return f"then let it swing by at most {swing_arcsec:.0f} arcsec"
+    text = f"then let it swing by at most {swing_arcsec:.0f} arcsec"
+    return text if swing_arcsec < _MAX_SWING_ARCSEC else ""
 
 
 def _checks_line(checks: Sequence[BalanceCheck]) -> str:

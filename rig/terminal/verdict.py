@@ -42,6 +42,11 @@ class Verdict:
         reason, _, own = str(error).partition("; ")
         return cls(name, False, reason, own or remedy)
 
+    @classmethod
+    def checked(cls, name: str, ok: bool, finding: str, remedy: str, fault: str = "") -> "Verdict":
+        """The verdict of a check: its `finding`, or else its `fault`, if that differs, and `remedy`."""
+        return cls(name, ok, finding) if ok else cls(name, ok, fault or finding, remedy)
+
     @property
     def line(self) -> str:
         """The verdict in one line: `beam quality: go, one Gaussian, ...`, with reason and remedy."""

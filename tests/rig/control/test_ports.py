@@ -11,7 +11,7 @@ from rig.control.controller import Controller
 from rig.control.lasers import LaserSettings, serial_laser
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.serial_port import PortLost
-from rig.control.settings import ControllerSettings, EnvironmentSettings
+from rig.control.settings import ControllerSettings, EnvironmentKind, EnvironmentSettings
 from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
 from rig.terminal import Verdict
 from tests.rig.control.instruments import FakeCobolt, Instrument
@@ -32,10 +32,12 @@ class TestController:
     def board(self, clock: Clock) -> SteppedBoard:
         return SteppedBoard(clock)
 
-    def checks(self, board: SteppedBoard, laser: LaserSettings) -> dict[str, Verdict]:
-        settings = ControllerSettings(kind="serial", port="stepped")
+    def checks(
+        self, board: SteppedBoard, laser: LaserSettings, sensor: EnvironmentKind = "controller"
+    ) -> dict[str, Verdict]:
+        settings, environment = ControllerSettings(kind="serial", port="stepped"), EnvironmentSettings
         controller = Controller(settings, laser.max_power_w, board.open_line)
-        found = by_name(check_controller(controller, settings, laser, "mine.toml"))
+        found = by_name(check_controller(controller, settings, laser, environment(kind=sensor), "mine.toml"))
         assert all(bool(check.remedy) is not check.ok for check in found.values())
         # nothing was switched on on the way
         assert not any(board.count(name, 1) for name in ("laser", "magnet", "starter", "clamp", "brake"))
@@ -59,6 +61,10 @@ class TestController:
         assert found["controller errors"].reason == "Hardware error; environment sensor (-240)"
         assert found["controller's sensor"].reason == "no reading"
 
+    def test_a_board_without_a_sensor_is_well_where_none_is_configured(self, board: SteppedBoard) -> None:
+        board.sensor_works = False
+        assert all(check.ok for check in self.checks(board, LaserSettings(), "none").values())
+
     def test_an_output_that_is_stuck_is_named(
         self, board: SteppedBoard, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -78,7 +84,9 @@ class TestController:
         board.unplug()
         assert not self.checks(board, laser)["controller"].ok
         nothing = ControllerSettings()
-        (check,) = check_controller(Controller(nothing, 0.001, board.open_line), nothing, laser, "")
+        (check,) = check_controller(
+            Controller(nothing, 0.001, board.open_line), nothing, laser, EnvironmentSettings(), ""
+        )
         assert (check.ok, check.made) == (True, False)
 
 
