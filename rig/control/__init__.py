@@ -15,25 +15,9 @@ from rig.control.ports import (
 )
 from rig.control.presses import darken_directly
 from rig.control.protocol import ControllerReset, ControllerStatus, Trip
-from rig.control.safety_state import (
-    LatchedTrip,
-    SafetyState,
-    TripCause,
-    rig_state_path,
-    state_folder,
-)
+from rig.control.safety_state import LatchedTrip, SafetyState, TripCause, rig_state_path, state_folder
 from rig.control.sensors import AmbientSensor, SeismometerReader
 from rig.control.service import ControlService, ControlState
-from rig.control.settings import (
-    ControllerSettings,
-    EnvironmentSettings,
-    SeismometerSettings,
-)
+from rig.control.settings import ControllerSettings, EnvironmentSettings, SeismometerSettings
 from rig.control.simulated import simulated_controller
-from rig.control.states import (
-    STALE_S,
-    LaserReport,
-    Light,
-    Loop,
-    SafetyNow,
-)
+from rig.control.states import STALE_S, LaserReport, Light, Loop, SafetyNow

@@ -11,11 +11,7 @@ from rig.devices.alignment_look import (
     take_look,
 )
 from rig.devices.audit import AuditEntry
-from rig.devices.clocks import (
-    ClockAnchors,
-    ClockRate,
-    impossible_rate_text,
-)
+from rig.devices.clocks import ClockAnchors, ClockRate, impossible_rate_text
 from rig.devices.doctor import RULES_FOLDER, examine, install_rules, udev_rules
 from rig.devices.frame_stream import FrameStream
 from rig.devices.laser import STAYS_LIT, WIRING_REMEDY, check_wiring, through_controller, wait_for_command

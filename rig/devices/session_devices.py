@@ -86,12 +86,7 @@ class Devices(LitDevices):
     added to the audit log in `folder`, if given. Raises DeviceError where another program has the rig.
     """
 
-    def __init__(
-        self,
-        config: Configuration,
-        folder: Path | None = None,
-        task: str = "this program",
-    ) -> None:
+    def __init__(self, config: Configuration, folder: Path | None = None, task: str = "this program") -> None:
         super().__init__(config, folder, task)
         self._folder = folder
         self._closing = ExitStack()
@@ -266,12 +261,7 @@ class SimulatedInterlock:
     It stays open for `open_for_s`. `laser` is called with the laser's power in W.
     """
 
-    def __init__(
-        self,
-        opens_at_s: float | None,
-        open_for_s: float,
-        laser: Callable[[float], None],
-    ) -> None:
+    def __init__(self, opens_at_s: float | None, open_for_s: float, laser: Callable[[float], None]) -> None:
         self._opens_at_s, self._open_for_s = opens_at_s, open_for_s
         self._laser = laser
         self._lit_s: float | None = None

@@ -281,10 +281,7 @@ class Advice(NamedTuple):
 
 
 def advice_for(
-    config: Configuration,
-    balance: Balance,
-    learned: WeightResponses | None = None,
-    room: Room | None = None,
+    config: Configuration, balance: Balance, learned: WeightResponses | None = None, room: Room | None = None
 ) -> Advice:
     """The faults of a balance and the weight to turn.
 

@@ -88,10 +88,7 @@ def calibration_attachments(config: Configuration) -> dict[str, bytes]:
 
 
 def judge_calibration(
-    config: Configuration,
-    attachments: Mapping[str, bytes],
-    start: datetime.datetime,
-    end: datetime.datetime,
+    config: Configuration, attachments: Mapping[str, bytes], start: datetime.datetime, end: datetime.datetime
 ) -> tuple[dict[str, Any], list[str]]:
     """The calibration part of a run's results, and warnings.
 
@@ -150,10 +147,7 @@ def _result_entry(file: CalibrationFile, data: bytes, time: datetime.datetime) -
 
 
 def _angle_checks(
-    config: Configuration,
-    attachments: Mapping[str, bytes],
-    start: datetime.datetime,
-    end: datetime.datetime,
+    config: Configuration, attachments: Mapping[str, bytes], start: datetime.datetime, end: datetime.datetime
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """Known-angle checks in order of time, and warnings of a lever's scale that is wrong or has changed."""
     paths = config.calibration.checks
