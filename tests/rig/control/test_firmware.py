@@ -220,9 +220,7 @@ def test_lines_without_a_session_may_ask_but_not_act_and_every_one_is_answered(b
     assert board.count("starter", 1) == 1
 
 
-def test_reset_in_mid_command_is_noticed_and_nothing_is_done_twice(
-    wired: Board,
-) -> None:
+def test_reset_in_mid_command_is_noticed_and_nothing_is_done_twice(wired: Board) -> None:
     controller = opened(wired, watchdog_s=5.0)
     controller.hold()
     seen: list[bytes] = []

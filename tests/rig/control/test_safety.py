@@ -38,9 +38,7 @@ def lit_by_another_program(board: FirmwareBoard, ending: str) -> Iterator["subpr
 
 
 @pytest.mark.slow
-def test_however_a_program_ends_the_board_goes_dark(
-    make_board: Callable[..., FirmwareBoard],
-) -> None:
+def test_however_a_program_ends_the_board_goes_dark(make_board: Callable[..., FirmwareBoard]) -> None:
     """At the same time, each with a board of its own."""
     with ExitStack() as programs:
         boards, begun = {}, {}

@@ -7,15 +7,7 @@ from typing import Any
 
 import pytest
 
-from rig.control import (
-    ControlState,
-    LaserReport,
-    LatchedTrip,
-    Light,
-    SafetyNow,
-    Trip,
-    TripCause,
-)
+from rig.control import ControlState, LaserReport, LatchedTrip, Light, SafetyNow, Trip, TripCause
 from rig.control.protocol import ControllerStatus, Latch
 from rig.desk.following import Following
 from rig.measure.preflight import frame_checks
