@@ -74,7 +74,7 @@ class LaserService(DeviceThread):
         A call of `off` before the laser emits makes it invalid.
         """
         off_count = self._off_count
-        return self._submit(lambda laser: self._switch_on(laser, off_count), timeout_s=5.0)
+        return self._submit(lambda laser: self._switch_on(laser, off_count))
 
     def off(self) -> "Future[None]":
         """Switch the laser off, before all waiting commands; it has no time limit.

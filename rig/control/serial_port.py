@@ -3,7 +3,8 @@
 import errno
 import os
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Protocol
 
 import serial
@@ -76,44 +77,40 @@ class SerialPort:
 
     def write(self, data: bytes) -> None:
         """Send all the data."""
-        try:
+        with self._failing_as_loss("write"):
             self._serial.write(data)
-        except Exception as error:
-            raise self._loss_error("write", error) from error
 
     def read(self, timeout_s: float) -> bytes:
         """All received bytes, at least one; b"" after `timeout_s`."""
-        try:
-            received_bytes = self._serial.in_waiting
-            if received_bytes:
+        with self._failing_as_loss("read"):
+            if received_bytes := self._serial.in_waiting:
                 return bytes(self._serial.read(received_bytes))
             self._serial.timeout = max(timeout_s, 0.0)
             data = bytes(self._serial.read(1))
             if data and (received_bytes := self._serial.in_waiting):
                 data += bytes(self._serial.read(received_bytes))
             return data
-        except Exception as error:
-            raise self._loss_error("read", error) from error
 
     def discard_input(self) -> None:
         """Discard bytes that were received but not read."""
-        try:
+        with self._failing_as_loss("read"):
             self._serial.reset_input_buffer()
-        except Exception as error:
-            raise self._loss_error("read", error) from error
 
     def close(self) -> None:
         """Close the port."""
-        try:
+        with self._failing_as_loss("close"):
             self._serial.close()
-        except Exception as error:
-            raise self._loss_error("close", error) from error
 
-    def _loss_error(self, operation: str, error: Exception) -> PortLost:
-        return PortLost(
-            f"{self._url}: the serial port is no longer available ({operation}): {_reason(error)};"
-            " check the cable"
-        )
+    @contextmanager
+    def _failing_as_loss(self, operation: str) -> Iterator[None]:
+        """Context in which any error of the library becomes `PortLost`."""
+        try:
+            yield
+        except Exception as error:
+            raise PortLost(
+                f"{self._url}: the serial port is no longer available ({operation}): "
+                f"{str(error) or type(error).__name__}; check the cable"
+            ) from error
 
 
 class LineReader:
@@ -175,7 +172,3 @@ def ports_here() -> str:
         devices = sorted(port.device for port in list_ports.comports())
     present = ", ".join(devices)
     return f"present are {present}" if present else "this computer has no serial port: plug the device in"
-
-
-def _reason(error: Exception) -> str:
-    return str(error) or type(error).__name__

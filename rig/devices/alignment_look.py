@@ -148,15 +148,17 @@ class AlignmentFrame(NamedTuple):
             ("sharpness", f"{figures.sharpness_per_px:.4f} /px"),
         ]
         if self.found:
+            sigmas_px = spot.sigma_x_px, spot.sigma_y_px
+            shape = f"ellipticity {max(sigmas_px) / min(sigmas_px):.2f}"
+            flags = [
+                flag.name.lower().replace("_", " ") for flag in SpotFlag if spot.flags & flag and flag.name
+            ]
             rows += [
                 ("spot", f"{spot.x_px:.2f}, {spot.y_px:.2f} px"),
                 ("off the crosshair", f"{_offset(self._off_px, 1)} px"),
                 ("nearest edge", f"{self._edge_px:.0f} px"),
-                (
-                    "sigma",
-                    f"{spot.sigma_x_px:.2f} × {spot.sigma_y_px:.2f} px, ellipticity {self._ellipticity:.2f}",
-                ),
-                ("fit", f"χ²/dof {spot.chi2_per_dof:.2f}, {', '.join(self._flag_texts) or 'a clean spot'}"),
+                ("sigma", f"{spot.sigma_x_px:.2f} × {spot.sigma_y_px:.2f} px, {shape}"),
+                ("fit", f"χ²/dof {spot.chi2_per_dof:.2f}, {', '.join(flags) or 'a clean spot'}"),
             ]
         else:
             rows.append(("spot", "none found"))
@@ -182,17 +184,6 @@ class AlignmentFrame(NamedTuple):
             height_px = self.reference.from_row_px
         spot = self.spot
         return float(min(spot.x_px, spot.y_px, width_px - 1 - spot.x_px, height_px - 1 - spot.y_px))
-
-    @property
-    def _ellipticity(self) -> float:
-        spot = self.spot
-        return max(spot.sigma_x_px, spot.sigma_y_px) / min(spot.sigma_x_px, spot.sigma_y_px)
-
-    @property
-    def _flag_texts(self) -> list[str]:
-        return [
-            flag.name.lower().replace("_", " ") for flag in SpotFlag if self.spot.flags & flag and flag.name
-        ]
 
 
 def _offset(off_px: tuple[float, float], digits: int) -> str:

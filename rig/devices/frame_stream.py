@@ -293,13 +293,13 @@ class FrameStream:
             why = lost_text if unused.discarded else "the camera has stalled"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
-            self._fail(error, self._error_text(error))
+            self._fail(error, f"camera: {in_one_line(error).removeprefix('camera: ')}")
         finally:
             self._queue.close()
             self._has_begun.set()
 
     def _with_reasons(self, error: FrameTimeout) -> FrameTimeout:
-        """The error, with the number of frames that came and could not be used, not a trigger's fault."""
+        """The error, with the number of unusable frames that came: then the trigger is not at fault."""
         unused = self._all_losses().since(self._last_losses)
         if not unused.discarded:
             return error
@@ -337,11 +337,6 @@ class FrameStream:
             # some settings can be read back but not set
             applied = self._camera.configure(self._settings)
         return "; ".join(setting_differences(self._all_settings, applied))
-
-    @staticmethod
-    def _error_text(error: Exception) -> str:
-        text = in_one_line(error)
-        return text if text.startswith("camera: ") else f"camera: {text}"
 
     def _fail(self, error: Exception, reason: str) -> None:
         if not isinstance(error, RigError):

@@ -131,9 +131,14 @@ class LitDevices:
             return light(self._config.laser, self.control, self.laser)
         except DeviceError as error:
             self.audit(AuditEntry.REFUSED, str(error))
-            if self.laser is not None and self.laser.snapshot.state is None and self._config.rehearsal_hint:
-                raise DeviceError(f"{error}; {self._config.rehearsal_hint}") from None
+            if self.laser is not None and self.laser.snapshot.state is None:
+                raise self._with_hint(error) from None
             raise
+
+    def _with_hint(self, error: DeviceError) -> DeviceError:
+        """The error of a device, with how a simulated camera runs without the device."""
+        hint = self._config.rehearsal_hint
+        return DeviceError(f"{error}; {hint}") if hint else error
 
     def _note_lit(self) -> None:
         """Note the light in the rig's state; LightRefused if that fails, as a trip would be forgotten."""

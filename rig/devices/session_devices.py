@@ -144,8 +144,10 @@ class Devices(LitDevices):
                     self.permit,
                 )
             )
-            with self._rehearsal_hint():
+            try:
                 self.control.wait_open()
+            except DeviceError as error:
+                raise self._with_hint(error) from None
         if config.environment_sensor.kind == "serial":
             self.sensor = self._closing.enter_context(AmbientSensor(config.environment_sensor))
         if (seismometer := make_seismometer(config)) is not None:
@@ -156,16 +158,6 @@ class Devices(LitDevices):
             self.laser = self._closing.enter_context(
                 LaserService(laser, permit=self.permit, has_own_interlock=has_own_interlock)
             )
-
-    @contextmanager
-    def _rehearsal_hint(self) -> Iterator[None]:
-        """Context that adds to the error of a device how a simulated camera runs without it."""
-        try:
-            yield
-        except DeviceError as error:
-            if not self._config.rehearsal_hint:
-                raise
-            raise DeviceError(f"{error}; {self._config.rehearsal_hint}") from None
 
     @contextmanager
     def camera(self, config: Configuration) -> Iterator[OpenCamera]:
