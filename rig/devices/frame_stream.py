@@ -7,7 +7,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout
 from acquisition.frames.guard import CameraCounts, ReadMonitor, driver_errors, end_within
@@ -27,45 +26,36 @@ _MAX_CLOCK_READING_NS = 10_000_000
 """Largest time between the readings of two clocks; it is longer if the program was stopped there."""
 
 
-class AwakeTime(NamedTuple):
-    """Time without and with the computer's sleep; they are equal on systems that do not count sleep."""
-
-    awake_ns: int
-    with_sleep_ns: int
-
-
-def read_awake() -> AwakeTime:
-    """Read both clocks at the same moment."""
-    clock = _clock_with_sleep()
-    while True:
-        before_ns = time.monotonic_ns()
-        with_sleep_ns = before_ns if clock is None else time.clock_gettime_ns(clock)
-        if time.monotonic_ns() - before_ns < _MAX_CLOCK_READING_NS:
-            return AwakeTime(before_ns, with_sleep_ns)
-
-
-def _clock_with_sleep() -> int | None:
+def read_sleep_ns() -> int:
+    """Time that the computer has slept since its start; 0 on systems that do not count sleep."""
     if sys.platform.startswith("linux"):
-        return time.CLOCK_BOOTTIME
-    # on macOS time.monotonic is another clock, which stands still while the computer sleeps
-    return time.CLOCK_MONOTONIC if sys.platform == "darwin" else None
+        clock = time.CLOCK_BOOTTIME
+    elif sys.platform == "darwin":
+        # time.monotonic is another clock there, which stands still while the computer sleeps
+        clock = time.CLOCK_MONOTONIC
+    else:
+        return 0
+    while True:
+        awake_ns = time.monotonic_ns()
+        with_sleep_ns = time.clock_gettime_ns(clock)
+        if time.monotonic_ns() - awake_ns < _MAX_CLOCK_READING_NS:
+            return with_sleep_ns - awake_ns
 
 
 class SleepWatch:
-    """Refuses frames of a computer that has slept since `begin`; `read` returns the two clocks."""
+    """Refuses frames of a computer that has slept since `begin`; `read_ns` returns its time of sleep."""
 
-    def __init__(self, read: Callable[[], AwakeTime] = read_awake) -> None:
-        self._read = read
+    def __init__(self, read_ns: Callable[[], int] = read_sleep_ns) -> None:
+        self._read_ns = read_ns
         self.begin()
 
     def begin(self) -> None:
         """Compare with this moment from now on."""
-        self._start = self._read()
+        self._earlier_ns = self._read_ns()
 
     def raise_if_slept(self) -> None:
         """Raise DeviceError if the computer has slept since `begin`; called with every frame."""
-        now = self._read()
-        slept_ns = (now.with_sleep_ns - self._start.with_sleep_ns) - (now.awake_ns - self._start.awake_ns)
+        slept_ns = self._read_ns() - self._earlier_ns
         if slept_ns > _MIN_SLEEP_NS:
             raise DeviceError(
                 f"the computer slept for {seconds(slept_ns):.0f} s, in which its clock stood: times after it "

@@ -98,14 +98,6 @@ def code_commit() -> str:
         return "unknown"
 
 
-def record_description() -> bytes:
-    """Description of the format, for readers without this program; empty if the installation lacks it."""
-    for path in (_ROOT / "docs" / "reference" / RECORD_DESCRIPTION, _ROOT / "rig" / RECORD_DESCRIPTION):
-        if path.is_file():
-            return path.read_bytes()
-    return b""
-
-
 def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> dict[str, dict[str, str]]:
     """Metadata of a record, by section: session, conditions, camera, software versions, shape of frames."""
     session = config.session
@@ -136,8 +128,11 @@ def configuration_attachments(config: Configuration, source: Path) -> dict[str, 
     attachments = {CONFIGURATION_NAME: text.encode()}
     if source.is_file() and source.suffix == ".toml":
         attachments[SOURCE_NAME] = source.read_bytes()
-    if description := record_description():
-        attachments[RECORD_DESCRIPTION] = description
+    for folder in (_ROOT / "docs" / "reference", _ROOT / "rig"):
+        # a description of the format, for readers without this program
+        if (path := folder / RECORD_DESCRIPTION).is_file():
+            attachments[RECORD_DESCRIPTION] = path.read_bytes()
+            break
     return {**attachments, **calibration_attachments(config)}
 
 
