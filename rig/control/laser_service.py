@@ -114,17 +114,17 @@ class LaserService(DeviceThread):
         return min(self._period_s, _MAX_POLL_INTERVAL_S)
 
     def _switch_on(self, laser: SerialLaser, off_count: int) -> None:
-        def outdated() -> str:
+        def off_reason() -> str:
             return "it was switched off meanwhile" if self._off_count != off_count else ""
 
         # a laser that may be lit already is switched off by this thread, which then waits for no disk
         refusal = self._permit.refusal if self._light_requested else self._permit.refusal_to_light
-        if reason := refusal or outdated():
+        if reason := refusal or off_reason():
             raise LightRefused(f"the laser stays off: {reason}")
         self._light_requested = True
         try:
             # from memory: a disk that hangs must not hold up what could switch the laser off again
-            laser.enable(lambda: self._permit.refusal or outdated())
+            laser.enable(lambda: self._permit.refusal or off_reason())
         except BaseException:
             # the caller learns that the laser is dark, so later light counts as not requested
             self._light_requested = False

@@ -52,9 +52,9 @@ class Presses:
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
-            pressed = _PressFile(number=self._number() + 1, who=who, utc=now)
-            atomic_write.replace(self.path, pressed.model_dump_json().encode())
+            utc = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+            content = _PressFile(number=self._number() + 1, who=who, utc=utc)
+            atomic_write.replace(self.path, content.model_dump_json().encode())
         except OSError as error:
             try:
                 self.touch()

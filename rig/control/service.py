@@ -197,8 +197,8 @@ class ControlService(DeviceThread):
         self._known_latch, self._was_reset = latch, False
 
     def _switch_on(self, controller: Controller, off_count: int) -> None:
-        outdated = "it was switched off meanwhile" if self._off_count != off_count else ""
-        if refusal := self._permit.refusal_to_light or outdated:
+        off_reason = "it was switched off meanwhile" if self._off_count != off_count else ""
+        if refusal := self._permit.refusal_to_light or off_reason:
             raise LightRefused(f"{controller.name}: the laser stays off: {refusal}")
         # until the board has reported that it is lit, it counts as dark
         self._lit_at_off_count = -1
@@ -268,12 +268,13 @@ class ControlService(DeviceThread):
         causes, latch = set(event_causes), status.latch
         if latch is not None and (self._known_latch is None or latch.number != self._known_latch.number):
             causes.add(latch.cause)
-        first = self._interlock_closed is None
+        is_first = self._interlock_closed is None
         if not status.interlock_closed and self._interlock_closed is not False:
             causes.add(Trip.INTERLOCK)
         self._known_latch, self._interlock_closed = latch, status.interlock_closed
         for cause in sorted(causes & _TRIP_REASONS.keys()):
-            (self._permit.latch_found if first else self._permit.trip)(TripCause(cause), _TRIP_REASONS[cause])
+            latch_cause = self._permit.latch_found if is_first else self._permit.trip
+            latch_cause(TripCause(cause), _TRIP_REASONS[cause])
 
     def _guarded(self, call: Callable[[Controller], T]) -> T:
         if not self._is_open:

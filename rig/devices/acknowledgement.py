@@ -143,9 +143,9 @@ class LightWatch:
         return [*self._trips(), *self._darkness()]
 
     def _trips(self) -> list[tuple[EventKind, str]]:
-        trip, reported = self._devices.permit.latched, self._reported_trip
+        trip, earlier_number = self._devices.permit.latched, self._reported_trip
         self._reported_trip = 0 if trip is None else trip.number
-        return [] if trip is None or trip.number == reported else [(EventKind.TRIP, trip.text)]
+        return [] if trip is None or trip.number == earlier_number else [(EventKind.TRIP, trip.text)]
 
     def _darkness(self) -> list[tuple[EventKind, str]]:
         devices = self._devices

@@ -41,14 +41,14 @@ class ReferenceSpot(NamedTuple):
         return cls(spot, from_row_px, int(np.count_nonzero(image[from_row_px:] >= full_scale_dn)))
 
     @property
-    def found(self) -> bool:
+    def has_spot(self) -> bool:
         """Whether there is a spot."""
         return not self.spot.flags & SpotFlag.LOST
 
     @property
     def lamp(self) -> Verdict:
         """Verdict on the reference, with the remedy if its spot cannot be followed."""
-        if not self.found:
+        if not self.has_spot:
             remedy = f"let the reference's beam fall below row {self.from_row_px}"
             return Verdict("reference", False, remedy=remedy, measured="none found", limit="one spot")
         reason = remedy = ""
@@ -87,7 +87,7 @@ class AlignmentFrame(NamedTuple):
     reference: ReferenceSpot | None = None
 
     @property
-    def found(self) -> bool:
+    def has_spot(self) -> bool:
         """Whether there is a spot."""
         return not self.spot.flags & SpotFlag.LOST
 
@@ -116,7 +116,7 @@ class AlignmentFrame(NamedTuple):
             ),
         ]
         reference = [] if self.reference is None else [self.reference.lamp]
-        if not self.found:
+        if not self.has_spot:
             remedy = "let the beam fall on the sensor"
             return [*lamps, Verdict("spot", False, remedy=remedy, measured="none found"), *reference]
         off_px, shortest_px = max(map(abs, self._off_px)), min(self.image.shape)
@@ -147,7 +147,7 @@ class AlignmentFrame(NamedTuple):
             ("saturated", f"{figures.saturated_px} px" if figures.saturated_px else "none"),
             ("sharpness", f"{figures.sharpness_per_px:.4f} /px"),
         ]
-        if self.found:
+        if self.has_spot:
             sigmas_px = spot.sigma_x_px, spot.sigma_y_px
             shape = f"ellipticity {max(sigmas_px) / min(sigmas_px):.2f}"
             flags = [
@@ -244,13 +244,13 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     array
         At most (height_px, width_px, 3), with the part's own ratio of sides.
     """
-    left, top, part_width, part_height = _part(look, zoom)
-    part = look.image[top : top + part_height, left : left + part_width]
-    scale = min(width_px / part_width, height_px / part_height)
-    size = max(1, round(part_width * scale)), max(1, round(part_height * scale))
+    left, top, region_width, region_height = _shown_region(look, zoom)
+    region = look.image[top : top + region_height, left : left + region_width]
+    scale = min(width_px / region_width, height_px / region_height)
+    size = max(1, round(region_width * scale)), max(1, round(region_height * scale))
     # the root is taken of each possible value, not of each pixel, which is faster
-    roots = np.sqrt(np.arange(np.iinfo(part.dtype).max + 1) / look.full_scale_dn)
-    brightness = _resize(roots[part], size, scale)
+    roots = np.sqrt(np.arange(np.iinfo(region.dtype).max + 1) / look.full_scale_dn)
+    brightness = _resize(roots[region], size, scale)
     picture = np.repeat((255.0 * np.clip(brightness, 0.0, 1.0)).astype(np.uint8)[..., np.newaxis], 3, axis=2)
     line_width = max(1, round(min(size) / 300))
 
@@ -267,15 +267,15 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
         row = pixel(0.0, reference.from_row_px - 0.5)[1]
         cv2.line(picture, (0, row), (size[0] - 1, row), palette.rgba(palette.BLUISH_GREEN)[:3], line_width)
     for spot, colour in (
-        *([(look.spot, palette.YELLOW)] if look.found else []),
-        *([(reference.spot, palette.BLUISH_GREEN)] if reference is not None and reference.found else []),
+        *([(look.spot, palette.YELLOW)] if look.has_spot else []),
+        *([(reference.spot, palette.BLUISH_GREEN)] if reference is not None and reference.has_spot else []),
     ):
         sigmas_px = spot.sigma_x_px, spot.sigma_y_px
         half_axes = tuple(max(1, round(_ELLIPSE_SIGMAS * sigma_px * scale)) for sigma_px in sigmas_px)
         rgb, angle_deg = palette.rgba(colour)[:3], math.degrees(spot.rotation_rad)
         centre = pixel(spot.x_px, spot.y_px)
         cv2.ellipse(picture, centre, half_axes, angle_deg, 0.0, 360.0, rgb, line_width)
-    is_saturated = part >= look.full_scale_dn
+    is_saturated = region >= look.full_scale_dn
     if is_saturated.any():
         # a pixel of the picture is marked if any part of it is saturated
         saturated = _resize(is_saturated.astype(np.float64), size, scale) > 0.0
@@ -283,11 +283,11 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     return picture
 
 
-def _part(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
+def _shown_region(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
     """Left, top, width and height of the shown part in px of the frame."""
     rows, columns = look.image.shape
     width, height = max(8, round(columns / zoom)), max(8, round(rows / zoom))
-    x_px, y_px = (look.spot.x_px, look.spot.y_px) if look.found else look.crosshair_px
+    x_px, y_px = (look.spot.x_px, look.spot.y_px) if look.has_spot else look.crosshair_px
     left = int(np.clip(round(x_px - 0.5 * width), 0, max(columns - width, 0)))
     top = int(np.clip(round(y_px - 0.5 * height), 0, max(rows - height, 0)))
     return left, top, min(width, columns), min(height, rows)

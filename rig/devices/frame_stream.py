@@ -116,7 +116,7 @@ class FrameStream:
         self._earlier_losses = self._last_losses = FrameLosses()
         self._losses_due_ns = 0
         self._read_monitor = ReadMonitor(timeout_s)
-        self.ended = ""
+        self.end_reason = ""
         """The reason why the stream ended; empty before."""
         self.failure: Exception | None = None
         """The error that ended the stream."""
@@ -253,7 +253,7 @@ class FrameStream:
                 silent_s = 0.0
                 continue
             if frame is None:
-                self.ended = self.ended or "the camera delivered its last frame"
+                self.end_reason = self.end_reason or "the camera delivered its last frame"
             elif not on_demand:
                 self._sleep_watch.raise_if_slept()
             if silent_s and has_begun and frame is not None:
@@ -266,21 +266,21 @@ class FrameStream:
         """Read, check, number, and hand over."""
         try:
             while (frame := self._read()) is not None:
-                numbered = self._line.take(frame)
+                batch = self._line.take(frame)
                 self.permit.frame_read(frame.image)
                 if frame.host_time_ns >= self._losses_due_ns:
                     self._losses_due_ns = int(frame.host_time_ns) + _LOSSES_INTERVAL_NS
                     self._last_losses = self._all_losses()
-                self._events.extend(numbered.notes)
-                self._steps.extend(numbered.steps)
-                for numbered_frame in numbered.frames:
+                self._events.extend(batch.notes)
+                self._steps.extend(batch.steps)
+                for numbered_frame in batch.frames:
                     self._first_frame = self._first_frame or numbered_frame
                     self._queue.put(numbered_frame)
                     self._has_begun.set()
         except FrameTimeout as error:
-            unused = self._all_losses().since(self._last_losses)
-            lost_text = f"of those that came {unused.discarded_text}"
-            why = lost_text if unused.discarded else "the camera has stalled"
+            losses = self._all_losses().since(self._last_losses)
+            text = f"of those that came {losses.discarded_text}"
+            why = text if losses.discarded else "the camera has stalled"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
             self._fail(error, f"camera: {in_one_line(error).removeprefix('camera: ')}")
@@ -290,12 +290,12 @@ class FrameStream:
 
     def _with_reasons(self, error: FrameTimeout) -> FrameTimeout:
         """The error, with the number of unusable frames that came: then the trigger is not at fault."""
-        unused = self._all_losses().since(self._last_losses)
-        if not unused.discarded:
+        losses = self._all_losses().since(self._last_losses)
+        if not losses.discarded:
             return error
         name = str(error).partition(": ")[0]
         return FrameTimeout(
-            f"{name}: no usable frame; of those that came {unused.discarded_text}; use a lower rate or "
+            f"{name}: no usable frame; of those that came {losses.discarded_text}; use a lower rate or "
             "size, another port or cable; rig camera show lists what the camera reports"
         )
 
@@ -335,4 +335,4 @@ class FrameStream:
             error = DeviceError(reason)
         if self.failure is None:
             self.failure = error
-            self.ended = reason
+            self.end_reason = reason

@@ -64,8 +64,8 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
             )
         wait_for_command(control.set_laser_power_w(settings.power_w))
         wait_for_command(control.laser_on())
-        pulsed = f", {settings.pulse_us:g} µs in each exposure" if settings.pulse_us else ""
-        return f"laser on, {settings.power_w * 1e3:g} mW{pulsed}"
+        pulse_text = f", {settings.pulse_us:g} µs in each exposure" if settings.pulse_us else ""
+        return f"laser on, {settings.power_w * 1e3:g} mW{pulse_text}"
     if laser is None:
         return ""
     state = _wait_for_state(laser, lambda _: True)
@@ -160,12 +160,12 @@ def _recent_status(control: ControlService) -> ControllerStatus:
 def check_wiring(laser: LaserSettings, controller: ControllerSettings) -> None:
     """Raise ConfigurationError if the laser is to be switched by a controller that is not configured."""
     if through_controller(laser) and controller.kind == "none":
-        key, other = "kind", "laser.kind to none, and switch it by hand"
+        key, alternative = "kind", "laser.kind to none, and switch it by hand"
         if laser.kind != "controller":
-            key, other = "interlock", "laser.interlock to own"
+            key, alternative = "interlock", "laser.interlock to own"
         raise ConfigurationError(
             f"laser.{key} = 'controller', but controller.kind = 'none': nothing switches the laser; set "
-            f"controller.kind to serial or simulated, or {other}"
+            f"controller.kind to serial or simulated, or {alternative}"
         )
 
 

@@ -318,9 +318,9 @@ class LitDevices:
             return f"the laser {Light.SILENT}"
         return ""
 
-    def audit(self, what: AuditEntry, why: str, **details: object) -> None:
+    def audit(self, kind: AuditEntry, reason: str, **details: object) -> None:
         """Add a change of the light, or an action of a person, to the audit log; never blocks."""
-        self._log.append(what, why, **details)
+        self._log.append(kind, reason, **details)
 
     def _darken_at_end(self) -> tuple[str, KeyboardInterrupt | None]:
         """Switch the laser off; returns a text on what confirms it, or that nothing does, and a Ctrl-C."""

@@ -76,9 +76,9 @@ class OrderConnection:
         news: dict[str, Any] = self._ask(NEWS)
         return news
 
-    def picture(self, after: int = 0) -> SessionPicture | None:
-        """The newest frame if its number is above `after`, else None; this also requests the next one."""
-        picture: SessionPicture | None = self._ask(LOOK, after)
+    def picture(self, last_number: int = 0) -> SessionPicture | None:
+        """The newest frame, None if its number is not above `last_number`; this also requests the next."""
+        picture: SessionPicture | None = self._ask(LOOK, last_number)
         return picture
 
     def order(self, name: str) -> str:
@@ -86,14 +86,14 @@ class OrderConnection:
         # a frozen session must not find old orders when it continues, so it must answer first
         self.beat()
         word, _, rest = name.partition(" ")
-        done, answer = self._request(word, rest, _MAX_ORDER_S)
-        if not done:
+        is_done, answer = self._request(word, rest, _MAX_ORDER_S)
+        if not is_done:
             raise RigError(str(answer))
         return str(answer)
 
     def _ask(self, name: str, value: object = None) -> Any:
-        done, answer = self._request(name, value, _MAX_ANSWER_S)
-        if not done:
+        is_done, answer = self._request(name, value, _MAX_ANSWER_S)
+        if not is_done:
             raise NoSession(f"{self.folder}: its session cannot answer: {answer}")
         return answer
 
@@ -104,7 +104,7 @@ class OrderConnection:
                 connection.send((name, value))
                 if not connection.poll(timeout_s):
                     raise TimeoutError(f"nothing within {timeout_s:g} s")
-                done, answer = connection.recv()
+                is_done, answer = connection.recv()
             except AuthenticationError:
                 self.close()
                 raise NoSession(
@@ -114,7 +114,7 @@ class OrderConnection:
                 self.close()
                 raise self._failure(error) from None
         self._has_answered = self._has_answered or lives(self.pid)
-        return done, answer
+        return is_done, answer
 
     def _connect(self) -> Connection:
         """A connection both of whose ends have proved that they know the key; raises OSError and the like."""

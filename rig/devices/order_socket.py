@@ -158,11 +158,11 @@ class SessionNews:
         """Whether a program has asked for the news within the last minute."""
         return time.monotonic() - self.news_request_s < _MAX_ABSENCE_S
 
-    def picture(self, after: int = 0) -> SessionPicture | None:
-        """The newest frame if its number is above `after`, else None; this also requests the next one."""
+    def picture(self, last_number: int = 0) -> SessionPicture | None:
+        """The newest frame, None if its number is not above `last_number`; this also requests the next."""
         self._picture_requested, self.picture_request_s = True, time.monotonic()
         frame = self._frame
-        return None if frame is None or frame.number <= after else frame
+        return None if frame is None or frame.number <= last_number else frame
 
 
 def thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
@@ -257,13 +257,13 @@ class OrderSocket:
     def _accept(self, listening: socket.socket) -> None:
         while not self._ended.is_set():
             try:
-                accepted, _ = listening.accept()
+                client, _ = listening.accept()
             except TimeoutError:
                 continue
             except OSError:
                 return
-            accepted.settimeout(None)
-            connection = Connection(accepted.detach())
+            client.settimeout(None)
+            connection = Connection(client.detach())
             threading.Thread(target=self._serve, args=(connection,), name="order", daemon=True).start()
 
     def _serve(self, connection: Connection) -> None:
@@ -298,12 +298,12 @@ def light_orders(devices: Devices) -> Orders:
     """Orders of a program that has the devices; `acknowledge` takes the trip's number and the person."""
 
     def acknowledge(value: str) -> str:
-        number, _, by = value.partition(" ")
+        number, _, place = value.partition(" ")
         if not number.isdecimal():
             raise RigError(f"acknowledge {value!r}: the number of the trip is needed")
-        return devices.acknowledge(int(number), by or "the desk")
+        return devices.acknowledge(int(number), place or "the desk")
 
-    return {"acknowledge": acknowledge, "dark": lambda by: devices.light_off(by or "the desk")}
+    return {"acknowledge": acknowledge, "dark": lambda place: devices.light_off(place or "the desk")}
 
 
 @contextmanager

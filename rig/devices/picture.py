@@ -74,12 +74,12 @@ def _lit_part(light: NDArray[np.float64], floor_dn: float) -> NDArray[np.float64
 
 def average(frames: Sequence[Frame]) -> Image:
     """Mean of frames, in their pixel type; reduces noise and speckle."""
-    first = frames[0].image
-    total = np.zeros(first.shape, np.float64)
+    first_image = frames[0].image
+    total = np.zeros(first_image.shape, np.float64)
     for frame in frames:
         total += frame.image
     mean = np.rint(total / len(frames))
-    return mean.astype(np.uint8) if first.dtype == np.uint8 else mean.astype(np.uint16)
+    return mean.astype(np.uint8) if first_image.dtype == np.uint8 else mean.astype(np.uint16)
 
 
 def png_of(image: NDArray[Any], path: Path) -> bytes:

@@ -63,13 +63,13 @@ def _with_measured_drag(config: Configuration, file: CalibrationFile, path: Path
     """Fit settings with the drag of a calibration; raises ConfigurationError if another is stated."""
     settings = config.fit
     tree = {"camera": {"driver": config.camera.driver}, "fit": settings.model_dump() | file.values}
-    filled = validate_configuration(tree, str(path)).fit
-    if settings.drag_s is not None and settings != filled:
+    new_settings = validate_configuration(tree, str(path)).fit
+    if settings.drag_s is not None and settings != new_settings:
         raise ConfigurationError(
             f"fit.drag_s = {settings.drag_s:g} differs from the values in calibration.air = {str(path)!r}; "
             "leave one of them out"
         )
-    return filled
+    return new_settings
 
 
 def _section_values(file: CalibrationFile) -> dict[str, Any]:

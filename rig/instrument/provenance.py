@@ -98,7 +98,7 @@ def code_commit() -> str:
         return "unknown"
 
 
-def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> dict[str, dict[str, str]]:
+def session_metadata(config: Configuration, info: CameraInfo, frame: Frame) -> dict[str, dict[str, str]]:
     """Metadata of a record, by section: session, conditions, camera, software versions, shape of frames."""
     session = config.session
     environment = config.environment.model_dump(exclude_none=True)
@@ -117,7 +117,7 @@ def session_metadata(config: Configuration, info: CameraInfo, first: Frame) -> d
         },
         "environment": {key: f"{value:g}" for key, value in environment.items()},
         **camera_metadata(info),
-        "frame": {"width_px": str(first.image.shape[1]), "height_px": str(first.image.shape[0])},
+        "frame": {"width_px": str(frame.image.shape[1]), "height_px": str(frame.image.shape[0])},
         "versions": versions(),
     }
 

@@ -60,7 +60,7 @@ class CameraClock:
     largest_step_s: float = 0.0
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Whether the rate is known better than that of any quartz."""
         return self.u_drift_ppm <= _MAX_KNOWN_U_PPM
 
@@ -68,7 +68,7 @@ class CameraClock:
     def text(self) -> str:
         """Rate and steps in one line; empty where neither is known."""
         parts = []
-        if self.known:
+        if self.is_known:
             parts.append(f"{rate_text(self.drift_ppm, self.u_drift_ppm)} against the computer's")
         if self.steps:
             count = "once" if self.steps == 1 else f"{self.steps} times, at most"
@@ -231,25 +231,25 @@ class RunNow:
         clock: CameraClock = changes.get("clock", self.clock)
         match message:
             case RecordedPhase():
-                changed = {name: getattr(message, name) for name in message._fields[3:]}
+                values = {name: getattr(message, name) for name in message._fields[3:]}
                 phase = _PHASES.get(message.phase, Phase.WAITING)
-                return {**changed, "phase": phase, "elapsed_s": message.elapsed_s}
+                return {**values, "phase": phase, "elapsed_s": message.elapsed_s}
             case RecordedLight():
                 names = ("light", "interlock", "darkness")
-                changed = {name: getattr(message, name) for name in names}
-                return {**changed, "trip": message.trip_text, "controller": message.devices}
+                values = {name: getattr(message, name) for name in names}
+                return {**values, "trip": message.trip_text, "controller": message.devices}
             case RecordedHealth():
-                changed = message._asdict()
-                del changed["time_ns"], changed["half_cycles"]
-                drift_ppm, u_ppm = changed.pop("clock_drift_ppm"), changed.pop("u_clock_drift_ppm")
-                changed["clock"] = replace(clock, drift_ppm=drift_ppm, u_drift_ppm=u_ppm)
-                changed["queue_frames"] = changed.pop("waiting_frames")
-                return changed
+                values = message._asdict()
+                del values["time_ns"], values["half_cycles"]
+                drift_ppm, u_ppm = values.pop("clock_drift_ppm"), values.pop("u_clock_drift_ppm")
+                values["clock"] = replace(clock, drift_ppm=drift_ppm, u_drift_ppm=u_ppm)
+                values["queue_frames"] = values.pop("waiting_frames")
+                return values
             case RecordedLosses():
                 losses = FrameLosses(*message[1:])
                 # frames lost after the last one leave no gap in the numbers
-                dropped = max(changes.get("dropped_frames", self.dropped_frames), losses.total)
-                return {"losses": losses, "dropped_frames": dropped}
+                dropped_frames = max(changes.get("dropped_frames", self.dropped_frames), losses.total)
+                return {"losses": losses, "dropped_frames": dropped_frames}
             case Environment():
                 return dict(zip(message._fields[1:], message[1:], strict=True))
             case RecordedClockStep():

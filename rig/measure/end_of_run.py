@@ -110,7 +110,7 @@ class StopRequest:
         self._stream.close()
         if self._stream.failure is not None:
             self.failure = self.failure or self._stream.failure
-            self.reason = self.reason or self._stream.ended
+            self.reason = self.reason or self._stream.end_reason
 
 
 @dataclass(frozen=True, slots=True)

@@ -222,8 +222,8 @@ class Recording:
                 self._stop.request(reason)
             if reason is not None or (self._stop and self._stop.skip_waiting):
                 break
-        if stream.ended:
-            self._stop.request(stream.ended, None if stream.failure is None else EventKind.FAILED)
+        if stream.end_reason:
+            self._stop.request(stream.end_reason, None if stream.failure is None else EventKind.FAILED)
         return ""
 
     def _take_nothing(self) -> None:

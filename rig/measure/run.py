@@ -282,7 +282,7 @@ class MeasurementRun:
         if phases is not None:
             frames, events = phases.run(stream, self._prepare, self.stop)
             if not frames:
-                why = self.stop.reason or stream.ended or "stopped"
+                why = self.stop.reason or stream.end_reason or "stopped"
                 raise stream.failure or DataError(f"{why} before the run began; nothing was recorded")
             return frames, events
         while not (stream.drained or self.stop):

@@ -161,7 +161,7 @@ class RecordDrawer:
         """Draw messages on the session: phase, clock, estimates."""
         clock, drawing = self._now.clock, self._drawing
         for health in contents.messages_of_kind(RecordedHealth):
-            if clock.known and clock != before.clock:
+            if clock.is_known and clock != before.clock:
                 drawing.clock(self._run_s(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
         rows = contents.messages_of_kind(RecordedEstimate)
         for time_ns in dict.fromkeys(row.time_ns for row in rows):

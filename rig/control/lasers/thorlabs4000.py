@@ -49,14 +49,14 @@ class Thorlabs4000(DiodeController):
 
     def _read(self) -> LaserState:
         """Output, protections and measured current."""
-        tripped = [
+        trips = [
             name for key, name in _PROTECTIONS.items() if self.ask_flag(f"OUTPut:PROTection:{key}:TRIPped?")
         ]
         return LaserState(
             on=self.ask_flag("OUTPut:STATe?"),
-            interlock_closed="interlock" not in tripped,
+            interlock_closed="interlock" not in trips,
             current_a=self.ask_float("MEASure:CURRent?"),
-            fault=", ".join(trip for trip in tripped if trip != "interlock"),
+            fault=", ".join(trip for trip in trips if trip != "interlock"),
         )
 
     def _prepare(self) -> None:
@@ -83,7 +83,7 @@ class Thorlabs4000(DiodeController):
     def _command(self, command: str) -> None:
         self.tell(command)
         for _ in range(_MAX_ERRORS):
-            code, _, text = (part.strip() for part in self.ask("SYSTem:ERRor?").partition(","))
+            code, _, text = (field.strip() for field in self.ask("SYSTem:ERRor?").partition(","))
             if code.lstrip("+") == "0":
                 return
             # a question that LIGHT OFF of another program interrupted (-400 to -499) is no error of a command

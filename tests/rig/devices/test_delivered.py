@@ -148,7 +148,7 @@ def test_the_stream_ends_with_what_was_wrong() -> None:
     stream.close()
     assert taken == 20
     assert isinstance(stream.failure, DeviceError)
-    assert "frame 20 has 9 x 12 pixels" in stream.ended
+    assert "frame 20 has 9 x 12 pixels" in stream.end_reason
 
 
 INFO = CameraInfo("own", "Example", "Own", "1", 10, 12, 255, has_clock=True)
@@ -235,7 +235,7 @@ def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPat
     let_go.set()
     stream.close()
     assert taken == 6
-    assert "read() has not returned for" in stream.ended
+    assert "read() has not returned for" in stream.end_reason
     assert isinstance(stream.failure, DeviceError)
 
 

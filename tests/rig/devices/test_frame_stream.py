@@ -133,7 +133,7 @@ def test_a_first_read_that_never_returns_is_said(hanging: Hanging, monkeypatch: 
     stream = FrameStream(cast(Camera, hanging), CameraSettings(), timeout_s=0.3)
     with pytest.raises(DeviceError, match=r"read\(\) has not returned .* its driver hangs"):
         stream.begin()
-    assert "its driver hangs" in stream.ended
+    assert "its driver hangs" in stream.end_reason
 
 
 @pytest.mark.parametrize("policy", ["every", "wait"])
@@ -177,7 +177,7 @@ def test_losses_are_told_apart() -> None:
     camera.shape = (600, 600)  # 540 MB in all
     stream = scripted(camera)
     deadline_s = time.monotonic() + 30
-    while not stream.ended and time.monotonic() < deadline_s:
+    while not stream.end_reason and time.monotonic() < deadline_s:
         time.sleep(0.01)
     # nobody took the frames: the queue held what it could, the rest is ours to answer for
     kept = len(stream)
@@ -207,7 +207,7 @@ def test_a_stall_longer_than_the_timeout_ends_the_stream() -> None:
     stream.close()
     assert events[-1][0] == "camera silent"
     assert isinstance(stream.failure, FrameTimeout)
-    assert "stalled" in stream.ended
+    assert "stalled" in stream.end_reason
 
 
 @pytest.mark.parametrize("real_time", [True, False])
@@ -266,6 +266,6 @@ class EightTimesAsFast(ScriptedCamera):
 
 def test_a_stream_ends_at_a_camera_that_counts_in_another_unit() -> None:
     stream = scripted(EightTimesAsFast(frames=9000, silences=0))
-    assert wait_until(lambda: bool(stream.ended), 60.0)
+    assert wait_until(lambda: bool(stream.end_reason), 60.0)
     stream.close()
     assert "times as fast as the computer" in str(stream.failure)

@@ -71,7 +71,7 @@ class Run:
     def until(self, reached: Callable[[], bool]) -> None:
         deadline_s = time.monotonic() + WITHIN_S
         while not reached():
-            assert time.monotonic() < deadline_s, (self.kinds, self.stream.ended)
+            assert time.monotonic() < deadline_s, (self.kinds, self.stream.end_reason)
             self.frames += self.stream.take(64, 0.1)
             self.texts += self.stream.take_events()
             self.kinds = [kind for kind, _ in self.texts]
@@ -206,7 +206,7 @@ def test_one_that_is_there_and_stays_silent_is_opened_again_once() -> None:
     run.stream._timeout_s = 1.5
     run.until(lambda: run.stream.drained)
     run.close()
-    assert run.stream.ended == "no frame for 1.5 s: the camera has stalled"
+    assert run.stream.end_reason == "no frame for 1.5 s: the camera has stalled"
     assert run.kinds == ["camera silent", "camera lost", "camera silent"]
     assert run.camera.opened == 2
 
@@ -238,7 +238,7 @@ def test_frames_of_a_share_that_was_gone_go_on_where_they_were(tmp_path: Path) -
     gone = tmp_path / "gone"
     deadline_s = time.monotonic() + WITHIN_S
     while not stream.drained:
-        assert time.monotonic() < deadline_s, (kinds, stream.ended)
+        assert time.monotonic() < deadline_s, (kinds, stream.end_reason)
         frames += stream.take(8, 0.1)
         kinds += [kind for kind, _ in stream.take_events()]
         if len(frames) > 40 and not kinds and not gone.exists():
