@@ -29,7 +29,7 @@ _EVENT = re.compile(r"!(\S+)(?: (.*))?")
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """Reply to the command with this tag; `error_code` is 0 if it was executed."""
+    """Reply to the command with this tag; `error_code` is 0 if the command was executed."""
 
     tag: int
     values: str = ""
@@ -51,13 +51,9 @@ def checksum(body: bytes) -> int:
 
 
 def encode(tag: int, command: str) -> bytes:
-    """The line that sends a command.
+    """The line that sends a command; raises ValueError for a tag or a command that cannot be sent.
 
-    Raises
-    ------
-    ValueError
-        The tag is not within 1 to 65535; the command is not one line of printable ASCII, or contains ``#`` or
-        ``!``, which mark the beginning of a line.
+    A command is one line of printable ASCII without ``#`` and ``!``, which mark the beginning of a line.
     """
     if not 1 <= tag <= TAG_MAX:
         raise ValueError(f"tag {tag} is not within 1 to {TAG_MAX}")
@@ -259,16 +255,9 @@ class Link:
     def ask(self, command: str, timeout_s: float | None = None) -> str:
         """Send a command and return the values of its reply.
 
-        Raises
-        ------
-        ReplyTimeout
-            No valid reply within timeout_s, nor to the repetitions (each with the same timeout).
-        CommandRefused
-            The board rejected the command, or it contains characters that cannot be sent.
-        ControllerReset
-            The board was reset before or during the command.
-        PortLost
-            The line is no longer connected.
+        Raises `ReplyTimeout` without a valid reply within `timeout_s`, also to the repetitions;
+        `CommandRefused` if the board rejects the command, or it cannot be sent; `ControllerReset` if the
+        board was reset before or during it; `PortLost` if the line is not connected any more.
         """
         self._tag = self._tag % TAG_MAX + 1
         try:

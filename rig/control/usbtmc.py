@@ -74,14 +74,12 @@ class UsbTmcLine:
             # a second program would receive some of the answers
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._set_timeout(timeout_s)
-        except PermissionError as error:
-            self.close()
-            raise PortLost(
-                f"{path}: no permission; run rig doctor --install-udev, and plug the instrument in again"
-            ) from error
         except OSError as error:
             self.close()
-            raise PortLost(f"{path}: cannot open the instrument: {error.strerror or error}") from error
+            problem = f"cannot open the instrument: {error.strerror or error}"
+            if isinstance(error, PermissionError):
+                problem = "no permission; run rig doctor --install-udev, and plug the instrument in again"
+            raise PortLost(f"{path}: {problem}") from error
 
     @property
     def name(self) -> str:

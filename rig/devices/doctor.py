@@ -319,12 +319,8 @@ def as_root() -> str:
 def install_rules(folder: Path = RULES_FOLDER) -> tuple[Path, str]:
     """Write the file, replacing that of an earlier version; returns its path and the next instruction.
 
-    Raises
-    ------
-    ConfigurationError
-        This system has no udev, or no such folder.
-    DeviceError
-        Only root may write there, or it cannot be written.
+    Raises ConfigurationError where this system has no udev, or no such folder, and DeviceError where the file
+    cannot be written, or only by root.
     """
     if sys.platform != "linux":
         raise ConfigurationError("--install-udev: udev is a part of Linux; this system needs no such rules")

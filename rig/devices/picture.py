@@ -138,6 +138,8 @@ def find_exposure(
 ) -> Exposure:
     """Vary the exposure time until the peak is at `target` of full scale, within 3 % of it.
 
+    Raises DeviceError if the camera has no adjustable exposure time, or the target cannot be reached.
+
     Parameters
     ----------
     camera
@@ -146,11 +148,6 @@ def find_exposure(
         Settings that the camera has read back.
     on_frame
         Is called with every frame.
-
-    Raises
-    ------
-    DeviceError
-        The camera has no adjustable exposure time, or the target cannot be reached.
     """
     exposure_us = applied.exposure_us
     if exposure_us is None:
