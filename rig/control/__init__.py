@@ -6,12 +6,12 @@ from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, make_laser
 from rig.control.light_permit import NEEDS_REQUEST, Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import (
+    UDEV_BOARD,
+    UDEV_MATCHES,
     check_controller,
     check_environment,
     check_laser,
     list_serial_ports,
-    udev_board,
-    udev_matches,
 )
 from rig.control.presses import darken_directly
 from rig.control.protocol import ControllerReset, ControllerStatus, Trip

@@ -15,8 +15,7 @@ from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost, ReplyTimeout
 
 _REOPEN_INTERVAL_S = 1.0
-_MAX_POLL_INTERVAL_S = 0.5
-"""Longest time between two looks at the permit."""
+_POLL_INTERVAL_S = 0.5
 LONGEST_JOB_S = 2.0 * ON_WITHIN_S
 """Longest time of one command: switching on, with the delay of the safety class, and repeated queries."""
 
@@ -46,13 +45,11 @@ class LaserService(DeviceThread):
     def __init__(
         self,
         laser: SerialLaser,
-        period_s: float = 1.0,
         permit: LightPermit | None = None,
         *,
         has_own_interlock: bool = True,
     ) -> None:
         self._laser = laser
-        self._period_s = period_s
         self._permit = permit or LightPermit()
         self._has_own_interlock = has_own_interlock
         self._last_refusal = ""
@@ -111,7 +108,7 @@ class LaserService(DeviceThread):
         except DeviceError as error:
             self._lose(error)
             return _REOPEN_INTERVAL_S
-        return min(self._period_s, _MAX_POLL_INTERVAL_S)
+        return _POLL_INTERVAL_S
 
     def _switch_on(self, laser: SerialLaser, off_count: int) -> None:
         def off_reason() -> str:

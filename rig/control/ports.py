@@ -16,27 +16,19 @@ from rig.control.serial_port import ports_here
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.terminal import Verdict
 
-PICO_VENDOR = 0x2E8A
+_PICO_VENDOR = 0x2E8A
 """Raspberry Pi's USB vendor number, under which MicroPython presents the controller's board."""
-
-
-def udev_matches() -> dict[str, str]:
-    """Conditions of udev rules that match the device nodes, by kind of device."""
-    return {
-        "laser drivers that the kernel's usbtmc serves": (
-            f'SUBSYSTEM=="usbmisc", KERNEL=="usbtmc*", ATTRS{{idVendor}}=="{THORLABS_VENDOR:04x}"'
-        ),
-        "serial ports on USB: the controller's board, lasers, sensors": (
-            'SUBSYSTEM=="tty", KERNEL=="ttyACM[0-9]*|ttyUSB[0-9]*", SUBSYSTEMS=="usb"'
-        ),
-    }
-
-
-def udev_board() -> str:
-    """Condition of a udev rule that matches the controller's board itself."""
-    return f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{PICO_VENDOR:04x}"'
-
-
+UDEV_MATCHES = {
+    "laser drivers that the kernel's usbtmc serves": (
+        f'SUBSYSTEM=="usbmisc", KERNEL=="usbtmc*", ATTRS{{idVendor}}=="{THORLABS_VENDOR:04x}"'
+    ),
+    "serial ports on USB: the controller's board, lasers, sensors": (
+        'SUBSYSTEM=="tty", KERNEL=="ttyACM[0-9]*|ttyUSB[0-9]*", SUBSYSTEMS=="usb"'
+    ),
+}
+"""Conditions of udev rules that match the device nodes, by kind of device."""
+UDEV_BOARD = f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{_PICO_VENDOR:04x}"'
+"""Condition of a udev rule that matches the controller's board itself."""
 _SENSOR_TIMEOUT_S = 5.0
 _TRIP_ERRORS = range(101, 105)
 """Error codes of the board that report trips; its latch reports them in more detail."""

@@ -252,10 +252,10 @@ class Link:
         self._tag = secrets.randbelow(TAG_MAX)
         self._line.write(b"\n")
 
-    def ask(self, command: str, timeout_s: float | None = None) -> str:
+    def ask(self, command: str) -> str:
         """Send a command and return the values of its reply.
 
-        Raises `ReplyTimeout` without a valid reply within `timeout_s`, also to the repetitions;
+        Raises `ReplyTimeout` without a valid reply in time, also to the repetitions;
         `CommandRefused` if the board rejects the command, or it cannot be sent; `ControllerReset` if the
         board was reset before or during it; `PortLost` if the line is not connected any more.
         """
@@ -264,12 +264,11 @@ class Link:
             line = encode(self._tag, command)
         except ValueError as error:
             raise CommandRefused(f"{self._line.name}: {error}") from None
-        reply_timeout_s = self._timeout_s if timeout_s is None else timeout_s
         self._take_earlier_lines()
         send_count = 0
         for attempt in range(self._retries + 1):
             now_s = time.monotonic()
-            deadline_s = now_s + reply_timeout_s
+            deadline_s = now_s + self._timeout_s
             if attempt:
                 if now_s >= self.repeat_until_s:
                     break
@@ -291,7 +290,7 @@ class Link:
                 )
             return reply.values
         raise ReplyTimeout(
-            f"{self._line.name}: no reply to {command} within {reply_timeout_s:g} s,"
+            f"{self._line.name}: no reply to {command} within {self._timeout_s:g} s,"
             f" sent {send_count} time{'s' * (send_count > 1)}: {self.received_text};"
             " check port, cable, baud rate and that the controller runs"
         )

@@ -20,14 +20,14 @@ from acquisition.frames.losses import FrameLosses
 from processing.errors import ConfigurationError, DeviceError, RigError
 from processing.units import seconds
 from rig.control import (
+    UDEV_BOARD,
+    UDEV_MATCHES,
     ControllerSettings,
     LaserSettings,
     SafetyState,
     check_controller,
     check_environment,
     check_laser,
-    udev_board,
-    udev_matches,
 )
 from rig.devices.ground_seismometer import check_seismometer
 from rig.devices.lit_devices import LEFT_LIT
@@ -301,12 +301,12 @@ def udev_rules() -> str:
         "# USB3 Vision cameras of every make, also for pylon and libaravis",
         f'{UDEV_RULE}, GROUP="plugdev", {_RULE_ACCESS}',
     ]
-    for kind, match in udev_matches().items():
+    for kind, match in UDEV_MATCHES.items():
         group = "dialout" if "tty" in match else "plugdev"
         lines += [f"# {kind}", f'{match}, GROUP="{group}", {_RULE_ACCESS}']
     lines += [
         "# ModemManager writes to every new serial port: not to the board that switches the laser",
-        f'{udev_board()}, ENV{{ID_MM_DEVICE_IGNORE}}="1"',
+        f'{UDEV_BOARD}, ENV{{ID_MM_DEVICE_IGNORE}}="1"',
     ]
     return "\n".join(lines) + "\n"
 

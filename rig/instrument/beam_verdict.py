@@ -1,7 +1,7 @@
 """The verdict on the beam, by its spots and its shape."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
@@ -28,10 +28,7 @@ _MIDDLE_SIGMAS, _FLANK_SIGMAS = 0.5, 1.3
 """Distances from the centre within which the middle lies, and beyond which the flank lies."""
 
 
-class _Fault(NamedTuple):
-    ok: bool
-    reason: str
-    remedy: str
+_fault = partial(Verdict, NAME)
 
 
 def beam_quality(
@@ -80,7 +77,7 @@ def beam_quality(
         *_cuts(edge > limits.max_lost_fraction, is_cut, shape),
         *_bad_fit(poor > limits.max_poor_fit_fraction, chi2, model, noise_is_known=noise_is_known),
         *([] if is_cut else _other_shapes(shape)),
-        *([] if light is None else [_Fault(True, light.text, NO_STRAY_LIGHT)]),
+        *([] if light is None else [_fault(True, light.text, NO_STRAY_LIGHT)]),
     ]
     # the worst first; a fault of the shape is the likely cause of a bad fit
     faults.sort(key=lambda fault: fault.ok)
@@ -94,53 +91,53 @@ def beam_quality(
     )
 
 
-def _cuts(at_edge: bool, is_cut: bool, shape: BeamShape | None) -> list[_Fault]:
+def _cuts(at_edge: bool, is_cut: bool, shape: BeamShape | None) -> list[Verdict]:
     if at_edge:
         return [
-            _Fault(False, "the edge of the sensor cuts the spot", "move it to the middle: rig camera align")
+            _fault(False, "the edge of the sensor cuts the spot", "move it to the middle: rig camera align")
         ]
     remedy = "centre the beam in lens, mirrors and window; free its path"
     if is_cut:
         if shape is None:
-            return [_Fault(False, "something cuts it", remedy)]
+            return [_fault(False, "something cuts it", remedy)]
         reason = f"something cuts it: {percent(shape.departure)} of its peak are missing, at a sharp edge"
-        return [_Fault(shape.departure < _MAX_MISSING_LIGHT, reason, remedy)]
+        return [_fault(shape.departure < _MAX_MISSING_LIGHT, reason, remedy)]
     if shape is None or _is_ghost(shape):
         return []
     if shape.lopsided > _MAX_FLANK_RATIO:
         reason = f"something cuts it: one side falls {shape.lopsided:.1f} times as steeply as the other"
-        return [_Fault(False, reason, remedy)]
+        return [_fault(False, reason, remedy)]
     if not shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS and shape.departure > _MAX_DEPARTURE:
         reason = f"something cuts it: {percent(shape.departure)} are missing {shape.away_px:.0f} px off"
-        return [_Fault(shape.departure < _MAX_MISSING_LIGHT, reason, remedy)]
+        return [_fault(shape.departure < _MAX_MISSING_LIGHT, reason, remedy)]
     return []
 
 
-def _bad_fit(poor: bool, chi2: float, model: SpotModel | None, *, noise_is_known: bool) -> list[_Fault]:
+def _bad_fit(poor: bool, chi2: float, model: SpotModel | None, *, noise_is_known: bool) -> list[Verdict]:
     if not poor:
         return []
     if model is None:
         reason = "one Gaussian does not fit; its own profile is learned from the first frames of the run"
-        return [_Fault(True, reason, _CLEAN_OPTICS)]
+        return [_fault(True, reason, _CLEAN_OPTICS)]
     if not noise_is_known:
-        return [_Fault(chi2 < _MAX_CHI2, "no model fits to the assumed noise", "rig calibrate sensor")]
+        return [_fault(chi2 < _MAX_CHI2, "no model fits to the assumed noise", "rig calibrate sensor")]
     remedy = f"{_CLEAN_OPTICS}; let the laser warm up; rig calibrate sensor"
-    return [_Fault(chi2 < _MAX_CHI2, "no model fits", remedy)]
+    return [_fault(chi2 < _MAX_CHI2, "no model fits", remedy)]
 
 
-def _other_shapes(shape: BeamShape | None) -> list[_Fault]:
+def _other_shapes(shape: BeamShape | None) -> list[Verdict]:
     if shape is None or shape.departure <= _MAX_DEPARTURE:
         return []
     departure = percent(shape.departure)
     if _is_ghost(shape):
         reason = f"a second spot or ghost: {departure} more light {shape.away_px:.0f} px off"
-        return [_Fault(True, reason, "tilt or wedge what reflects twice: window, filter, cover glass")]
+        return [_fault(True, reason, "tilt or wedge what reflects twice: window, filter, cover glass")]
     if not shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS:
         return []
     if not shape.extra_light and shape.away_sigmas < _MIDDLE_SIGMAS:
         reason = f"hollow: {departure} of light are missing in its middle"
-        return [_Fault(True, reason, "one mode only: a spatial filter or fibre, clean lenses, less current")]
-    return [_Fault(True, f"ragged: {departure} off", _CLEAN_OPTICS)]
+        return [_fault(True, reason, "one mode only: a spatial filter or fibre, clean lenses, less current")]
+    return [_fault(True, f"ragged: {departure} off", _CLEAN_OPTICS)]
 
 
 def _is_ghost(shape: BeamShape) -> bool:

@@ -34,12 +34,12 @@ class TestService:
 
     @pytest.fixture
     def service(self, ports: Ports, instrument: FakeCobolt, permit: LightPermit) -> LaserService:
-        return LaserService(laser_for("cobolt", ports.plug_in(instrument)), period_s=0.2, permit=permit)
+        return LaserService(laser_for("cobolt", ports.plug_in(instrument)), permit=permit)
 
     def test_it_is_opened_dark_and_lit_when_asked(
         self, ports: Ports, service: LaserService, instrument: FakeCobolt
     ) -> None:
-        assert turn(service) == 0.2
+        assert turn(service) == 0.5
         assert service.take_events() == ("Cobolt 12345 open, dark",)
         assert service.snapshot.state is not None
         power, lit, too_much = service.set_power_w(0.01), service.enable(), service.set_power_w(1.0)
@@ -61,7 +61,7 @@ class TestService:
     ) -> None:
         """A disk that hangs then would hold up the thread that could switch the laser off."""
         instrument = FakeObis()
-        service = LaserService(laser_for("obis", ports.plug_in(instrument)), period_s=0.2, permit=permit)
+        service = LaserService(laser_for("obis", ports.plug_in(instrument)), permit=permit)
         lit_at_looks: list[bool] = []
         monkeypatch.setattr(permit, "look_for_presses", lambda: lit_at_looks.append(instrument.on))
         turn(service)
