@@ -59,14 +59,8 @@ class _Job:
 class DeviceThread(ABC):
     """Operates one device in one thread from `start` to `close`; a context manager.
 
-    It calls `_poll` regularly and does jobs in between, so that callers never wait for a device.
-
-    Parameters
-    ----------
-    name
-        Name of the thread, also used in messages.
-    longest_job_s
-        Longest duration of one job; `close` waits for this time so that the device can be left safe.
+    It calls `_poll` regularly and does jobs in between, so that callers never wait for a device. `name` is
+    also that of messages; `close` waits for `longest_job_s`, so that the device can be left safe.
     """
 
     def __init__(self, name: str, longest_job_s: float = 5.0) -> None:

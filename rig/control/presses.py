@@ -71,16 +71,17 @@ class Presses:
         """The newest press. Raises DeviceError for a file that cannot be read, as a press is then unknown."""
         try:
             descriptor = os.open(self.path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+            try:
+                content, stat = os.read(descriptor, _MAX_FILE_BYTES), os.fstat(descriptor)
+            finally:
+                os.close(descriptor)
         except FileNotFoundError:
             return Press("", f"{self.path} is gone, so whether LIGHT OFF was pressed is unknown")
         except OSError as error:
-            raise self._unreadable(error) from None
-        try:
-            content, stat = os.read(descriptor, _MAX_FILE_BYTES), os.fstat(descriptor)
-        except OSError as error:
-            raise self._unreadable(error) from None
-        finally:
-            os.close(descriptor)
+            raise DeviceError(
+                f"{self.path}: cannot be read: {error.strerror or error}; "
+                "whether LIGHT OFF was pressed is unknown"
+            ) from None
         mark = f"{stat.st_mtime_ns} {hashlib.sha256(content).hexdigest()[:16]}"
         try:
             return Press(mark, f"LIGHT OFF was pressed at {_PressFile.model_validate_json(content).who}")
@@ -91,12 +92,6 @@ class Presses:
         with suppress(OSError, ValidationError):
             return _PressFile.model_validate_json(self.path.read_bytes()).number
         return 0
-
-    def _unreadable(self, error: OSError) -> DeviceError:
-        return DeviceError(
-            f"{self.path}: cannot be read: {error.strerror or error}; "
-            "whether LIGHT OFF was pressed is unknown"
-        )
 
 
 def darken_directly(laser: LaserSettings, controller: ControllerSettings) -> list[str]:

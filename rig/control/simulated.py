@@ -33,17 +33,9 @@ def simulated_controller(
 class SimulatedBoard:
     """The simulated board, whose thread runs the firmware's loop while a line is open or a session lasts.
 
-    The watchdog therefore acts as on the real board when the heartbeats stop.
-
-    Parameters
-    ----------
-    inputs
-        The rig that the board's pins move; None if they are not connected.
-    laser
-        Called from the board's thread, instead of the rig's, with the optical power in W, 0.0 when off; it
-        must return immediately.
-    interlock_closed
-        State of the interlock loop.
+    The watchdog therefore acts as on the real board when the heartbeats stop. The board's pins move the rig
+    of `inputs`; with None they are not connected. `laser`, if given, is called instead of that rig's laser,
+    from the board's thread and with the optical power in W (0.0 when off); it must return immediately.
     """
 
     fault = ""

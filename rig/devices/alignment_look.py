@@ -234,15 +234,10 @@ Picture = NDArray[np.uint8]
 
 
 def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom: float = 1.0) -> Picture:
-    """Picture of the frame, or of its part around the spot, fitted into a size; RGB (height, width, 3).
+    """Picture (ny, nx, 3) in RGB of the frame, or of its part around the spot, fitted into a size.
 
-    Saturated pixels stay visible however much the frame is reduced. `zoom` is the ratio of the frame to its
-    shown part, which is centred on the spot, or on the crosshair without a spot.
-
-    Returns
-    -------
-    array
-        At most (height_px, width_px, 3), with the part's own ratio of sides.
+    Its sides keep their ratio. Saturated pixels stay visible however much the frame is reduced. `zoom` is the
+    ratio of the frame to its shown part, which is centred on the spot, or on the crosshair without a spot.
     """
     left, top, region_width, region_height = _shown_region(look, zoom)
     region = look.image[top : top + region_height, left : left + region_width]

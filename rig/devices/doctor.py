@@ -181,7 +181,7 @@ def check_frames(
     ----------
     arrivals
         Number of each frame, and the host's clock when it arrived, in ns.
-    asked_hz
+    requested_hz
         The requested rate; None if there is none, or if a trigger starts the exposures.
     on_demand
         Frames are made when they are read, and have no rate.
