@@ -58,7 +58,7 @@ class LaserReport:
 
 
 class Loop(StrEnum):
-    """State of all readable interlock loops together: open if one of them is."""
+    """State of all readable interlock loops together: open if one of them is, unknown if one is not known."""
 
     CLOSED = "closed"
     OPEN = "open"

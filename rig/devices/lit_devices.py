@@ -409,16 +409,21 @@ class LitDevices:
             state = self.laser.snapshot.state
             if state is not None:
                 loops.append((state.interlock_closed, age_s(self.laser.snapshot.state_time_ns)))
-        oldest_s = max((loop_age_s for _, loop_age_s in loops), default=math.inf)
-        loop = Loop.CLOSED if all(closed for closed, _ in loops) else Loop.OPEN
+        interlock = Loop.CLOSED
+        interlock_age_s = max((loop_age_s for _, loop_age_s in loops), default=math.inf)
+        open_age_s = min((loop_age_s for closed, loop_age_s in loops if not closed), default=math.inf)
+        if open_age_s <= STALE_S:
+            interlock, interlock_age_s = Loop.OPEN, open_age_s
+        elif interlock_age_s > STALE_S:
+            interlock = Loop.UNKNOWN
         return SafetyNow(
             trip=self.permit.latched,
             refusal=self.permit.refusal or self.state.problem,
             light=Light.DISAGREES if spot.contradicts else laser.light,
             # the age of a device's state is infinite while the device is silent
             light_age_s=math.inf if laser.light in _SILENT_STATES else laser.age_s,
-            interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
-            interlock_age_s=oldest_s,
+            interlock=interlock,
+            interlock_age_s=interlock_age_s,
             spot_visible=spot.visible if spot.age_s <= STALE_S else None,
             spot_age_s=spot.age_s,
             needs_request=self.permit.needs_request,

@@ -1,16 +1,32 @@
 """States of laser and controller are values on the way to preflight and desk; their texts decide nothing."""
 
 import json
+import time
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from rig.control import ControlState, LaserReport, LatchedTrip, Light, SafetyNow, Trip, TripCause
+from rig.control import (
+    ControlState,
+    LaserReport,
+    LaserState,
+    LatchedTrip,
+    Light,
+    Loop,
+    SafetyNow,
+    Trip,
+    TripCause,
+)
+from rig.control.laser_service import LaserSnapshot
 from rig.control.protocol import ControllerStatus, Latch
+from rig.control.service import ControlSnapshot
 from rig.desk.following import Following
+from rig.devices.lit_devices import LitDevices
 from rig.measure.preflight import frame_checks
+from rig.settings import validate_configuration
 from rig.terminal import plain_values
 
 
@@ -60,3 +76,29 @@ def test_what_people_read_of_them() -> None:
     assert SafetyNow(controller=ControlState.LOST).devices_text == "lost"
     lit = replace(opened(magnet_on=True, interlock_closed=False), laser=LaserReport(Light.ON))
     assert lit.devices_text == "laser on, magnet, INTERLOCK OPEN"
+
+
+@pytest.mark.parametrize(
+    ("board_closed", "laser_age_s", "loop"),
+    [
+        (True, 0.1, Loop.CLOSED),
+        (False, 0.1, Loop.OPEN),
+        (True, 9.0, Loop.UNKNOWN),
+        # a laser that is being switched on reports nothing meanwhile
+        (False, 9.0, Loop.OPEN),
+    ],
+)
+def test_an_open_loop_is_open_whatever_is_known_of_the_other(
+    board_closed: bool, laser_age_s: float, loop: Loop
+) -> None:
+    tree = {
+        "camera": {"driver": "simulated"},
+        "controller": {"kind": "serial", "port": "x"},
+        "laser": {"kind": "cobolt", "port": "y"},
+    }
+    devices: Any = LitDevices(validate_configuration(tree, "test"), None, "test")
+    board, now_ns = status(interlock_closed=board_closed), time.monotonic_ns()
+    laser_ns = now_ns - round(1e9 * laser_age_s)
+    devices.control = SimpleNamespace(snapshot=ControlSnapshot(ControlState.OPEN, None, board, now_ns))
+    devices.laser = SimpleNamespace(snapshot=LaserSnapshot(None, LaserState(False, True), laser_ns))
+    assert devices.safety().interlock is loop
