@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from processing.errors import DeviceError
 from rig.control.device_thread import DeviceThread
-from rig.control.lasers.serial_laser import ON_WITHIN_S, LaserIdentity, LaserState, SerialLaser
+from rig.control.lasers.serial_laser import ON_WITHIN_S, LaserState, SerialLaser
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost, ReplyTimeout
@@ -26,7 +26,6 @@ T = TypeVar("T")
 class LaserSnapshot:
     """What is known of the laser now."""
 
-    identity: LaserIdentity | None = None
     state: LaserState | None = None
     """Latest state; None while the laser does not answer."""
     state_time_ns: int = 0
@@ -99,10 +98,8 @@ class LaserService(DeviceThread):
             if not self._is_open:
                 identity = self._laser.open()
                 self._is_open = True
-                self._snapshot = replace(self._snapshot, identity=identity, last_error="")
-                self._report(
-                    f"{identity.vendor} {identity.model} {identity.serial} open, dark".replace("  ", " ")
-                )
+                self._snapshot = replace(self._snapshot, last_error="")
+                self._report(f"{identity.text} open, dark")
             self._obey_permit()
             self._read()
         except DeviceError as error:

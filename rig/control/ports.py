@@ -147,7 +147,7 @@ def check_laser(settings: LaserSettings) -> tuple[Verdict, ...]:
     finally:
         laser.close()
     checks = [
-        Verdict("laser", True, f"{identity.vendor} {identity.model} {identity.serial}".replace("  ", " ")),
+        Verdict("laser", True, identity.text),
         *_interlock_verdicts(settings, state.interlock_closed),
     ]
     if state.fault:

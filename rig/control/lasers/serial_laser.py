@@ -39,6 +39,11 @@ class LaserIdentity:
     model: str
     serial: str
 
+    @property
+    def text(self) -> str:
+        """The identity in words; a family without models has an empty one."""
+        return " ".join(filter(None, (self.vendor, self.model, self.serial)))
+
 
 @dataclass(frozen=True, slots=True)
 class LaserState:

@@ -100,5 +100,5 @@ def test_an_open_loop_is_open_whatever_is_known_of_the_other(
     board, now_ns = status(interlock_closed=board_closed), time.monotonic_ns()
     laser_ns = now_ns - round(1e9 * laser_age_s)
     devices.control = SimpleNamespace(snapshot=ControlSnapshot(ControlState.OPEN, None, board, now_ns))
-    devices.laser = SimpleNamespace(snapshot=LaserSnapshot(None, LaserState(False, True), laser_ns))
+    devices.laser = SimpleNamespace(snapshot=LaserSnapshot(LaserState(False, True), laser_ns))
     assert devices.safety().interlock is loop
