@@ -206,10 +206,6 @@ class Controller:
         """Apply or release the brake; the board releases it itself after its longest time."""
         self._ask(f"BRAK {'ON' if on else 'OFF'}")
 
-    def safe(self) -> None:
-        """Put every output into its safe state."""
-        self._ask("SYST:SAFE")
-
     def next_error(self) -> tuple[int, str]:
         """Oldest entry of the board's error queue, (0, "No error") when it is empty."""
         reply = self._ask("SYST:ERR?")

@@ -68,7 +68,6 @@ class ControlSnapshot:
     """Host monotonic time at which `status` was received."""
     environment: AmbientReading = _NO_READING
     """Reading of the board's sensor; NaN before the first, and while the controller is lost."""
-    reconnects: int = 0
     last_error: str = ""
 
 
@@ -102,7 +101,6 @@ class ControlService(DeviceThread):
         self._sensor_silent = False
         self._snapshot = ControlSnapshot()
         self._is_open = False
-        self._was_open = False
         self._known_latch: Latch | None = None
         self._was_reset = False
         self._interlock_closed: bool | None = None
@@ -136,7 +134,7 @@ class ControlService(DeviceThread):
     def laser_on(self) -> "Future[None]":
         """Switch the laser on, unless the interlock is open or `permit` refuses.
 
-        A `laser_off` or `safe` that is called later but carried out earlier makes it invalid.
+        A `laser_off` that is called later but carried out earlier makes it invalid.
         """
         off_count = self._off_count
         return self.submit(lambda controller: self._switch_on(controller, off_count))
@@ -152,11 +150,6 @@ class ControlService(DeviceThread):
     def set_laser_power_w(self, power_w: float) -> "Future[None]":
         """Set the laser's power within its limits."""
         return self.submit(lambda controller: controller.set_laser_power_w(power_w))
-
-    def safe(self) -> "Future[None]":
-        """Put every output into its safe state, before all waiting commands; it has no time limit."""
-        self._off_count += 1
-        return self.submit(Controller.safe, math.inf, urgent=True)
 
     def acknowledge(self) -> "Future[None]":
         """Clear the latch that the board reported last, which a person has acknowledged; no later one."""
@@ -184,11 +177,7 @@ class ControlService(DeviceThread):
         self._is_open = True
         self._lit_at_off_count = -1
         self._note_status(time.monotonic())
-        reconnects = self._snapshot.reconnects + self._was_open
-        self._was_open = True
-        self._snapshot = replace(
-            self._snapshot, state=ControlState.OPEN, identity=identity, reconnects=reconnects, last_error=""
-        )
+        self._snapshot = replace(self._snapshot, state=ControlState.OPEN, identity=identity, last_error="")
         self._report(f"{identity.serial} is connected, firmware {identity.firmware}")
         if (latch := self._controller.earlier_latch) is not None:
             self._permit.latch_found(TripCause(latch.cause), _TRIP_REASONS[latch.cause])

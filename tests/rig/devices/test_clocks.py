@@ -45,9 +45,9 @@ def test_the_rate_is_known_within_its_uncertainty_ever_more_closely(drift_ppm: f
     for seed in range(2):
         found = read(frames(120.0, drift_ppm, seed=seed), size=25)
         last = found[-1]
-        assert last.known
+        assert last.is_known
         off.append((last.drift_ppm - drift_ppm) / last.u_drift_ppm)
-        wide.append([one.u_drift_ppm for one in found if one.known][:: len(found) // 2])
+        wide.append([one.u_drift_ppm for one in found if one.is_known][:: len(found) // 2])
     assert np.sqrt(np.mean(np.square(off))) < 1.8
     assert all(each[0] > 3.0 * each[-1] for each in wide)
 
@@ -65,7 +65,7 @@ def test_steps_are_counted_with_the_largest() -> None:
 def test_a_camera_without_a_clock_has_no_rate_and_few_frames_tell_none() -> None:
     assert read(frames(60.0, 0.0, clock=False))[-1].text == ""
     early = read(frames(3.5, 0.0), size=40)[-1]
-    assert (early.known, early.steps, early.largest_step_s, early.text) == (False, 0, 0.0, "")
+    assert (early.is_known, early.steps, early.largest_step_s, early.text) == (False, 0, 0.0, "")
 
 
 def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: pytest.MonkeyPatch) -> None:

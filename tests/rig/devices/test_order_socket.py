@@ -220,7 +220,7 @@ def test_another_program_at_the_port_of_a_killed_session_is_no_session(
         stated = {"port": another.server_address[1], "key": "00ff", "pid": ended.pid}
         (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps(stated))
         with OrderConnection(tmp_path / "killed") as line, monkeypatch.context() as impatient:
-            impatient.setattr("rig.devices.order_line._ANSWER_S", 0.5)
+            impatient.setattr("rig.devices.order_line._MAX_ANSWER_S", 0.5)
             for ask in (line.beat, lambda: line.order("dark")):
                 with pytest.raises(NoSession, match="another program answers"):
                     ask()
