@@ -91,7 +91,7 @@ class LaserService(DeviceThread):
     def _submit(
         self, call: Callable[[SerialLaser], T], timeout_s: float = 5.0, urgent: bool = False
     ) -> "Future[T]":
-        return self._queue(lambda: self._guarded(call), timeout_s, urgent)
+        return self._queue(lambda: self._run_job(call), timeout_s, urgent)
 
     def _poll(self) -> float:
         try:
@@ -160,7 +160,7 @@ class LaserService(DeviceThread):
         if state.fault and (previous is None or previous.fault != state.fault):
             self._report(state.fault)
 
-    def _guarded(self, call: Callable[[SerialLaser], T]) -> T:
+    def _run_job(self, call: Callable[[SerialLaser], T]) -> T:
         if not self._is_open:
             raise PortLost(self._snapshot.last_error or "the laser is not open")
         try:

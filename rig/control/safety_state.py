@@ -129,7 +129,7 @@ class SafetyState:
     def __init__(self, path: Path | None = None, who: str = "") -> None:
         self.path = path
         self._who = who
-        self._stored = _SafetyFile()
+        self._state = _SafetyFile()
         self._state_lock, self._file_lock, self._press_lock = (threading.Lock() for _ in range(3))
         self._pending_writes: set[futures.Future[None]] = set()
         self._lock_file: IO[bytes] | None = None
@@ -173,19 +173,19 @@ class SafetyState:
         if self.path is None:
             return
         try:
-            stored = _SafetyFile.model_validate_json(self.path.read_bytes())
+            state = _SafetyFile.model_validate_json(self.path.read_bytes())
         except FileNotFoundError:
             # a program that has held the rig wrote the state before it noted itself in the lock
             was_held = False
             with suppress(OSError):
                 was_held = self.path.with_suffix(".lock").stat().st_size > 0
             new = f"nothing is known of its light: it is new here, or its state was deleted ({self.path})"
-            self._stored = _unknown_state(f"{self.path} is gone, {_UNKNOWN}" if was_held else new)
+            self._state = _unknown_state(f"{self.path} is gone, {_UNKNOWN}" if was_held else new)
         except (OSError, ValidationError):
-            self._stored = _unknown_state(f"{self.path} cannot be read, {_UNKNOWN}")
+            self._state = _unknown_state(f"{self.path} cannot be read, {_UNKNOWN}")
         else:
-            text = f"{self.path} is of schema {stored.schema_number}, and schema {_SCHEMA} is read"
-            self._stored = stored if stored.schema_number == _SCHEMA else _unknown_state(text)
+            text = f"{self.path} is of schema {state.schema_number}, and schema {_SCHEMA} is read"
+            self._state = state if state.schema_number == _SCHEMA else _unknown_state(text)
         self._look_for_press()
 
     def _look_for_press(self) -> None:
@@ -199,7 +199,7 @@ class SafetyState:
             self._mark, self._new_press = f"unknown: {error}", str(error)
             return
         self._mark = press.mark
-        self._new_press = "" if press.mark == self._stored.press else press.why
+        self._new_press = "" if press.mark == self._state.press else press.why
 
     def take_press(self, lit: bool) -> LatchedTrip | None:
         """Latch a press of LIGHT OFF that is no trip yet; None without one.
@@ -209,12 +209,12 @@ class SafetyState:
         """
         with self._press_lock:
             self._look_for_press()
-            why, mark, stored = self._new_press, self._mark, self._stored
-            if not why or (stored.latched is not None and stored.press == mark):
+            why, mark, state = self._new_press, self._mark, self._state
+            if not why or (state.latched is not None and state.press == mark):
                 self._new_press = ""
                 return None
-            latched = stored.latched or _LatchEntry(cause=TripCause.PERSON, why=why, lit=lit)
-            self._change(press=mark, number=stored.number + (stored.latched is None), latched=latched)
+            latched = state.latched or _LatchEntry(cause=TripCause.PERSON, why=why, lit=lit)
+            self._change(press=mark, number=state.number + (state.latched is None), latched=latched)
             self._new_press = ""
             self._write_in_time()
             return self.trip
@@ -222,12 +222,12 @@ class SafetyState:
     @property
     def trip(self) -> LatchedTrip | None:
         """The latched trip, or that of a press that is not latched yet; None without either."""
-        stored = self._stored
-        if stored.latched is None:
+        state = self._state
+        if state.latched is None:
             if not (why := self._new_press):
                 return None
-            return LatchedTrip(stored.number + 1, TripCause.PERSON, why, stored.lit)
-        return LatchedTrip(stored.number, stored.latched.cause, stored.latched.why, stored.latched.lit)
+            return LatchedTrip(state.number + 1, TripCause.PERSON, why, state.lit)
+        return LatchedTrip(state.number, state.latched.cause, state.latched.why, state.latched.lit)
 
     def latch(self, cause: TripCause, why: str, lit: bool) -> LatchedTrip:
         """Latch a cause; the number grows, also if another trip is latched already.
@@ -238,11 +238,11 @@ class SafetyState:
         as a press, which needs no space on the disk, and `keep` tries again.
         """
         with self._state_lock:
-            earlier, number = self._stored.latched, self._stored.number + 1
+            earlier, number = self._state.latched, self._state.number + 1
             if earlier is not None and earlier.cause is TripCause.PERSON:
                 why = f"{why}; {earlier.why}"
             latched = _LatchEntry(cause=cause, why=why, lit=lit)
-            self._stored = self._stored.model_copy(update={"number": number, "latched": latched})
+            self._state = self._state.model_copy(update={"number": number, "latched": latched})
         self._write_in_time()
         return LatchedTrip(number, cause, why, lit)
 
@@ -253,16 +253,16 @@ class SafetyState:
         """
         with self._file_lock:
             with self._state_lock:
-                trip, mark, stored = self.trip, self._mark, self._stored
+                trip, mark, state = self.trip, self._mark, self._state
             if trip is None or trip.number != number:
                 latched = "nothing is latched" if trip is None else f"latched is {trip.text}"
                 raise DeviceError(f"trip {number} cannot be acknowledged: {latched}")
-            cleared = {"number": number, "latched": None, "press": mark}
-            self._write(stored.model_copy(update=cleared))
+            changes = {"number": number, "latched": None, "press": mark}
+            self._write(state.model_copy(update=changes))
             with self._state_lock:
                 newest = self.trip
                 if newest == trip:
-                    self._stored = self._stored.model_copy(update=cleared)
+                    self._state = self._state.model_copy(update=changes)
                     if self._mark == mark:
                         self._new_press = ""
                     return
@@ -272,7 +272,7 @@ class SafetyState:
     @property
     def left_lit(self) -> bool:
         """Whether a program has lit the laser and has not confirmed since that the light is off."""
-        return self._stored.lit
+        return self._state.lit
 
     def lit(self, lit: bool) -> None:
         """Note that the light is on, or certainly off again; raises DeviceError if that cannot be written.
@@ -280,9 +280,9 @@ class SafetyState:
         "On" is written each time, because where nothing can be written, a trip would be forgotten. It stays
         noted after a program that was killed, or whose last trip could not be written.
         """
-        if lit or lit != self._stored.lit:
+        if lit or lit != self._state.lit:
             with self._file_lock:
-                self._write(self._stored.model_copy(update={"lit": lit}))
+                self._write(self._state.model_copy(update={"lit": lit}))
                 self._change(lit=lit)
 
     def keep(self) -> None:
@@ -294,12 +294,12 @@ class SafetyState:
     def _change(self, **changes: object) -> None:
         """Change the state in memory, where it holds from now on."""
         with self._state_lock:
-            self._stored = self._stored.model_copy(update=changes)
+            self._state = self._state.model_copy(update=changes)
 
     def _write_state(self) -> None:
         """Write the state as it is in memory; DeviceError where that fails."""
         with self._file_lock:
-            self._write(self._stored)
+            self._write(self._state)
 
     def _write_in_time(self) -> None:
         """Write the state, in a thread; DeviceError where that fails, or has not ended after 0.2 s."""
@@ -324,12 +324,12 @@ class SafetyState:
             self.problem = f"{self.path}: the rig's state is not written yet: the disk hangs"
             raise DeviceError(self.problem) from None
 
-    def _write(self, stored: _SafetyFile) -> None:
+    def _write(self, state: _SafetyFile) -> None:
         if self.path is not None:
             try:
                 # the folder may have been removed meanwhile
                 self.path.parent.mkdir(parents=True, exist_ok=True)
-                atomic_write.replace(self.path, stored.model_dump_json(indent=1).encode())
+                atomic_write.replace(self.path, state.model_dump_json(indent=1).encode())
             except OSError as error:
                 self.problem = f"{self.path}: the rig's state cannot be written: {error.strerror or error}"
                 raise DeviceError(self.problem) from None

@@ -129,7 +129,7 @@ class ControlService(DeviceThread):
         self, call: Callable[[Controller], T], timeout_s: float = 2.0, urgent: bool = False
     ) -> "Future[T]":
         """Queue any call on the controller, such as ``lambda controller: controller.brake(True)``."""
-        return self._queue(lambda: self._guarded(call), timeout_s, urgent)
+        return self._queue(lambda: self._run_job(call), timeout_s, urgent)
 
     def laser_on(self) -> "Future[None]":
         """Switch the laser on, unless the interlock is open or `permit` refuses.
@@ -265,7 +265,7 @@ class ControlService(DeviceThread):
             latch_cause = self._permit.latch_found if is_first else self._permit.trip
             latch_cause(TripCause(cause), _TRIP_REASONS[cause])
 
-    def _guarded(self, call: Callable[[Controller], T]) -> T:
+    def _run_job(self, call: Callable[[Controller], T]) -> T:
         if not self._is_open:
             raise PortLost(
                 self._snapshot.last_error or f"{self._controller.name}: the controller is not open"

@@ -133,7 +133,7 @@ class LightWatch:
         self._devices = devices
         self._dark_since_s: float | None = None
         self._last_confirmed: tuple[Light, float] | None = None
-        self._dark_confirmed = False
+        self._is_confirmed = False
         self._reported_trip = 0
         self.alarm = ""
         """The reason why the laser is dark, or what is known of one that does not answer; empty while lit."""
@@ -164,7 +164,7 @@ class LightWatch:
             self._dark_since_s = now_s
             return []
         confirmed = devices.confirmed_dark
-        if now_s - since_s < _MIN_DARK_S or (self.alarm and confirmed <= self._dark_confirmed):
+        if now_s - since_s < _MIN_DARK_S or (self.alarm and confirmed <= self._is_confirmed):
             return []
         kind, claim = EventKind.LASER_DARK, "the laser is dark"
         if not confirmed:
@@ -176,7 +176,7 @@ class LightWatch:
             devices.audit(AuditEntry.DARK, reason)
         else:
             devices.note_unexpected_dark(reason)
-        self.alarm, self._dark_confirmed = f"{claim}: {reason}", confirmed
+        self.alarm, self._is_confirmed = f"{claim}: {reason}", confirmed
         return [(kind, reason)]
 
     def _last_confirmed_text(self, now_s: float) -> str:

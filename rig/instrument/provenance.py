@@ -79,10 +79,10 @@ def code_commit() -> str:
 
     A checkout whose files differ from the commit gets the addition "changed".
     """
-    words = ["describe", "--always", "--abbrev=40", "--dirty=, changed", "--exclude=*"]
+    arguments = ["describe", "--always", "--abbrev=40", "--dirty=, changed", "--exclude=*"]
     try:
         git = subprocess.run(
-            ["git", "-C", str(_ROOT), *words],
+            ["git", "-C", str(_ROOT), *arguments],
             capture_output=True,
             text=True,
             encoding="utf-8",

@@ -207,7 +207,7 @@ class RunNow:
         light_fields = ("light", "interlock", "trip", "darkness", "controller", "alarm")
         return RunNow(**{name: getattr(self, name) for name in (*rig_fields, *light_fields)})
 
-    def after(self, contents: RecordContents, unit: DeflectionUnit) -> "RunNow":
+    def with_contents(self, contents: RecordContents, unit: DeflectionUnit) -> "RunNow":
         """The state after a piece of the record; deflections are in `unit`."""
         changes: dict[str, Any] = {}
         for message in contents.messages:

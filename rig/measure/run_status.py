@@ -95,14 +95,15 @@ class RunStatus:
         air = Environment(phase.time_ns, *self._devices.environment())
         messages: list[TimedMessage] = [phase, _light(self._devices), air]
         self.now = replace(
-            self.now.after(RecordContents(messages=messages), self._unit), alarm=self.light.alarm
+            self.now.with_contents(RecordContents(messages=messages), self._unit), alarm=self.light.alarm
         )
         if phase.instruction and phase.instruction != instruction_before:
             self._instructions.append(self.now)
 
     def tell(self, recorded: RecordContents) -> None:
         """Update the state by what was recorded, and pass that on to the watchers."""
-        self.now = self._guard.call("the state of the run", self.now, self.now.after, recorded, self._unit)
+        name, update = "the state of the run", self.now.with_contents
+        self.now = self._guard.call(name, self.now, update, recorded, self._unit)
         for watcher in self._watchers:
             self._guard.call(f"watcher {type(watcher).__name__}", None, watcher.take, recorded)
 

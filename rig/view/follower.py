@@ -99,7 +99,7 @@ class RecordDrawer:
     def _draw(self, piece: Piece) -> None:
         reader, drawing = self._reader, self._drawing
         contents = piece_contents(reader, piece, self._start_ns or 0, self._last_ns)
-        before, self._now = self._now, self._now.after(contents, reader.deflection_unit)
+        before, self._now = self._now, self._now.with_contents(contents, reader.deflection_unit)
         # balances first: their lines separate the samples of the same piece
         self._draw_balances(contents.balances)
         for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):

@@ -78,7 +78,7 @@ def read_again(record: Path) -> RunNow:
     with RecordReader(record) as reader:
         times_ns = reader.spots()["time_ns"]
         for piece in reader.unread():
-            now = now.after(
+            now = now.with_contents(
                 piece_contents(reader, piece, int(times_ns[0]), int(times_ns[-1])), reader.deflection_unit
             )
     return now

@@ -93,7 +93,7 @@ def test_steps_of_a_clock_are_counted_and_the_largest_is_said() -> None:
     now = RunNow()
     for step_ns in (20_000_000, -130_000_000, 4_000_000):
         step = RecordedClockStep(1, step_ns, 1000)
-        now = now.after(RecordContents(messages=[step]), DeflectionUnit.RAD)
+        now = now.with_contents(RecordContents(messages=[step]), DeflectionUnit.RAD)
     assert now.clock == CameraClock(steps=3, largest_step_s=-0.13)
 
 
