@@ -117,7 +117,7 @@ def test_a_draught_that_pushes_the_swing_is_an_event_whenever_it_comes() -> None
             delay_s = late * 3.0 * np.sin(phase) / 85.0 * period_s / (2 * np.pi)
             time_ns = round((index * period_s / 2 + delay_s) * 1e9)
             swing = HalfCycle(index, time_ns, 1e-4, amplitude * ARCSEC_RAD, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
-            found += events.take(half_cycle(index, 0.0, 0.0)._replace(swings=[swing], spots=[]))
+            found += events.take(half_cycle(index, 0.0, 0.0)._replace(half_cycles=[swing], spots=[]))
         (event,) = found
         assert event.kind == EventKind.PUSH
         assert float(event.text.split()[5]) == pytest.approx(3.0, abs=0.2)
