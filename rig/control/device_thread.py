@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from acquisition.frames.queue import taken_from
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
@@ -102,10 +103,7 @@ class DeviceThread(ABC):
 
         Never blocks. Only one thread may call it.
         """
-        events = []
-        while self._events:
-            events.append(self._events.popleft())
-        return tuple(events)
+        return tuple(taken_from(self._events))
 
     def _report(self, text: str) -> None:
         _log.info("%s: %s", self.name, text)

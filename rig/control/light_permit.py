@@ -125,6 +125,7 @@ class Interlock(StrEnum):
 
     @property
     def text(self) -> str:
+        """The interlock in words."""
         return f"the {self.value}'s interlock"
 
     @property
@@ -155,6 +156,7 @@ class LightPermit:
     The devices' threads read `refusal` before each heartbeat, and `refusal_to_light` immediately before they
     light a laser. The stages report their progress; camera and processing are watched from `begin` on, the
     recorder from its first report until `note_end`.
+
     All methods may be called from any thread; all but `trip` and `look_for_presses`, which write the rig's
     file, only set plain values. `on_trip` is called with each trip, and whether it happened now, in the
     thread that detected it.
