@@ -4,7 +4,7 @@ from processing.estimate import FitMethod
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, identifiability
 from processing.fit.discrepancy import with_changes, with_discrepancy
-from processing.fit.drag import Drag, DragFinding, drag_verdict
+from processing.fit.drag import Drag, DragFinding, MeasuredAir, VanedRun, air_of_vanes, drag_verdict
 from processing.fit.effects import (
     DRIFTS,
     PositionErrorFit,
@@ -64,5 +64,4 @@ from processing.fit.result import (
 from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismometer
 from processing.fit.terms import LinearisedFit, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
-from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
 from processing.quantity import DerivedQuantity

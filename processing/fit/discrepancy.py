@@ -17,6 +17,7 @@ from processing.fit.effects import loss_shares
 from processing.fit.exact_model import DiscrepancyColumns
 from processing.fit.ground import Noise
 from processing.fit.result import (
+    CLEAR_CHANGE_GAIN,
     DISCREPANCY,
     DISCREPANCY_SEEN,
     FRICTION_STEP,
@@ -207,8 +208,6 @@ _STEP_PROBABILITY = 0.2
 """Prior probability that a run has a step of the friction."""
 _CHANGE_DRIVE_FACTORS = (1.0, 0.3, 0.1, 0.03, 0.0)
 """Drives of the ground that are tried, over the likeliest one of the law without changes."""
-_CLEAR_GAIN = 20.0
-"""Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
 _MOST_CHANGES = 3
 _KINDS = (ChangeKind.FRICTION, ChangeKind.PERIOD)
 
@@ -249,7 +248,9 @@ def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained:
     for _ in range(_MOST_CHANGES):
         best = min((scan.best() for scan in scans), key=lambda one: one.deviance)
         gain = before - best.deviance
-        if not gain > _CLEAR_GAIN + chance or not (found or gain > _CLEAR_GAIN + chance + explained):
+        if not gain > CLEAR_CHANGE_GAIN + chance or not (
+            found or gain > CLEAR_CHANGE_GAIN + chance + explained
+        ):
             break
         found.append(_change(at, best, gain))
         for scan in scans:

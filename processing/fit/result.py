@@ -72,60 +72,63 @@ class ChangeKind(StrEnum):
     PERIOD = "period"
 
 
+CLEAR_CHANGE_GAIN = 20.0
+"""Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """One change during a run.
-
-    `time_s` is on the clock of the turning points, `half_cycle` the index of the first one after it. `size`
-    is relative, of a knock to the amplitude whatever its phase; `gain` is by how much -2 ln L is smaller
-    with it.
-    """
+    """One change during a run."""
 
     kind: ChangeKind
     half_cycle: int
+    """Index of the first half-cycle after it."""
     time_s: Annotated[float, Quantity("", "when it happened", unit="s")]
+    """On the clock of the turning points."""
     size: float
+    """Relative size; that of a knock is relative to the amplitude, whatever its phase."""
     u_size: float
     gain: float
+    """Fall of -2 ln L by the change."""
 
     @property
     def text(self) -> str:
         """The change in one line."""
         percent = with_uncertainty(100 * self.size, 100 * self.u_size, signed=True)
-        what = {
+        event = {
             ChangeKind.KNOCK: f"a knock moves the swing by {percent.removeprefix('+')} % of its amplitude",
             ChangeKind.FRICTION: f"the friction changes by {percent} %: the contact slipped or was touched",
             ChangeKind.PERIOD: f"the period changes by {percent} %: something shifted",
         }[self.kind]
-        return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {what}"
+        return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {event}"
 
 
-_SIGNIFICANT_CHANCE = 0.003
-"""Chance of three standard deviations to either side."""
+SIGNIFICANT_CHANCE = 0.003
+"""Significance level of a drag: the two-sided probability of three standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryLayerDrag:
-    """A boundary layer's drag, moment ``-m g R coefficient |phi'|^0.5 phi'``, in addition to a fit's law.
-
-    `share` is its loss over that of the linear drag at the first amplitude, `p_value` the probability of so
-    large a value without it. `relative_shift_b` and `shift_drag_s` are the changes of b and of the linear
-    drag with it, `shift` those of all values of the fit, in their order.
-    """
+    """A boundary layer's drag, moment ``-m g R coefficient |phi'|^0.5 phi'``, in addition to a fit's law."""
 
     coefficient: Annotated[Estimate, Quantity("drag 3/2", "drag with the 3/2 power", unit="s^1.5")] = (
         NOT_DETERMINED
     )
     p_value: float = nan
+    """Probability of so large a value without it."""
     share: float = nan
+    """Its loss over that of the linear drag at the first amplitude."""
     relative_shift_b: float = nan
+    """Relative change of b with it."""
     shift_drag_s: float = nan
+    """Change of the linear drag with it."""
     shift: Annotated[tuple[float, ...], PLAIN] = ()
+    """Changes of all values of the fit with it, in their order."""
 
     @property
     def seen(self) -> bool:
         """Whether the data show it."""
-        return self.p_value < _SIGNIFICANT_CHANCE
+        return self.p_value < SIGNIFICANT_CHANCE
 
 
 CORRELATED = 0.001
@@ -136,9 +139,16 @@ CORRELATED = 0.001
 class Whiteness:
     """Test of Ljung and Box on the residuals of amplitudes and of times, in the order of the half-cycles.
 
-    `p_amplitude` and `p_time` are the chances of autocorrelations at least as large in pure noise, over
-    `lags` neighbours, and `first_amplitude`, `first_time` the correlations of next neighbours. `u_inflation`
-    is the largest factor by which correlation enlarged a standard uncertainty of the fit.
+    Attributes
+    ----------
+    lags
+        Number of neighbours whose correlations are tested.
+    p_amplitude, p_time
+        Chances of autocorrelations at least as large in pure noise.
+    first_amplitude, first_time
+        Correlations of next neighbours.
+    u_inflation
+        Largest factor by which correlation enlarged a standard uncertainty of the fit.
     """
 
     lags: int = 0
