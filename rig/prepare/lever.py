@@ -241,8 +241,9 @@ def _notes(found: MeasuredAir, table: VaneFile, as_detected: Sequence[int]) -> l
         )
     if found.disagree:
         notes.append(
-            f"the runs do not agree on one contact and one line (chance {found.p_value:.2g}): uncertainties are "
-            f"enlarged {found.u_inflation:.2g} times; check which run deviates and if the load was the same"
+            f"the runs do not agree on one contact and one line (chance {found.p_value:.2g}): uncertainties "
+            f"are enlarged {found.u_inflation:.2g} times; check which run deviates and if the load was "
+            "the same"
         )
     if len({run.area_m2 for run in table.run}) < 3:
         notes.append("two areas do not show whether the drag follows the line: make runs at three")
