@@ -63,9 +63,9 @@ class _ConditionalModel:
     def __init__(self, model: ExactModel, name: str, best: Floats) -> None:
         self._model = model
         self.row = model.names.index(name)
-        positive = bool(model.columns.physical(best)[0][self.row] > 0)
+        positive = bool(model.parametrisation.physical(best)[0][self.row] > 0)
         self._logarithmic = model.law.parameter(name).logarithmic and positive
-        self.column, self._keeps_sign = model.columns.held(name)
+        self.column, self._keeps_sign = model.parametrisation.held(name)
         self.free = np.delete(np.arange(len(model.lower)), self.column)
         self.guess = float(best[self.column])
 
@@ -75,7 +75,7 @@ class _ConditionalModel:
         values[self.free] = free
         values[self.column] = self.guess
         for _ in range(50 if np.all(np.isfinite(free)) else 0):
-            known, slopes = self._model.columns.physical(values)
+            known, slopes = self._model.parametrisation.physical(values)
             slope = slopes[self.row]
             if not np.all(np.isfinite(slope)):
                 break
@@ -185,7 +185,7 @@ def profile_likelihood(
         value, lowest_cost, free_at_lowest = 0.0, at_zero.cost, at_zero.values
     root_at_begin = 0.0
     if begin is not None:
-        value, free_at_lowest = float(model.columns.physical(begin)[0][held.row]), begin[held.free]
+        value, free_at_lowest = float(model.parametrisation.physical(begin)[0][held.row]), begin[held.free]
         held.guess = float(begin[held.column])
         residuals = model(begin)[0]
         root_at_begin = float(np.sqrt(max(float(residuals @ residuals) - 2 * lowest_cost, 0.0) / scale))
@@ -355,7 +355,7 @@ def _with_other_valleys(
     """
     row = model.names.index(name)
     allowed = np.concatenate([one.allowed for one in profiles])
-    values = np.array([model.columns.physical(columns)[0][row] for columns in allowed])
+    values = np.array([model.parametrisation.physical(columns)[0][row] for columns in allowed])
     if not np.any(np.isfinite(values)):
         return profile
     lowest, highest = int(np.nanargmin(values)), int(np.nanargmax(values))

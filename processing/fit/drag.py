@@ -143,7 +143,7 @@ def _inseparable(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult
         return None
     weighted = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale)
     residuals, jacobian = weighted.linearised_at(start)(start)
-    step, to_physical = FactoredJacobian(jacobian), model.columns.physical(start)[1]
+    step, to_physical = FactoredJacobian(jacobian), model.parametrisation.physical(start)[1]
     scale = max(1.0, fit.chi2_per_dof) if fit.loss == "linear" else 1.0
     unexplained = step.left(residuals)
     f_statistic = max(0.0, float(residuals @ residuals - unexplained @ unexplained)) / scale
@@ -350,9 +350,9 @@ class _SharedParameters:
         known = dict(zip(_COMMON, shared[:_AIR].tolist(), strict=True))
         known[DRAG.key] = float(line @ shared[_AIR:])
         known |= dict(zip(_OWN, (centre + size * values[own]).tolist(), strict=True))
-        coordinates = run.model.columns.from_physical(known)
+        coordinates = run.model.parametrisation.from_physical(known)
         residuals, jacobian = run.model.linearised_at(coordinates)(coordinates)
-        by_physical = jacobian @ np.linalg.inv(run.model.columns.physical(coordinates)[1])
+        by_physical = jacobian @ np.linalg.inv(run.model.parametrisation.physical(coordinates)[1])
         by_common, by_own, by_drag = (
             by_physical[:, [run.model.names.index(name) for name in names]]
             for names in (_COMMON, _OWN, (DRAG.key,))

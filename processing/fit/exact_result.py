@@ -128,7 +128,7 @@ def result_of(
     points = model.points
     amplitude, time, _, _ = model.curve(solution.values)
     deviation = np.abs(points.amplitude - amplitude * model.reference) / points.amplitude
-    values, to_physical = model.columns.physical(solution.values)
+    values, to_physical = model.parametrisation.physical(solution.values)
     chi2_per_dof = solution.chi2 / solution.dof
     scatter = solution.covariance * (max(1.0, chi2_per_dof) if loss == "linear" else 1.0)
     covariance = propagate(to_physical, scatter)
@@ -174,7 +174,7 @@ def result_of(
         warnings=(
             *data_warnings(points, {"amplitudes and times": chi2_per_dof}, ground.noise.step),
             *_remarks(points, ground, solution, white),
-            *map(_AT_LIMIT.format, model.columns.at_limit(solution.values)),
+            *map(_AT_LIMIT.format, model.parametrisation.at_limit(solution.values)),
         ),
         half_cycles=count,
         ground=ground,

@@ -232,7 +232,7 @@ class ModelFreeFit:
         start = next(chain(start_near(model, self.fit), starts_of(model)))
         model = model.linearised_at(start)
         solution = solve(model, start, lower=model.lower, upper=model.upper)
-        values, _ = model.columns.physical(solution.values)
+        values, _ = model.parametrisation.physical(solution.values)
         return self._of(phi_rad, values, np.zeros_like(self.fit.covariance))
 
 

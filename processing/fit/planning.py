@@ -142,7 +142,10 @@ def planned_run(
     )
     model = ExactModel(points, pendulum, law=law, drag=drag, evidence=conditions.evidence(amplitude))
     step = step_of_density(conditions.unknown_rad_per_s2_rthz, float(np.diff(time).mean())) / model.reference
-    noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
+    noise, columns = (
+        Noise(step=step, averaged=conditions.averaged),
+        model.parametrisation.from_physical(known),
+    )
     all_known = {name: known[name] for name in model.names}
     root = np.linalg.qr(_relative_jacobian(model, columns, all_known, noise)).R
     u_of = _uncertainties(root, all_known, conditions.known_drag_s)
@@ -165,7 +168,7 @@ def _relative_jacobian(
     `values` are at `columns` (absolute changes of a value of 0)."""
     rows = DrivenRows.of(model.linearised_at(columns), columns, noise)
     # sizes by the stated values: by those of the columns a value of 0 is 1e-19, whose column would vanish
-    _, to_physical = model.columns.physical(columns)
+    _, to_physical = model.parametrisation.physical(columns)
     return np.asarray(rows.jacobian @ np.linalg.inv(to_physical / _sizes(values)[:, None]))
 
 

@@ -1,4 +1,4 @@
-"""Result of a fit: values, covariance, goodness of fit, outliers, warnings."""
+"""Result of a fit: values, covariance, quality, changes during the run, warnings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -26,7 +26,7 @@ FIXED_PATTERN = "position_errors"
 DISCREPANCY = "discrepancy"
 """Name of a fit's term: the discrepancy of the law from the decay."""
 FRICTION_STEP = "friction_step"
-"""Name of a fit's term: a possible step of the friction during the run that was not found."""
+"""Name of a fit's term: steps of the friction during the run that are too small to be found."""
 REST_POSITION = "rest_position"
 """Name of a fit's term: a rest position beside the middle of the contact."""
 FITTED_DRIFTS = "drifts"
@@ -181,8 +181,8 @@ class FitQuality:
         the free decay; for a driven pendulum, from the predictions of a Kalman filter, and their
         uncertainties contain the drive.
     bias
-        How far Eqs. 5 and 6 lie from the exact map where both describe one free decay, the exact fit's;
-        None for the exact fit, or if it is not known.
+        Parameters that Eqs. 5 and 6 give for the free decay of the exact fit, less those of this fit; None
+        for the exact fit, or if it is not known.
     ground
         How strongly the ground drove the pendulum; None for a fit that does not estimate it.
     whiteness
@@ -192,7 +192,7 @@ class FitQuality:
     changes
         Events during the run: knocks, and steps of friction or period.
     information_gain
-        The factor by which each uncertainty would be larger without the waveform, or without the prior of the
+        Factors by which each uncertainty would be larger without the waveform, or without the prior of the
         air; empty where there is neither.
     boundary_layer
         Boundary layer's drag in addition to the fit; None where it was not estimated.
@@ -284,48 +284,46 @@ class FitResult(FitQuality):
     def standard_uncertainty(self) -> Floats:
         return np.sqrt(np.diag(self.covariance))
 
-    def part(self, *names: str) -> Floats:
+    def covariance_by(self, *terms: str) -> Floats:
         """Covariance of the values by some terms; zeros where the fit has none of them."""
-        count = len(self.names)
-        out = np.zeros((count, count))
-        for by in (self.terms[name] for name in names if name in self.terms):
-            undetermined = ~np.isfinite(by.sum(axis=1))
-            known = np.where(undetermined[:, None], 0.0, by)
-            out += known @ known.T
-            out[undetermined, undetermined] = np.inf
-        return out
+        covariance = np.zeros((len(self.names), len(self.names)))
+        for changes in (self.terms[term] for term in terms if term in self.terms):
+            undetermined = ~np.isfinite(changes.sum(axis=1))
+            known = np.where(undetermined[:, None], 0.0, changes)
+            covariance += known @ known.T
+            covariance[undetermined, undetermined] = np.inf
+        return covariance
 
-    def with_term(self, name: str, by: Floats, *warnings: str, **fields: Any) -> "FitResult":
+    def with_term(self, name: str, changes: Floats, /, *warnings: str, **fields: Any) -> "FitResult":
         """The fit with one further term in covariance and `terms`; `fields` are those of `FitQuality` to set.
 
-        `by` are changes as in `terms`; a value that is not determined remains so.
+        `changes` are as in `terms`; a value that is not determined remains so.
         """
-        wide = by.shape[1] > len(self.names)
-        if wide:
+        if changes.shape[1] > len(self.names):
             # as many coordinates as there are values have the same covariance
-            by = np.asarray(np.linalg.qr(by.T)[1].T, dtype=np.float64)
+            changes = np.asarray(np.linalg.qr(changes.T)[1].T, dtype=np.float64)
         known = np.isfinite(np.diag(self.covariance))
-        added = np.where(np.outer(known, known), by @ by.T, 0.0)
+        added = np.where(np.outer(known, known), changes @ changes.T, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
             factor = np.nan_to_num(np.sqrt(1.0 + np.diag(added) / self.standard_uncertainty**2), nan=1.0)
         return replace(
             self,
             covariance=self.covariance + added,
             u_inflation=factor if self.u_inflation is None else self.u_inflation * factor,
-            terms={**self.terms, name: by},
+            terms={**self.terms, name: changes},
             warnings=(*self.warnings, *warnings),
             **fields,
         )
 
-    def with_terms_of(self, other: "FitResult", *names: str) -> "FitResult":
-        """Another fit of the same law to the same points with some terms that this one has not."""
-        out, rows = self, [other.names.index(name) for name in self.names if name in other.names]
-        for term in names:
+    def with_terms_of(self, other: "FitResult", *terms: str) -> "FitResult":
+        """This fit with some terms of another fit of the same law to the same points."""
+        fit, rows = self, [other.names.index(name) for name in self.names if name in other.names]
+        for term in terms:
             if term in other.terms:
-                by = np.zeros((len(self.names), other.terms[term].shape[1]))
-                by[[name in other.names for name in self.names]] = other.terms[term][rows]
-                out = out.with_term(term, by)
-        return out
+                changes = np.zeros((len(self.names), other.terms[term].shape[1]))
+                changes[[name in other.names for name in self.names]] = other.terms[term][rows]
+                fit = fit.with_term(term, changes)
+        return fit
 
     @property
     def correlation(self) -> Floats:

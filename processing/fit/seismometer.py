@@ -344,7 +344,7 @@ class _Search:
         assert model.known_drive is not None
         assert fit.ground is not None
         noise = replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
-        found = model.filtered(model.columns.from_physical(fit.named_values), noise)
+        found = model.filtered(model.parametrisation.from_physical(fit.named_values), noise)
         by_gains = found.jacobian[:, : drive.terms] / model.known_drive.unit
         return found.residuals, by_gains, found.jacobian[:, drive.terms :]
 

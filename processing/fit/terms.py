@@ -255,7 +255,7 @@ class LinearisedFit:
         model, coordinates = ExactModel.of(points, pendulum, fit)
         residuals, jacobian = model(coordinates)
         scale = model.scale
-        to_physical = model.columns.physical(coordinates)[1]
+        to_physical = model.parametrisation.physical(coordinates)[1]
         return cls(fit, model, coordinates, scale, residuals / scale, jacobian / scale, to_physical)
 
     @property
@@ -332,7 +332,7 @@ class LinearisedFit:
                     raise DataError(f"the data do not determine {name}: state what is known of it")
             if report == "move":
                 shifted = self.coordinates + solution.law_shift
-                fit = replace(fit, values=self.model.columns.physical(shifted)[0])
+                fit = replace(fit, values=self.model.parametrisation.physical(shifted)[0])
             # a triangular root: its columns are those of the coordinates in their order
             root = np.linalg.qr(solution.root.T)[1].T
             changes = self.to_physical @ solution.law_by_terms @ root

@@ -215,14 +215,14 @@ def _by_term(found: FitResult, by_value: Floats, type_a: float) -> tuple[dict[st
     parts, left = {}, type_a**2
     for name in found.terms:
         if name not in (MEASUREMENT, AIR):
-            parts[name] = min(_u_by(found.part(name), by_value), sqrt(left))
+            parts[name] = min(_u_by(found.covariance_by(name), by_value), sqrt(left))
             left = max(left - parts[name] ** 2, 0.0)
     described = sqrt(left)
-    reading = _u_by(found.part(MEASUREMENT), by_value) if MEASUREMENT in found.terms else described
+    reading = _u_by(found.covariance_by(MEASUREMENT), by_value) if MEASUREMENT in found.terms else described
     # equal but for rounding, which must not become a part of the ground
     reading = reading if reading < 0.999 * described else described
     ground = sqrt(max(left - reading**2, 0.0))
-    air = min(_u_by(found.part(AIR), by_value), described)
+    air = min(_u_by(found.covariance_by(AIR), by_value), described)
     return {MEASUREMENT: reading, GROUND: ground, **parts}, air
 
 

@@ -223,7 +223,7 @@ def _combined(name: str, results: Sequence[FitResult]) -> CombinedValue:
     of_law, runs = [], []
     for result in results:
         at, (value, u) = result.names.index(name), result.estimate(name)
-        part = float(result.part(DISCREPANCY)[at, at])
+        part = float(result.covariance_by(DISCREPANCY)[at, at])
         of_law.append(part)
         runs.append(Estimate(value, sqrt(max(u**2 - part, 0.0)) if isfinite(u) else u))
     found, added = combine(name, runs, _by_air(name, results)), float(np.mean(of_law))
