@@ -41,14 +41,6 @@ from processing.fit.refinement import (
     second_measurement,
     up_to_rest_step,
 )
-from processing.fit.reported import (
-    InputQuantity,
-    RigQuantities,
-    Work,
-    reported_quantities,
-    rolling_moment_nm,
-    works_per_cycle_j,
-)
 from processing.fit.result import (
     BOUNDARY_LAYER,
     DISCREPANCY,
@@ -63,5 +55,16 @@ from processing.fit.result import (
 )
 from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismometer
 from processing.fit.terms import LinearisedFit, Term
-from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
+from processing.fit.uncertainty import (
+    Budget,
+    BudgetSource,
+    InputQuantity,
+    RigQuantities,
+    Work,
+    budgets,
+    reported_quantities,
+    rolling_moment_nm,
+    standard_uncertainties,
+    works_per_cycle_j,
+)
 from processing.quantity import DerivedQuantity

@@ -31,7 +31,6 @@ from processing.arrays import Floats
 from processing.contact import BOUNDARY_LAYER_DRAG, DRAG
 from processing.estimate import Estimate
 from processing.fit.exact_model import DiscrepancyColumns, ExactModel
-from processing.fit.reported import RigQuantities
 from processing.fit.result import (
     BOUNDARY_LAYER,
     FITTED_DRIFTS,
@@ -41,6 +40,7 @@ from processing.fit.result import (
     FitResult,
 )
 from processing.fit.terms import DrivenRows, LinearisedFit, Term, TermSolution, solve
+from processing.fit.uncertainty import RigQuantities
 from processing.least_squares import FactoredJacobian
 from processing.number_text import plain, with_uncertainty
 from processing.quantity import Quantity

@@ -119,7 +119,7 @@ def _descending_share(model: ExactModel, start: Floats, end: Floats) -> Floats:
     whole where no share of it descends, as in a bent valley out of which every straight way leads.
     """
     at_start = _sum_of_squares(model, start)
-    for share in (0.5 ** np.arange(_MAX_HALVINGS)).tolist():
+    for share in (0.5**halvings for halvings in range(_MAX_HALVINGS)):
         # between two points inside the limits rounding may leave them
         coordinates = np.clip(share * end + (1.0 - share) * start, model.lower, model.upper)
         if _sum_of_squares(model, coordinates) <= at_start:

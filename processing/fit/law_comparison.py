@@ -189,19 +189,19 @@ class ModelFreeFit:
 
     def _of(self, phi_rad: Floats, values: Floats, covariance: Floats) -> FreeMoments:
         unit_rad, weight = self.splines.unit_rad, weight_moment(self.pendulum) * self.gravity.value
-        x = phi_rad / unit_rad
-        friction, elastic = weight * self.splines.friction(x), weight * unit_rad * self.splines.elastic(x)
-        count = self.splines.friction_count
-        moments_and_u: list[Floats] = []
-        for basis, own in (
-            (friction, slice(0, count)),
-            (elastic, slice(count, count + self.splines.elastic_count)),
-        ):
-            moment = basis @ values[own]
+        x, count = phi_rad / unit_rad, self.splines.friction_count
+
+        def moment(basis: Floats, own: slice) -> tuple[Floats, Floats]:
+            """Moment by a basis of splines with their coefficients, and its standard uncertainty."""
+            value = basis @ values[own]
             variance = np.einsum("ij,jk,ik->i", basis, covariance[own, own], basis)
-            of_gravity = self.gravity.standard_uncertainty / self.gravity.value * moment
-            moments_and_u += [moment, np.hypot(np.sqrt(np.maximum(variance, 0.0)), of_gravity)]
-        return FreeMoments(phi_rad, *moments_and_u, unit_rad)
+            of_gravity = self.gravity.standard_uncertainty / self.gravity.value * value
+            return value, np.hypot(np.sqrt(np.maximum(variance, 0.0)), of_gravity)
+
+        friction = moment(weight * self.splines.friction(x), slice(0, count))
+        elastic_rows = slice(count, count + self.splines.elastic_count)
+        elastic = moment(weight * unit_rad * self.splines.elastic(x), elastic_rows)
+        return FreeMoments(phi_rad, *friction, *elastic, unit_rad)
 
     def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
         """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
