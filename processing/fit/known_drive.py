@@ -258,8 +258,10 @@ def _moments(signals: Signals, origin: Floats, rate: Floats, low: Floats, high: 
 
 
 LEAST_UNEXPLAINED = 0.022
-"""Share of a drive that a seismometer leaves unexplained at best: two of different make at one location
-differ by it, at 0.2 to 0.28 Hz. In one half-swing it is below the noise of a turning point; yet it adds up."""
+"""Share of a drive that a seismometer leaves unexplained at best.
+
+Two of different make at one location differ by it, at 0.2 to 0.28 Hz. In one half-swing it is below the noise
+of a turning point, but it adds up."""
 
 
 class DriveGains:
