@@ -39,7 +39,7 @@ class Solution:
 
     values: Floats
     covariance: Floats
-    """By the stated uncertainties of the data, not scaled by chi2; for a robust loss, that of the M-estimator.
+    """By the stated uncertainties of the data, not scaled by chi2; that of the M-estimator if robust.
     Parameters that the data do not determine have infinite variances."""
     residuals: Floats
     """Residuals over their standard uncertainties, without the loss."""
@@ -100,14 +100,20 @@ def solve(
             cached[key] = model(values)
         return cached[key]
 
+    def residuals_at(values: Floats) -> Floats:
+        return evaluate(values)[0]
+
+    def jacobian_at(values: Floats) -> Floats:
+        return evaluate(values)[1]
+
     values = np.asarray(start, dtype=np.float64)
     cost, evaluations_left, converged, message = np.inf, max_evaluations, False, "no step made"
     while evaluations_left > 0 and not converged:
         try:
             result = least_squares(
-                lambda values: evaluate(values)[0],
+                residuals_at,
                 values,
-                jac=lambda values: evaluate(values)[1],
+                jac=jacobian_at,
                 bounds=(-np.inf if lower is None else lower, np.inf if upper is None else upper),
                 x_scale="jac",
                 loss=loss,

@@ -101,8 +101,8 @@ def _wandering_covariances(count: int) -> tuple[tuple[Floats, ...], tuple[Floats
 
 _MIN_STEP_SIGNIFICANCE = 8.0
 """Least significance of a step. By chance one of 1,100 values of white noise exceeds it, since six values
-show their scatter badly (one of 150 exceeds 5; simulated). Of 20,000 turning points 3 exceed 5 and none 6, and
-real noise is not as white."""
+show their scatter badly (one of 150 exceeds 5; simulated). Of 20,000 turning points 3 exceed 5 and none 6,
+and real noise is not as white."""
 _STEP_HALF = 6
 """Number of values on either side of a step."""
 _KICK_HALF = 8
