@@ -207,7 +207,7 @@ class FactoredJacobian:
         self.blind = 1.0 - np.sum(vt[known] ** 2, axis=0) > 1e-12
         self.log_det = 2.0 * float(np.sum(np.log(singular[known])) + np.sum(np.log(scale)))
 
-    def left(self, rows: Floats) -> Floats:
+    def residual(self, rows: Floats) -> Floats:
         """Residual of rows (n,), or of each of their columns (n, m), that the coordinates cannot explain."""
         return np.asarray(rows - self.directions @ (self.directions.T @ rows), dtype=np.float64)
 

@@ -301,7 +301,7 @@ class _ChangeScan:
         rows = rows.in_scatter(self._scale)
         self._law = FactoredJacobian(rows.jacobian)
         self._taken: list[FactoredJacobian] = []
-        self._left = self._law.left(rows.residuals)
+        self._left = self._law.residual(rows.residuals)
         self._constant = rows.log_det + self._law.log_det
 
     @classmethod
@@ -322,7 +322,7 @@ class _ChangeScan:
         mean_squares, chances, law_changes = [], [], []
         for first in range(0, len(self._changes_s), _CHUNK_PLACES):
             raw = self._changes(first, _CHUNK_PLACES, whole=True)[:, 0]
-            changes = self._law.left(raw)
+            changes = self._law.residual(raw)
             power = np.einsum("rp,rp->p", changes, changes) + 1e-30
             variance = 1.0 / (1.0 / u_size**2 + power)
             size = -variance * (self._left @ changes)
@@ -352,7 +352,7 @@ class _ChangeScan:
         changes = rows.by_errors / self._scale
         if not whole:
             for taken in (self._law, *self._taken):
-                changes = taken.left(changes)
+                changes = taken.residual(changes)
         return changes.reshape(len(changes), 2, -1)
 
     def deviance(self) -> float:
@@ -377,5 +377,5 @@ class _ChangeScan:
     def take(self, best: _ClearestChange) -> None:
         """Let a change explain its part of the residuals in all that follows."""
         own = FactoredJacobian(self._changes(best.place, 1)[:, _KINDS.index(best.kind)])
-        self._left = own.left(self._left)
+        self._left = own.residual(self._left)
         self._taken.append(own)

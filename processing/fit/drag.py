@@ -145,7 +145,7 @@ def _inseparable(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult
     residuals, jacobian = weighted.linearised_at(start)(start)
     step, to_physical = FactoredJacobian(jacobian), model.parametrisation.physical(start)[1]
     scale = max(1.0, fit.chi2_per_dof) if fit.loss == "linear" else 1.0
-    unexplained = step.left(residuals)
+    unexplained = step.residual(residuals)
     f_statistic = max(0.0, float(residuals @ residuals - unexplained @ unexplained)) / scale
     p_value = float(fdtrc(1, fit.dof - 1, f_statistic))
     b = model.names.index(fit.contact_names[0])

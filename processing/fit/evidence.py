@@ -140,7 +140,7 @@ def _without_trend(amplitude: Floats, sine: Floats) -> Floats:
     x = np.log(amplitude)
     x = (x - x.mean()) / max(float(np.ptp(x)), 1e-9)
     terms = amplitude[:, None] * x[:, None] ** np.arange(_TREND_TERMS)
-    return FactoredJacobian(terms).left(sine)
+    return FactoredJacobian(terms).residual(sine)
 
 
 def _scatter_of(residuals: Floats) -> Floats:

@@ -7,12 +7,12 @@ order in s/a one of them changes the amplitude and the other, divided by w a, th
 raises the amplitude on average by s^2/(2 a), as the length of a vector grows to which another is added.
 
 A turning point measured on the samples of its half-cycle, from zero crossing to zero crossing, averages the
-motion over it. The drive within the half-cycle enters the measured time in part: kicks in the quarter
-before the turning point do not enter wholly, those in the quarter after it enter already. The motion responds to a kick at
-the phase theta_0 by sin(theta - theta_0); for a least-squares fit of cosine and sine over the half-cycle the
-error of the time has in either quarter the variance `SMEARED_VARIANCE` of a half-swing's step, and the
-covariance `SMEARED_COVARIANCE` with it, negative in the quarter before and positive in the one after. The
-effect on the amplitude is small (next neighbours correlate by less than 0.1) and left out.
+motion over it. The drive within the half-cycle enters the measured time in part: kicks in the quarter before
+the turning point do not enter wholly, those in the quarter after it enter already. The motion responds to a
+kick at the phase theta_0 by sin(theta - theta_0). For a least-squares fit of cosine and sine over the
+half-cycle the error of the time has in either quarter the variance `SMEARED_VARIANCE` of a half-swing's step,
+and the covariance `SMEARED_COVARIANCE` with it, negative in the quarter before and positive in the one after.
+The effect on the amplitude is small (next neighbours correlate by less than 0.1) and left out.
 """
 
 from collections.abc import Mapping
@@ -121,7 +121,8 @@ GAINS = 7
 """Numbers that the filter computes for a half-cycle and uses again where its gains are held."""
 
 SMEARED_VARIANCE, SMEARED_COVARIANCE = 0.0670, 0.1757
-"""Variance of the averaged time's error, and its covariance with the step, over the variance of a step."""
+"""Variance of an averaged time's error in either quarter, and its covariance with a half-swing's step, over
+the variance of the step."""
 
 
 class Predictions(NamedTuple):

@@ -364,7 +364,7 @@ class _Search:
         if not np.all(np.isfinite(candidates)) or not np.all(np.isfinite(residuals)):
             return -inf
         law = FactoredJacobian(np.column_stack([by_law, by_gains[:, : len(chosen)]]))
-        unexplained, by_candidates = law.left(residuals), law.left(candidates)
+        unexplained, by_candidates = law.residual(residuals), law.residual(candidates)
         count, fall = len(residuals) // 2, 0.0
         blocks = np.tile(np.arange(count) * _LEFT_OUT_BLOCKS // count, 2)
         for block in range(_LEFT_OUT_BLOCKS):

@@ -88,7 +88,7 @@ def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> TermSol
     good = np.isfinite(residuals) & np.isfinite(jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
     residuals, columns = residuals[good], columns[good]
     law = FactoredJacobian(jacobian[good])
-    unexplained_columns, unexplained = law.left(columns), law.left(residuals)
+    unexplained_columns, unexplained = law.residual(columns), law.residual(residuals)
     # a prior of zero keeps a coordinate where it is
     free = prior > 0
     augmented = FactoredJacobian(np.concatenate([unexplained_columns[:, free], np.diag(1.0 / prior[free])]))
@@ -125,10 +125,10 @@ class RestrictedLikelihood:
 
     def __init__(self, residuals: Floats, jacobian: Floats, groups: Sequence[Floats] = ()) -> None:
         self.law = FactoredJacobian(jacobian)
-        self._left = self.law.left(residuals)
+        self._left = self.law.residual(residuals)
         self._groups = np.repeat(np.arange(len(groups)), [group.shape[1] for group in groups])
         columns = np.column_stack(groups) if len(groups) else np.zeros((len(residuals), 0))
-        self._projected = self.law.left(columns)
+        self._projected = self.law.residual(columns)
         self._gram, self._score = self._projected.T @ self._projected, self._projected.T @ self._left
         self._of_law = self.law.log_det + float(self._left @ self._left)
 
