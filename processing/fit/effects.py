@@ -55,14 +55,14 @@ DRIFTS = ("ageing", "adhesion_ageing", "drag_drift", "period_drift")
 They have different causes, and one of them alone moves parameters that all together would leave in place."""
 
 
-def loss_shares(model: ExactModel, columns: Floats) -> Callable[[Floats], Floats]:
+def loss_shares(model: ExactModel, coordinates: Floats) -> Callable[[Floats], Floats]:
     """Shares of a half-swing's loss, as a function of amplitudes (n,) in units of the reference.
 
     The rows (2, n) are the contact's share and that of its constant friction. The drag takes
     ``A w0 drag pi / 2`` in a half-swing, the constant friction ``2 c`` at any amplitude.
     """
-    values = model.values(columns)
-    amplitude, loss = model.losses(columns)
+    values = model.values(coordinates)
+    amplitude, loss = model.losses(coordinates)
     of_air = pi**2 * values.get(DRAG.key, 0.0) / values["period0_s"] * amplitude / loss
     of_adhesion = 2.0 * values.get("c", 0.0) / model.reference / loss
     shares = np.clip([1.0 - of_air, of_adhesion], 0.0, 1.0)[:, ::-1]
@@ -77,8 +77,8 @@ def drift_effects(linearised: LinearisedFit) -> dict[str, Floats]:
 
 def drift_term(linearised: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -> Term:
     """The term of `DRIFTS` about zero; without `u_drifts` they have no prior."""
-    model, columns = linearised.model, linearised.coordinates
-    shares = loss_shares(model, columns)
+    model, coordinates = linearised.model, linearised.coordinates
+    shares = loss_shares(model, coordinates)
     duration_s = float(model.points.time_s[-1] - model.points.time_s[0])
 
     def loss_errors(amplitude: Floats, time_s: Floats) -> Floats:
@@ -89,10 +89,10 @@ def drift_term(linearised: LinearisedFit, u_drifts: Mapping[str, float] | None =
     def duration_errors(_: Floats, time_s: Floats) -> Floats:
         return _since_middle(time_s, duration_s)[:, None]
 
-    of_waveform = np.zeros((len(model.evidence_rows(columns)[0]), len(DRIFTS)))
+    of_waveform = np.zeros((len(model.evidence_rows(coordinates)[0]), len(DRIFTS)))
     waveform = model.evidence.waveform
     if waveform is not None:
-        amplitude, values = waveform.amplitude_rad / model.reference, model.values(columns)
+        amplitude, values = waveform.amplitude_rad / model.reference, model.values(coordinates)
         piece_s = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
         since = _since_middle(piece_s - model.points.time_s[0], duration_s)[:, None]
         predicted_rad = waveform.predicted_rad(model.law, values, model.pendulum)
@@ -102,7 +102,7 @@ def drift_term(linearised: LinearisedFit, u_drifts: Mapping[str, float] | None =
             reduced = waveform.reduced(since * ((grown_rad - predicted_rad) / _GROWTH_STEP))
             of_waveform[: len(reduced), column] = reduced
     errors = DiscrepancyColumns(loss_errors, duration_errors)
-    rows = DrivenRows.of(model, columns, linearised.noise, errors, of_waveform)
+    rows = DrivenRows.of(model, coordinates, linearised.noise, errors, of_waveform)
     prior = np.inf if u_drifts is None else np.array([u_drifts.get(name, 0.0) for name in DRIFTS])
     return Term(FITTED_DRIFTS, rows.in_scatter(linearised.scale).by_errors, prior)
 

@@ -51,23 +51,23 @@ def check_turning_points(points: TurningPoints) -> None:
             f"{count} usable half-cycles, and a fit needs at least {FEWEST_HALF_CYCLES}: "
             "record for longer or see which were flagged"
         )
-    columns = {
+    measured = {
         "time_s": points.time_s,
         "u_time_s": points.u_time_s,
         "amplitude": points.amplitude,
         "u_amplitude": points.u_amplitude,
     }
-    for name, values in columns.items():
+    for name, values in measured.items():
         bad = np.nonzero(~np.isfinite(values))[0]
         if len(bad):
             raise DataError(
                 f"{name} of half-cycle {points.index[bad[0]]} is {values[bad[0]]}: flag it or leave it out"
             )
     for name in ("u_time_s", "u_amplitude", "amplitude"):
-        bad = np.nonzero(columns[name] <= 0)[0]
+        bad = np.nonzero(measured[name] <= 0)[0]
         if len(bad):
             raise DataError(
-                f"{name} of half-cycle {points.index[bad[0]]} is {columns[name][bad[0]]:g}: "
+                f"{name} of half-cycle {points.index[bad[0]]} is {measured[name][bad[0]]:g}: "
                 "it must be positive"
             )
     for name, steps in (("index", np.diff(points.index)), ("time_s", np.diff(points.time_s))):

@@ -196,10 +196,10 @@ class NoiseSearch:
         eigenvalues, vectors = np.linalg.eigh(information / np.outer(norm, norm))
         eigenvalues = np.maximum(eigenvalues, _MIN_EIGENVALUE)
         score = np.einsum("ij,i->j", weighted, residuals) / norm
-        left = residuals - jacobian @ ((vectors / eigenvalues) @ (vectors.T @ score) / norm)
+        unexplained = residuals - jacobian @ ((vectors / eigenvalues) @ (vectors.T @ score) / norm)
         count = len(filtered.residuals)
         chi2, evidence_chi2 = (
-            float(np.sum(left[rows][is_used[rows]] ** 2))
+            float(np.sum(unexplained[rows][is_used[rows]] ** 2))
             + OUTLIER**2 * float(np.count_nonzero(~is_used[rows]))
             for rows in (slice(count), slice(count, None))
         )

@@ -157,14 +157,14 @@ def measurement_shift(detected: Sequence[HalfCycle], refined: Sequence[HalfCycle
     the waveform only from earlier half-cycles, is off by more; the second may be right all the same.
     """
     pairs = [(a, b) for a, b in zip(detected, refined, strict=True) if a.flags == 0]
-    found = [(a, b) for a, b in pairs if b.flags == 0]
-    if not found:
+    good_pairs = [(a, b) for a, b in pairs if b.flags == 0]
+    if not good_pairs:
         return MeasurementShift(0.0, math.nan, math.nan)
-    later_s = np.array([seconds(b.turn_time_ns - a.turn_time_ns) for a, b in found])
-    time = (later_s - np.median(later_s)) / [a.u_turn_time_s for a, _ in found]
-    amplitude = np.array([(b.amplitude - a.amplitude) / a.u_amplitude for a, b in found])
+    later_s = np.array([seconds(b.turn_time_ns - a.turn_time_ns) for a, b in good_pairs])
+    time = (later_s - np.median(later_s)) / [a.u_turn_time_s for a, _ in good_pairs]
+    amplitude = np.array([(b.amplitude - a.amplitude) / a.u_amplitude for a, b in good_pairs])
     rms = (math.sqrt(float(np.mean(np.square(shift)))) for shift in (time, amplitude))
-    return MeasurementShift(len(found) / len(pairs), *rms)
+    return MeasurementShift(len(good_pairs) / len(pairs), *rms)
 
 
 def describes_as_well(second: FitResult, first: FitResult) -> bool:
