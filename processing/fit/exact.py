@@ -17,7 +17,7 @@ from processing.estimate import Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import FEWEST_HALF_CYCLES, OUTLIER, check_turning_points, result_of
-from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
+from processing.fit.ground import GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
 from processing.least_squares import Loss, Solution, solve
@@ -59,7 +59,7 @@ class _Minimum(NamedTuple):
 def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minimum | None:
     """The minimum from one start, noise and parameters in turn until both stay; None without convergence."""
     coordinates = start
-    noise: Noise | None = None
+    last_step: float | None = None
     linearised: ExactModel | None = None
     is_linear = False
     for _ in range(_MAX_ITERATIONS):
@@ -69,7 +69,8 @@ def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> 
             likeliest = NoiseSearch(linearised, coordinates, loss, kind).likeliest()
             if not np.isfinite(likeliest.deviance):
                 return None
-            weighted = linearised.on_ground(coordinates, _as_weights(likeliest.noise), likeliest.noise.scale)
+            noise = likeliest.noise
+            weighted = linearised.on_ground(coordinates, noise.as_weights, noise.scale)
             solution = solve(
                 weighted,
                 coordinates,
@@ -88,10 +89,10 @@ def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> 
             coordinates = solution.values
         else:
             coordinates = _descending_share(weighted, coordinates, solution.values)
-        is_same_noise = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
+        is_same_noise = last_step is not None and abs(noise.step - last_step) <= 0.01 * last_step
         if is_same_noise and is_linear and change_u < _CONVERGED_U:
             break
-        noise = likeliest.noise
+        last_step = noise.step
     if not _evidence_is_linear(weighted, coordinates):
         # the minimum is that of a linearised evidence, which there is not the law's
         return None
@@ -144,11 +145,6 @@ def _largest_change_u(start: Floats, solution: Solution) -> float:
     return float(np.max(change_u[np.isfinite(change_u)], initial=0.0))
 
 
-def _as_weights(noise: Noise) -> Noise:
-    """The noise by which residuals are weighted; chi2/dof then shows the scale of the uncertainties."""
-    return AT_REST if noise.at_rest else noise.in_stated_uncertainties
-
-
 def _likeliest_minimum(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Minimum:
     """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
     best: _Minimum | None = None
@@ -160,7 +156,9 @@ def _likeliest_minimum(model: ExactModel, loss: Loss, kind: Noise, near: FitResu
             continue
         if best is None or minimum.likeliest.deviance < best.likeliest.deviance:
             best = minimum
-        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and _agrees_with_evidence(best):
+        evidence = best.model.evidence_rows(best.solution.values)[0]
+        agrees = float(evidence @ evidence) <= _GOOD_EVIDENCE * (len(evidence) + 1)
+        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and agrees:
             break
     if not start_count:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
@@ -170,11 +168,6 @@ def _likeliest_minimum(model: ExactModel, loss: Loss, kind: Noise, near: FitResu
             "amplitudes, or they hardly show it: check for disturbed half-cycles, start at a larger amplitude"
         )
     return best
-
-
-def _agrees_with_evidence(minimum: _Minimum) -> bool:
-    evidence = minimum.model.evidence_rows(minimum.solution.values)[0]
-    return float(evidence @ evidence) <= _GOOD_EVIDENCE * (len(evidence) + 1)
 
 
 def fit_exact(

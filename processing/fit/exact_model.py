@@ -353,9 +353,7 @@ class ExactModel:
 
     def noise_of(self, result: FitResult) -> Noise:
         """The noise by which a finished fit of the same points weighted its residuals."""
-        if result.ground is None or result.ground.noise.at_rest:
-            return AT_REST
-        noise = result.ground.noise.in_stated_uncertainties
+        noise = AT_REST if result.ground is None else result.ground.noise.as_weights
         return replace(noise, step=noise.step / self.reference)
 
 

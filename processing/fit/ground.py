@@ -50,9 +50,9 @@ class Noise:
         return self.step == 0
 
     @property
-    def in_stated_uncertainties(self) -> "Noise":
-        """The same noise over `scale`: with it as weights, chi2/dof is the square of the scale."""
-        return replace(self, step=self.step / self.scale, scale=1.0)
+    def as_weights(self) -> "Noise":
+        """The noise over `scale`, with which chi2/dof of weighted residuals is the square of the scale."""
+        return AT_REST if self.at_rest else replace(self, step=self.step / self.scale, scale=1.0)
 
 
 AT_REST = Noise()

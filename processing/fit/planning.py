@@ -143,7 +143,10 @@ def planned_run(
     noise = Noise(step=step, averaged=conditions.averaged)
     coordinates = model.parametrisation.from_physical(known)
     fit_values = {name: known[name] for name in model.names}
-    root = np.linalg.qr(_relative_jacobian(model, coordinates, fit_values, noise)).R
+    rows = DrivenRows.of(model.linearised_at(coordinates), coordinates, noise)
+    # sizes of the stated values: the coordinates give 1e-19 for a value of 0, whose column would vanish
+    by_coordinates = model.parametrisation.physical(coordinates)[1] / _sizes(fit_values)[:, None]
+    root = np.linalg.qr(rows.jacobian @ np.linalg.inv(by_coordinates)).R
     u = _uncertainties(root, fit_values, conditions.known_drag_s)
     return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), u, complete, fit_values, root)
 
@@ -158,17 +161,6 @@ def _uncertainties(
         rows = np.vstack([rows, is_drag * _sizes(values) / known_drag_s.standard_uncertainty])
     u = np.sqrt(np.diag(covariance_of(rows))) * _sizes(values)
     return dict(zip(list(values)[:-2], u.tolist(), strict=False))
-
-
-def _relative_jacobian(
-    model: ExactModel, coordinates: Floats, values: Mapping[str, float], noise: Noise
-) -> Floats:
-    """Derivatives (n, k) of a run's residuals with respect to relative changes of the parameters, whose
-    `values` are at `coordinates` (absolute changes of a value of 0)."""
-    rows = DrivenRows.of(model.linearised_at(coordinates), coordinates, noise)
-    # sizes of the stated values: the coordinates give 1e-19 for a value of 0, whose column would vanish
-    _, to_physical = model.parametrisation.physical(coordinates)
-    return np.asarray(rows.jacobian @ np.linalg.inv(to_physical / _sizes(values)[:, None]))
 
 
 def _sizes(values: Mapping[str, float]) -> Floats:
