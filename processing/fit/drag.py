@@ -36,7 +36,7 @@ _MAX_TEST_DIFFERENCE = 0.2
 
 
 class DragFinding(StrEnum):
-    """Finding on a linear drag by the data alone."""
+    """Finding on a linear drag by the data alone, without prior knowledge."""
 
     SEEN = "a linear drag is in the data"
     NEGATIVE = "the data ask for a negative drag"
@@ -250,9 +250,9 @@ class MeasuredAir:
         its probability.
     u_inflation
         Factor by which the uncertainties are larger for that rise: the root of chi2/dof, at least 1. A run
-        estimates a weak drive of the ground only to a factor of two, and its u in proportion; the rise tells
-        what all runs say of it. Over 42 sets of runs on weak ground the root mean square error is then 0.9 u
-        of d0 and 1.05 u of k, but still 1.4 u of n and gamma.
+        estimates a weak drive of the ground only to a factor of two, and its u in proportion; the rise shows
+        this for all runs together. Over 42 sets of runs on weak ground the rms error is then 0.9 u of d0 and
+        1.05 u of k, but still 1.4 u of n and gamma.
     """
 
     drag_s: Estimate

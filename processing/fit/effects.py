@@ -8,8 +8,8 @@ half-swing, I the integral of ``sin^2.5``, and makes a small third harmonic with
 path of the moment gives.
 
 A fixed-pattern position error of the sensor moves the amplitudes of all half-cycles that pass it. Residuals
-of whole cycles find it but for the part that looks like a motion (`processing.position_map`); of that part,
-the fitted law finds what no decay could be.
+of whole cycles show it, except for the part that looks like a motion (`processing.position_map`). Of that
+part, the fitted law shows the share that no decay could produce.
 
 Rows that are exposed in turn delay a spot by its place. Turning points lie on rows above and below that of
 rest, so their times alternate by an amount that is proportional to the amplitude, which no motion of the

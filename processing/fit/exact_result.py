@@ -331,8 +331,8 @@ def neighbours_covariance(white: Whiteness, jacobian: Floats, covariance: Floats
     """Covariance of fitted coordinates if next neighbours are correlated as in `white`, and no others.
 
     Slow noise, as of air, correlates times of neighbours by 0.2. That makes sums of them a fifth more
-    uncertain, and the test misses it in a few hundred half-cycles. Correlations are shrunk by what chance
-    makes of them (the positive part of James and Stein, 1961); none makes uncertainties smaller.
+    uncertain, and the test misses it in a few hundred half-cycles. Correlations are shrunk by the size
+    that chance gives them (the positive part of James and Stein, 1961); negative ones change nothing.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Exact fit of a decay as it was recorded: with knocks, and with a drag that contradicts what is known of it.
+"""Exact fit of a decay as it was recorded: with knocks, and with a drag that contradicts its prior.
 
 A footfall or a touch of the table is no drive that acts all the time. Taken for one, it enlarges
 uncertainties some hundred times, and leaves intervals that need not hold the true values. The half-swing of a
@@ -31,7 +31,7 @@ from processing.swing import TurningPoints
 _MAX_KNOCKS = 5
 """A decay with more knocks is driven all the time."""
 _CONTRADICTS_U = 5.0
-"""Distance of a drag above what is known of it, in standard uncertainties, that contradicts this."""
+"""Distance of a drag above its prior, in standard uncertainties, that contradicts the prior."""
 
 
 def fit_with_knocks(
@@ -48,8 +48,8 @@ def fit_with_knocks(
 
     A knock is sought at the worst outlier of a fit, one at a time: where the law has smooth errors, there is
     none. Knocks of the fit `near` are taken over if these points show them too: what shook the spot alone
-    disturbs a first measurement more than the second. All knocks stand in the result's `changes`. What is
-    known of the drag is left out, with a warning, where the data contradict it (see `_contradicted_drag`).
+    disturbs a first measurement more than the second. All knocks stand in the result's `changes`. The
+    prior of the drag is left out, with a warning, where the data contradict it (see `_contradicted_drag`).
     """
     check_turning_points(points)
     contradicted = _contradicted_drag(points, pendulum, evidence, loss=loss, averaged=averaged, near=near)
@@ -123,7 +123,7 @@ def _change(
     place = int(np.searchsorted(model.points.index, knock))
     per_amplitude, _, per_time = filtered.gains[place, 4:7]
     lost = filtered.residuals[place] / per_amplitude
-    # what the amplitude tells of the time is a thousandth of the size
+    # the regression of the time on the amplitude, a thousandth of the size, is neglected
     late_s = filtered.residuals[count + place] / per_time
     amplitude = float(model.points.amplitude[place]) / model.reference
     return Change(
@@ -137,7 +137,7 @@ def _change(
 
 
 class _ContradictedDrag(NamedTuple):
-    """What is known of the drag, and the fit by the data alone that contradicts it."""
+    """Prior of the drag, and the fit by the data alone that contradicts it."""
 
     known_s: Estimate
     fit: FitResult

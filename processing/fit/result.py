@@ -22,7 +22,7 @@ from processing.quantity import PLAIN, Quantity
 MEASUREMENT = "swings"
 """Name of a fit's term: the measurement of the turning points, on ground at rest."""
 FIXED_PATTERN = "position_errors"
-"""Name of a fit's term: what the correction leaves of the fixed-pattern position errors of the sensor."""
+"""Name of a fit's term: fixed-pattern position errors of the sensor that remain after their correction."""
 DISCREPANCY = "discrepancy"
 """Name of a fit's term: the discrepancy of the law from the decay."""
 FRICTION_STEP = "friction_step"
@@ -78,18 +78,27 @@ CLEAR_CHANGE_GAIN = 20.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """One change during a run."""
+    """One change during a run.
+
+    Attributes
+    ----------
+    half_cycle
+        Index of the first half-cycle after it.
+    time_s
+        When it happened, on the clock of the turning points.
+    size, u_size
+        Relative size and its standard uncertainty; that of a knock is relative to the amplitude, whatever its
+        phase.
+    gain
+        Fall of -2 ln L by the change.
+    """
 
     kind: ChangeKind
     half_cycle: int
-    """Index of the first half-cycle after it."""
     time_s: Annotated[float, Quantity("", "when it happened", unit="s")]
-    """On the clock of the turning points."""
     size: float
-    """Relative size; that of a knock is relative to the amplitude, whatever its phase."""
     u_size: float
     gain: float
-    """Fall of -2 ln L by the change."""
 
     @property
     def text(self) -> str:
@@ -109,21 +118,28 @@ SIGNIFICANT_CHANCE = 0.003
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryLayerDrag:
-    """A boundary layer's drag, moment ``-m g R coefficient |phi'|^0.5 phi'``, in addition to a fit's law."""
+    """A boundary layer's drag, moment ``-m g R coefficient |phi'|^0.5 phi'``, in addition to a fit's law.
+
+    Attributes
+    ----------
+    p_value
+        Probability of so large a value without it.
+    share
+        Its loss over that of the linear drag at the first amplitude.
+    relative_shift_b, shift_drag_s
+        Relative change of b, and change of the linear drag, with it.
+    shift
+        Changes of all values of the fit with it, in their order.
+    """
 
     coefficient: Annotated[Estimate, Quantity("drag 3/2", "drag with the 3/2 power", unit="s^1.5")] = (
         NOT_DETERMINED
     )
     p_value: float = nan
-    """Probability of so large a value without it."""
     share: float = nan
-    """Its loss over that of the linear drag at the first amplitude."""
     relative_shift_b: float = nan
-    """Relative change of b with it."""
     shift_drag_s: float = nan
-    """Change of the linear drag with it."""
     shift: Annotated[tuple[float, ...], PLAIN] = ()
-    """Changes of all values of the fit with it, in their order."""
 
     @property
     def seen(self) -> bool:

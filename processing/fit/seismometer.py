@@ -43,7 +43,7 @@ unrelated seismometer -2 ln L rises, by about 2 for each gain."""
 _MIN_COVERED_SHARE = 0.2
 """Share of the half-swings that the seismometer has to cover."""
 _U_DELAY = 0.015
-"""Standard uncertainty of a delay, in periods, from what is not known of the measurement of half-cycles: at a
+"""Standard uncertainty of a delay, in periods, by unknown details of the measurement of half-cycles: at a
 period of 4 s, six recorded runs with a delay of -0.05 s gave 0.06 to 0.09 s more in the mean."""
 _MAX_CORRECTIONS = 10
 """Most corrections of a clock; each reduces its error by a tenth of a second or by half."""
@@ -67,17 +67,18 @@ class SeismometerVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency."""
+    """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency.
+
+    `gain` is in rad/s^2 per unit of the component. `phase_rad` is the lead of the drive over it, with
+    deflections positive at the first turning point. `with_slope` is whether both may change with frequency.
+    """
 
     name: str
     gain: float = nan
-    """In rad/s^2 per unit of the component."""
     u_gain: float = nan
     phase_rad: float = nan
-    """Lead of the drive over the component, with deflections positive at the first turning point."""
     u_phase_rad: float = nan
     with_slope: bool = False
-    """Whether gain and phase may change with frequency."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,9 +42,8 @@ class RigQuantities:
     ball: Material
     flat: Material
     arm_m: InputQuantity
-    """Lever arm with which pixels were converted into angles; it contributes by its relative uncertainty."""
+    """Arm, and pixel pitch, of the conversion of pixels into angles; relative uncertainties contribute."""
     pitch_m: InputQuantity
-    """Pixel pitch, as `arm_m`."""
     gravity_m_per_s2: InputQuantity = InputQuantity(STANDARD_GRAVITY_M_PER_S2)
     clock: InputQuantity = InputQuantity(1.0)
     """True seconds per second of the camera's clock."""
@@ -65,9 +64,8 @@ class RigQuantities:
     row_time_s: InputQuantity = InputQuantity(0.0)
     """Row time of a rolling shutter; 0 for a global one."""
     ageing: InputQuantity = InputQuantity(0.0)
-    """Relative growth of b over a run, which the fit takes as zero, as it does the following ones."""
+    """Relative growth of b over a run, which the fit takes as zero, and so that of c, drag and period."""
     adhesion_ageing: InputQuantity = InputQuantity(0.0)
-    """Relative growth of c over a run."""
     drag_drift: InputQuantity = InputQuantity(0.0)
     period_drift: InputQuantity = InputQuantity(0.0)
     common_amplitude_rad: InputQuantity = InputQuantity(0.0)
@@ -101,8 +99,7 @@ class RigQuantities:
         return np.asarray((1 + 2 * self.skew.value * tangent) / (1 + 2 * skew * tangent), dtype=np.float64)
 
     def seen_slow_tilt(self, slow_angle_rad: Floats, non_orthogonality_rad: Floats) -> Floats:
-        """Ratio of the slow tilt measured with the assumed axes to the true one, for true axis directions
-        (n,).
+        """Ratio of the slow tilt, measured with assumed axes, to the true one, for true directions (n,).
 
         If the slow axis is wrong by d and the angle between the axes by e, a motion of amplitude A along the
         slow axis and r A along the fast axis is measured along the assumed slow axis as ``A (cos d + sin d
@@ -113,9 +110,8 @@ class RigQuantities:
         slow_error = slow_angle_rad - self.slow_angle_rad.value
         angle_error = non_orthogonality_rad - assumed
         cross_talk = self.fast_ratio * np.sin(slow_error + angle_error) / np.cos(assumed)
-        return np.asarray(
-            np.cos(slow_error) + np.sin(slow_error) * np.tan(assumed) - cross_talk, dtype=np.float64
-        )
+        along_slow = np.cos(slow_error) + np.sin(slow_error) * np.tan(assumed)
+        return np.asarray(along_slow - cross_talk, dtype=np.float64)
 
     def pendulum(self) -> PendulumOnBall:
         """The pendulum for the fits, from the values; with two balls, half of the mass."""
@@ -226,31 +222,35 @@ GROUND = "ground"
 
 @dataclass(frozen=True, slots=True)
 class BudgetSource:
-    """Contribution of one source to the uncertainty of one quantity."""
+    """Contribution of one source to the uncertainty of one quantity.
+
+    `type` is A for a source estimated from the data, B for a stated one. `sensitivity` is the derivative of
+    the quantity by the source, NaN for the fit, which has several parameters. `contribution` is the resulting
+    standard uncertainty in the quantity's unit, and `share` its fraction of the combined variance.
+    """
 
     source: str
     type: Literal["A", "B"]
-    """A for a source estimated from the data, B for a stated one."""
     u_source: Annotated[float, Quantity("", "of the source", unit=OF + "source")]
     sensitivity: Annotated[
         float, Quantity("", "derivative with respect to the source", unit=OWN + PER + OF + "source")
     ]
-    """NaN for the fit, which has several parameters."""
     contribution: Annotated[float, PART]
-    """Standard uncertainty by the source, in the quantity's unit."""
     share: float
-    """Fraction of the combined variance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """GUM budget of one quantity, largest contribution first."""
+    """GUM budget of one quantity, largest contribution first.
+
+    `unit` is that of the value. `degrees_of_freedom` are the effective ones (Welch-Satterthwaite), infinite
+    where all sources are stated.
+    """
 
     unit: str = ""
     value: Annotated[float, PART]
     standard_uncertainty: Annotated[float, PART]
     degrees_of_freedom: float = nan
-    """Effective degrees of freedom (Welch-Satterthwaite); infinite where all sources are stated."""
     sources: Annotated[tuple[BudgetSource, ...], PART] = ()
 
     @property
