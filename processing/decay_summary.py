@@ -302,12 +302,12 @@ class _Decay:
                 root, np.column_stack([residuals, slopes[:-1], ratio * walk_variance]), lower=True
             )
             e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
-            unexplained = FactoredJacobian(a).left(e)
+            unexplained = FactoredJacobian(a).residual(e)
             # amplitudes may scatter more than by their uncertainties
             scale = max(1.0, float(unexplained @ unexplained) / max(count - 4, 1))
             rows = np.concatenate([e / math.sqrt(scale), -prior_rows @ (parameters - _PRIOR)])
             fit = FactoredJacobian(np.vstack([a / math.sqrt(scale), prior_rows]))
-            shift, rest = fit.coefficients(rows), fit.left(rows)
+            shift, rest = fit.coefficients(rows), fit.residual(rows)
             # the future walk starts from the present offset of the walk
             value = float(slopes[-1] @ shift + last @ (e - a @ shift))
             variance = float(np.sum(((slopes[-1] - last @ a) @ fit.root) ** 2))

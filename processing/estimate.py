@@ -1,4 +1,4 @@
-"""Value with its standard uncertainty, and the names of the methods by which a law is fitted."""
+"""Estimate of a quantity, kinds of verdict on a parameter, and the methods by which a law is fitted."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,8 +6,7 @@ from enum import StrEnum
 from math import nan
 
 WELL_DETERMINED = 0.1
-"""Relative standard uncertainty up to which value and uncertainty describe a parameter; above it the profile
-likelihood is used."""
+"""Relative standard uncertainty above which the profile likelihood describes a parameter."""
 
 
 class Determinacy(StrEnum):
@@ -47,7 +46,7 @@ class FitMethod(StrEnum):
     heading: str
     """Heading of its column in a table."""
     description: str
-    """Description of the method in a few words."""
+    """The method in a few words."""
     equations: str
     """The paper's equations that it solves."""
 

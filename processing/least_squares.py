@@ -1,8 +1,6 @@
-"""Weighted nonlinear least squares with a reliable covariance.
+"""Weighted nonlinear least squares with a reliable covariance, for all fits.
 
-All fits use this module. A model provides residuals divided by their standard uncertainties, and the
-Jacobian; the result has values, covariance and the reason for stopping. Values and standard errors are tested
-against the certified ones of NIST's Statistical Reference Datasets.
+Values and standard errors are tested against the certified ones of NIST's Statistical Reference Datasets.
 """
 
 from collections.abc import Callable
@@ -16,8 +14,9 @@ from processing.errors import DataError
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 Model = Callable[[Floats], tuple[Floats, Floats]]
-"""Function from values to (residuals, Jacobian); residuals that are not finite make the solver shorten its
-step."""
+"""Function from values to residuals over their standard uncertainties, and their Jacobian.
+
+Residuals that are not finite make the solver shorten its step."""
 
 _ROUND_EVALUATIONS = 60
 """Number of evaluations after which the progress is checked."""
@@ -25,9 +24,9 @@ _FLAT_COST = 0.01
 """The search ends if a round reduces the cost by less than this, in units of chi2/2 per residual; the
 remaining distance to the minimum is a small fraction of a standard uncertainty."""
 _FLAT_COST_AT_LAST = 0.2
-"""The same for the last round: what the data hardly determine has a valley without an end."""
-_STUCK_PART = 0.5
-"""Part of the cost above which, if one linear step would still remove it, the search has found no minimum."""
+"""The same for the last round: parameters that the data hardly determine have a valley without an end."""
+_STUCK_SHARE = 0.5
+"""The search has found no minimum if one linear step would still remove a larger share of the cost."""
 _LOSS_SCALE = 1.5
 """Standard uncertainties above about which a robust loss reduces the influence of a residual."""
 _SMALLEST_SINGULAR_VALUE = 1e-13
@@ -36,18 +35,17 @@ _SMALLEST_SINGULAR_VALUE = 1e-13
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Result of a fit.
-
-    `covariance` follows from the stated uncertainties of the data (for a robust loss it is that of the
-    M-estimator); it is not scaled by chi2. Parameters that the data do not determine have infinite variances.
-    `residuals` are normalised, without the loss.
-    """
+    """Result of a fit."""
 
     values: Floats
     covariance: Floats
+    """By the stated uncertainties of the data, not scaled by chi2; that of the M-estimator if robust.
+    Parameters that the data do not determine have infinite variances."""
     residuals: Floats
+    """Residuals over their standard uncertainties, without the loss."""
     jacobian: Floats
     cost: float
+    """Half of the sum of the loss."""
     converged: bool
     message: str
 
@@ -93,14 +91,14 @@ def solve(
 
     # The solver requests the Jacobian at the point of the step just accepted, mostly the last one evaluated:
     # caching one evaluation saves half of them.
-    seen: dict[bytes, tuple[Floats, Floats]] = {}
+    cached: dict[bytes, tuple[Floats, Floats]] = {}
 
     def evaluate(values: Floats) -> tuple[Floats, Floats]:
         key = values.tobytes()
-        if key not in seen:
-            seen.clear()
-            seen[key] = model(values)
-        return seen[key]
+        if key not in cached:
+            cached.clear()
+            cached[key] = model(values)
+        return cached[key]
 
     def residuals_at(values: Floats) -> Floats:
         return evaluate(values)[0]
@@ -109,8 +107,8 @@ def solve(
         return evaluate(values)[1]
 
     values = np.asarray(start, dtype=np.float64)
-    cost, left, converged, message = np.inf, max_evaluations, False, "no step made"
-    while left > 0 and not converged:
+    cost, evaluations_left, converged, message = np.inf, max_evaluations, False, "no step made"
+    while evaluations_left > 0 and not converged:
         try:
             result = least_squares(
                 residuals_at,
@@ -123,25 +121,24 @@ def solve(
                 xtol=1e-12,
                 ftol=cost_tolerance,
                 gtol=1e-14,
-                max_nfev=min(left, _ROUND_EVALUATIONS),
+                max_nfev=min(evaluations_left, _ROUND_EVALUATIONS),
             )
         except ValueError as error:
             # the solver begins a step inside the bounds, where the model need not have a value
             if "finite" not in str(error):
                 raise
             raise DataError(f"a fit cannot begin there: {error}") from None
-        left -= int(result.nfev)
+        evaluations_left -= int(result.nfev)
         values, message = np.asarray(result.x, dtype=np.float64), str(result.message)
         if result.status > 0 and _is_stuck(result):
             message = "no further step was possible: the model has no value beyond"
             break
+        fall, cost = cost - float(result.cost), float(result.cost)
+        flat = _FLAT_COST if evaluations_left > 0 else _FLAT_COST_AT_LAST
         if result.status > 0:
             converged = True
-        elif cost - float(result.cost) < (_FLAT_COST if left > 0 else _FLAT_COST_AT_LAST) * float(
-            result.cost
-        ) / len(result.fun):
+        elif fall < flat * cost / len(result.fun):
             converged, message = True, "a valley too flat for further steps to matter"
-        cost = float(result.cost)
     residuals, jacobian = evaluate(values)
     return Solution(
         values=values,
@@ -160,8 +157,8 @@ def differenced(residuals: Callable[[Floats], Floats]) -> Model:
     def model(values: Floats) -> tuple[Floats, Floats]:
         steps = 1e-6 * np.maximum(np.abs(values), 1.0)
         columns = [
-            (residuals(values + one) - residuals(values - one)) / (2.0 * size)
-            for one, size in zip(np.diag(steps), steps.tolist(), strict=True)
+            (residuals(values + step) - residuals(values - step)) / (2.0 * size)
+            for step, size in zip(np.diag(steps), steps.tolist(), strict=True)
         ]
         return residuals(values), np.column_stack(columns)
 
@@ -174,9 +171,9 @@ def _is_stuck(result: Any) -> bool:
     count = int(np.count_nonzero(free))
     if not count or result.cost <= max(len(result.fun) - count, 1):
         return False
-    along = FactoredJacobian(result.jac[:, free]).root.T @ result.grad[free]
+    gradient = FactoredJacobian(result.jac[:, free]).root.T @ result.grad[free]
     # the cost of a linear model would fall by half of the square
-    return bool(0.5 * along @ along > _STUCK_PART * result.cost)
+    return bool(0.5 * gradient @ gradient > _STUCK_SHARE * result.cost)
 
 
 class FactoredJacobian:
@@ -204,13 +201,13 @@ class FactoredJacobian:
         scale = np.where(norm > 0, norm, 1.0)
         directions, singular, vt = np.linalg.svd(jacobian / scale, full_matrices=False)
         self.condition = float(singular[0] / max(singular[-1], 1e-300)) if len(singular) else 1.0
-        kept = singular > _SMALLEST_SINGULAR_VALUE * singular.max(initial=0.0)
-        self.directions: Floats = directions[:, kept]
-        self.root: Floats = (vt[kept].T / singular[kept]) / scale[:, None]
-        self.blind = 1.0 - np.sum(vt[kept] ** 2, axis=0) > 1e-12
-        self.log_det = 2.0 * float(np.sum(np.log(singular[kept])) + np.sum(np.log(scale)))
+        known = singular > _SMALLEST_SINGULAR_VALUE * singular.max(initial=0.0)
+        self.directions: Floats = directions[:, known]
+        self.root: Floats = (vt[known].T / singular[known]) / scale[:, None]
+        self.blind = 1.0 - np.sum(vt[known] ** 2, axis=0) > 1e-12
+        self.log_det = 2.0 * float(np.sum(np.log(singular[known])) + np.sum(np.log(scale)))
 
-    def left(self, rows: Floats) -> Floats:
+    def residual(self, rows: Floats) -> Floats:
         """Residual of rows (n,), or of each of their columns (n, m), that the coordinates cannot explain."""
         return np.asarray(rows - self.directions @ (self.directions.T @ rows), dtype=np.float64)
 
@@ -220,11 +217,11 @@ class FactoredJacobian:
 
     def covariance(self) -> Floats:
         """Covariance (k, k) of the coordinates; infinite for those that are not determined."""
-        found: Floats = self.root @ self.root.T
-        found[self.blind, :] = 0.0
-        found[:, self.blind] = 0.0
-        found[self.blind, self.blind] = np.inf
-        return found
+        covariance: Floats = self.root @ self.root.T
+        covariance[self.blind, :] = 0.0
+        covariance[:, self.blind] = 0.0
+        covariance[self.blind, self.blind] = np.inf
+        return covariance
 
 
 def covariance_of(jacobian: Floats, residuals: Floats | None = None, loss: Loss = "linear") -> Floats:
@@ -263,9 +260,9 @@ def propagate(jacobian: Floats, covariance: Floats) -> Floats:
     finite = covariance.copy()
     finite[blind, :] = 0.0
     finite[:, blind] = 0.0
-    out = jacobian @ finite @ jacobian.T
+    propagated = jacobian @ finite @ jacobian.T
     lost = np.any(jacobian[:, blind] != 0, axis=1)
-    out[lost, :] = 0.0
-    out[:, lost] = 0.0
-    out[lost, lost] = np.inf
-    return np.asarray(out, dtype=np.float64)
+    propagated[lost, :] = 0.0
+    propagated[:, lost] = 0.0
+    propagated[lost, lost] = np.inf
+    return np.asarray(propagated, dtype=np.float64)

@@ -4,6 +4,7 @@ import numpy as np
 
 from processing.arrays import Floats
 
+# Rows: shortest period in s, A, B; both models end at 1e5 s.
 _NLNM = np.array(
     [
         (0.10, -162.36, 5.64),
@@ -44,7 +45,6 @@ _NHNM = np.array(
         (354.80, -206.66, 31.63),
     ]
 )
-"""Rows: shortest period in s, A, B. Both models end at 1e5 s."""
 _LONGEST_S = 1e5
 
 

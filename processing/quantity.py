@@ -67,7 +67,7 @@ class DerivedQuantity:
     """Quantities that follow from the parameters of the paper's law and the rig's input quantities.
 
     A quantity that is added here has a line in the budget, a row in the table of results, and a place in
-    every file: `derived_quantities` of `processing.fit` calculates it.
+    every file: `reported_quantities` of `processing.fit` calculates it.
     """
 
     surface_energy_table2_j_per_m2: Annotated[

@@ -180,4 +180,4 @@ def _without_swing(time_s: Floats, values: Floats, period_s: float) -> Floats:
     hats = np.maximum(1 - np.abs(time_s[:, None] - knots) / (_KNOT_PERIODS * period_s), 0.0)
     phase = 2 * np.pi * time_s[:, None] / period_s
     columns = np.column_stack([np.ones_like(time_s), hats * np.cos(phase), hats * np.sin(phase)])
-    return FactoredJacobian(columns).left(values)
+    return FactoredJacobian(columns).residual(values)

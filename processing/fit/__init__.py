@@ -4,7 +4,7 @@ from processing.estimate import FitMethod
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.determination import Determination, identifiability
 from processing.fit.discrepancy import with_changes, with_discrepancy
-from processing.fit.drag import Drag, DragFinding, drag_verdict
+from processing.fit.drag import Drag, DragFinding, MeasuredAir, VanedRun, air_of_vanes, drag_verdict
 from processing.fit.effects import (
     DRIFTS,
     PositionErrorFit,
@@ -41,14 +41,6 @@ from processing.fit.refinement import (
     second_measurement,
     up_to_rest_step,
 )
-from processing.fit.reported import (
-    InputQuantity,
-    RigQuantities,
-    Work,
-    reported_quantities,
-    rolling_moment_nm,
-    works_per_cycle_j,
-)
 from processing.fit.result import (
     BOUNDARY_LAYER,
     DISCREPANCY,
@@ -63,6 +55,16 @@ from processing.fit.result import (
 )
 from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismometer
 from processing.fit.terms import LinearisedFit, Term
-from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
-from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
+from processing.fit.uncertainty import (
+    Budget,
+    BudgetSource,
+    InputQuantity,
+    RigQuantities,
+    Work,
+    budgets,
+    reported_quantities,
+    rolling_moment_nm,
+    standard_uncertainties,
+    works_per_cycle_j,
+)
 from processing.quantity import DerivedQuantity

@@ -58,7 +58,9 @@ def fit_asymptotic(
         ``linear``, or a robust loss that reduces the influence of outliers.
     exact
         The exact fit of the same points. Its turning points are fitted, the bias is stated by it and, if it
-        found a drive of the ground, the uncertainties contain that (`driven_covariance`).
+        found a drive of the ground, the uncertainties contain that (`_driven_covariance`).
+    known_drag
+        Value and standard uncertainty of the drag in s; by default that of `exact`.
 
     Raises
     ------
@@ -77,20 +79,20 @@ def fit_asymptotic(
         points = points.first(exact.half_cycles)
     reference = reference_amplitude(points)
     rho = relative_curvature(pendulum) * reference
-    mean = mean_period(points)
-    drag_factor = 2 * mean / np.pi**2
+    mean_period_s = mean_period(points)
+    drag_factor = 2 * mean_period_s / np.pi**2
     if known_drag is None and exact is not None and exact.has_drag:
         known_drag = exact.estimate(DRAG.key)
     known = None
     if drag and known_drag is not None:
-        known = Estimate(*(part / drag_factor for part in known_drag))
+        known = Estimate(*(drag_s / drag_factor for drag_s in known_drag))
     periods = full_periods(points)
     if len(periods.where) < FEWEST_PERIODS:
         raise DataError(
             f"{len(periods.where)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
         )
-    decay, amplitude_model = fit_decay(points, reference, mean, drag, loss, known)
-    period, period_model = fit_period(points, periods, reference, rho, loss)
+    decay, amplitude_model = fit_decay(points, reference, mean_period_s, drag, loss, known)
+    period, period_model = _fit_period(points, periods, reference, rho, loss)
     per_kappa = 1 / stiffness_ratio(1.0, pendulum)
     names = (*PAPER.names(drag=drag), AMPLITUDE.key)
     k = len(decay.values)
@@ -105,24 +107,29 @@ def fit_asymptotic(
     scatter = np.zeros((k + 3, k + 3))
     if exact is None or exact.ground is None or exact.ground.noise.at_rest:
         scatter[:k, :k] = decay.covariance * max(1.0, decay.chi2 / decay.dof)
-        scatter[k:, k:] = period_covariance(period, points, periods) * max(1.0, period.chi2 / period.dof)
+        # overlapping full periods share turning points and are correlated; the turning times are independent
+        by_time = _by_turning_time(period, points, periods)
+        score_covariance = (by_time * points.u_time_s[:, None] ** 2).T @ by_time
+        with np.errstate(invalid="ignore"):
+            of_period = period.covariance @ score_covariance @ period.covariance
+        scatter[k:, k:] = of_period * max(1.0, period.chi2 / period.dof)
     else:
         by_amplitude, by_time = np.zeros((len(points), k + 3)), np.zeros((len(points), k + 3))
         by_amplitude[:, :k] = decay.jacobian / points.u_amplitude[:, None] @ decay.covariance
-        by_time[:, k:] = by_turning_time(period, points, periods) @ period.covariance
-        scatter = driven_covariance(by_amplitude, by_time, points, pendulum, exact)
+        by_time[:, k:] = _by_turning_time(period, points, periods) @ period.covariance
+        scatter = _driven_covariance(by_amplitude, by_time, points, pendulum, exact)
         if known is not None:
             of_known = decay.covariance[:, 3] / known.standard_uncertainty
             scatter[:k, :k] += np.outer(of_known, of_known)
 
-    unsettled = []
-    for name, solution, columns in (("Eq. 5", decay, slice(k)), ("Eq. 6", period, slice(k, None))):
+    unconverged = []
+    for name, solution, own in (("Eq. 5", decay, slice(k)), ("Eq. 6", period, slice(k, None))):
         if not solution.converged:
-            np.fill_diagonal(scatter[columns, columns], np.inf)
-            unsettled.append(f"the fit of {name} did not converge: its parameters are not determined")
+            np.fill_diagonal(scatter[own, own], np.inf)
+            unconverged.append(f"the fit of {name} did not converge: its parameters are not determined")
 
-    outlying = np.abs(decay.residuals) > OUTLIER
-    outlying[periods.where] |= np.abs(period.residuals) > OUTLIER
+    is_outlier = np.abs(decay.residuals) > OUTLIER
+    is_outlier[periods.where] |= np.abs(period.residuals) > OUTLIER
     amplitude_residual = points.amplitude - amplitude_model
     period_residual = periods.period_s - period_model
     return FitResult(
@@ -140,9 +147,9 @@ def fit_asymptotic(
         mean_period_s=mean_period_estimate(points, period.chi2 / period.dof),
         loss=loss,
         cost=decay.cost + period.cost,
-        outliers=tuple(int(i) for i in points.index[outlying]),
+        outliers=tuple(int(i) for i in points.index[is_outlier]),
         warnings=(
-            *unsettled,
+            *unconverged,
             *data_warnings(
                 points,
                 {
@@ -162,29 +169,21 @@ def _bias(exact: FitResult, points: TurningPoints, pendulum: PendulumOnBall) -> 
     The decay is taken at the half-cycles of `points`, with their uncertainties as weights. None if the
     equations cannot be fitted to it.
     """
-    model, columns = ExactModel.of(points, pendulum, exact)
-    amplitude, time_s, _, _ = model.curve(columns)
+    model, coordinates = ExactModel.of(points, pendulum, exact)
+    amplitude, time_s, _, _ = model.curve(coordinates)
     # a driven pendulum swings for longer than the free one would
     reached = int(np.count_nonzero(np.isfinite(amplitude) & np.isfinite(time_s)))
-    free = replace(points, amplitude=amplitude * model.reference, time_s=time_s).first(reached)
+    free_decay = replace(points, amplitude=amplitude * model.reference, time_s=time_s).first(reached)
+    known_drag = exact.estimate(DRAG.key) if exact.has_drag else None
     try:
-        found = fit_asymptotic(
-            free,
-            pendulum,
-            drag=exact.has_drag,
-            known_drag=exact.estimate(DRAG.key) if exact.has_drag else None,
-        )
+        fit = fit_asymptotic(free_decay, pendulum, drag=exact.has_drag, known_drag=known_drag)
     except DataError:
         return None
-    return {name: found.estimate(name).value - exact.estimate(name).value for name in found.contact_names}
+    return {name: fit.estimate(name).value - exact.estimate(name).value for name in fit.contact_names}
 
 
-def fit_period(
-    points: TurningPoints,
-    periods: Periods,
-    reference: float,
-    rho: float,
-    loss: Loss,
+def _fit_period(
+    points: TurningPoints, periods: Periods, reference: float, rho: float, loss: Loss
 ) -> tuple[Solution, Floats]:
     """Solution of Eq. 6 (T0 in s, n, kappa for amplitudes in units of the reference), and its periods (s)."""
     x = points.amplitude[periods.where] / reference
@@ -208,8 +207,8 @@ def fit_period(
     return solution, t0 / (1 - drop_of(n, kappa))
 
 
-def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods) -> Floats:
-    """Derivatives (half-cycles, 3) of the fit's score by the turning times; of the values by `covariance`."""
+def _by_turning_time(solution: Solution, points: TurningPoints, periods: Periods) -> Floats:
+    """Derivatives (half-cycles, 3) of the score of the period's fit with respect to the turning times."""
     weighted = solution.jacobian / periods.u_period_s[:, None]
     by_time = np.zeros((len(points), 3))
     np.add.at(by_time, periods.where + 1, weighted)
@@ -217,31 +216,17 @@ def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods)
     return by_time
 
 
-def period_covariance(solution: Solution, points: TurningPoints, periods: Periods) -> Floats:
-    """Covariance of the fitted values from the uncertainties of the turning times.
-
-    Overlapping full periods share turning points and are correlated; the turning times are independent.
-    """
-    by_time = by_turning_time(solution, points, periods)
-    spread = (by_time * points.u_time_s[:, None] ** 2).T @ by_time
-    with np.errstate(invalid="ignore"):
-        return np.asarray(solution.covariance @ spread @ solution.covariance)
-
-
-# A least-squares fit takes the errors of turning points as independent, which those of a driven pendulum are
-# not: a step of the drive moves all later turning points. The covariance of the fitted values follows from
-# their derivatives with respect to each measured amplitude and time, and from how a step moves the later
-# turning points.
-
-
-def driven_covariance(
+def _driven_covariance(
     by_amplitude: Floats,
     by_time: Floats,
     points: TurningPoints,
     pendulum: PendulumOnBall,
     exact: FitResult,
 ) -> Floats:
-    """Covariance of values that depend linearly on the turning points.
+    """Covariance of values that depend linearly on the turning points of a driven pendulum.
+
+    A least-squares fit takes the errors of turning points as independent, but a step of the drive moves all
+    later ones.
 
     Parameters
     ----------
@@ -254,32 +239,32 @@ def driven_covariance(
     """
     assert exact.ground is not None
     noise, rate = exact.ground.noise, 2 * np.pi / exact.mean_period_s.value
-    model, columns = ExactModel.of(points, pendulum, exact)
-    _, _, amplitude_jacobian, time_jacobian = model.curve(columns)
+    model, coordinates = ExactModel.of(points, pendulum, exact)
+    _, _, amplitude_jacobian, time_jacobian = model.curve(coordinates)
     # derivatives of all amplitudes and times with respect to the first amplitude
     amplitude_slope = _to_the_end(amplitude_jacobian[:, -3])
     time_slope = _to_the_end(time_jacobian[:, -3] / model.reference)
 
-    def after(values: Floats) -> Floats:
-        """Sums over a turning point and all later ones."""
+    def sums_to_end(values: Floats) -> Floats:
+        """Sums over each turning point and all later ones."""
         return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
 
-    times = after(by_time)
-    amplitudes = after(by_amplitude * amplitude_slope[:, None]) + after(by_time * time_slope[:, None])
-    amplitudes = (amplitudes - times * time_slope[:, None]) / amplitude_slope[:, None]
+    by_time_step = sums_to_end(by_time)
+    by_first = sums_to_end(by_amplitude * amplitude_slope[:, None]) + sums_to_end(
+        by_time * time_slope[:, None]
+    )
+    by_amplitude_step = (by_first - by_time_step * time_slope[:, None]) / amplitude_slope[:, None]
     steps = noise.step * np.sqrt(np.diff(points.index, prepend=points.index[0]))
-    parts = (
+    changes_by_source = (
         by_amplitude * (noise.scale * points.u_amplitude)[:, None],
         by_time * (noise.scale * points.u_time_s)[:, None],
-        amplitudes * steps[:, None],
-        times * (steps / (rate * points.amplitude))[:, None],
+        by_amplitude_step * steps[:, None],
+        by_time_step * (steps / (rate * points.amplitude))[:, None],
     )
-    return np.asarray(sum(np.einsum("ij,ik->jk", part, part) for part in parts))
+    return np.asarray(sum(np.einsum("ij,ik->jk", changes, changes) for changes in changes_by_source))
 
 
 def _to_the_end(values: Floats) -> Floats:
     """Values with the last finite one repeated to the end: a free decay may end before a driven one."""
     reached = int(np.count_nonzero(np.isfinite(values)))
-    out = values.copy()
-    out[reached:] = values[reached - 1]
-    return out
+    return np.concatenate([values[:reached], np.full(len(values) - reached, values[reached - 1])])

@@ -23,16 +23,18 @@ from processing.noise_models import MAD_TO_SIGMA
 from processing.swing import ORDERS, SwingHarmonics
 
 WAVEFORM, AIR = "waveform", "air"
-"""Names of the parts of the evidence: the waveform, and the prior of the drag of the air."""
+"""Names of the evidence's sources: the waveform, and the prior of the drag of the air."""
 _ODD = [ORDERS.index(order) for order in (3, 5, 7, 9)]
 _NODE_RATIO = 1.6
 """Ratio of neighbouring nodes' amplitudes; between the nodes harmonics are interpolated."""
 _MIN_PIECES = 8
 """Fewest pieces that make a waveform: half of their stated uncertainty then comes from their scatter."""
-_PIECES_OF_STATED_COVARIANCE = 10.0
-"""Number of pieces as which the stated covariance counts against the scatter of the harmonics."""
+_STATED_PIECES = 10.0
+"""Weight of the stated covariance against the scatter of the harmonics, as a number of pieces."""
 _MAX_CACHED = 32
 """Most predictions in a waveform's cache: a fit and the verdicts on it need the same ones again."""
+_TREND_TERMS = 3
+"""Number of terms of the smooth curve of harmonics over the amplitudes."""
 _OUTLIER_U = 5.0
 """Standard deviations of a harmonic beyond which its piece counts as disturbed."""
 
@@ -70,20 +72,20 @@ class Waveform:
         x = np.log(self.amplitude_rad)
         span = float(x.max() - x.min())
         nodes = np.linspace(x.min(), x.max(), max(2, round(span / log(_NODE_RATIO)) + 1))
-        place = (x - nodes[0]) / (nodes[1] - nodes[0])
-        return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(len(nodes)))))
+        position = (x - nodes[0]) / (nodes[1] - nodes[0])
+        return np.asarray(np.maximum(0.0, 1.0 - np.abs(position[:, None] - np.arange(len(nodes)))))
 
     @cached_property
     def _reduction(self) -> Floats:
         """Matrix (m, 4 n) that reduces the pieces to m independent numbers of unit variance.
 
-        Nodes without pieces, and combinations of orders that vanish but for rounding, give none.
+        Nodes without pieces, and combinations of orders that vanish but for rounding, give no number.
         """
         whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         nodes, orders = self._hats.shape[1], self.sine_rad.shape[1]
         columns = np.einsum("ij,iab->iajb", self._hats, whitening).reshape(-1, nodes * orders)
-        kept = FactoredJacobian(columns).directions.T.reshape(-1, len(whitening), orders)
-        return np.asarray(np.einsum("kia,iab->kib", kept, whitening).reshape(len(kept), -1))
+        directions = FactoredJacobian(columns).directions.T.reshape(-1, len(whitening), orders)
+        return np.asarray(np.einsum("kia,iab->kib", directions, whitening).reshape(len(directions), -1))
 
     @cached_property
     def _predictions(self) -> dict[tuple[object, ...], tuple[Law, Floats]]:
@@ -95,13 +97,13 @@ class Waveform:
         Raises DataError if the pendulum would not swing.
         """
         key = (pendulum, *values.items())
-        known = self._predictions.get(key)
-        if known is None or known[0] is not law:
+        cached = self._predictions.get(key)
+        if cached is None or cached[0] is not law:
             sine = -law_harmonics(law, values, pendulum, self.amplitude_rad).imag[:, _ODD]
             while len(self._predictions) >= _MAX_CACHED:
                 del self._predictions[next(iter(self._predictions))]
-            known = self._predictions[key] = law, sine
-        return known[1]
+            cached = self._predictions[key] = law, sine
+        return cached[1]
 
     def reduced(self, sine_rad: Floats) -> Floats:
         """Harmonics of the pieces as independent numbers of unit variance."""
@@ -122,14 +124,14 @@ def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
     stated = pieces.covariance_sine[order][:, _ODD][:, :, _ODD]
     while len(amplitude) >= _MIN_PIECES:
         whitening = np.linalg.inv(np.linalg.cholesky(stated))
-        whole = _whole_scatter(amplitude, sine, whitening)
-        left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
-        kept = np.all(np.abs(left) < _OUTLIER_U * np.sqrt(np.diag(whole)), axis=1)
-        if np.all(kept):
+        residuals = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
+        scatter = _scatter_of(residuals)
+        is_used = np.all(np.abs(residuals) < _OUTLIER_U * np.sqrt(np.diag(scatter)), axis=1)
+        if np.all(is_used):
             root = np.linalg.inv(whitening)
-            enlarged = root @ whole @ np.swapaxes(root, 1, 2)
-            return Waveform(amplitude, sine, enlarged, float(np.sqrt(np.trace(whole) / len(_ODD))))
-        amplitude, sine, stated = amplitude[kept], sine[kept], stated[kept]
+            enlarged = root @ scatter @ np.swapaxes(root, 1, 2)
+            return Waveform(amplitude, sine, enlarged, float(np.sqrt(np.trace(scatter) / len(_ODD))))
+        amplitude, sine, stated = amplitude[is_used], sine[is_used], stated[is_used]
     return None
 
 
@@ -137,53 +139,46 @@ def _without_trend(amplitude: Floats, sine: Floats) -> Floats:
     """Harmonics less a smooth curve of them over the amplitudes."""
     x = np.log(amplitude)
     x = (x - x.mean()) / max(float(np.ptp(x)), 1e-9)
-    terms = amplitude[:, None] * x[:, None] ** np.arange(3)
-    return FactoredJacobian(terms).left(sine)
+    terms = amplitude[:, None] * x[:, None] ** np.arange(_TREND_TERMS)
+    return FactoredJacobian(terms).residual(sine)
 
 
-def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats:
+def _scatter_of(residuals: Floats) -> Floats:
     """Covariance (4, 4) of whitened harmonics by their scatter, with the stated covariance as a prior.
 
     Where they scatter more than stated, as in air, the prior gives only the ratios between the orders and not
-    the size of the noise: it would else take a third off the variance of a dozen pieces.
+    the size of the noise: otherwise it would reduce the variance of a dozen pieces by a third.
     """
-    left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
     # clipped, so that pieces far off are judged by the scatter of the others
-    size = MAD_TO_SIGMA * np.median(np.abs(left), axis=0)
-    left = np.clip(left, -_OUTLIER_U * size, _OUTLIER_U * size)
-    scatter, degrees = left.T @ left, len(amplitude) - 3
-    louder = max(1.0, float(np.trace(scatter)) / len(_ODD) / degrees)
-    own = (degrees + _PIECES_OF_STATED_COVARIANCE) ** 2 / degrees
-    return np.asarray(
-        _weights_factor(own, len(_ODD))
-        * (scatter + _PIECES_OF_STATED_COVARIANCE * louder * np.eye(len(_ODD)))
-        / (degrees + _PIECES_OF_STATED_COVARIANCE)
-    )
+    size = MAD_TO_SIGMA * np.median(np.abs(residuals), axis=0)
+    clipped = np.clip(residuals, -_OUTLIER_U * size, _OUTLIER_U * size)
+    scatter, dof, orders = clipped.T @ clipped, len(residuals) - _TREND_TERMS, len(_ODD)
+    prior = max(1.0, float(np.trace(scatter)) / orders / dof) * np.eye(orders)
+    factor = _weighting_factor((dof + _STATED_PIECES) ** 2 / dof, orders)
+    return np.asarray(factor * (scatter + _STATED_PIECES * prior) / (dof + _STATED_PIECES))
 
 
-def _weights_factor(degrees: float, order: int) -> float:
-    """Factor that a covariance matrix of so many degrees of freedom needs where its inverse weights a fit.
+def _weighting_factor(dof: float, size: int) -> float:
+    """Factor that a covariance matrix (size, size) from the data needs where its inverse weights a fit.
 
-    Weights from the data themselves make a fit scatter more than the true ones would and, because they favour
-    what happens to scatter little, its stated covariance too small (Wishart's distribution).
+    With weights from the data a fit scatters more than with the true ones. Its stated covariance is
+    too small, because these weights favour what happens to scatter little (Wishart's distribution).
     """
-    stated, actual = (degrees - order + 1) / degrees, (degrees - 1) / (degrees - order)
+    stated, actual = (dof - size + 1) / dof, (dof - 1) / (dof - size)
     return actual / stated
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence that restrains a fit in addition to the turning points.
-
-    `drag_s` is the prior of a linear drag, without this decay: its value and standard uncertainty. `drive` is
-    the drive of the ground by an auxiliary seismometer, up to gains that are fitted. `knocks` are the numbers
-    of the first half-cycles after knocks, from which on a decay begins anew.
-    """
+    """Evidence that restrains a fit in addition to the turning points."""
 
     waveform: Waveform | None = None
     drag_s: Estimate | None = None
+    """Prior of a linear drag, from other sources than this decay."""
     drive: KnownDrive | None = None
+    """Drive of the ground by an auxiliary seismometer, up to gains that are fitted."""
     knocks: tuple[int, ...] = ()
+    """Numbers of the first half-cycles after knocks, at each of which the decay begins anew."""
 
     def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
         """Distances of the law's waveform and drag from the evidence, in standard uncertainties."""

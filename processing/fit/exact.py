@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from processing.estimate import Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import FEWEST_HALF_CYCLES, OUTLIER, check_turning_points, result_of
-from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
+from processing.fit.ground import GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
 from processing.least_squares import Loss, Solution, solve
@@ -31,9 +31,9 @@ _GOOD_EVIDENCE = 8.0
 any turning points a good chi-square."""
 _MAX_ITERATIONS = 12
 """Most alternations of noise and parameters; two or three suffice."""
-_STEPS = 60
-"""Most steps of one alternation; the last search has as many as it needs."""
-_MOST_LINEARISED = 24
+_MAX_EVALUATIONS = 60
+"""Most evaluations of the model in one alternation; the last search has as many as it needs."""
+_MAX_LINEARISED = 24
 """Most fits to a partly linearised model; one that lacks an effect in the data converges slowly."""
 _CONVERGED_U = 0.02
 """Change of the parameters, in standard uncertainties, below which the alternation ends."""
@@ -42,9 +42,9 @@ _LINEAR_U = 0.5
 taken as linear."""
 _LINEAR_SHARE = 0.01
 """The same error as a share of the evidence, where that contradicts the law."""
-_HALVINGS = 8
-"""Most times that a step is halved until the evidence itself agrees that it descends."""
-_WEAKEST = 10.0
+_MAX_HALVINGS = 8
+"""Most times that a step is halved until the sum of squares, with the evidence not linearised, falls."""
+_MIN_AMPLITUDE_STEPS = 10.0
 """Smallest amplitude fitted, in steps of the drive: amplitude and phase do not describe a smaller motion."""
 
 
@@ -58,124 +58,116 @@ class _Minimum(NamedTuple):
 
 def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minimum | None:
     """The minimum from one start, noise and parameters in turn until both stay; None without convergence."""
-    columns = start
-    noise: Noise | None = None
-    near: ExactModel | None = None
-    near_enough = False
+    coordinates = start
+    last_step: float | None = None
+    linearised: ExactModel | None = None
+    is_linear = False
     for _ in range(_MAX_ITERATIONS):
         try:
-            if near is None or not near_enough:
-                near = model.linearised_at(columns)
-            likeliest = NoiseSearch(near, columns, loss, kind).likeliest()
+            if linearised is None or not is_linear:
+                linearised = model.linearised_at(coordinates)
+            likeliest = NoiseSearch(linearised, coordinates, loss, kind).likeliest()
             if not np.isfinite(likeliest.deviance):
                 return None
-            here = near.on_ground(columns, _as_weights(likeliest.noise), likeliest.noise.scale)
+            noise = likeliest.noise
+            weighted = linearised.on_ground(coordinates, noise.as_weights, noise.scale)
             solution = solve(
-                here,
-                columns,
+                weighted,
+                coordinates,
                 lower=model.lower,
                 upper=model.upper,
                 loss=loss,
                 cost_tolerance=1e-9,
-                max_evaluations=_STEPS,
+                max_evaluations=_MAX_EVALUATIONS,
             )
         except DataError:
             return None
-        stays = np.array_equal(solution.values, columns)
-        moved = _largest_move(columns, solution)
-        near_enough = moved < _LINEAR_U and _evidence_is_linear(here, solution.values)
-        columns = solution.values if near_enough else _part_that_descends(here, columns, solution.values)
-        same = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
-        if same and near_enough and moved < _CONVERGED_U:
+        is_unmoved = np.array_equal(solution.values, coordinates)
+        change_u = _largest_change_u(coordinates, solution)
+        is_linear = change_u < _LINEAR_U and _evidence_is_linear(weighted, solution.values)
+        if is_linear:
+            coordinates = solution.values
+        else:
+            coordinates = _descending_share(weighted, coordinates, solution.values)
+        is_same_noise = last_step is not None and abs(noise.step - last_step) <= 0.01 * last_step
+        if is_same_noise and is_linear and change_u < _CONVERGED_U:
             break
-        noise = likeliest.noise
-    if not _evidence_is_linear(here, columns):
-        # what was minimised is not this law's evidence
+        last_step = noise.step
+    if not _evidence_is_linear(weighted, coordinates):
+        # the minimum is that of a linearised evidence, which there is not the law's
         return None
     # where the last search found no step, a finer tolerance would find none either
-    final = solution
-    if not stays:
-        final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
-    return _Minimum(here, final, likeliest) if final.converged else None
+    if not is_unmoved:
+        solution = solve(weighted, coordinates, lower=model.lower, upper=model.upper, loss=loss)
+    return _Minimum(weighted, solution, likeliest) if solution.converged else None
 
 
-def _evidence_is_linear(model: ExactModel, columns: Floats) -> bool:
-    """Whether the evidence here is what it is by its linearisation, but for a part of its uncertainty."""
-    linear = model.evidence_rows(columns)[0]
+def _evidence_is_linear(model: ExactModel, coordinates: Floats) -> bool:
+    """Whether the evidence agrees with its linearisation, within a part of its uncertainty."""
+    linear = model.evidence_rows(coordinates)[0]
     try:
-        itself = model.evidence_residuals(columns)
+        evidence = model.evidence_residuals(coordinates)
     except DataError:
         return False
-    off, whole = float(np.linalg.norm(itself - linear)), float(np.linalg.norm(itself))
-    return off <= max(_LINEAR_U, _LINEAR_SHARE * whole)
+    error, size = float(np.linalg.norm(evidence - linear)), float(np.linalg.norm(evidence))
+    return error <= max(_LINEAR_U, _LINEAR_SHARE * size)
 
 
-def _part_that_descends(model: ExactModel, before: Floats, after: Floats) -> Floats:
-    """The end of a step, or of its largest part that lowers the sum of squares with the evidence itself.
+def _descending_share(model: ExactModel, start: Floats, end: Floats) -> Floats:
+    """The end of a step, or of its largest share that lowers the sum of squares with the evidence itself.
 
-    The step was found with linear evidence, which far from `before` may be wrong by any factor. It is taken
-    whole where no part of it descends, as in a bent valley out of which every straight way leads.
+    The step was found with linear evidence, which far from `start` may be wrong by any factor. It is taken
+    whole where no share of it descends, as in a bent valley out of which every straight way leads.
     """
-    lowest = _sum_of_squares(model, before)
-    for part in 0.5 ** np.arange(_HALVINGS):
+    at_start = _sum_of_squares(model, start)
+    for share in (0.5**halvings for halvings in range(_MAX_HALVINGS)):
         # between two points inside the limits rounding may leave them
-        reached = np.clip(float(part) * after + (1.0 - float(part)) * before, model.lower, model.upper)
-        if _sum_of_squares(model, reached) <= lowest:
-            return reached
-    return after
+        coordinates = np.clip(share * end + (1.0 - share) * start, model.lower, model.upper)
+        if _sum_of_squares(model, coordinates) <= at_start:
+            return coordinates
+    return end
 
 
-def _sum_of_squares(model: ExactModel, columns: Floats) -> float:
+def _sum_of_squares(model: ExactModel, coordinates: Floats) -> float:
     """Of all residuals, those of the evidence not linearised; infinite where the pendulum would not swing."""
     try:
-        beside = model.scale * model.evidence_residuals(columns)
+        evidence = model.scale * model.evidence_residuals(coordinates)
     except DataError:
         return np.inf
-    linear = len(model.evidence_rows(columns)[0])
-    points = model(columns)[0]
-    points = points[: len(points) - linear]
-    found = float(points @ points + beside @ beside)
-    return found if np.isfinite(found) else np.inf
+    of_points = model(coordinates)[0][: 2 * len(model.points)]
+    total = float(of_points @ of_points + evidence @ evidence)
+    return total if np.isfinite(total) else np.inf
 
 
-def _largest_move(before: Floats, solution: Solution) -> float:
-    """Largest change of a column, in standard uncertainties, of those that are determined."""
-    moved = np.abs(solution.values - before) / np.sqrt(np.diag(solution.covariance))
-    return float(np.max(moved[np.isfinite(moved)], initial=0.0))
-
-
-def _as_weights(noise: Noise) -> Noise:
-    """The noise by which residuals are weighted; chi2/dof then shows the scale of the uncertainties."""
-    return AT_REST if noise.at_rest else noise.in_stated_uncertainties
+def _largest_change_u(start: Floats, solution: Solution) -> float:
+    """Largest change of a coordinate, in standard uncertainties, of those that are determined."""
+    change_u = np.abs(solution.values - start) / np.sqrt(np.diag(solution.covariance))
+    return float(np.max(change_u[np.isfinite(change_u)], initial=0.0))
 
 
 def _likeliest_minimum(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Minimum:
     """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
     best: _Minimum | None = None
-    tried = 0
+    start_count = 0
     for start in chain(start_near(model, near), starts_of(model)):
-        tried += 1
-        found = _minimum_from(model, start, loss, kind)
-        if found is None:
+        start_count += 1
+        minimum = _minimum_from(model, start, loss, kind)
+        if minimum is None:
             continue
-        if best is None or found.likeliest.deviance < best.likeliest.deviance:
-            best = found
-        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and _agrees_with_evidence(best):
+        if best is None or minimum.likeliest.deviance < best.likeliest.deviance:
+            best = minimum
+        evidence = best.model.evidence_rows(best.solution.values)[0]
+        agrees = float(evidence @ evidence) <= _GOOD_EVIDENCE * (len(evidence) + 1)
+        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and agrees:
             break
-    if not tried:
+    if not start_count:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
     if best is None:
         raise DataError(
-            f"the exact fit did not converge from {tried} starts: the law does not describe these "
+            f"the exact fit did not converge from {start_count} starts: the law does not describe these "
             "amplitudes, or they hardly show it: check for disturbed half-cycles, start at a larger amplitude"
         )
     return best
-
-
-def _agrees_with_evidence(found: _Minimum) -> bool:
-    """Whether the minimum agrees with the evidence."""
-    beside = found.model.evidence_rows(found.solution.values)[0]
-    return float(beside @ beside) <= _GOOD_EVIDENCE * len(beside) + _GOOD_EVIDENCE
 
 
 def fit_exact(
@@ -201,14 +193,14 @@ def fit_exact(
     drag
         Also fit a linear drag, moment ``-m g R drag_s phi'``.
     evidence
-        What restrains the fit beside the turning points.
+        Evidence that restrains the fit in addition to the turning points.
     loss
         ``linear``, or a robust loss that reduces the influence of outliers.
     averaged
-        The turning points were measured on the samples of their half-cycles, as the swing detector
-        does. False: amplitude and time are those of the instant at which the pendulum turns.
+        Whether the turning points were measured on the samples of their half-cycles, as by the swing
+        detector. Otherwise amplitude and time are those of the instant at which the pendulum turns.
     near
-        An exact fit of nearly the same points, from which the search starts before it starts again.
+        An exact fit of nearly the same points, at which the first of all searches starts.
 
     Raises
     ------
@@ -227,48 +219,47 @@ def fit_exact(
     """
     check_turning_points(points)
     kind = Noise(averaged=averaged, limit=np.inf if loss == "linear" else OUTLIER)
-    kept = points
+    fitted = points
     while True:
-        model = ExactModel(kept, pendulum, law=law, drag=drag, evidence=evidence)
-        found = _likeliest_minimum(model, loss, kind, near)
-        weakest = _WEAKEST * found.likeliest.noise.step * model.reference
-        lost = np.nonzero(kept.amplitude < weakest)[0]
+        model = ExactModel(fitted, pendulum, law=law, drag=drag, evidence=evidence)
+        minimum = _likeliest_minimum(model, loss, kind, near)
+        likeliest = minimum.likeliest
+        lowest = _MIN_AMPLITUDE_STEPS * likeliest.noise.step * model.reference
+        lost = np.nonzero(fitted.amplitude < lowest)[0]
         if not len(lost):
             break
         if lost[0] < FEWEST_HALF_CYCLES:
             raise DataError(
                 "the ground drives the pendulum as strongly as it swings: amplitudes below "
-                f"{plain(weakest, 2)} are lost in its motion, which leaves {lost[0]} half-cycles; "
+                f"{plain(lowest, 2)} are lost in its motion, which leaves {lost[0]} half-cycles; "
                 "start higher, or wait for a quieter hour"
             )
-        kept = kept.first(int(lost[0]))
-    search = NoiseSearch(found.model, found.solution.values, loss, kind)
-    bounds = search.bounds(found.likeliest)
-    half_period_s = 0.5 * mean_period(kept)
-    step, reference = found.likeliest.noise.step, model.reference
+        fitted = fitted.first(int(lost[0]))
+    search = NoiseSearch(minimum.model, minimum.solution.values, loss, kind)
+    bounds = search.bounds(likeliest)
+    half_period_s = 0.5 * mean_period(fitted)
+    step, reference = likeliest.noise.step, model.reference
     ground = GroundFit(
         density_rad_per_s2_rthz=Estimate(
             density_of_step(step * reference, half_period_s),
             density_of_step(bounds.u_step * reference, half_period_s),
         ),
         upper_95=density_of_step(bounds.highest_step * reference, half_period_s),
-        noise=replace(found.likeliest.noise, step=step * reference),
-        seen=found.likeliest.against_rest > GROUND_SEEN,
-        measurement_scale=found.likeliest.noise.scale,
-        left_out_half_cycles=len(points) - len(kept),
-        deviance=found.likeliest.deviance,
+        noise=replace(likeliest.noise, step=step * reference),
+        seen=likeliest.against_rest > GROUND_SEEN,
+        measurement_scale=likeliest.noise.scale,
+        left_out_half_cycles=len(points) - len(fitted),
+        deviance=likeliest.deviance,
         unrestricted=search.least_unrestricted(),
     )
-    averaged_over = search.averaged_covariance(found.likeliest, bounds)
-    return result_of(found.model, found.solution, ground, loss, found.likeliest.covariance, averaged_over)
+    covariance_over_steps = search.averaged_covariance(likeliest, bounds)
+    return result_of(
+        minimum.model, minimum.solution, ground, loss, likeliest.covariance, covariance_over_steps
+    )
 
 
 def fit_exact_with(
-    points: TurningPoints,
-    pendulum: PendulumOnBall,
-    like: FitResult,
-    *,
-    drag: bool,
+    points: TurningPoints, pendulum: PendulumOnBall, like: FitResult, *, drag: bool
 ) -> FitResult:
     """The exact fit of another model to the same turning points, with the noise of an earlier fit of them.
 
@@ -280,23 +271,23 @@ def fit_exact_with(
         points.first(like.half_cycles), pendulum, law=like.law, drag=drag, evidence=like.evidence
     )
     noise, scale = model.noise_of(like), like.ground.measurement_scale
-    linear = noise.at_rest and like.evidence == NO_EVIDENCE
+    is_linear = noise.at_rest and like.evidence == NO_EVIDENCE
     best: tuple[ExactModel, Solution] | None = None
-    for columns in chain(start_near(model, like), starts_of(model)):
+    for coordinates in chain(start_near(model, like), starts_of(model)):
         try:
-            for _ in range(_MOST_LINEARISED):
-                here = model.on_ground(columns, noise, scale).linearised_at(columns)
-                solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
-                moved = _largest_move(columns, solution)
-                columns = solution.values
-                if linear or moved < _CONVERGED_U:
+            for _ in range(_MAX_LINEARISED):
+                weighted = model.on_ground(coordinates, noise, scale).linearised_at(coordinates)
+                solution = solve(weighted, coordinates, lower=model.lower, upper=model.upper, loss=like.loss)
+                change_u = _largest_change_u(coordinates, solution)
+                coordinates = solution.values
+                if is_linear or change_u < _CONVERGED_U:
                     break
         except DataError:
             continue
-        # a cost whose weights and evidence are those of other columns is not this model's
-        settled = linear or moved < _LINEAR_U
-        if solution.converged and settled and (best is None or solution.cost < best[1].cost):
-            best = here, solution
+        # a cost whose weights and evidence are those of other coordinates is not this model's
+        is_own_cost = is_linear or change_u < _LINEAR_U
+        if solution.converged and is_own_cost and (best is None or solution.cost < best[1].cost):
+            best = weighted, solution
         if best is not None and 2 * best[1].cost / best[1].dof < _GOOD_CHI2:
             break
     if best is None:
@@ -304,8 +295,10 @@ def fit_exact_with(
     return result_of(*best, like.ground, like.loss)
 
 
-_DOWN_THE_VALLEY, _PLACES = 6.0, 25
-"""Range of starts below the largest friction, as a logarithm, and their number."""
+_VALLEY_RANGE = 6.0
+"""Range below the largest friction, as a logarithm, in which starts along the valley lie."""
+_VALLEY_STARTS = 25
+"""Number of starts along the valley."""
 _MUCH_BETTER = 0.25
 """Chi-square of the evidence, over that at a start, below which the start is moved."""
 
@@ -313,53 +306,53 @@ _MUCH_BETTER = 0.25
 def starts_of(model: ExactModel) -> Iterator[Floats]:
     """Start values for which the map reaches the last half-cycle, the most promising first.
 
-    Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
-    Where the waveform contradicts the first start, the place along the law's valley of friction and drag that
-    describes the waveform best precedes it.
+    Where none does, the first start of each kind is tried: a driven pendulum may swing for longer than any
+    free one. Where the waveform contradicts the first start, the point along the law's valley of friction and
+    drag that describes the waveform best precedes it.
     """
-    usable: list[Floats] = []
+    is_any_usable = False
     others: list[Floats] = []
-    for attempts in model.columns.starts(model.points):
+    for attempts in model.parametrisation.starts(model.points):
         inside = [_inside(model, attempt) for attempt in attempts]
-        reaching = (columns for columns in inside if np.all(np.isfinite(model(columns)[0])))
-        for columns in islice(reaching, 1):
-            if not usable:
-                yield from _by_waveform(model, columns)
-            usable.append(columns)
-            yield columns
+        coordinates = next((start for start in inside if np.all(np.isfinite(model(start)[0]))), None)
+        if coordinates is not None:
+            if not is_any_usable:
+                yield from _by_waveform(model, coordinates)
+            is_any_usable = True
+            yield coordinates
         others += inside[:1]
-    if not usable:
+    if not is_any_usable:
         yield from others
 
 
-def _by_waveform(model: ExactModel, columns: Floats) -> Iterator[Floats]:
+def _by_waveform(model: ExactModel, coordinates: Floats) -> Iterator[Floats]:
     """A start moved to the share of friction and drag that the evidence prefers, if that is much better."""
-    valley = model.columns.valley
+    valley = model.parametrisation.valley
     if valley is None or model.evidence.waveform is None:
         return
-    down = np.linspace(model.upper[valley] - _DOWN_THE_VALLEY, model.upper[valley], _PLACES)
-    found: list[tuple[float, Floats]] = []
-    for place in [float(columns[valley]), *down.tolist()]:
-        moved = columns.copy()
-        moved[valley] = place
+    along_valley = np.linspace(model.upper[valley] - _VALLEY_RANGE, model.upper[valley], _VALLEY_STARTS)
+    trials: list[tuple[float, Floats]] = []
+    for value in [float(coordinates[valley]), *along_valley.tolist()]:
+        trial = coordinates.copy()
+        trial[valley] = value
         with suppress(DataError):
-            if np.all(np.isfinite(model(moved)[0])):
-                found.append((float(np.sum(model.evidence_residuals(moved) ** 2)), moved))
-    if not found:
+            if np.all(np.isfinite(model(trial)[0])):
+                trials.append((float(np.sum(model.evidence_residuals(trial) ** 2)), trial))
+    if not trials:
         return
-    best = min(found, key=lambda one: one[0])
-    if found[0][1] is not best[1] and best[0] < _MUCH_BETTER * found[0][0]:
-        yield _inside(model, best[1])
+    chi2, best = min(trials, key=lambda chi2_and_trial: chi2_and_trial[0])
+    if trials[0][1] is not best and chi2 < _MUCH_BETTER * trials[0][0]:
+        yield _inside(model, best)
 
 
 def start_near(model: ExactModel, fit: FitResult | None) -> Iterator[Floats]:
     """The parameters of an earlier fit as a start, where the map then reaches the last half-cycle."""
     if fit is None:
         return
-    columns = _inside(model, model.columns.from_physical({DRAG.key: 0.0} | fit.named_values))
-    if np.all(np.isfinite(model(columns)[0])):
-        yield columns
+    coordinates = _inside(model, model.parametrisation.from_physical({DRAG.key: 0.0} | fit.named_values))
+    if np.all(np.isfinite(model(coordinates)[0])):
+        yield coordinates
 
 
-def _inside(model: ExactModel, columns: Floats) -> Floats:
-    return np.clip(columns, model.lower + 1e-9, model.upper - 1e-9)
+def _inside(model: ExactModel, coordinates: Floats) -> Floats:
+    return np.clip(coordinates, model.lower + 1e-9, model.upper - 1e-9)

@@ -25,17 +25,16 @@ from processing.number_text import plain
 from processing.swing import TurningPoints
 
 FEWEST_HALF_CYCLES = 10
-"""Twenty amplitudes and times, for the eight columns of the paper's law and the noise."""
-_QUIET, _ENOUGH = 0.5, 60
-"""Reduced chi-square below which uncertainties are called overstated, of at least so many degrees of freedom:
-its probability is there 4e-4."""
+"""Twenty amplitudes and times, for the eight coordinates of the paper's law and the noise."""
+_OVERSTATED_CHI2, _MIN_OVERSTATED_DOF = 0.5, 60
+"""Reduced chi-square below which uncertainties are called overstated, and the fewest degrees of freedom for
+that: chance makes so small a value with a probability of 4e-4."""
 OUTLIER = 5.0
 """Residual in standard uncertainties above which a half-cycle is listed as an outlier."""
 _SMALL_RAD = 0.03
 """Amplitude up to which gravity's moment is taken as proportional: A^2/16 of the period is 6e-5 there."""
-_SIGNIFICANT = 3.0
-"""Standard uncertainties below zero at and above which a negative value is no chance."""
-_AT_LIMIT = "{} is at the limit of its range: the data do not determine it"
+_IMPOSSIBLE_U = 3.0
+"""Standard uncertainties below zero beyond which a negative value is no chance."""
 _LAGS = 20
 """Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""
 
@@ -52,30 +51,30 @@ def check_turning_points(points: TurningPoints) -> None:
             f"{count} usable half-cycles, and a fit needs at least {FEWEST_HALF_CYCLES}: "
             "record for longer or see which were flagged"
         )
-    columns = {
+    measured = {
         "time_s": points.time_s,
         "u_time_s": points.u_time_s,
         "amplitude": points.amplitude,
         "u_amplitude": points.u_amplitude,
     }
-    for name, values in columns.items():
+    for name, values in measured.items():
         bad = np.nonzero(~np.isfinite(values))[0]
         if len(bad):
             raise DataError(
                 f"{name} of half-cycle {points.index[bad[0]]} is {values[bad[0]]}: flag it or leave it out"
             )
     for name in ("u_time_s", "u_amplitude", "amplitude"):
-        bad = np.nonzero(columns[name] <= 0)[0]
+        bad = np.nonzero(measured[name] <= 0)[0]
         if len(bad):
             raise DataError(
-                f"{name} of half-cycle {points.index[bad[0]]} is {columns[name][bad[0]]:g}: "
+                f"{name} of half-cycle {points.index[bad[0]]} is {measured[name][bad[0]]:g}: "
                 "it must be positive"
             )
     for name, steps in (("index", np.diff(points.index)), ("time_s", np.diff(points.time_s))):
         bad = np.nonzero(steps <= 0)[0]
         if len(bad):
             raise DataError(
-                f"swings out of order: {name} does not rise after half-cycle {points.index[bad[0]]}; "
+                f"half-cycles out of order: {name} does not rise after half-cycle {points.index[bad[0]]}; "
                 "sort them by time"
             )
     third = max(count // 3, 3)
@@ -89,14 +88,12 @@ def check_turning_points(points: TurningPoints) -> None:
 
 
 def data_warnings(
-    points: TurningPoints,
-    chi2_per_dof: Mapping[str, float],
-    drive_step: float = 0.0,
+    points: TurningPoints, chi2_per_dof: Mapping[str, float], drive_step: float = 0.0
 ) -> Iterator[str]:
     """Warnings about the data that do not depend on the fitted parameters.
 
-    `chi2_per_dof` is that of every part of the fit, by the name of its data. `drive_step` is the standard
-    deviation by which the ground moves an amplitude in a half-swing.
+    `chi2_per_dof` has the value of every part of the fit, by the name of its data. `drive_step` is the
+    standard deviation by which the ground moves an amplitude in a half-swing.
     """
     step = np.diff(points.amplitude)
     noise = np.hypot(np.hypot(points.u_amplitude[1:], points.u_amplitude[:-1]), drive_step)
@@ -104,10 +101,10 @@ def data_warnings(
     if len(kicked):
         listed = ", ".join(map(str, kicked[:5])) + (", ..." if len(kicked) > 5 else "")
         yield f"the amplitude jumps up at half-cycle {listed}: a kick or a vibration"
-    part, worst = max(chi2_per_dof.items(), key=lambda item: item[1])
+    data, worst = max(chi2_per_dof.items(), key=lambda item: item[1])
     if worst > 2:
         yield (
-            f"χ²/dof of {part} = {plain(worst, 3)}: the data scatter more than their uncertainties say or "
+            f"χ²/dof of {data} = {plain(worst, 3)}: the data scatter more than their uncertainties say or "
             "the model does not describe them; uncertainties are scaled up by its root"
         )
 
@@ -122,36 +119,34 @@ def result_of(
 ) -> FitResult:
     """Result of an exact fit: physical values, their uncertainties, and warnings.
 
-    `likeliest` and `averaged` are covariances of the columns, with the likeliest noise and averaged over the
-    noise that the data allow; their ratio enlarges the uncertainties.
+    `likeliest` and `averaged` are covariances of the coordinates, with the likeliest noise and averaged over
+    the noise that the data allow; their ratio enlarges the uncertainties.
     """
     points = model.points
     amplitude, time, _, _ = model.curve(solution.values)
     deviation = np.abs(points.amplitude - amplitude * model.reference) / points.amplitude
-    values, to_physical = model.columns.physical(solution.values)
+    values, to_physical = model.parametrisation.physical(solution.values)
     chi2_per_dof = solution.chi2 / solution.dof
-    scatter = solution.covariance * (max(1.0, chi2_per_dof) if loss == "linear" else 1.0)
+    scale2 = max(1.0, chi2_per_dof) if loss == "linear" else 1.0
+    scatter = solution.covariance * scale2
     covariance = propagate(to_physical, scatter)
     u_inflation = np.ones(len(covariance))
     if likeliest is not None and averaged is not None:
         # never smaller: a drive that was seen may still be larger than the likeliest one
-        u_inflation *= np.maximum(1.0, _factor(to_physical, averaged, likeliest))
+        u_inflation *= np.maximum(1.0, _u_ratio(to_physical, averaged, likeliest))
     of_points = solution.residuals[: 2 * len(points)]
     white = whiteness(of_points / np.sqrt(max(1.0, chi2_per_dof)))
     if np.all(np.isfinite(covariance)):
-        factor = _by_correlation(to_physical, solution, white, len(points))
+        factor = _correlation_inflation(to_physical, solution, white, len(points))
         white = replace(white, u_inflation=float(factor.max()))
         u_inflation *= factor
     covariance = covariance * np.outer(u_inflation, u_inflation)
     terms = {MEASUREMENT: _by_measurement(model, solution, to_physical)}
     by_air = _by_air(model, solution)
     if by_air is not None:
-        scale = max(1.0, chi2_per_dof) ** 0.5 if loss == "linear" else 1.0
-        terms[AIR] = (u_inflation * scale * (to_physical @ by_air))[:, None]
+        terms[AIR] = (u_inflation * scale2**0.5 * (to_physical @ by_air))[:, None]
 
-    count = len(points)
-    normalised = np.abs(of_points)
-    outlying = (normalised[:count] > OUTLIER) | (normalised[count:] > OUTLIER)
+    is_outlier = np.any(np.abs(of_points.reshape(2, -1)) > OUTLIER, axis=0)
     periods = full_periods(points)
     period_model = time[periods.where + 1] - time[periods.where - 1]
     period_deviation = np.abs(periods.period_s - period_model) / periods.period_s
@@ -170,26 +165,29 @@ def result_of(
         mean_period_s=mean_period_estimate(points, chi2_per_dof),
         loss=loss,
         cost=solution.cost,
-        outliers=tuple(int(i) for i in points.index[outlying]),
+        outliers=tuple(int(i) for i in points.index[is_outlier]),
         warnings=(
             *data_warnings(points, {"amplitudes and times": chi2_per_dof}, ground.noise.step),
             *_remarks(points, ground, solution, white),
-            *map(_AT_LIMIT.format, model.columns.at_limit(solution.values)),
+            *(
+                f"{name} is at the limit of its range: the data do not determine it"
+                for name in model.parametrisation.at_limit(solution.values)
+            ),
         ),
-        half_cycles=count,
+        half_cycles=len(points),
         ground=ground,
         u_inflation=u_inflation,
         terms=terms,
         whiteness=white,
         evidence=model.evidence_at(solution.values, scatter),
-        information_gain=_gain_factors(model, solution, to_physical),
+        information_gain=_information_gain(model, solution, to_physical),
     )
 
 
 def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: Whiteness) -> Iterator[str]:
-    """Warnings of the uncertainties by the residuals and the ground; `points` are those fitted."""
+    """Warnings on the uncertainties, by the residuals and the ground; `points` are those fitted."""
     chi2_per_dof = solution.chi2 / solution.dof
-    if solution.dof >= _ENOUGH and 0 < chi2_per_dof < _QUIET:
+    if solution.dof >= _MIN_OVERSTATED_DOF and 0 < chi2_per_dof < _OVERSTATED_CHI2:
         # overstated uncertainties hide a drive, and enlarge those of all parameters
         yield (
             f"χ²/dof = {plain(chi2_per_dof, 2)}: the uncertainties of the turning points are "
@@ -214,43 +212,41 @@ def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: W
 
 
 def _evidence_parts(model: ExactModel) -> dict[str, slice]:
-    """Rows of the residuals in which each part of the evidence stands."""
+    """Rows of each part of the evidence among the residuals."""
     first, count = 2 * len(model.points), len(model.evidence_rows(np.zeros(len(model.lower)))[0])
     last = first + count - (model.evidence.drag_s is not None and DRAG.key in model.names)
     rows = {WAVEFORM: slice(first, last), AIR: slice(last, first + count)}
-    return {name: part for name, part in rows.items() if part.start < part.stop}
+    return {name: own for name, own in rows.items() if own.start < own.stop}
 
 
 def _by_air(model: ExactModel, solution: Solution) -> Floats | None:
-    """Change of the columns by one standard uncertainty of the drag's prior; None without a prior."""
+    """Change of the coordinates by one standard uncertainty of the drag's prior; None without a prior."""
     rows = _evidence_parts(model).get(AIR)
     if rows is None or not np.all(np.isfinite(solution.covariance)):
         return None
     return np.asarray(solution.covariance @ solution.jacobian[rows][0])
 
 
-def _gain_factors(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
+def _information_gain(
+    model: ExactModel, solution: Solution, to_physical: Floats
+) -> dict[str, dict[str, float]]:
     """Ratios of uncertainties without a part of the evidence to those with it, by part and parameter."""
-    uncertainty_ratio_without = {}
-    whole = covariance_of(solution.jacobian)
-    for part, rows in _evidence_parts(model).items():
+    ratios = {}
+    covariance = covariance_of(solution.jacobian)
+    for source, rows in _evidence_parts(model).items():
         without = covariance_of(np.delete(solution.jacobian, rows, axis=0))
-        factor = _factor(to_physical, without, whole)
         undetermined = ~np.isfinite(np.diag(propagate(to_physical, without)))
-        factor = np.where(undetermined, np.inf, factor)
-        kept = (name not in (AMPLITUDE.key, TIME.key) for name in model.names)
-        uncertainty_ratio_without[part] = {
-            name: float(one) for name, one, stays in zip(model.names, factor, kept, strict=True) if stays
-        }
-    return uncertainty_ratio_without
+        ratio = np.where(undetermined, np.inf, _u_ratio(to_physical, without, covariance))
+        by_name = dict(zip(model.names, ratio.tolist(), strict=True))
+        ratios[source] = {name: by_name[name] for name in by_name if name not in (AMPLITUDE.key, TIME.key)}
+    return ratios
 
 
-def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
-    """Ratio of the standard uncertainties by two covariances of the columns."""
-    above, below = (np.diag(propagate(to_physical, one)) for one in (wider, covariance))
+def _u_ratio(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
+    """Ratio of the standard uncertainties by two covariances of the coordinates; 1 where there is none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.nan_to_num(above / below, nan=1.0, posinf=1.0)
-        return np.asarray(np.sqrt(np.maximum(ratio, 0.0)))
+        ratio = np.diag(propagate(to_physical, wider)) / np.diag(propagate(to_physical, covariance))
+        return np.asarray(np.sqrt(np.maximum(np.nan_to_num(ratio, nan=1.0, posinf=1.0), 0.0)))
 
 
 def _by_measurement(model: ExactModel, solution: Solution, to_physical: Floats) -> Floats:
@@ -268,15 +264,15 @@ def _mean_of_finite(values: Floats) -> float:
     return float(np.mean(finite)) if len(finite) else float("nan")
 
 
-def _by_correlation(to_physical: Floats, solution: Solution, white: Whiteness, count: int) -> Floats:
+def _correlation_inflation(to_physical: Floats, solution: Solution, white: Whiteness, count: int) -> Floats:
     """The factor by which correlated residuals enlarge every standard uncertainty."""
     of_points = slice(2 * count)
     jacobian, covariance = solution.jacobian[of_points], solution.covariance
-    factor = _factor(to_physical, neighbours_covariance(white, jacobian, covariance), covariance)
+    factor = _u_ratio(to_physical, neighbours_covariance(white, jacobian, covariance), covariance)
     if white.correlated:
         residuals = solution.residuals[of_points] / np.sqrt(solution.chi2 / solution.dof)
         wider = correlated_covariance(residuals, jacobian, covariance, white.lags)
-        factor = np.maximum(factor, _factor(to_physical, wider, covariance))
+        factor = np.maximum(factor, _u_ratio(to_physical, wider, covariance))
     return np.asarray(np.maximum(1.0, factor))
 
 
@@ -290,6 +286,7 @@ def whiteness(residuals: Floats) -> Whiteness:
 
 
 def _ljung_box(z: Floats, lags: int) -> tuple[float, float]:
+    """Chance of the autocorrelations of residuals in white noise, and the correlation of next neighbours."""
     from scipy.special import chdtrc
 
     count = len(z)
@@ -305,7 +302,7 @@ def _ljung_box(z: Floats, lags: int) -> tuple[float, float]:
 
 
 def correlated_covariance(residuals: Floats, jacobian: Floats, covariance: Floats, lags: int) -> Floats:
-    """Covariance of fitted columns if neighbouring residuals are correlated (Newey and West, 1987).
+    """Covariance of fitted coordinates if neighbouring residuals are correlated (Newey and West, 1987).
 
     Parameters
     ----------
@@ -316,25 +313,26 @@ def correlated_covariance(residuals: Floats, jacobian: Floats, covariance: Float
     """
     count = len(residuals) // 2
     score = (jacobian * residuals[:, None]).reshape(2, count, -1).sum(axis=0)
-    both = np.zeros_like(covariance)
-    for k in range(1, lags + 1):
-        part = np.einsum("ij,ik->jk", score[k:], score[:-k]) * (1 - k / (lags + 1))
-        both += part + part.T
-    return _widened(covariance, both)
+    score_covariance = np.zeros_like(covariance)
+    for lag in range(1, lags + 1):
+        of_lag = np.einsum("ij,ik->jk", score[lag:], score[:-lag]) * (1 - lag / (lags + 1))
+        score_covariance += of_lag + of_lag.T
+    return _enlarged(covariance, score_covariance)
 
 
-def _widened(covariance: Floats, both: Floats) -> Floats:
-    # a column that is not determined has no part in the others
+def _enlarged(covariance: Floats, score_covariance: Floats) -> Floats:
+    """Covariance of coordinates with a further covariance of the scores, by correlated residuals."""
+    # a coordinate that is not determined does not contribute to the others
     known = np.where(np.isfinite(covariance), covariance, 0.0)
-    return np.asarray(covariance + known @ both @ known)
+    return np.asarray(covariance + known @ score_covariance @ known)
 
 
-def neighbours_covariance(found: Whiteness, jacobian: Floats, covariance: Floats) -> Floats:
-    """Covariance of fitted columns if next neighbours have the correlation found, and no others have any.
+def neighbours_covariance(white: Whiteness, jacobian: Floats, covariance: Floats) -> Floats:
+    """Covariance of fitted coordinates if next neighbours are correlated as in `white`, and no others.
 
     Slow noise, as of air, correlates times of neighbours by 0.2. That makes sums of them a fifth more
-    uncertain, and the test misses it in a few hundred half-cycles. Correlations are shrunk by what chance
-    makes of them (the positive part of James and Stein, 1961); none makes uncertainties smaller.
+    uncertain, and the test misses it in a few hundred half-cycles. Correlations are shrunk by the size
+    that chance gives them (the positive part of James and Stein, 1961); negative ones change nothing.
 
     Parameters
     ----------
@@ -344,20 +342,20 @@ def neighbours_covariance(found: Whiteness, jacobian: Floats, covariance: Floats
         That of independent residuals of unit variance.
     """
     count = len(jacobian) // 2
-    both = np.zeros_like(covariance)
-    for first, rows in (
-        (found.first_amplitude, jacobian[:count]),
-        (found.first_time, jacobian[count : 2 * count]),
+    score_covariance = np.zeros_like(covariance)
+    for correlation, rows in (
+        (white.first_amplitude, jacobian[:count]),
+        (white.first_time, jacobian[count : 2 * count]),
     ):
-        if first > 0.0:
-            alike = first * max(0.0, 1.0 - 1.0 / (count * first**2))
-            part = rows[1:].T @ rows[:-1]
-            both += alike * (part + part.T)
-    return _widened(covariance, both)
+        if correlation > 0.0:
+            shrunk = correlation * max(0.0, 1.0 - 1.0 / (count * correlation**2))
+            of_neighbours = rows[1:].T @ rows[:-1]
+            score_covariance += shrunk * (of_neighbours + of_neighbours.T)
+    return _enlarged(covariance, score_covariance)
 
 
 def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> Iterator[str]:
-    """Warnings of a fit outside of the range in which its law has a meaning.
+    """Warnings on a fit outside the range in which its law has a meaning.
 
     A ball that rolls by more than the radius of its contact has left the spot on which it stood, which Eqs. 1
     and 3 describe; beyond pi/2 radii the moment of Eq. 3 has the other sign.
@@ -376,18 +374,14 @@ def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall, fit: FitRes
             f"the period by {plain(first_rad**2 / 16, 1)} there, which the laws neglect; start below "
             f"{_SMALL_RAD:g} rad"
         )
-    for name, below in impossible_signs(fit).items():
+    for name, below_u in impossible_signs(fit).items():
         yield (
-            f"{name} = {plain(fit.estimate(name).value, 3)} is negative by {plain(below, 2)} u, which it "
+            f"{name} = {plain(fit.estimate(name).value, 3)} is negative by {plain(below_u, 2)} u, which it "
             "cannot be: the law is not that of this motion"
         )
 
 
 def impossible_signs(fit: FitResult) -> dict[str, float]:
     """Standard uncertainties by which parameters that cannot be negative are so, beyond chance."""
-    found = {}
-    for name in fit.contact_names:
-        value, u = fit.estimate(name)
-        if fit.law.parameter(name).lower == 0 and value < -_SIGNIFICANT * u:
-            found[name] = -value / u
-    return found
+    estimates = {name: fit.estimate(name) for name in fit.contact_names if fit.law.parameter(name).lower == 0}
+    return {name: -value / u for name, (value, u) in estimates.items() if value < -_IMPOSSIBLE_U * u}

@@ -1,4 +1,4 @@
-"""The ground as a source of scatter: the noise of turning points, its estimate, and the Kalman filter.
+"""The ground as a source of scatter: the noise of turning points, its likeliest size, and the Kalman filter.
 
 State: amplitude (in units of the reference) and time (s) of the turning point. Transition: one half-swing
 of the law (`OneHalfSwing`, interpolated by cubics) and the drive. White angular acceleration moves the two
@@ -7,12 +7,12 @@ order in s/a one of them changes the amplitude and the other, divided by w a, th
 raises the amplitude on average by s^2/(2 a), as the length of a vector grows to which another is added.
 
 A turning point measured on the samples of its half-cycle, from zero crossing to zero crossing, averages the
-motion over it. The drive within the half-cycle enters the measured time in part: kicks in the quarter
-before the turning point not wholly, those in the quarter after it already. The motion responds to a kick at
-the phase theta_0 by sin(theta - theta_0); for a least-squares fit of cosine and sine over the half-cycle the
-error of the time has in either quarter the variance `SMEARED_VARIANCE` of a half-swing's step, and the
-covariance `SMEARED_COVARIANCE` with it, negative in the quarter before and positive in the one after. The
-effect on the amplitude is small (next neighbours correlate by less than 0.1) and left out.
+motion over it. The drive within the half-cycle enters the measured time in part: kicks in the quarter before
+the turning point do not enter wholly, those in the quarter after it enter already. The motion responds to a
+kick at the phase theta_0 by sin(theta - theta_0). For a least-squares fit of cosine and sine over the
+half-cycle the error of the time has in either quarter the variance `SMEARED_VARIANCE` of a half-swing's step,
+and the covariance `SMEARED_COVARIANCE` with it, negative in the quarter before and positive in the one after.
+The effect on the amplitude is small (next neighbours correlate by less than 0.1) and left out.
 """
 
 from collections.abc import Mapping
@@ -33,28 +33,26 @@ GROUND_SEEN = 6.63
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Noise of turning points, by the drive of the ground and by their measurement.
-
-    `step` is the standard deviation by which the ground moves either quadrature of the oscillation
-    in one half-swing, in the unit of the amplitudes that are fitted. `scale` multiplies the stated
-    uncertainties of the turning points. `averaged` is whether they were measured on the samples of
-    their half-cycles, and not at the instant of turning. Turning points farther than `limit` standard
-    uncertainties from their prediction do not move the prediction of the next one.
-    """
+    """Noise of turning points, by the drive of the ground and by their measurement."""
 
     step: float = 0.0
+    """Standard deviation by which the ground moves either quadrature of the oscillation in one half-swing, in
+    the unit of the amplitudes that are fitted."""
     scale: float = 1.0
+    """Factor on the stated uncertainties of the turning points."""
     averaged: bool = True
+    """Whether they were measured on the samples of their half-cycles, and not at the instant of turning."""
     limit: float = inf
+    """Turning points farther from their prediction, in standard uncertainties, do not move the next one."""
 
     @property
     def at_rest(self) -> bool:
         return self.step == 0
 
     @property
-    def in_stated_uncertainties(self) -> "Noise":
-        """The same noise over `scale`: with it as weights, chi2/dof is the square of the scale."""
-        return replace(self, step=self.step / self.scale, scale=1.0)
+    def as_weights(self) -> "Noise":
+        """The noise over `scale`, with which chi2/dof of weighted residuals is the square of the scale."""
+        return AT_REST if self.at_rest else replace(self, step=self.step / self.scale, scale=1.0)
 
 
 AT_REST = Noise()
@@ -62,15 +60,22 @@ AT_REST = Noise()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ground:
-    """How strongly the ground drove the pendulum during a run, as the turning points show it.
+    """Drive of the pendulum by the ground during a run, by the turning points.
 
-    `density_rad_per_s2_rthz` is the one-sided spectral density of the angular acceleration at the pendulum's
-    frequency (without a calibration in the unit of the amplitudes instead of rad), `upper_95` its bound of 95
-    %; `seen` is false where the run sets no more than that bound. `measurement_scale` is the factor by which
-    turning points scatter more than their stated uncertainties. `left_out_half_cycles` at the end were not
-    fitted: the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there, and
-    amplitude and phase do not describe its motion. `widening` says for each parameter how many times larger
-    its uncertainty is than on ground at rest.
+    Attributes
+    ----------
+    density_rad_per_s2_rthz, upper_95
+        One-sided spectral density of the angular acceleration at the pendulum's frequency, and its bound of
+        95 %; without a calibration in the unit of the amplitudes instead of rad.
+    seen
+        False where the run sets no more than that bound.
+    measurement_scale
+        Factor by which turning points scatter more than their stated uncertainties.
+    left_out_half_cycles
+        Number of half-cycles at the end that were not fitted: the ground moves the pendulum in one half-swing
+        by more than a tenth of its amplitude there, and amplitude and phase do not describe its motion.
+    widening
+        Ratio of the uncertainty of each parameter to that on ground at rest.
     """
 
     density_rad_per_s2_rthz: Estimate = NOT_DETERMINED
@@ -91,10 +96,10 @@ class GroundFit(Ground):
         The likeliest noise, its step in the unit of the amplitudes.
     deviance
         -2 ln L of the turning points with this noise, restricted to the residuals of the fitted parameters,
-        up to a constant of their number and of the law.
+        up to a constant that depends on their number and the law.
     unrestricted
-        Least -2 ln L of the turning points themselves over all noises, up to a constant of their number: laws
-        are compared by it.
+        Least -2 ln L of the turning points themselves over all noises, up to a constant that depends on their
+        number; laws are compared by it.
     """
 
     noise: Noise
@@ -116,6 +121,8 @@ GAINS = 7
 """Numbers that the filter computes for a half-cycle and uses again where its gains are held."""
 
 SMEARED_VARIANCE, SMEARED_COVARIANCE = 0.0670, 0.1757
+"""Variance of an averaged time's error in either quarter, and its covariance with a half-swing's step, over
+the variance of the step."""
 
 
 class Predictions(NamedTuple):
@@ -173,8 +180,8 @@ class KnownSteps(NamedTuple):
     unknown
         (half-swings + 1,) variance of each amplitude by a drive that is not known, beyond the noise's step.
     knocked
-        (half-swings + 1,) whether a knock fell into the half-swing: what was before tells nothing of the
-        state after it.
+        (half-swings + 1,) whether a knock fell into the half-swing: earlier turning points tell nothing of
+        the state after it.
     """
 
     steps: Floats
@@ -185,7 +192,7 @@ class KnownSteps(NamedTuple):
 
 NOTHING_KNOWN = KnownSteps(np.empty((2, 0)), np.empty((2, 0, 0)), np.empty(0), np.empty(0, np.bool_))
 KNOCK = 0.3
-"""Standard deviation of a knock's step, as a share of the amplitude; larger ones are taken as well."""
+"""Standard deviation of a knock's step, as a share of the amplitude; the fit takes larger ones as well."""
 
 
 @kernel

@@ -1,5 +1,4 @@
-"""Exact effect of a known angular acceleration on turning points, from its samples, and its gains as
-coordinates of a fit.
+"""Exact effect of a known angular acceleration on turning points, and the signals of a seismometer.
 
 Between two turning points an acceleration f(t) moves the pendulum by the response of an oscillator. To first
 order, with s the side of the later turning point k, w the frequency and theta = w (t - t_k):
@@ -28,9 +27,9 @@ half-swing the two quarters have the frequencies w (1 - e/2) and w (1 + e/2). Th
 then takes the frequency of the second quarter, the factor s/w^2 of the delay the product of the second's and
 the quarter's own. Otherwise a few thousandths of the drive would be left in the residuals.
 
-The response of a seismometer is not known. Near the pendulum's frequency two numbers describe it: a gain, and
-one for the same record with every phase turned by a quarter; and two more where gain or phase change within
-the band over which a half-swing responds to the ground.
+The response of a seismometer is not known. Near the pendulum's frequency two gains describe it: that of the
+record, and that of the record with every phase turned by a quarter. Two more are needed where gain or phase
+change within the band over which a half-swing responds to the ground.
 """
 
 from collections.abc import Sequence
@@ -114,17 +113,15 @@ def moments_of(
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Samples of signals that may drive a pendulum, each up to a gain: times (s), values (samples, terms).
-
-    A time between two samples above `longest_step_s` is a gap.
-    """
+    """Samples of signals that may drive a pendulum, each up to a gain."""
 
     time_s: Floats
     value: Floats
+    """Values (samples, terms), one column for each signal."""
     longest_step_s: float
+    """A longer time between two samples is a gap."""
 
     def select(self, terms: list[int]) -> "Signals":
-        """The signals in some of the columns."""
         return replace(self, value=np.ascontiguousarray(self.value[:, terms]))
 
 
@@ -156,7 +153,6 @@ class KnownDrive:
         return int(self.steps.shape[2])
 
     def select(self, terms: list[int]) -> "KnownDrive":
-        """The drive by the signals in some of the columns."""
         return KnownDrive(self.steps[:, :, terms], self.missing, self.gains[terms])
 
     def with_gains(self, gains: Floats, covariance: Floats | None = None) -> "KnownDrive":
@@ -181,17 +177,14 @@ def known_drive(
     The first turning point's side counts as positive. `rest_weight` is used only if `averaged`.
     """
     number = points.index - points.index[0]
-    count = int(number[-1]) + 1
+    count, terms = int(number[-1]) + 1, signals.value.shape[1]
     time = np.interp(np.arange(count), number, points.time_s)
-    rate = _rates(time)
-    side = np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
-    quarter_s = 0.5 * np.pi / rate
-    terms = signals.value.shape[1]
-    steps = np.zeros((2, count, terms))
     amplitude = np.interp(np.arange(count), number, points.amplitude)
+    rate, side = _rates(time), np.where(np.arange(count) % 2 == 0, 1.0, -1.0)
+    steps = np.zeros((2, count, terms))
     steps[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
     if averaged:
-        measured = _measurement_response(signals, time, side, rate, quarter_s, rest_weight)
+        measured = _measurement_response(signals, time, side, rate, rest_weight)
         # a step ends at the measured turning point and begins at the measured one before it
         steps += measured
         steps[:, 1:] -= measured[:, :-1]
@@ -217,9 +210,10 @@ def _losses(amplitude: Floats) -> Floats:
 
 
 def _half_cycle_response(signals: Signals, time: Floats, side: Floats, rate: Floats, loss: Floats) -> Floats:
+    """Steps (2, half-swings, terms) of the motion itself, by the integrals over both quarters."""
     w, s = 0.5 * (rate[1:] + rate[:-1]), side[1:, None]
     first_quarter, second_quarter = w * (1 - 0.5 * loss), w * (1 + 0.5 * loss)
-    # counted from the middle: from either end the phase would hold half of the effect that is sought
+    # counted from the middle: counted from either end, the phase would hold half of the effect
     crossing = 0.5 * (time[1:] + time[:-1]) + 0.25 * np.pi * loss / w
     response = np.zeros((2, len(w), signals.value.shape[1]))
     for frequency, low, high in ((first_quarter, time[:-1], crossing), (second_quarter, crossing, time[1:])):
@@ -230,9 +224,10 @@ def _half_cycle_response(signals: Signals, time: Floats, side: Floats, rate: Flo
 
 
 def _measurement_response(
-    signals: Signals, time: Floats, side: Floats, rate: Floats, quarter_s: Floats, weight: float
+    signals: Signals, time: Floats, side: Floats, rate: Floats, weight: float
 ) -> Floats:
-    w, s = rate[:, None], side[:, None]
+    """Errors (2, turning points, terms) of turning points that are measured on the samples."""
+    w, s, quarter_s = rate[:, None], side[:, None], 0.5 * np.pi / rate
     response = np.zeros((2, len(time), signals.value.shape[1]))
     rest = np.zeros(response.shape[1:])
     for sign, low, high in ((-1.0, time - quarter_s, time), (1.0, time, time + quarter_s)):
@@ -263,13 +258,15 @@ def _moments(signals: Signals, origin: Floats, rate: Floats, low: Floats, high: 
 
 
 LEAST_UNEXPLAINED = 0.022
-"""Share of a drive that a seismometer at best leaves unexplained: two of different make at one place differ
-by it, at 0.2 to 0.28 Hz. In one half-swing it is below the noise of a turning point, and yet it adds up."""
+"""Share of a drive that a seismometer leaves unexplained at best.
+
+Two of different make at one location differ by it, at 0.2 to 0.28 Hz. In one half-swing it is below the noise
+of a turning point, but it adds up."""
 
 
 class DriveGains:
-    """The gains of a known drive, the first columns of a fit; one `unit` moves amplitudes by the reference
-    (rms)."""
+    """The gains of a known drive, the first coordinates of a fit, in units that move amplitudes by the
+    reference (rms)."""
 
     def __init__(self, drive: KnownDrive, reference: float) -> None:
         self._drive, self._reference = drive, reference
@@ -278,24 +275,24 @@ class DriveGains:
         self.unit = reference / np.where(size > 0.0, size, 1.0)
         self.start = drive.gains / self.unit
 
-    def gains(self, columns: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    def gains(self, coordinates: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Gains (terms,) in rad/s^2 per unit of the signals, and their covariance."""
-        part = slice(self.terms)
-        return columns[part] * self.unit, covariance[part, part] * np.outer(self.unit, self.unit)
+        own = slice(self.terms)
+        return coordinates[own] * self.unit, covariance[own, own] * np.outer(self.unit, self.unit)
 
-    def known(self, columns: Floats, width: int) -> KnownSteps:
+    def known(self, coordinates: Floats, width: int) -> KnownSteps:
         """The known part of the drive for the filter, with derivatives for a Jacobian of `width` columns."""
         steps = self._drive.steps * (self.unit / self._reference)
-        gains = columns[: self.terms]
+        gains = coordinates[: self.terms]
         derivative = np.zeros((*steps.shape[:2], width))
         derivative[:, :, : self.terms] = steps
         unknown = self._drive.unknown_variance(gains * self.unit) / self._reference**2
         known, knocked = np.ascontiguousarray(steps @ gains), np.zeros(len(unknown), np.bool_)
         return KnownSteps(known, derivative, unknown, knocked)
 
-    def least_unexplained(self, columns: Floats) -> float:
+    def least_unexplained(self, coordinates: Floats) -> float:
         """The least step of the drive that remains unexplained, in units of the reference."""
-        steps = self.known(columns, self.terms).steps[0][~self._drive.missing]
+        steps = self.known(coordinates, self.terms).steps[0][~self._drive.missing]
         return LEAST_UNEXPLAINED * float(np.sqrt(np.mean(steps**2))) if len(steps) else 0.0
 
 
@@ -315,19 +312,18 @@ _PADDED_PERIODS = 16
 
 @dataclass(frozen=True, eq=False)
 class Seismogram:
-    """Samples of an auxiliary seismometer, near the rig or not far from it.
-
-    Times (n,) in s on the clock of the turning points, rising; values (n, components) in any unit, NaN where
-    missing; a name for each component.
-    """
+    """Samples of an auxiliary seismometer, in the rig's room or far from it."""
 
     time_s: Floats
+    """Times (n,) on the clock of the turning points, rising."""
     value: Floats
+    """Values (n, components) in any unit, NaN where missing."""
     names: tuple[str, ...]
+    """Names of the components."""
 
-    def delayed(self, by_s: float, drift: float = 0.0, about_s: float = 0.0) -> "Seismogram":
-        """The same with times later by `by_s`, and by further `drift` for each second after `about_s`."""
-        return replace(self, time_s=self.time_s + by_s + drift * (self.time_s - about_s))
+    def delayed(self, delay_s: float, drift: float = 0.0, origin_s: float = 0.0) -> "Seismogram":
+        """The same with times later by `delay_s`, and by further `drift` for each second after `origin_s`."""
+        return replace(self, time_s=self.time_s + delay_s + drift * (self.time_s - origin_s))
 
     def between(self, first_s: float, last_s: float) -> "Seismogram":
         """The samples within these times."""
@@ -358,7 +354,7 @@ def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
             f"the seismometer has {np.count_nonzero(good) * step_s:.3g} s of samples beside the run; at "
             f"least four periods ({4 * period_s:.3g} s) are needed"
         )
-    filled = np.column_stack([np.interp(time, time[good], one[good]) for one in value.T])
+    filled = np.column_stack([np.interp(time, time[good], component[good]) for component in value.T])
     padding = min(ceil(_PADDED_PERIODS * period_s / step_s), len(time) - 1)
     filled -= filled.mean(axis=0)
     padded = np.pad(filled, ((padding, padding), (0, 0)), mode="reflect", reflect_type="odd")
@@ -369,15 +365,16 @@ def signals_of(seismometer: Seismogram, period_s: float) -> Signals:
     slope = np.clip(nu - 1.0, -1.0, 1.0)
     turned = -1j * spectrum
     kinds = np.stack([spectrum, turned, slope * spectrum, slope * turned], axis=2)
-    found = np.fft.irfft(kinds.reshape(len(nu), -1), len(padded), axis=0)
-    found = found[padding : padding + len(time)]
+    signals = np.fft.irfft(kinds.reshape(len(nu), -1), len(padded), axis=0)
+    signals = signals[padding : padding + len(time)]
     usable = ~_dilate(~good, ceil(_GUARD_PERIODS * period_s / step_s))
-    return Signals(time[usable], np.ascontiguousarray(found[usable]), _MIN_GAP_STEPS * step_s)
+    return Signals(time[usable], np.ascontiguousarray(signals[usable]), _MIN_GAP_STEPS * step_s)
 
 
 def plain_signals(seismometer: Seismogram, period_s: float) -> Signals:
     """Every component unchanged but for its drift, which is removed."""
-    return signals_of(seismometer, period_s).select([one * SIGNALS for one in range(len(seismometer.names))])
+    gains = [component * SIGNALS for component in range(len(seismometer.names))]
+    return signals_of(seismometer, period_s).select(gains)
 
 
 def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
@@ -394,16 +391,15 @@ def _even(seismometer: Seismogram, period_s: float) -> tuple[Floats, Floats, flo
         )
     count = round((time[-1] - time[0]) / step_s) + 1
     even = time[0] + step_s * np.arange(count)
-    before = np.clip(np.searchsorted(time, even, side="right") - 1, 0, len(time) - 2)
-    lost = steps[before] > _MIN_GAP_STEPS * step_s
-    found = np.column_stack([np.interp(even, time, one) for one in value.T])
-    found[lost] = np.nan
-    together = int(_MIN_STEP_PERIODS * period_s / step_s)
-    if together < 2:
-        return even, found, step_s
-    kept = count // together * together
-    even = even[:kept].reshape(-1, together).mean(axis=1)
-    return even, found[:kept].reshape(len(even), together, -1).mean(axis=1), step_s * together
+    preceding = np.clip(np.searchsorted(time, even, side="right") - 1, 0, len(time) - 2)
+    values = np.column_stack([np.interp(even, time, component) for component in value.T])
+    values[steps[preceding] > _MIN_GAP_STEPS * step_s] = np.nan
+    block = int(_MIN_STEP_PERIODS * period_s / step_s)
+    if block < 2:
+        return even, values, step_s
+    used = count // block * block
+    even = even[:used].reshape(-1, block).mean(axis=1)
+    return even, values[:used].reshape(len(even), block, -1).mean(axis=1), step_s * block
 
 
 def _dilate(lost: Flags, guard: int) -> Flags:

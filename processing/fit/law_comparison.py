@@ -35,16 +35,15 @@ EXCLUDED_BIC = 10.0
 
 @dataclass(frozen=True, slots=True)
 class LawTrial:
-    """The best fit of one law; `fit` is None where it failed, and `problem` is the reason.
-
-    `bic` is ``-2 ln L + k ln N`` for k parameters and N numbers (an amplitude and a time a half-cycle); it is
-    infinite without a fit.
-    """
+    """The best fit of one law, or the reason why there is none."""
 
     law: Law
     fit: FitResult | None
     bic: float = inf
+    """``-2 ln L + k ln N`` for k parameters and N numbers, an amplitude and a time of each half-cycle;
+    infinite without a fit."""
     problem: str = ""
+    """Reason why there is no fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +98,15 @@ def compare_laws(
     Parameters
     ----------
     like
-        An exact fit of these points. Each law has a linear drag if this fit has one, and the same evidence;
-        with None it has neither.
+        An exact fit of these points. Each law has the same evidence, and a linear drag if this fit has one;
+        without it, neither.
     """
-    fitted = {} if like is None else {like.law.name: like}
+    known_fits = {} if like is None else {like.law.name: like}
     drag, evidence = (False, NO_EVIDENCE) if like is None else (like.has_drag, like.evidence)
     trials = []
     for law in laws:
         try:
-            fit = fitted.get(law.name) or _fit(points, pendulum, law, drag, evidence)
+            fit = known_fits.get(law.name) or _fit(points, pendulum, law, drag, evidence)
         except DataError as error:
             trials.append(LawTrial(law, None, problem=str(error)))
             continue
@@ -131,7 +130,7 @@ def _fit(
 ) -> FitResult:
     """The exact fit of a law, searched from its fit to the turning points alone, too.
 
-    Where the waveform contradicts a law, its own start values may lie in the valley of another minimum, by
+    Where the waveform contradicts a law, its own start values may lie in the valley of another minimum, at
     which the law would seem much worse than it is.
     """
     near: FitResult | None = None
@@ -148,42 +147,38 @@ def _fit(
         ) from None
 
 
-_HELD_U = 1e-4
+_FIXED_DRAG_U = 1e-4
 """Relative uncertainty of a drag that is held fixed."""
 _MARGIN = 1.1
-"""Factor by which the angles shown stay inside both ends of the amplitudes."""
+"""Factor by which the angles of moments stay inside both ends of the amplitudes."""
 _ALL_GRAVITY = Estimate(1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class FreeMoments:
-    """Friction against the motion, and elastic moment in the direction of phi, at angles `phi_rad` > 0.
-
-    The elastic moment is the departure from proportionality: it vanishes at `reference_rad`. `u_` are
-    standard uncertainties; bands of 1 u cover 68 %.
-    """
+    """Friction and elastic moment of the contact at angles `phi_rad` > 0."""
 
     phi_rad: Floats
     friction_n_m: Floats
+    """Moment against the motion."""
     u_friction_n_m: Floats
     elastic_n_m: Floats
+    """Departure from proportionality, in the direction of phi; it vanishes at `reference_rad`."""
     u_elastic_n_m: Floats
     reference_rad: float
 
 
 @dataclass(frozen=True, slots=True)
 class ModelFreeFit:
-    """The fit of splines to one decay, and the moments by it.
-
-    `gravity` is gravity's part of the stiffness at the reference, by the T0 of a law: splines cannot tell it
-    from what the contact takes off. Where it is not known it counts as all, 1.
-    """
+    """The fit of splines to one decay, and the moments by it."""
 
     points: TurningPoints
     pendulum: PendulumOnBall
     splines: MomentSplines
     fit: FitResult
     gravity: Estimate = _ALL_GRAVITY
+    """Share of gravity in the stiffness at the reference, by the T0 of a law. Splines cannot tell gravity
+    from an elastic moment of the contact; where the share is not known it counts as 1."""
 
     def moments(self, phi_rad: Floats | None = None) -> FreeMoments:
         """Moments with bands; by default at 41 angles between the lowest and the highest amplitude."""
@@ -194,23 +189,19 @@ class ModelFreeFit:
 
     def _of(self, phi_rad: Floats, values: Floats, covariance: Floats) -> FreeMoments:
         unit_rad, weight = self.splines.unit_rad, weight_moment(self.pendulum) * self.gravity.value
-        x = phi_rad / unit_rad
-        friction, elastic = weight * self.splines.friction(x), weight * unit_rad * self.splines.elastic(x)
-        of_friction = slice(0, self.splines.friction_count)
-        of_elastic = slice(of_friction.stop, of_friction.stop + self.splines.elastic_count)
-        found = friction @ values[of_friction], elastic @ values[of_elastic]
-        u_friction, u_elastic = (
-            np.hypot(u, self.gravity.standard_uncertainty / self.gravity.value * moment)
-            for moment, u in zip(
-                found,
-                (
-                    _uncertainty(friction, covariance[of_friction, of_friction]),
-                    _uncertainty(elastic, covariance[of_elastic, of_elastic]),
-                ),
-                strict=True,
-            )
-        )
-        return FreeMoments(phi_rad, found[0], u_friction, found[1], u_elastic, unit_rad)
+        x, count = phi_rad / unit_rad, self.splines.friction_count
+
+        def moment(basis: Floats, own: slice) -> tuple[Floats, Floats]:
+            """Moment by a basis of splines with their coefficients, and its standard uncertainty."""
+            value = basis @ values[own]
+            variance = np.einsum("ij,jk,ik->i", basis, covariance[own, own], basis)
+            of_gravity = self.gravity.standard_uncertainty / self.gravity.value * value
+            return value, np.hypot(np.sqrt(np.maximum(variance, 0.0)), of_gravity)
+
+        friction = moment(weight * self.splines.friction(x), slice(0, count))
+        elastic_rows = slice(count, count + self.splines.elastic_count)
+        elastic = moment(weight * unit_rad * self.splines.elastic(x), elastic_rows)
+        return FreeMoments(phi_rad, *friction, *elastic, unit_rad)
 
     def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
         """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
@@ -219,20 +210,21 @@ class ModelFreeFit:
         """
         # at the values of a law that does not fit, its waveform may have no derivatives
         of_points = replace(fit, evidence=replace(fit.evidence, waveform=None))
-        law, columns = ExactModel.of(self.points, self.pendulum, of_points)
-        amplitude, time_s, _, _ = law.curve(columns)
-        swung = replace(law.points, amplitude=amplitude * law.reference, time_s=time_s)
-        reached = int(np.count_nonzero(np.isfinite(time_s)))
-        drag = self.fit.has_drag
-        # the drag is the law's, so that the splines hold its friction alone
-        known_s = fit.estimate(DRAG.key).value if fit.has_drag else 0.0
-        known_s *= _drag_ratio(fit, self.fit.estimate("period0_s").value)
-        held = Evidence(drag_s=_exactly(known_s)) if drag else NO_EVIDENCE
-        model = ExactModel(swung.first(reached), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
+        law, coordinates = ExactModel.of(self.points, self.pendulum, of_points)
+        amplitude, time_s, _, _ = law.curve(coordinates)
+        free_decay = replace(law.points, amplitude=amplitude * law.reference, time_s=time_s)
+        free_decay = free_decay.first(int(np.count_nonzero(np.isfinite(time_s))))
+        drag, evidence = self.fit.has_drag, NO_EVIDENCE
+        if drag:
+            # the drag is the law's, so that the splines hold its friction alone
+            drag_s = fit.estimate(DRAG.key).value if fit.has_drag else 0.0
+            drag_s *= _drag_ratio(fit, self.fit.estimate("period0_s").value)
+            evidence = Evidence(drag_s=Estimate(drag_s, _FIXED_DRAG_U * max(abs(drag_s), 1e-6)))
+        model = ExactModel(free_decay, self.pendulum, law=self.fit.law, drag=drag, evidence=evidence)
         start = next(chain(start_near(model, self.fit), starts_of(model)))
         model = model.linearised_at(start)
         solution = solve(model, start, lower=model.lower, upper=model.upper)
-        values, _ = model.columns.physical(solution.values)
+        values, _ = model.parametrisation.physical(solution.values)
         return self._of(phi_rad, values, np.zeros_like(self.fit.covariance))
 
 
@@ -244,39 +236,25 @@ def _drag_ratio(fit: FitResult, period_s: float) -> float:
     return (period_s / fit.estimate("period0_s").value) ** 2
 
 
-def _exactly(drag_s: float) -> Estimate:
-    return Estimate(drag_s, _HELD_U * max(abs(drag_s), 1e-6))
-
-
-def _uncertainty(basis: Floats, covariance: Floats) -> Floats:
-    variance = np.einsum("ij,jk,ik->i", basis, covariance, basis)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
 def fit_model_free(
     points: TurningPoints, pendulum: PendulumOnBall, *, like: FitResult | None = None
 ) -> ModelFreeFit:
     """Friction and elastic moment of one decay as splines, with the drive of the ground that they leave.
 
-    `like` is an exact fit of these points: the splines have its evidence, and its drag if it has both, and
-    the moments its T0 (see `ModelFreeFit.gravity`). Without evidence splines would take a drag for friction,
-    so that none is fitted then.
-
-    Raises
-    ------
-    DataError
-        As `fit_exact`.
+    `like` is an exact fit of these points. The splines have its evidence, and its drag if it has both:
+    without evidence they would take a drag for friction. Gravity's share of the moments follows from its T0
+    (see `ModelFreeFit.gravity`). Raises DataError as `fit_exact`.
     """
     law, splines = spline_law(points)
     evidence = NO_EVIDENCE if like is None else like.evidence
     if like is not None and evidence.drag_s is not None:
         factor = _drag_ratio(like, like.mean_period_s.value)
-        evidence = replace(evidence, drag_s=Estimate(*(factor * number for number in evidence.drag_s)))
+        evidence = replace(evidence, drag_s=Estimate(*(factor * drag_s for drag_s in evidence.drag_s)))
     drag = like is not None and like.has_drag and evidence != NO_EVIDENCE
     fit = fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
     gravity = _ALL_GRAVITY
     if like is not None:
         period0_s, u_period0_s = like.estimate("period0_s")
-        part = 1 / _drag_ratio(like, fit.estimate("period0_s").value)
-        gravity = Estimate(part, 2 * part * u_period0_s / period0_s)
+        share = 1 / _drag_ratio(like, fit.estimate("period0_s").value)
+        gravity = Estimate(share, 2 * share * u_period0_s / period0_s)
     return ModelFreeFit(points.first(fit.half_cycles), pendulum, splines, fit, gravity)

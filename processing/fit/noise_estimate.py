@@ -22,7 +22,7 @@ _FIRST_LOG_STEPS = np.arange(-3.0, 3.01, 0.5)
 """Decimal logarithms of the steps of the drive tried first, over the amplitudes' median uncertainty."""
 _MAX_STEP_FRACTION = 0.2
 """Largest step tried, as a fraction of the lowest amplitude."""
-_LOWEST, _SPACING = -2.0, 0.1
+_LOWEST_LOG_STEP, _LOG_STEP_SPACING = -2.0, 0.1
 """Lowest step and spacing of the steps over which a covariance is averaged, as in `_FIRST_LOG_STEPS`."""
 _PRIOR_EXPONENT = 0.7
 """The prior density of a step falls with this power of the step."""
@@ -39,23 +39,22 @@ uncertainties of the parameters.
 _SCALE_TOLERANCE = 1e-3
 """Relative change of the squared scale below which its iteration ends."""
 _MIN_EIGENVALUE = 1e-13
-"""Smallest eigenvalue of a matrix of unit diagonal: below it is the rounding of sums over thousands of
-half-cycles."""
+"""Smallest eigenvalue of a matrix of unit diagonal; sums over thousands of half-cycles are rounded by as
+much."""
 
 
 class LikeliestNoise(NamedTuple):
-    """The likeliest noise at given coordinates of the fit.
-
-    `deviance` is -2 ln L by the restricted likelihood, `unrestricted` that by the turning points themselves.
-    `against_rest` is the deviance of ground at rest minus this one, `covariance` the covariance of the
-    coordinates with this noise.
-    """
+    """The likeliest noise at given coordinates of the fit."""
 
     noise: Noise
     deviance: float
+    """-2 ln L by the restricted likelihood."""
     against_rest: float = 0.0
+    """Deviance of ground at rest minus this one."""
     covariance: Floats | None = None
+    """Covariance of the coordinates with this noise."""
     unrestricted: float = np.inf
+    """-2 ln L by the turning points themselves."""
 
 
 class NoiseBounds(NamedTuple):
@@ -68,62 +67,62 @@ class NoiseBounds(NamedTuple):
 class NoiseSearch:
     """Maximises the restricted likelihood over the drive and the scale of the stated uncertainties.
 
-    The model is linear about the given coordinates `columns`; the caller repeats fit and search until neither
+    The model is linear about the given `coordinates`; the caller repeats fit and search until neither
     changes. Every noise tried has the `averaged` and `limit` of `kind`. The scale is at least 1; with a
     robust loss, which copes with outliers by itself, it is 1.
     """
 
-    def __init__(self, model: ExactModel, columns: Floats, loss: Loss, kind: Noise) -> None:
-        self._model, self._columns, self._loss = model, columns, loss
-        self._kind = kind
+    def __init__(self, model: ExactModel, coordinates: Floats, loss: Loss, kind: Noise) -> None:
+        self._model, self._coordinates, self._loss, self._kind = model, coordinates, loss, kind
         self._unit = float(np.median(model.u_amplitude))
-        self._evidence_rows = model.evidence_rows(columns)
+        self._evidence_rows = model.evidence_rows(coordinates)
         self._highest = float(np.log10(_MAX_STEP_FRACTION * model.lowest / self._unit))
         self._known: dict[float, LikeliestNoise] = {}
         self._rest = self._evaluated(-np.inf)
 
     def likeliest(self) -> LikeliestNoise:
         """The optimum over all steps."""
-        tried = self._tried()
-        best = int(np.argmin([self._deviance(x) for x in tried]))
-        low, high = tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)]
-        found = self._evaluated(_lowest(self._deviance, low, high))
-        found = found if found.deviance < self._rest.deviance else self._rest
-        return found._replace(against_rest=self._rest.deviance - found.deviance)
+        driven = self._evaluated(self._minimum_of(self._deviance))
+        likeliest = driven if driven.deviance < self._rest.deviance else self._rest
+        return likeliest._replace(against_rest=self._rest.deviance - likeliest.deviance)
 
     def least_unrestricted(self) -> float:
         """Least -2 ln L by the turning points themselves, over all noises.
 
-        The restricted likelihood prefers another noise, with which laws must not be compared: one that takes
-        some drive for what is none would lose against another, simpler one that leaves it out.
+        The restricted likelihood prefers another noise, with which laws must not be compared: a law for which
+        it estimates some drive where there is none would lose against a simpler law with none.
         """
-        tried = self._tried()
-        best = int(np.argmin([self._unrestricted(x) for x in tried]))
-        low, high = tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)]
-        return min(self._rest.unrestricted, self._unrestricted(_lowest(self._unrestricted, low, high)))
+        log_step = self._minimum_of(self._unrestricted)
+        return min(self._rest.unrestricted, self._unrestricted(log_step))
 
-    def bounds(self, found: LikeliestNoise) -> NoiseBounds:
+    def _minimum_of(self, function: Callable[[float], float]) -> float:
+        """Decimal logarithm of the step, over its unit, at which a function of it is least."""
+        tried = [*_FIRST_LOG_STEPS[self._highest > _FIRST_LOG_STEPS].tolist(), self._highest]
+        best = int(np.argmin([function(log_step) for log_step in tried]))
+        return _minimum_between(function, tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)])
+
+    def bounds(self, likeliest: LikeliestNoise) -> NoiseBounds:
         """Uncertainty and bound of the step, by the rise of -2 ln L on either side of the optimum."""
-        at_rest = found.noise.at_rest
+        at_rest = likeliest.noise.at_rest
         start = float(_FIRST_LOG_STEPS[0])
         if not at_rest:
-            start = float(np.log10(found.noise.step / found.noise.scale / self._unit))
-        target = found.deviance + _RISE_AT_ONE_SIDED_95
+            start = float(np.log10(likeliest.noise.step / likeliest.noise.scale / self._unit))
+        target = likeliest.deviance + _RISE_AT_ONE_SIDED_95
         above = start
         while self._deviance(above + 0.25) < target and above < self._highest:
             above += 0.25
-        above = _crossing(lambda x: self._deviance(x) - target, above, above + 0.25)
+        above = _crossing(lambda log_step: self._deviance(log_step) - target, above, above + 0.25)
         highest = self._evaluated(above).noise.step
         if at_rest:
             # half of a normal distribution about zero that has this bound
             return NoiseBounds(highest / 1.96, highest)
         h = 0.05
-        curvature = self._deviance(start + h) - 2 * found.deviance + self._deviance(start - h)
+        curvature = self._deviance(start + h) - 2 * likeliest.deviance + self._deviance(start - h)
         relative = np.sqrt(2 / curvature) * h * np.log(10) if curvature > 0 else np.inf
         # where the likelihood hardly falls towards a step of zero, the curvature says less than the bound
-        return NoiseBounds(min(float(found.noise.step * relative), highest), highest)
+        return NoiseBounds(min(float(likeliest.noise.step * relative), highest), highest)
 
-    def averaged_covariance(self, found: LikeliestNoise, bounds: NoiseBounds) -> Floats | None:
+    def averaged_covariance(self, likeliest: LikeliestNoise, bounds: NoiseBounds) -> Floats | None:
         """Covariance of the coordinates, averaged over the steps that the data allow; None for a known step.
 
         Uncertainties grow with the step. The likeliest step makes them too small where ground at rest is not
@@ -133,30 +132,29 @@ class NoiseSearch:
         auxiliary seismometer, steps below the least that it leaves unexplained are left out.
         """
         known = self._model.known_drive
-        least = 0.0 if known is None else known.least_unexplained(self._columns)
-        if bounds.u_step < _MAX_U_KNOWN_STEP * found.noise.step and found.noise.step > least:
+        least = 0.0 if known is None else known.least_unexplained(self._coordinates)
+        if bounds.u_step < _MAX_U_KNOWN_STEP * likeliest.noise.step and likeliest.noise.step > least:
             return None
-        lowest = _LOWEST
+        lowest, spacing = _LOWEST_LOG_STEP, _LOG_STEP_SPACING
         if least:
-            lowest = min(max(_LOWEST, float(np.log10(least / found.noise.scale / self._unit))), self._highest)
-        above = float(np.log10(max(bounds.highest_step / found.noise.scale / self._unit, 10 * 10**_LOWEST)))
-        tried = np.arange(lowest, max(min(above + 0.5, self._highest), lowest + _SPACING), _SPACING)
-        parts = [self._evaluated(x) for x in tried.tolist()]
+            log_least = float(np.log10(least / likeliest.noise.scale / self._unit))
+            lowest = min(max(lowest, log_least), self._highest)
+        bound = bounds.highest_step / likeliest.noise.scale / self._unit
+        above = float(np.log10(max(bound, 10 * 10**_LOWEST_LOG_STEP)))
+        tried = np.arange(lowest, max(min(above + 0.5, self._highest), lowest + spacing), spacing)
+        noises = [self._evaluated(log_step) for log_step in tried.tolist()]
         steps = 10.0**tried
-        mass = steps ** (1 - _PRIOR_EXPONENT) * _SPACING * np.log(10)
+        mass = steps ** (1 - _PRIOR_EXPONENT) * spacing * np.log(10)
         if not least:
             mass[0] += steps[0] ** (1 - _PRIOR_EXPONENT) / (1 - _PRIOR_EXPONENT)
-        deviance = np.array([part.deviance for part in parts])
+        deviance = np.array([noise.deviance for noise in noises])
         weight = mass * np.exp(-0.5 * (deviance - np.min(deviance)))
         weight /= np.sum(weight)
-        out = np.zeros((len(self._columns), len(self._columns)))
-        for part, share in zip(parts, weight.tolist(), strict=True):
-            if part.covariance is not None:
-                out += share * part.covariance
-        return out
-
-    def _tried(self) -> list[float]:
-        return [*_FIRST_LOG_STEPS[self._highest > _FIRST_LOG_STEPS].tolist(), self._highest]
+        covariance = np.zeros((len(self._coordinates), len(self._coordinates)))
+        for noise, share in zip(noises, weight.tolist(), strict=True):
+            if noise.covariance is not None:
+                covariance += share * noise.covariance
+        return covariance
 
     def _deviance(self, log_step: float) -> float:
         return self._evaluated(log_step).deviance
@@ -171,52 +169,52 @@ class NoiseSearch:
 
     def _evaluate(self, ratio: float) -> LikeliestNoise:
         """The likeliest noise whose step is `ratio` times its scale; the scale follows in closed form."""
-        found = self._model.filtered(self._columns, replace(self._kind, step=ratio))
-        if not np.all(np.isfinite(found.residuals)):
+        filtered = self._model.filtered(self._coordinates, replace(self._kind, step=ratio))
+        if not np.all(np.isfinite(filtered.residuals)):
             return LikeliestNoise(self._kind, np.inf)
-        scale2, before = 1.0, 0.0
+        scale2 = 1.0
         while True:
-            likeliest = self._with_scale(found, ratio, scale2)
-            before, scale2 = scale2, likeliest.noise.scale**2
+            likeliest = self._with_scale(filtered, ratio, scale2)
+            last_scale2, scale2 = scale2, likeliest.noise.scale**2
             # with evidence, which does not scatter with the turning points, the scale takes some rounds
-            if not len(self._evidence_rows[0]) or abs(scale2 - before) < _SCALE_TOLERANCE * scale2:
+            if not len(self._evidence_rows[0]) or abs(scale2 - last_scale2) < _SCALE_TOLERANCE * scale2:
                 return likeliest
 
-    def _with_scale(self, found: FilterResult, ratio: float, weight: float) -> LikeliestNoise:
+    def _with_scale(self, filtered: FilterResult, ratio: float, weight: float) -> LikeliestNoise:
         """The noise with this ratio; the evidence is weighted for a squared scale `weight` of the points."""
-        evidence, evidence_jacobian = (np.sqrt(weight) * part for part in self._evidence_rows)
-        residuals = np.concatenate([found.residuals, evidence])
-        jacobian = np.concatenate([found.jacobian, evidence_jacobian])
+        evidence, evidence_jacobian = (np.sqrt(weight) * rows for rows in self._evidence_rows)
+        residuals = np.concatenate([filtered.residuals, evidence])
+        jacobian = np.concatenate([filtered.jacobian, evidence_jacobian])
         linear = self._loss == "linear"
-        kept = np.ones(len(residuals), dtype=np.bool_) if linear else np.abs(residuals) < OUTLIER
-        # Sums instead of a factorisation: the threads that linear algebra would start for so few columns
-        # cost more than they save, and the columns are chosen so that they hardly depend on one another.
-        weighted = jacobian * kept[:, None]
+        is_used = np.ones(len(residuals), dtype=np.bool_) if linear else np.abs(residuals) < OUTLIER
+        # Sums instead of a factorisation: threads of linear algebra cost more than they save for so few
+        # coordinates, which are chosen so that they hardly depend on one another.
+        weighted = jacobian * is_used[:, None]
         information = np.einsum("ij,ik->jk", weighted, jacobian)
         norm = np.sqrt(np.diag(information))
         norm[norm == 0] = 1.0
         eigenvalues, vectors = np.linalg.eigh(information / np.outer(norm, norm))
         eigenvalues = np.maximum(eigenvalues, _MIN_EIGENVALUE)
         score = np.einsum("ij,i->j", weighted, residuals) / norm
-        left = residuals - jacobian @ ((vectors / eigenvalues) @ (vectors.T @ score) / norm)
-        point_rows = slice(len(found.residuals))
+        unexplained = residuals - jacobian @ ((vectors / eigenvalues) @ (vectors.T @ score) / norm)
+        count = len(filtered.residuals)
         chi2, evidence_chi2 = (
-            float(np.sum(left[part][kept[part]] ** 2)) + OUTLIER**2 * float(np.count_nonzero(~kept[part]))
-            for part in (point_rows, slice(len(found.residuals), None))
+            float(np.sum(unexplained[rows][is_used[rows]] ** 2))
+            + OUTLIER**2 * float(np.count_nonzero(~is_used[rows]))
+            for rows in (slice(count), slice(count, None))
         )
-        count = len(found.residuals)
-        scale2 = max(1.0, chi2 / (count - len(self._columns) + _STATED_WEIGHT)) if linear else 1.0
+        scale2 = max(1.0, chi2 / (count - len(self._coordinates) + _STATED_WEIGHT)) if linear else 1.0
         log_information = float(np.sum(np.log(eigenvalues)) + 2 * np.sum(np.log(norm)))
-        unrestricted = chi2 / scale2 + evidence_chi2 / weight + count * np.log(scale2) + found.log_det
-        deviance = unrestricted - (len(self._columns) - _STATED_WEIGHT) * np.log(scale2) + log_information
+        unrestricted = chi2 / scale2 + evidence_chi2 / weight + count * np.log(scale2) + filtered.log_det
+        deviance = unrestricted - (len(self._coordinates) - _STATED_WEIGHT) * np.log(scale2) + log_information
         scale = float(np.sqrt(scale2))
         noise = replace(self._kind, step=ratio * scale, scale=scale)
         covariance = scale2 * ((vectors / eigenvalues) @ vectors.T) / np.outer(norm, norm)
         return LikeliestNoise(noise, float(deviance), covariance=covariance, unrestricted=float(unrestricted))
 
 
-def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
-    """Place of the minimum between two points, by golden sections."""
+def _minimum_between(function: Callable[[float], float], low: float, high: float) -> float:
+    """Argument of the minimum between two points, by golden sections."""
     ratio = 0.5 * (np.sqrt(5) - 1)
     left, right = high - ratio * (high - low), low + ratio * (high - low)
     while high - low > 3e-3:

@@ -31,22 +31,21 @@ _HIDDEN_RATIO = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Conditions that make turning points scatter: their measurement, and the drive.
-
-    `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude; `averaged` is that of
-    `Noise`. `sine_covariance` is the covariance in rad^2 of the harmonics in quadrature of a piece (see
-    `Waveform`), None where they are not used, and `known_drag_s` the prior of the drag. `seismometer_noise`
-    is the ratio of a seismometer's own noise to the ground's motion in its record, at the pendulum's
-    frequency; None without a seismometer.
-    """
+    """Conditions that make turning points scatter: their measurement, and the drive."""
 
     u_amplitude_rad: float
     u_time_amplitude_s_rad: float
+    """Product of a time's uncertainty and its amplitude."""
     ground_rad_per_s2_rthz: float = 0.0
     averaged: bool = True
+    """As in `Noise`."""
     sine_covariance: Floats | None = field(default=None, compare=False)
+    """Covariance in rad^2 of the harmonics in quadrature of a piece (see `Waveform`); None where unused."""
     known_drag_s: Estimate | None = None
+    """Prior of the drag."""
     seismometer_noise: float | None = None
+    """Ratio of a seismometer's own noise to the ground's motion in its record, at the pendulum's frequency;
+    None without a seismometer."""
 
     @property
     def unknown_rad_per_s2_rthz(self) -> float:
@@ -87,12 +86,7 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """One run between two amplitudes: how long it lasts, and the uncertainty of every parameter after it.
-
-    `complete` is False where the drive ends the run above the amplitude `last_rad`. `values` are those of the
-    k parameters of the fit. `root` (k, k) is a square root of Fisher's information, without the prior of the
-    drag, on relative changes of the values (absolute ones for a value of 0).
-    """
+    """One run between two amplitudes: its duration, and the uncertainty of every parameter after it."""
 
     first_rad: float
     last_rad: float
@@ -100,11 +94,15 @@ class PlannedRun:
     half_cycles: int
     u: Mapping[str, float]
     complete: bool = True
+    """False where the drive ends the run above the amplitude `last_rad`."""
     values: Mapping[str, float] = field(default_factory=dict, repr=False)
+    """Values of the k parameters of the fit."""
     root: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False, compare=False)
+    """Square root (k, k) of Fisher's information, without the prior of the drag, on relative changes of the
+    values (absolute ones for a value of 0)."""
 
     def u_after(self, count: int, known_drag_s: Estimate | None) -> Mapping[str, float]:
-        """Standard uncertainties after `count` such runs; they share what is known of the drag before."""
+        """Standard uncertainties after `count` such runs, which share one prior of the drag."""
         return self.u if count == 1 else _uncertainties(self.root, self.values, known_drag_s, count)
 
 
@@ -142,44 +140,32 @@ def planned_run(
     )
     model = ExactModel(points, pendulum, law=law, drag=drag, evidence=conditions.evidence(amplitude))
     step = step_of_density(conditions.unknown_rad_per_s2_rthz, float(np.diff(time).mean())) / model.reference
-    noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
-    all_known = {name: known[name] for name in model.names}
-    root = np.linalg.qr(_relative_jacobian(model, columns, all_known, noise)).R
-    u_of = _uncertainties(root, all_known, conditions.known_drag_s)
-    return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), u_of, complete, all_known, root)
+    noise = Noise(step=step, averaged=conditions.averaged)
+    coordinates = model.parametrisation.from_physical(known)
+    fit_values = {name: known[name] for name in model.names}
+    rows = DrivenRows.of(model.linearised_at(coordinates), coordinates, noise)
+    # sizes of the stated values: the coordinates give 1e-19 for a value of 0, whose column would vanish
+    by_coordinates = model.parametrisation.physical(coordinates)[1] / _sizes(fit_values)[:, None]
+    root = np.linalg.qr(rows.jacobian @ np.linalg.inv(by_coordinates)).R
+    u = _uncertainties(root, fit_values, conditions.known_drag_s)
+    return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), u, complete, fit_values, root)
 
 
 def _uncertainties(
     root: Floats, values: Mapping[str, float], known_drag_s: Estimate | None, count: int = 1
 ) -> dict[str, float]:
     """Standard uncertainties of the shared parameters after `count` runs, with the prior of the drag once."""
-    rows = np.vstack([sqrt(count) * root, *_drag_prior_row(known_drag_s, values)])
+    rows = sqrt(count) * root
+    if known_drag_s is not None and DRAG.key in values:
+        is_drag = np.array([name == DRAG.key for name in values], dtype=np.float64)
+        rows = np.vstack([rows, is_drag * _sizes(values) / known_drag_s.standard_uncertainty])
     u = np.sqrt(np.diag(covariance_of(rows))) * _sizes(values)
     return dict(zip(list(values)[:-2], u.tolist(), strict=False))
 
 
-def _relative_jacobian(
-    model: ExactModel, columns: Floats, values: Mapping[str, float], noise: Noise
-) -> Floats:
-    """Derivatives (n, k) of a run's residuals with respect to relative changes of the parameters, whose
-    `values` are at `columns` (absolute changes of a value of 0)."""
-    rows = DrivenRows.of(model.linearised_at(columns), columns, noise)
-    # sizes by the stated values: by those of the columns a value of 0 is 1e-19, whose column would vanish
-    _, to_physical = model.columns.physical(columns)
-    return np.asarray(rows.jacobian @ np.linalg.inv(to_physical / _sizes(values)[:, None]))
-
-
 def _sizes(values: Mapping[str, float]) -> Floats:
-    """What one relative change of each value is: its size, and 1 of its unit for a value of 0."""
+    """Units of relative changes of the values: their sizes, and 1 for a value of 0."""
     return np.array([abs(value) or 1.0 for value in values.values()])
-
-
-def _drag_prior_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
-    """The prior of the drag as one further row; no row without a prior."""
-    if known_drag_s is None or DRAG.key not in values:
-        return []
-    row = np.array([name == DRAG.key for name in values], dtype=np.float64)
-    return [row * _sizes(values) / known_drag_s.standard_uncertainty]
 
 
 def _decay(
@@ -190,7 +176,7 @@ def _decay(
     first_rad: float,
     last_rad: float,
     conditions: Conditions,
-) -> tuple[np.ndarray, np.ndarray, bool]:
+) -> tuple[Floats, Floats, bool]:
     """Amplitudes and times of the law's free decay, and whether it reaches the last amplitude."""
     range_ends = TurningPoints(
         np.array([0, 1], dtype=np.int64),
@@ -199,18 +185,18 @@ def _decay(
         np.array([first_rad, last_rad]),
         np.full(2, 1e-3 * last_rad),
     )
-    columns = law.columns(range_ends, pendulum, names)
-    parameters = columns.map_parameters(columns.from_physical(known))[0]
+    parametrisation = law.columns(range_ends, pendulum, names)
+    parameters = parametrisation.map_parameters(parametrisation.from_physical(known))[0]
     count = 256
     while True:
-        found = law.half_swing_map(parameters[:-2], np.arange(count, dtype=np.int64))
-        amplitude = found.amplitude * columns.reference
+        decay = law.half_swing_map(parameters[:-2], np.arange(count, dtype=np.int64))
+        amplitude = decay.amplitude * parametrisation.reference
         if not np.isfinite(amplitude[-1]) or amplitude[-1] < last_rad or count > 1 << 16:
             break
         count *= 2
-    time = found.time * parameters[-2]
+    time = decay.time * parameters[-2]
     half_period_s = float(time[1]) if np.isfinite(time[1]) else inf
     hidden_rad = _HIDDEN_RATIO * step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s)
-    lasting = np.isfinite(amplitude) & (amplitude >= max(last_rad, hidden_rad))
+    is_in_run = np.isfinite(amplitude) & (amplitude >= max(last_rad, hidden_rad))
     complete = bool(hidden_rad <= last_rad and np.nanmin(amplitude) < last_rad)
-    return amplitude[lasting], time[lasting], complete
+    return amplitude[is_in_run], time[is_in_run], complete

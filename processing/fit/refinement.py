@@ -41,11 +41,11 @@ _REST_HALF_CYCLES = 6
 _MAX_LATE = 3
 """Most half-cycles by which a knock is dated late, where those before it were disturbed, too."""
 _MAX_REST_SHARE = 0.01
-"""Largest step of the rest position, as a share of the last amplitude, that a fit across it takes: friction
-of the deflection itself changes the losses by its square."""
+"""Largest step of the rest position, as a share of the last amplitude, across which a decay is fitted: a rest
+position beside the middle of the contact changes the losses by the square of this share."""
 _MAX_COVERED_SHARE = 0.05
-"""Largest such step behind which a decay is fitted: beyond, the second measurement may be refused, and its
-enlarged uncertainties hide that turning times alternate."""
+"""Largest step of the rest position, as such a share, after which a decay is fitted. After a larger one the
+second measurement may be refused, and its enlarged uncertainties hide that turning times alternate."""
 _MIN_REFINED_SHARE = 0.95
 """Share of the half-cycles that the second measurement must find."""
 
@@ -95,82 +95,76 @@ def known_motion(
 
 
 def second_measurement(
-    swings: Sequence[HalfCycle],
-    blocks: Iterable[Deflections],
-    motion: KnownMotion,
+    half_cycles: Sequence[HalfCycle], blocks: Iterable[Deflections], motion: KnownMotion
 ) -> list[HalfCycle]:
     """Second measurement of half-cycles from their samples, with a known waveform.
 
     Parameters
     ----------
-    swings
+    half_cycles
         Half-cycles from the detector, in order. Flagged ones are returned unchanged; one that the second
         measurement does not find, or finds disturbed, is flagged.
     blocks
-        The deflections in rad in which they were detected, along the slow axis, in order and in pieces of
-        any length, so that they need not be in memory together.
+        The deflections in rad in which they were detected, along the slow axis, in order. Blocks may have any
+        length, so that they need not be in memory together.
 
     Returns
     -------
     The half-cycles, the first ones with uncertainties from the noise that the later ones show.
     """
-    found = swings_of_blocks(blocks, motion)
-    found_ns = np.array([swing.turn_time_ns for swing in found], dtype=np.int64)
+    candidates = swings_of_blocks(blocks, motion)
+    times_ns = np.array([candidate.turn_time_ns for candidate in candidates], dtype=np.int64)
     near_ns = 0.25e9 * math.pi / motion.rate_rad_per_s
-    again: list[HalfCycle] = []
-    for swing in swings:
-        if swing.flags == 0:
-            twin = _nearest(found, found_ns, swing.turn_time_ns)
-            if twin is None or abs(twin.turn_time_ns - swing.turn_time_ns) > near_ns:
-                swing = replace(swing, flags=int(HalfCycleFlag.GAP))
+    refined: list[HalfCycle] = []
+    for half_cycle in half_cycles:
+        if half_cycle.flags == 0:
+            place = _nearest(times_ns, half_cycle.turn_time_ns) if candidates else None
+            if place is None or abs(times_ns[place] - half_cycle.turn_time_ns) > near_ns:
+                half_cycle = replace(half_cycle, flags=int(HalfCycleFlag.GAP))
             else:
-                swing = replace(twin, index=swing.index).since(again[-1] if again else None)
-        again.append(swing)
-    return with_learned_weights(again)
+                same = replace(candidates[place], index=half_cycle.index)
+                half_cycle = same.since(refined[-1] if refined else None)
+        refined.append(half_cycle)
+    return with_learned_weights(refined)
 
 
-def _nearest(swings: Sequence[HalfCycle], times_ns: Ints, time_ns: int) -> HalfCycle | None:
-    if not len(times_ns):
-        return None
-    after = min(int(np.searchsorted(times_ns, time_ns)), len(times_ns) - 1)
-    before = max(after - 1, 0)
-    nearer = before if time_ns - times_ns[before] < times_ns[after] - time_ns else after
-    return swings[nearer]
+def _nearest(times_ns: Ints, time_ns: int) -> int:
+    """Place of the time nearest to another one, among rising times."""
+    following = min(int(np.searchsorted(times_ns, time_ns)), len(times_ns) - 1)
+    return min(following, max(following - 1, 0), key=lambda place: abs(int(times_ns[place]) - time_ns))
 
 
 class MeasurementShift(NamedTuple):
-    """Shift of a second measurement from the first: rms over half-cycles, in standard uncertainties.
+    """Shift of a second measurement from the first: rms over half-cycles, in standard uncertainties."""
 
-    `time` is without the shift that all share, which only moves the start of the motion. `found` is the share
-    of the half-cycles that the second measurement found. Both rms are NaN where it found none.
-    """
-
-    found: float
+    share_found: float
+    """Share of the half-cycles that the second measurement found."""
     time: float
+    """Without the shift that all half-cycles share, which only moves the start of the motion; NaN if none was
+    found."""
     amplitude: float
+    """NaN if none was found."""
 
     @property
     def complete(self) -> bool:
-        return self.found >= _MIN_REFINED_SHARE
+        return self.share_found >= _MIN_REFINED_SHARE
 
 
-def measurement_shift(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> MeasurementShift:
+def measurement_shift(detected: Sequence[HalfCycle], refined: Sequence[HalfCycle]) -> MeasurementShift:
     """The shift of the unflagged half-cycles.
 
     It is normally 0.1 to 0.5. With few or noisy samples in a half-cycle the first measurement, which knows
     the waveform only from earlier half-cycles, is off by more; the second may be right all the same.
     """
-    pairs = [(a, b) for a, b in zip(swings, again, strict=True) if a.flags == 0]
-    both = [(a, b) for a, b in pairs if b.flags == 0]
-    if not both:
+    pairs = [(a, b) for a, b in zip(detected, refined, strict=True) if a.flags == 0]
+    good_pairs = [(a, b) for a, b in pairs if b.flags == 0]
+    if not good_pairs:
         return MeasurementShift(0.0, math.nan, math.nan)
-    later_s = [seconds(b.turn_time_ns - a.turn_time_ns) for a, b in both]
-    shared_s = float(np.median(later_s))
-    time = [(later - shared_s) / a.u_turn_time_s for later, (a, _) in zip(later_s, both, strict=True)]
-    amplitude = [(b.amplitude - a.amplitude) / a.u_amplitude for a, b in both]
-    return MeasurementShift(
-        len(both) / len(pairs), *(math.sqrt(float(np.mean(np.square(found)))) for found in (time, amplitude))
-    )
+    later_s = np.array([seconds(b.turn_time_ns - a.turn_time_ns) for a, b in good_pairs])
+    time = (later_s - np.median(later_s)) / [a.u_turn_time_s for a, _ in good_pairs]
+    amplitude = np.array([(b.amplitude - a.amplitude) / a.u_amplitude for a, b in good_pairs])
+    rms = (math.sqrt(float(np.mean(np.square(shift)))) for shift in (time, amplitude))
+    return MeasurementShift(len(good_pairs) / len(pairs), *rms)
 
 
 def describes_as_well(second: FitResult, first: FitResult) -> bool:
@@ -186,50 +180,58 @@ def describes_as_well(second: FitResult, first: FitResult) -> bool:
     return second.ground.deviance <= first.ground.deviance + allowed
 
 
-def with_enlarged_u(swings: Sequence[HalfCycle], shift: MeasurementShift) -> list[HalfCycle]:
+def with_enlarged_u(half_cycles: Sequence[HalfCycle], shift: MeasurementShift) -> list[HalfCycle]:
     """Half-cycles whose second measurement was refused, with uncertainties enlarged by its difference."""
-    time, amplitude = (math.hypot(1.0, part) if part == part else 1.0 for part in shift[1:])
+    time, amplitude = (
+        1.0 if math.isnan(rms) else math.hypot(1.0, rms) for rms in (shift.time, shift.amplitude)
+    )
     return [
         replace(
-            swing,
-            u_turn_time_s=swing.u_turn_time_s * time,
-            u_half_period_s=swing.u_half_period_s * time,
-            u_amplitude=swing.u_amplitude * amplitude,
+            half_cycle,
+            u_turn_time_s=half_cycle.u_turn_time_s * time,
+            u_half_period_s=half_cycle.u_half_period_s * time,
+            u_amplitude=half_cycle.u_amplitude * amplitude,
         )
-        for swing in swings
+        for half_cycle in half_cycles
     ]
 
 
-def points_in_true_time(swings: Sequence[HalfCycle], clock_rate: float) -> TurningPoints:
+def points_in_true_time(half_cycles: Sequence[HalfCycle], clock_rate: float) -> TurningPoints:
     """Turning points of unflagged half-cycles in true time; `clock_rate` is true seconds per clock second."""
-    found = turning_points(swings)
-    return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
+    points = turning_points(half_cycles)
+    return replace(points, time_s=points.time_s * clock_rate, u_time_s=points.u_time_s * clock_rate)
 
 
-def up_to_rest_step(swings: Sequence[HalfCycle], knocks: Sequence[int]) -> tuple[Sequence[HalfCycle], str]:
-    """Half-cycles, flagged from the first knock on that moved the rest position, and a line on that.
+def up_to_rest_step(
+    half_cycles: Sequence[HalfCycle], knocks: Sequence[int]
+) -> tuple[Sequence[HalfCycle], str]:
+    """Half-cycles without those at another rest position, and a remark on them.
 
-    Friction and elasticity are those of the angle from the middle of the contact, where the pendulum then
-    rests no more. Those before it are flagged where they are too few for a fit, and fewer, and the step is
-    small: what the place of rest changes is then in the uncertainties. The line is empty where no knock moved
-    the rest position.
+    Friction and elasticity are those of the angle from the middle of the contact. After a knock that moved
+    the rest position, the pendulum no longer rests there: the half-cycles from that knock on are flagged.
+    Where the earlier ones are too few for a fit, fewer than the later ones, and the step is small, the
+    earlier ones are flagged instead: the uncertainties then hold the effect of the rest position. The remark
+    is empty where no knock moved the rest position.
     """
-    flag, lines = int(HalfCycleFlag.REST_MOVED), list[str]()
+    flag, remarks = int(HalfCycleFlag.REST_MOVED), list[str]()
     for knock, late in product(knocks, range(_MAX_LATE + 1)):
-        good, first = [swing for swing in swings if not swing.flags], knock - late
-        before, after = ([one for one in good if (one.index >= first) is later] for later in (False, True))
-        if not before or not after:
+        good, first = [half_cycle for half_cycle in half_cycles if not half_cycle.flags], knock - late
+        earlier = [half_cycle for half_cycle in good if half_cycle.index < first]
+        later = good[len(earlier) :]
+        if not earlier or not later:
             continue
-        centre_before = [swing.centre for swing in before[-_REST_HALF_CYCLES:]]
-        centre_after = [swing.centre for swing in after[:_REST_HALF_CYCLES]]
-        share = abs(float(np.median(centre_after) - np.median(centre_before))) / good[-1].amplitude
-        apart = max(centre_before) < min(centre_after) or max(centre_after) < min(centre_before)
+        old_rest = [half_cycle.centre for half_cycle in earlier[-_REST_HALF_CYCLES:]]
+        new_rest = [half_cycle.centre for half_cycle in later[:_REST_HALF_CYCLES]]
+        share = abs(float(np.median(new_rest) - np.median(old_rest))) / good[-1].amplitude
+        apart = max(old_rest) < min(new_rest) or max(new_rest) < min(old_rest)
         if not apart or share <= _MAX_REST_SHARE:
             continue
-        few = len(before) < min(FEWEST_HALF_CYCLES, len(after)) and share <= _MAX_COVERED_SHARE
-        swings = [
-            replace(swing, flags=swing.flags | flag) if (swing.index < first) is few else swing
-            for swing in swings
+        few = len(earlier) < min(FEWEST_HALF_CYCLES, len(later)) and share <= _MAX_COVERED_SHARE
+        half_cycles = [
+            replace(half_cycle, flags=half_cycle.flags | flag)
+            if (half_cycle.index < first) is few
+            else half_cycle
+            for half_cycle in half_cycles
         ]
         left_out = (
             "before it are left out, which are too few for a fit; those after it are fitted, though the "
@@ -237,13 +239,13 @@ def up_to_rest_step(swings: Sequence[HalfCycle], knocks: Sequence[int]) -> tuple
             if few
             else "from there on are left out, since the pendulum rests"
         )
-        lines.append(
+        remarks.append(
             f"at half-cycle {first} a knock moved the rest position by {100 * share:.2g} % of the last "
             f"amplitude: the half-cycles {left_out} beside the middle of its contact"
         )
         if not few:
             break
-    return swings, "; ".join(lines)
+    return half_cycles, "; ".join(remarks)
 
 
 class DecayFit(NamedTuple):
@@ -255,14 +257,14 @@ class DecayFit(NamedTuple):
     evidence: Evidence = NO_EVIDENCE
     loss: Loss = "linear"
 
-    def points(self, swings: Sequence[HalfCycle]) -> TurningPoints:
+    def points(self, half_cycles: Sequence[HalfCycle]) -> TurningPoints:
         """Turning points of the unflagged half-cycles, in true time."""
-        return points_in_true_time(swings, self.clock_rate)
+        return points_in_true_time(half_cycles, self.clock_rate)
 
-    def of(self, swings: Sequence[HalfCycle], near: FitResult | None = None) -> FitResult:
-        """The exact fit of half-cycles."""
+    def of(self, half_cycles: Sequence[HalfCycle], near: FitResult | None = None) -> FitResult:
+        """The exact fit of half-cycles; `near` is a fit of nearly the same ones."""
         return fit_with_knocks(
-            self.points(swings),
+            self.points(half_cycles),
             self.pendulum,
             drag=self.drag,
             evidence=self.evidence,
@@ -270,47 +272,50 @@ class DecayFit(NamedTuple):
             near=near,
         )
 
-    def motion(self, fit: FitResult, swings: Sequence[HalfCycle]) -> KnownMotion:
+    def motion(self, fit: FitResult, half_cycles: Sequence[HalfCycle]) -> KnownMotion:
         """The motion by a fit of half-cycles, its reference amplitude their first one."""
-        reference_rad = next(swing.amplitude for swing in swings if not swing.flags)
+        reference_rad = next(half_cycle.amplitude for half_cycle in half_cycles if not half_cycle.flags)
         return known_motion(fit.parameters, self.pendulum, reference_rad, self.clock_rate)
 
 
 class Refinement(NamedTuple):
-    """Outcome of a second measurement: the half-cycles to use, and the motion that gave their waveform.
-
-    `motion` is None where they stay as detected, with the reason in `doubt`; `exact` is the fit to the
-    half-cycles of an accepted second measurement. `position_map` are the fixed-pattern position errors that
-    were taken off the deflections before it, None where none were; the uncertainties of `exact` then contain
-    the remaining errors. `harmonics` are those of the swing, None where they were not measured.
-    """
+    """Outcome of a second measurement."""
 
     swings: Sequence[HalfCycle]
+    """Half-cycles to use."""
     motion: KnownMotion | None
+    """Motion that gave their waveform; None where they stay as detected, with the reason in `doubt`."""
     exact: FitResult | None = None
+    """Fit to the half-cycles of an accepted second measurement."""
     doubt: str = ""
     position_map: PositionMap | None = None
+    """Fixed-pattern position errors that were taken off the deflections before it, None where none were; the
+    uncertainties of `exact` contain the remaining errors."""
     harmonics: SwingHarmonics | None = None
+    """Harmonics of the swing; None where they were not measured."""
 
 
 def judge_refinement(
-    swings: Sequence[HalfCycle],
-    again: Sequence[HalfCycle],
+    detected: Sequence[HalfCycle],
+    refined: Sequence[HalfCycle],
     motion: KnownMotion,
     first: FitResult,
     fit: DecayFit,
 ) -> Refinement:
-    """The second measurement `again` if the laws describe it as well as the first `swings`.
+    """The second measurement `refined` if the laws describe it as well as the first, `detected`.
 
     Both may begin with earlier half-cycles, which are fitted with them and not measured a second time.
     """
-    shift = measurement_shift(swings, again)
-    reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
+    shift = measurement_shift(detected, refined)
+    if shift.share_found == 0.0:
+        doubt = "the turning points stand as detected (none of the half-cycles was found again)"
+        return Refinement(detected, None, None, doubt)
+    reason = f"only {100 * shift.share_found:.0f} % of the half-cycles were found again"
     if shift.complete:
         try:
-            second = fit.of(again, first)
+            second = fit.of(refined, first)
             if describes_as_well(second, first):
-                return Refinement(again, motion, second)
+                return Refinement(refined, motion, second)
             reason = "the laws would describe them worse"
         except DataError as error:
             reason = str(error)
@@ -319,15 +324,15 @@ def judge_refinement(
         f"move by {shift.time:.2g} standard uncertainties in time and {shift.amplitude:.2g} in amplitude; "
         "the uncertainties allow for it"
     )
-    return Refinement(with_enlarged_u(swings, shift), None, None, doubt)
+    return Refinement(with_enlarged_u(detected, shift), None, None, doubt)
 
 
 def fitted_twice(
-    swings: Sequence[HalfCycle],
+    half_cycles: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     fit: DecayFit,
     near: FitResult | None = None,
-    before: Sequence[HalfCycle] = (),
+    earlier: Sequence[HalfCycle] = (),
 ) -> tuple[Refinement, FitResult]:
     """Half-cycles fitted as detected, measured a second time with that fit's waveform, and fitted again.
 
@@ -337,8 +342,8 @@ def fitted_twice(
         The deflections in rad in which they were detected.
     near
         A fit of fewer of them.
-    before
-        Earlier half-cycles, which are fitted with `swings` and not measured a second time.
+    earlier
+        Earlier half-cycles, which are fitted with the others and not measured a second time.
 
     Returns
     -------
@@ -349,16 +354,16 @@ def fitted_twice(
     DataError
         They cannot be fitted.
     """
-    weighted = with_learned_weights([*before, *swings])
+    weighted = with_learned_weights([*earlier, *half_cycles])
     first = fit.of(weighted, near)
-    every, moved = up_to_rest_step(weighted, first.evidence.knocks)
-    if moved:
-        first = fit.of(every)
+    detected, remark = up_to_rest_step(weighted, first.evidence.knocks)
+    if remark:
+        first = fit.of(detected)
     try:
-        motion = fit.motion(first, every)
+        motion = fit.motion(first, detected)
     except DataError:
-        return Refinement(every, None, doubt=moved), first
-    again = second_measurement(every[len(before) :], blocks, motion)
-    found = judge_refinement(every, [*every[: len(before)], *again], motion, first, fit)
-    found = found._replace(doubt="; ".join(filter(None, [moved, found.doubt])))
-    return found, found.exact or fit.of(found.swings, first)
+        return Refinement(detected, None, doubt=remark), first
+    refined = second_measurement(detected[len(earlier) :], blocks, motion)
+    outcome = judge_refinement(detected, [*detected[: len(earlier)], *refined], motion, first, fit)
+    outcome = outcome._replace(doubt="; ".join(filter(None, [remark, outcome.doubt])))
+    return outcome, outcome.exact or fit.of(outcome.swings, first)

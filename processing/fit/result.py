@@ -1,4 +1,4 @@
-"""Result of a fit: values, covariance, goodness of fit, outliers, warnings."""
+"""Result of a fit: values, covariance, quality, changes during the run, warnings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -22,11 +22,11 @@ from processing.quantity import PLAIN, Quantity
 MEASUREMENT = "swings"
 """Name of a fit's term: the measurement of the turning points, on ground at rest."""
 FIXED_PATTERN = "position_errors"
-"""Name of a fit's term: what the correction leaves of the fixed-pattern position errors of the sensor."""
+"""Name of a fit's term: fixed-pattern position errors of the sensor that remain after their correction."""
 DISCREPANCY = "discrepancy"
 """Name of a fit's term: the discrepancy of the law from the decay."""
 FRICTION_STEP = "friction_step"
-"""Name of a fit's term: a possible step of the friction during the run that was not found."""
+"""Name of a fit's term: steps of the friction during the run that are too small to be found."""
 REST_POSITION = "rest_position"
 """Name of a fit's term: a rest position beside the middle of the contact."""
 FITTED_DRIFTS = "drifts"
@@ -72,13 +72,25 @@ class ChangeKind(StrEnum):
     PERIOD = "period"
 
 
+CLEAR_CHANGE_GAIN = 20.0
+"""Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
     """One change during a run.
 
-    `time_s` is on the clock of the turning points, `half_cycle` the index of the first one after it. `size`
-    is relative, of a knock to the amplitude whatever its phase; `gain` is by how much -2 ln L is smaller
-    with it.
+    Attributes
+    ----------
+    half_cycle
+        Index of the first half-cycle after it.
+    time_s
+        When it happened, on the clock of the turning points.
+    size, u_size
+        Relative size and its standard uncertainty; that of a knock is relative to the amplitude, whatever its
+        phase.
+    gain
+        Fall of -2 ln L by the change.
     """
 
     kind: ChangeKind
@@ -92,25 +104,32 @@ class Change:
     def text(self) -> str:
         """The change in one line."""
         percent = with_uncertainty(100 * self.size, 100 * self.u_size, signed=True)
-        what = {
+        event = {
             ChangeKind.KNOCK: f"a knock moves the swing by {percent.removeprefix('+')} % of its amplitude",
             ChangeKind.FRICTION: f"the friction changes by {percent} %: the contact slipped or was touched",
             ChangeKind.PERIOD: f"the period changes by {percent} %: something shifted",
         }[self.kind]
-        return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {what}"
+        return f"at half-cycle {self.half_cycle} ({self.time_s:.0f} s on the clock of the data) {event}"
 
 
-_SIGNIFICANT_CHANCE = 0.003
-"""Chance of three standard deviations to either side."""
+SIGNIFICANT_CHANCE = 0.003
+"""Significance level of a drag: the two-sided probability of three standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryLayerDrag:
     """A boundary layer's drag, moment ``-m g R coefficient |phi'|^0.5 phi'``, in addition to a fit's law.
 
-    `share` is its loss over that of the linear drag at the first amplitude, `p_value` the probability of so
-    large a value without it. `relative_shift_b` and `shift_drag_s` are the changes of b and of the linear
-    drag with it, `shift` those of all values of the fit, in their order.
+    Attributes
+    ----------
+    p_value
+        Probability of so large a value without it.
+    share
+        Its loss over that of the linear drag at the first amplitude.
+    relative_shift_b, shift_drag_s
+        Relative change of b, and change of the linear drag, with it.
+    shift
+        Changes of all values of the fit with it, in their order.
     """
 
     coefficient: Annotated[Estimate, Quantity("drag 3/2", "drag with the 3/2 power", unit="s^1.5")] = (
@@ -125,7 +144,7 @@ class BoundaryLayerDrag:
     @property
     def seen(self) -> bool:
         """Whether the data show it."""
-        return self.p_value < _SIGNIFICANT_CHANCE
+        return self.p_value < SIGNIFICANT_CHANCE
 
 
 CORRELATED = 0.001
@@ -136,9 +155,16 @@ CORRELATED = 0.001
 class Whiteness:
     """Test of Ljung and Box on the residuals of amplitudes and of times, in the order of the half-cycles.
 
-    `p_amplitude` and `p_time` are the chances of autocorrelations at least as large in pure noise, over
-    `lags` neighbours, and `first_amplitude`, `first_time` the correlations of next neighbours. `u_inflation`
-    is the largest factor by which correlation enlarged a standard uncertainty of the fit.
+    Attributes
+    ----------
+    lags
+        Number of neighbours whose correlations are tested.
+    p_amplitude, p_time
+        Chances of autocorrelations at least as large in pure noise.
+    first_amplitude, first_time
+        Correlations of next neighbours.
+    u_inflation
+        Largest factor by which correlation enlarged a standard uncertainty of the fit.
     """
 
     lags: int = 0
@@ -171,8 +197,8 @@ class FitQuality:
         the free decay; for a driven pendulum, from the predictions of a Kalman filter, and their
         uncertainties contain the drive.
     bias
-        How far Eqs. 5 and 6 lie from the exact map where both describe one free decay, the exact fit's;
-        None for the exact fit, or if it is not known.
+        Parameters that Eqs. 5 and 6 give for the free decay of the exact fit, less those of this fit; None
+        for the exact fit, or if it is not known.
     ground
         How strongly the ground drove the pendulum; None for a fit that does not estimate it.
     whiteness
@@ -182,7 +208,7 @@ class FitQuality:
     changes
         Events during the run: knocks, and steps of friction or period.
     information_gain
-        The factor by which each uncertainty would be larger without the waveform, or without the prior of the
+        Factors by which each uncertainty would be larger without the waveform, or without the prior of the
         air; empty where there is neither.
     boundary_layer
         Boundary layer's drag in addition to the fit; None where it was not estimated.
@@ -274,48 +300,46 @@ class FitResult(FitQuality):
     def standard_uncertainty(self) -> Floats:
         return np.sqrt(np.diag(self.covariance))
 
-    def part(self, *names: str) -> Floats:
+    def covariance_by(self, *terms: str) -> Floats:
         """Covariance of the values by some terms; zeros where the fit has none of them."""
-        count = len(self.names)
-        out = np.zeros((count, count))
-        for by in (self.terms[name] for name in names if name in self.terms):
-            undetermined = ~np.isfinite(by.sum(axis=1))
-            known = np.where(undetermined[:, None], 0.0, by)
-            out += known @ known.T
-            out[undetermined, undetermined] = np.inf
-        return out
+        covariance = np.zeros((len(self.names), len(self.names)))
+        for changes in (self.terms[term] for term in terms if term in self.terms):
+            undetermined = ~np.isfinite(changes.sum(axis=1))
+            known = np.where(undetermined[:, None], 0.0, changes)
+            covariance += known @ known.T
+            covariance[undetermined, undetermined] = np.inf
+        return covariance
 
-    def with_term(self, name: str, by: Floats, *warnings: str, **fields: Any) -> "FitResult":
+    def with_term(self, name: str, changes: Floats, /, *warnings: str, **fields: Any) -> "FitResult":
         """The fit with one further term in covariance and `terms`; `fields` are those of `FitQuality` to set.
 
-        `by` are changes as in `terms`; a value that is not determined remains so.
+        `changes` are as in `terms`; a value that is not determined remains so.
         """
-        wide = by.shape[1] > len(self.names)
-        if wide:
+        if changes.shape[1] > len(self.names):
             # as many coordinates as there are values have the same covariance
-            by = np.asarray(np.linalg.qr(by.T)[1].T, dtype=np.float64)
+            changes = np.asarray(np.linalg.qr(changes.T)[1].T, dtype=np.float64)
         known = np.isfinite(np.diag(self.covariance))
-        added = np.where(np.outer(known, known), by @ by.T, 0.0)
+        added = np.where(np.outer(known, known), changes @ changes.T, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
             factor = np.nan_to_num(np.sqrt(1.0 + np.diag(added) / self.standard_uncertainty**2), nan=1.0)
         return replace(
             self,
             covariance=self.covariance + added,
             u_inflation=factor if self.u_inflation is None else self.u_inflation * factor,
-            terms={**self.terms, name: by},
+            terms={**self.terms, name: changes},
             warnings=(*self.warnings, *warnings),
             **fields,
         )
 
-    def with_terms_of(self, other: "FitResult", *names: str) -> "FitResult":
-        """Another fit of the same law to the same points with some terms that this one has not."""
-        out, rows = self, [other.names.index(name) for name in self.names if name in other.names]
-        for term in names:
+    def with_terms_of(self, other: "FitResult", *terms: str) -> "FitResult":
+        """This fit with some terms of another fit of the same law to the same points."""
+        fit, rows = self, [other.names.index(name) for name in self.names if name in other.names]
+        for term in terms:
             if term in other.terms:
-                by = np.zeros((len(self.names), other.terms[term].shape[1]))
-                by[[name in other.names for name in self.names]] = other.terms[term][rows]
-                out = out.with_term(term, by)
-        return out
+                changes = np.zeros((len(self.names), other.terms[term].shape[1]))
+                changes[[name in other.names for name in self.names]] = other.terms[term][rows]
+                fit = fit.with_term(term, changes)
+        return fit
 
     @property
     def correlation(self) -> Floats:

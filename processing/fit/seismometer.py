@@ -1,7 +1,7 @@
-"""The exact fit with an auxiliary seismometer, whose part of the drive is taken off where predictions gain.
+"""The exact fit with an auxiliary seismometer, whose part of the drive is subtracted if it predicts better.
 
-A record that has nothing to do with the ground under the rig must not help. Gains are judged by half-cycles
-that they were not fitted to: gains of an unrelated record make the predictions of those worse.
+A record that has nothing to do with the ground under the rig must not be used. Gains are judged by
+half-cycles that they were not fitted to: gains of an unrelated record make the predictions of those worse.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ unrelated seismometer -2 ln L rises, by about 2 for each gain."""
 _MIN_COVERED_SHARE = 0.2
 """Share of the half-swings that the seismometer has to cover."""
 _U_DELAY = 0.015
-"""Standard uncertainty of a delay, in periods, from what is not known of the measurement of half-cycles: at a
+"""Standard uncertainty of a delay, in periods, by unknown details of the measurement of half-cycles: at a
 period of 4 s, six recorded runs with a delay of -0.05 s gave 0.06 to 0.09 s more in the mean."""
 _MAX_CORRECTIONS = 10
 """Most corrections of a clock; each reduces its error by a tenth of a second or by half."""
@@ -69,7 +69,7 @@ class SeismometerVerdict(StrEnum):
 class Response:
     """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency.
 
-    `gain` is in rad/s^2 per unit of the component; `phase_rad` is the lead of the drive over it, with
+    `gain` is in rad/s^2 per unit of the component. `phase_rad` is the lead of the drive over it, with
     deflections positive at the first turning point. `with_slope` is whether both may change with frequency.
     """
 
@@ -87,14 +87,20 @@ class SeismometerUse:
 
     Attributes
     ----------
-    source, understood
-        Name of its file, or its place in the record; what was read of it, and what was left out.
+    source
+        Name of its file, or its topic in the record.
+    understood
+        Remarks on what was read of the file, and what was left out.
+    verdict, reason
+        Whether it was used; the reason where it does not cover the run.
     gain_of_prediction
         Decrease of -2 ln L of half-cycles with gains fitted to the others.
     explained
         Share of the drive's power at the pendulum's frequency that it explains: the squared coherence.
-    ground_alone, ground_left
-        Densities of the drive without the seismometer, and of the remainder, rad/s^2/sqrt(Hz).
+    ground_alone_rad_per_s2_rthz, ground_left_rad_per_s2_rthz
+        Densities of the drive without the seismometer, and of the remainder.
+    responses
+        Response to each component in use.
     missing_half_cycles
         Half-swings that the seismometer does not cover; the drive is unknown in them.
     delay_s, clock_drift
@@ -130,12 +136,8 @@ class SeismometerUse:
         return replace(self, saved={name: saved[name] for name in fit.contact_names})
 
 
-def accepted_use(
-    use: SeismometerUse,
-    alone: FitResult,
-    fit: FitResult,
-    names: Sequence[str],
-    chosen: Sequence[int],
+def _accepted_use(
+    use: SeismometerUse, alone: FitResult, fit: FitResult, names: Sequence[str], chosen: Sequence[int]
 ) -> SeismometerUse:
     """The use with an accepted fit by the `chosen` signals; `names` are those of the components."""
     assert alone.ground is not None
@@ -149,25 +151,23 @@ def accepted_use(
         a, b = drive.gains[first], -drive.gains[first + 1]
         gain = hypot(a, b)
         covariance = drive.covariance[first : first + 2, first : first + 2] * np.array([[1, -1], [-1, 1]])
-        along, across = np.array([a, b]) / gain, np.array([-b, a]) / gain
+        by_gain, by_phase = np.array([a, b]) / gain, np.array([-b, a]) / gain
         responses.append(
             Response(
                 name=names[component],
                 gain=gain,
-                u_gain=float(np.sqrt(along @ covariance @ along)),
+                u_gain=float(np.sqrt(by_gain @ covariance @ by_gain)),
                 phase_rad=atan2(b, a),
-                u_phase_rad=float(np.sqrt(across @ covariance @ across)) / gain,
+                u_phase_rad=float(np.sqrt(by_phase @ covariance @ by_phase)) / gain,
                 with_slope=columns_of(component, SLOPES)[0] in chosen,
             )
         )
-    left = fit.ground.density_rad_per_s2_rthz
     explained_power = float(np.mean((drive.steps[0][~drive.missing] @ drive.gains) ** 2))
-    step = fit.ground.noise.step
     return replace(
         use.with_saved(alone, fit),
         verdict=SeismometerVerdict.USED,
-        explained=float(explained_power / (explained_power + step**2)),
-        ground_left_rad_per_s2_rthz=left,
+        explained=float(explained_power / (explained_power + fit.ground.noise.step**2)),
+        ground_left_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz,
         responses=tuple(responses),
     )
 
@@ -193,7 +193,7 @@ def fit_with_seismometer(
     Parameters
     ----------
     alone
-        The exact fit of these points without it, which is returned where predictions do not gain.
+        The exact fit of these points without it, which is returned where the seismometer is refused.
     averaged
         That of `fit_exact`.
     """
@@ -202,23 +202,23 @@ def fit_with_seismometer(
 
 
 class SignalDrives:
-    """The signals of a seismometer, and the drive of a run's turning points by `every` one of them."""
+    """The signals of a seismometer, and the drive of a run's turning points by all of them, `drive`."""
 
     def __init__(self, points: TurningPoints, seismometer: Seismogram, *, averaged: bool) -> None:
         self.period_s = mean_period(points)
         margin_s = _MARGIN_PERIODS * self.period_s
-        beside = seismometer.between(points.time_s[0] - margin_s, points.time_s[-1] + margin_s)
+        during_run = seismometer.between(points.time_s[0] - margin_s, points.time_s[-1] + margin_s)
         self.names = seismometer.names
-        self.signals = signals_of(beside, self.period_s)
+        self.signals = signals_of(during_run, self.period_s)
         self._points, self._averaged = points, averaged
-        self.every = known_drive(points, self.signals, averaged=averaged)
+        self.drive = known_drive(points, self.signals, averaged=averaged)
 
-    def later(self, by_s: float, stretched: float = 0.0) -> KnownDrive:
-        """The drive by all signals, later by `by_s` and by `stretched` a second from the run's middle."""
+    def delayed(self, delay_s: float, drift: float = 0.0) -> KnownDrive:
+        """The drive by all signals, later by `delay_s` and by `drift` a second from the run's middle."""
         time = self.signals.time_s
         middle = 0.5 * float(self._points.time_s[0] + self._points.time_s[-1])
-        moved = replace(self.signals, time_s=time + by_s + stretched * (time - middle))
-        return known_drive(self._points, moved, averaged=self._averaged)
+        signals = replace(self.signals, time_s=time + delay_s + drift * (time - middle))
+        return known_drive(self._points, signals, averaged=self._averaged)
 
     def with_rest_weight(self, weight: float) -> KnownDrive:
         """The drive by all signals with another weight of a half-cycle's own samples in its equilibrium."""
@@ -234,7 +234,7 @@ class ClockCorrection(NamedTuple):
     @property
     def significant(self) -> bool:
         """Whether delay or drift is seen, at four standard uncertainties."""
-        return any(abs(one.value) > 4 * one.standard_uncertainty for one in self)
+        return any(abs(value) > 4 * u for value, u in self)
 
 
 class _Selection(NamedTuple):
@@ -247,6 +247,8 @@ class _Selection(NamedTuple):
 
 @dataclass(frozen=True)
 class _Search:
+    """Search for the signals of a seismometer that predict a run's turning points, about its fit `alone`."""
+
     points: TurningPoints
     pendulum: PendulumOnBall
     alone: FitResult
@@ -260,61 +262,63 @@ class _Search:
         assert self.alone.ground is not None
         middle_s = 0.5 * float(self.points.time_s[0] + self.points.time_s[-1])
         delay_s = drift = 0.0
-        for left in reversed(range(_MAX_CORRECTIONS + 1)):
-            moved = seismometer.delayed(delay_s, drift, middle_s)
+        for corrections in range(_MAX_CORRECTIONS + 1):
+            corrected = seismometer.delayed(delay_s, drift, middle_s)
             try:
-                drives = SignalDrives(self.points, moved, averaged=self.averaged)
+                drives = SignalDrives(self.points, corrected, averaged=self.averaged)
             except DataError as error:
                 return SeismometerFit(
                     self.alone, SeismometerUse(verdict=SeismometerVerdict.ABSENT, reason=str(error))
                 )
             use = SeismometerUse(
-                missing_half_cycles=int(np.count_nonzero(drives.every.missing)),
+                missing_half_cycles=int(np.count_nonzero(drives.drive.missing)),
                 ground_alone_rad_per_s2_rthz=self.alone.ground.density_rad_per_s2_rthz,
             )
-            count = len(drives.every.missing)
+            count = len(drives.drive.missing)
             if use.missing_half_cycles > (1 - _MIN_COVERED_SHARE) * count:
                 reason = f"{use.missing_half_cycles} of {count} half-swings have no seismometer"
                 return SeismometerFit(
                     self.alone, replace(use, verdict=SeismometerVerdict.ABSENT, reason=reason)
                 )
-            found = self._with_signals(drives, _Selection(self.alone, [], 0.0), PAIR)
-            if not found.chosen:
-                return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
-            clock = self._clock_correction(found.fit, drives, found.chosen)
+            selection = self._with_signals(drives, _Selection(self.alone, [], 0.0), PAIR)
+            if not selection.chosen:
+                return SeismometerFit(self.alone, replace(use, gain_of_prediction=selection.gain))
+            clock = self._clock_correction(selection.fit, drives, selection.chosen)
             correction = ClockCorrection(
                 Estimate(delay_s + clock.delay_s.value, clock.delay_s.standard_uncertainty),
                 Estimate(drift + clock.drift.value, clock.drift.standard_uncertainty),
             )
-            if not left or not clock.significant:
+            if corrections == _MAX_CORRECTIONS or not clock.significant:
                 break
             delay_s, drift = correction.delay_s.value, correction.drift.value
-        found = self._with_signals(drives, found, SLOPES)
+        selection = self._with_signals(drives, selection, SLOPES)
         u_delay_s = hypot(correction.delay_s.standard_uncertainty, _U_DELAY * drives.period_s)
         delay = Estimate(correction.delay_s.value, u_delay_s)
-        use = replace(use, gain_of_prediction=found.gain, delay_s=delay, clock_drift=correction.drift)
-        use = accepted_use(use, self.alone, found.fit, drives.names, found.chosen)
-        return SeismometerFit(found.fit, use)
+        use = replace(use, gain_of_prediction=selection.gain, delay_s=delay, clock_drift=correction.drift)
+        use = _accepted_use(use, self.alone, selection.fit, drives.names, selection.chosen)
+        return SeismometerFit(selection.fit, use)
 
-    def _with_signals(self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...]) -> _Selection:
-        """The selection with further components whose signals of these kinds pay, the best one first.
+    def _with_signals(
+        self, drives: SignalDrives, selection: _Selection, kinds: tuple[int, ...]
+    ) -> _Selection:
+        """The selection with further components whose signals of these kinds predict better, the best first.
 
         Slopes are added only to components in use. Where nothing is selected, the gain is that of the best.
         """
-        used = sorted({column // SIGNALS for column in accepted.chosen})
-        left = used if kinds is SLOPES else list(range(len(drives.names)))
-        while left:
+        used = sorted({column // SIGNALS for column in selection.chosen})
+        candidates = used if kinds is SLOPES else list(range(len(drives.names)))
+        while candidates:
             gains = [
-                self._gain(accepted.fit, drives, accepted.chosen, columns_of(component, kinds))
-                for component in left
+                self._gain(selection.fit, drives, selection.chosen, columns_of(component, kinds))
+                for component in candidates
             ]
             best = int(np.argmax(gains))
             if not gains[best] > MIN_PREDICTION_GAIN:
-                return accepted if accepted.chosen else accepted._replace(gain=gains[best])
-            chosen = [*accepted.chosen, *columns_of(left.pop(best), kinds)]
-            fit = self.fitted_with(accepted.fit, drives, chosen)
-            accepted = _Selection(fit, chosen, accepted.gain + gains[best])
-        return accepted
+                return selection if selection.chosen else selection._replace(gain=gains[best])
+            chosen = [*selection.chosen, *columns_of(candidates.pop(best), kinds)]
+            fit = self.fitted_with(selection.fit, drives, chosen)
+            selection = _Selection(fit, chosen, selection.gain + gains[best])
+        return selection
 
     def fitted_with(self, near: FitResult, drives: SignalDrives, chosen: Sequence[int]) -> FitResult:
         """The exact fit with some signals, started at an earlier fit with the first of them."""
@@ -334,41 +338,41 @@ class _Search:
         """The drive by some signals, the first with the gains of an earlier fit and the others at 0."""
         known = np.zeros(0) if near.evidence.drive is None else near.evidence.drive.gains
         gains = np.concatenate([known, np.zeros(len(chosen) - len(known))])
-        return drives.every.select(list(chosen)).with_gains(gains)
+        return drives.drive.select(list(chosen)).with_gains(gains)
 
     def _residuals(self, fit: FitResult, drive: KnownDrive) -> tuple[Floats, Floats, Floats]:
-        """Whitened residuals at a fit with another known drive, their Jacobians of its gains and of the other
-        columns."""
+        """Whitened residuals at a fit with another known drive, and their derivatives by its gains and by the
+        other coordinates."""
         evidence = replace(fit.evidence, drive=drive)
         model = ExactModel(self.points, self.pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
         assert model.known_drive is not None
         assert fit.ground is not None
         noise = replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
-        found = model.filtered(model.columns.from_physical(fit.named_values), noise)
-        by_gains = found.jacobian[:, : drive.terms] / model.known_drive.unit
-        return found.residuals, by_gains, found.jacobian[:, drive.terms :]
+        filtered = model.filtered(model.parametrisation.from_physical(fit.named_values), noise)
+        by_gains = filtered.jacobian[:, : drive.terms] / model.known_drive.unit
+        return filtered.residuals, by_gains, filtered.jacobian[:, drive.terms :]
 
     def _gain(
-        self, fit: FitResult, drives: SignalDrives, chosen: Sequence[int], more: Sequence[int]
+        self, fit: FitResult, drives: SignalDrives, chosen: Sequence[int], further: Sequence[int]
     ) -> float:
         """Fall of -2 ln L of blocks of half-cycles by further signals, each time fitted to the other blocks.
 
         -inf where a residual or its derivative is not finite.
         """
-        drive = self._drive(fit, drives, [*chosen, *more])
+        drive = self._drive(fit, drives, [*chosen, *further])
         residuals, by_gains, by_law = self._residuals(fit, drive)
         candidates = by_gains[:, len(chosen) :]
         if not np.all(np.isfinite(candidates)) or not np.all(np.isfinite(residuals)):
             return -inf
         law = FactoredJacobian(np.column_stack([by_law, by_gains[:, : len(chosen)]]))
-        left, of = law.left(residuals), law.left(candidates)
-        count = len(residuals) // 2
-        block = np.tile(np.arange(count) * _LEFT_OUT_BLOCKS // count, 2)
-        fall = 0.0
-        for one in range(_LEFT_OUT_BLOCKS):
-            here = block == one
-            gains = FactoredJacobian(of[~here]).coefficients(left[~here])
-            fall += float(np.sum(left[here] ** 2) - np.sum((left[here] - of[here] @ gains) ** 2))
+        unexplained, by_candidates = law.residual(residuals), law.residual(candidates)
+        count, fall = len(residuals) // 2, 0.0
+        blocks = np.tile(np.arange(count) * _LEFT_OUT_BLOCKS // count, 2)
+        for block in range(_LEFT_OUT_BLOCKS):
+            own = blocks == block
+            gains = FactoredJacobian(by_candidates[~own]).coefficients(unexplained[~own])
+            predicted = unexplained[own] - by_candidates[own] @ gains
+            fall += float(np.sum(unexplained[own] ** 2) - np.sum(predicted**2))
         return fall
 
     def _clock_correction(
@@ -377,31 +381,32 @@ class _Search:
         """Correction of the seismometer's clock by a fit with some signals, with free gain and phase.
 
         A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes
-        that up; the delay shows in the change of the phase within the band to which a half-swing responds. So
-        does the weight of a half-cycle's own samples in its equilibrium position, which is known only
-        roughly.
+        that up; the delay shows in the change of the phase within the band to which a half-swing responds.
+        The weight of a half-cycle's own samples in its equilibrium position, which is known only roughly,
+        has such an effect as well.
         """
         drive = self._drive(fit, drives, chosen)
-        by_s = _SHIFT_PERIODS * drives.period_s
-        half_s = 0.5 * float(self.points.time_s[-1] - self.points.time_s[0])
-        moved = []
+        delay_s = _SHIFT_PERIODS * drives.period_s
+        drift = delay_s / (0.5 * float(self.points.time_s[-1] - self.points.time_s[0]))
+        derivatives = []
         heavier, lighter = FREE_REST_WEIGHT + _WEIGHT_CHANGE, FREE_REST_WEIGHT - _WEIGHT_CHANGE
-        for late, early, size in (
-            (drives.later(by_s), drives.later(-by_s), by_s),
-            (drives.later(0.0, by_s / half_s), drives.later(0.0, -by_s / half_s), by_s / half_s),
+        for larger, smaller, size in (
+            (drives.delayed(delay_s), drives.delayed(-delay_s), delay_s),
+            (drives.delayed(0.0, drift), drives.delayed(0.0, -drift), drift),
             (drives.with_rest_weight(heavier), drives.with_rest_weight(lighter), _WEIGHT_CHANGE),
         ):
-            change = (late.steps - early.steps)[:, :, list(chosen)] @ drive.gains / (2 * size)
-            moved.append(np.where(late.missing | early.missing, 0.0, change))
-        both = KnownDrive(
-            np.concatenate([drive.steps, np.stack(moved, axis=2)], axis=2),
+            change = (larger.steps - smaller.steps)[:, :, list(chosen)] @ drive.gains / (2 * size)
+            derivatives.append(np.where(larger.missing | smaller.missing, 0.0, change))
+        count = len(derivatives)
+        with_derivatives = KnownDrive(
+            np.concatenate([drive.steps, np.stack(derivatives, axis=2)], axis=2),
             drive.missing,
-            np.concatenate([drive.gains, np.zeros(len(moved))]),
+            np.concatenate([drive.gains, np.zeros(count)]),
         )
-        residuals, by_gains, by_law = self._residuals(fit, both)
-        fitted = np.column_stack([by_law, by_gains[:, : -len(moved)]])
+        residuals, by_gains, by_law = self._residuals(fit, with_derivatives)
+        fitted = np.column_stack([by_law, by_gains[:, :-count]])
         clock = Term("clock", by_gains[:, -3:-1])
-        found = solve(residuals, fitted, [clock, Term("rest weight", by_gains[:, -1:], U_FREE_REST_WEIGHT)])
-        u = np.sqrt(np.diag(found.covariance)) * found.scatter(fit.dof)
-        delay_s, drift = (Estimate(float(found.values[k]), float(u[k])) for k in range(2))
-        return ClockCorrection(delay_s, drift)
+        rest_weight = Term("rest weight", by_gains[:, -1:], U_FREE_REST_WEIGHT)
+        solution = solve(residuals, fitted, [clock, rest_weight])
+        u = np.sqrt(np.diag(solution.covariance)) * solution.scatter(fit.dof)
+        return ClockCorrection(*(Estimate(float(solution.values[k]), float(u[k])) for k in range(2)))

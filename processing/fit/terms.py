@@ -57,24 +57,24 @@ class TermSolution(NamedTuple):
         determine one.
     root
         Root (m, k) of the covariance.
-    moved
+    law_shift
         Change (n,) of the law's coordinates by the terms.
-    by
+    law_by_terms
         Derivatives (n, m) of the fitted law's coordinates by those of the terms.
-    left
+    residuals
         Residuals that neither law nor terms explain.
     """
 
     values: Floats
     covariance: Floats
     root: Floats
-    moved: Floats
-    by: Floats
-    left: Floats
+    law_shift: Floats
+    law_by_terms: Floats
+    residuals: Floats
 
     def scatter(self, dof: int) -> float:
         """Standard deviation of the residuals, at least the stated one, 1."""
-        return sqrt(max(1.0, float(self.left @ self.left) / dof))
+        return sqrt(max(1.0, float(self.residuals @ self.residuals) / dof))
 
 
 def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> TermSolution:
@@ -88,18 +88,19 @@ def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> TermSol
     good = np.isfinite(residuals) & np.isfinite(jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
     residuals, columns = residuals[good], columns[good]
     law = FactoredJacobian(jacobian[good])
-    beside, left = law.left(columns), law.left(residuals)
+    unexplained_columns, unexplained = law.residual(columns), law.residual(residuals)
     # a prior of zero keeps a coordinate where it is
     free = prior > 0
-    both = FactoredJacobian(np.concatenate([beside[:, free], np.diag(1.0 / prior[free])]))
+    augmented = FactoredJacobian(np.concatenate([unexplained_columns[:, free], np.diag(1.0 / prior[free])]))
     values, covariance = np.zeros(len(prior)), np.zeros((len(prior), len(prior)))
-    values[free] = -both.coefficients(np.concatenate([left, np.zeros(int(free.sum()))]))
-    covariance[np.ix_(free, free)] = both.covariance()
-    root = np.zeros((len(prior), both.root.shape[1]))
-    root[free] = both.root
-    by = law.coefficients(columns)
-    moved = -law.coefficients(residuals) - by @ values
-    return TermSolution(values, covariance, root, moved, by, left + beside @ values)
+    values[free] = -augmented.coefficients(np.concatenate([unexplained, np.zeros(int(free.sum()))]))
+    covariance[np.ix_(free, free)] = augmented.covariance()
+    root = np.zeros((len(prior), augmented.root.shape[1]))
+    root[free] = augmented.root
+    law_by_terms = law.coefficients(columns)
+    law_shift = -law.coefficients(residuals) - law_by_terms @ values
+    remaining = unexplained + unexplained_columns @ values
+    return TermSolution(values, covariance, root, law_shift, law_by_terms, remaining)
 
 
 def _width(columns: Floats) -> int:
@@ -118,18 +119,18 @@ class RestrictedLikelihood:
 
     Attributes
     ----------
-    law, left
-        The law's derivatives, factored, and the residuals that it leaves.
+    law
+        The law's derivatives, factored.
     """
 
     def __init__(self, residuals: Floats, jacobian: Floats, groups: Sequence[Floats] = ()) -> None:
         self.law = FactoredJacobian(jacobian)
-        self.left = self.law.left(residuals)
-        self.groups = np.repeat(np.arange(len(groups)), [group.shape[1] for group in groups])
+        self._left = self.law.residual(residuals)
+        self._groups = np.repeat(np.arange(len(groups)), [group.shape[1] for group in groups])
         columns = np.column_stack(groups) if len(groups) else np.zeros((len(residuals), 0))
-        self._projected = self.law.left(columns)
-        self._gram, self._score = self._projected.T @ self._projected, self._projected.T @ self.left
-        self._of_law = self.law.log_det + float(self.left @ self.left)
+        self._projected = self.law.residual(columns)
+        self._gram, self._score = self._projected.T @ self._projected, self._projected.T @ self._left
+        self._of_law = self.law.log_det + float(self._left @ self._left)
 
     def deviance(self, sizes: Floats) -> float:
         """-2 ln L with groups of these sizes, up to a part of the rows' weights alone."""
@@ -137,26 +138,26 @@ class RestrictedLikelihood:
 
     def deviances(self, sizes: Floats, group: int, tried: Floats) -> Floats:
         """-2 ln L for every size `tried` of one group, with the other groups at their `sizes`."""
-        own = self.groups == group
-        size = sizes[self.groups[~own]]
+        own = self._groups == group
+        size = sizes[self._groups[~own]]
         # without the other groups' part, this group's matrix is diagonal in its own directions
         inner = np.eye(len(size)) + self._gram[np.ix_(~own, ~own)] * np.outer(size, size)
         root = np.linalg.cholesky(inner)
-        across = np.column_stack([self._gram[np.ix_(~own, own)], self._score[~own]]) * size[:, None]
-        half = np.linalg.solve(root, across)
-        by, of_others = half[:, :-1], half[:, -1]
-        power, directions = np.linalg.eigh(self._gram[np.ix_(own, own)] - by.T @ by)
-        score = directions.T @ (self._score[own] - by.T @ of_others)
+        mixed = np.column_stack([self._gram[np.ix_(~own, own)], self._score[~own]]) * size[:, None]
+        whitened = np.linalg.solve(root, mixed)
+        coupling, other_score = whitened[:, :-1], whitened[:, -1]
+        power, directions = np.linalg.eigh(self._gram[np.ix_(own, own)] - coupling.T @ coupling)
+        score = directions.T @ (self._score[own] - coupling.T @ other_score)
         inflation = 1.0 + np.outer(tried**2, np.maximum(power, 0.0))
-        others = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(of_others @ of_others)
-        own_part = np.sum(np.log(inflation) - (tried[:, None] * score) ** 2 / inflation, axis=1)
-        return np.asarray(self._of_law + others + own_part)
+        of_others = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(other_score @ other_score)
+        of_group = np.sum(np.log(inflation) - (tried[:, None] * score) ** 2 / inflation, axis=1)
+        return np.asarray(self._of_law + of_others + of_group)
 
     def unexplained(self, sizes: Floats) -> Floats:
         """Residuals that neither law nor groups of these sizes explain."""
-        size = sizes[self.groups]
+        size = sizes[self._groups]
         inner = np.eye(len(size)) + self._gram * np.outer(size, size)
-        return np.asarray(self.left - self._projected @ (size * np.linalg.solve(inner, self._score * size)))
+        return np.asarray(self._left - self._projected @ (size * np.linalg.solve(inner, self._score * size)))
 
 
 class DrivenRows(NamedTuple):
@@ -193,19 +194,19 @@ class DrivenRows(NamedTuple):
 
         `of_waveform` (evidence rows, errors) are those of the evidence; 0 by default.
         """
-        found = model.filtered(coordinates, noise, errors=errors)
-        beside, by_law = model.evidence_rows(coordinates)
-        law, points = len(coordinates), len(found.residuals)
-        of_points = found.jacobian[:, law:]
+        filtered = model.filtered(coordinates, noise, errors=errors)
+        evidence, by_law = model.evidence_rows(coordinates)
+        law, points = len(coordinates), len(filtered.residuals)
+        of_points = filtered.jacobian[:, law:]
         if of_waveform is None:
-            of_waveform = np.zeros((len(beside), of_points.shape[1]))
+            of_waveform = np.zeros((len(evidence), of_points.shape[1]))
         # errors of the waveform alone move no turning point
         of_points = np.pad(of_points, ((0, 0), (0, of_waveform.shape[1] - of_points.shape[1])))
         return cls(
-            np.concatenate([found.residuals, beside]),
-            np.concatenate([found.jacobian[:, :law], by_law]),
+            np.concatenate([filtered.residuals, evidence]),
+            np.concatenate([filtered.jacobian[:, :law], by_law]),
             np.concatenate([of_points, of_waveform]),
-            found.log_det,
+            filtered.log_det,
             points,
         )
 
@@ -250,11 +251,11 @@ class LinearisedFit:
     def of(cls, points: TurningPoints, pendulum: PendulumOnBall, fit: FitResult) -> "LinearisedFit":
         """The linearised fit of these points; raises DataError for another method than the exact one."""
         if fit.method is not FitMethod.EXACT or fit.ground is None:
-            raise DataError(f"the {fit.method} fit has no residuals beside which a term can stand")
+            raise DataError(f"terms are added to an exact fit, and this one is {fit.method}")
         model, coordinates = ExactModel.of(points, pendulum, fit)
         residuals, jacobian = model(coordinates)
         scale = model.scale
-        to_physical = model.columns.physical(coordinates)[1]
+        to_physical = model.parametrisation.physical(coordinates)[1]
         return cls(fit, model, coordinates, scale, residuals / scale, jacobian / scale, to_physical)
 
     @property
@@ -267,7 +268,7 @@ class LinearisedFit:
         """The noise by which the fit weighted its residuals."""
         return self.model.noise_of(self.fit)
 
-    def by_points(self, amplitude: Floats | None = None, time_s: Floats | None = None) -> Floats:
+    def residual_changes(self, amplitude: Floats | None = None, time_s: Floats | None = None) -> Floats:
         """Changes (rows, m) of the residuals where measured values are larger by errors (points, m)."""
         if amplitude is None:
             assert time_s is not None
@@ -276,39 +277,39 @@ class LinearisedFit:
         model, points = self.model, self.points
         relative = amplitude / model.reference
         changes = []
-        for by_amplitude, by_time in zip(relative.T, time_s.T, strict=True):
+        for amplitude_error, time_error in zip(relative.T, time_s.T, strict=True):
             # a small step, since a filter with a limit is linear only near its values
-            felt = max(
-                float(np.max(np.abs(by_amplitude / model.u_amplitude))),
-                float(np.max(np.abs(by_time / points.u_time_s))),
+            largest_u = max(
+                float(np.max(np.abs(amplitude_error / model.u_amplitude))),
+                float(np.max(np.abs(time_error / points.u_time_s))),
             )
-            step = _DERIVATIVE_STEP_U / max(felt, 1e-300)
-            moved = model.with_larger_measurements(step * by_amplitude, step * by_time)(self.coordinates)[0]
-            changes.append((moved / self.scale - self.residuals) / step)
+            step = _DERIVATIVE_STEP_U / max(largest_u, 1e-300)
+            larger = model.with_larger_measurements(step * amplitude_error, step * time_error)
+            changes.append((larger(self.coordinates)[0] / self.scale - self.residuals) / step)
         return np.asarray(changes, dtype=np.float64).T
 
-    def by_loss(self, loss: Callable[[Floats], Floats], waveform: dict[str, float]) -> Floats:
-        """Derivatives (rows,) of the residuals by the size of a further loss, which is given in units of the
-        reference for amplitudes in these units.
+    def loss_derivatives(self, loss: Callable[[Floats], Floats], waveform: dict[str, float]) -> Floats:
+        """Derivatives (rows,) of the residuals by the size of a further loss.
 
-        `waveform` is added to the law's own values for the waveform that belongs to a size of 1.
+        The loss is a function of the amplitude, both in units of the reference. `waveform` is added
+        to the law's own values for the waveform that belongs to a size of 1.
         """
-        model, at = self.model, self.coordinates
-        _, lost = model.losses(at)
+        model, coordinates = self.model, self.coordinates
+        _, law_loss = model.losses(coordinates)
         further = DiscrepancyColumns(
-            lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 0))
+            lambda a, _: (loss(a) / law_loss)[:, None], lambda a, _: np.zeros((len(a), 0))
         )
-        of_waveform = model.evidence_residuals(at, waveform) - model.evidence_residuals(at)
-        rows = DrivenRows.of(model, at, self.noise, further, of_waveform[:, None])
+        of_waveform = model.evidence_residuals(coordinates, waveform) - model.evidence_residuals(coordinates)
+        rows = DrivenRows.of(model, coordinates, self.noise, further, of_waveform[:, None])
         return rows.in_scatter(self.scale).by_errors[:, 0]
 
-    def moved_by(self, columns: Floats) -> Floats:
+    def parameter_changes(self, columns: Floats) -> Floats:
         """Changes (parameters, m) of the contact parameters where residuals are larger by (rows, m)."""
         good = np.isfinite(self.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
-        moved = self.to_physical @ FactoredJacobian(self.jacobian[good]).coefficients(columns[good])
-        return -moved[[self.fit.names.index(name) for name in self.fit.contact_names]]
+        changes = self.to_physical @ FactoredJacobian(self.jacobian[good]).coefficients(columns[good])
+        return -changes[[self.fit.names.index(name) for name in self.fit.contact_names]]
 
-    def solved(self, *terms: Term) -> TermSolution:
+    def solve_terms(self, *terms: Term) -> TermSolution:
         """The terms and the law together, near the end of the fit."""
         return solve(self.residuals, self.jacobian, terms)
 
@@ -324,18 +325,20 @@ class LinearisedFit:
             chosen = [term for term in terms if term.report == report]
             if not chosen:
                 continue
-            found = self.solved(*chosen)
+            solution = self.solve_terms(*chosen)
             names = [term.name for term in chosen for _ in range(_width(term.columns))]
-            for name, variance in zip(names, np.diag(found.covariance).tolist(), strict=True):
+            for name, variance in zip(names, np.diag(solution.covariance).tolist(), strict=True):
                 if not variance < np.inf:
                     raise DataError(f"the data do not determine {name}: state what is known of it")
             if report == "move":
-                fit = replace(fit, values=self.model.columns.physical(self.coordinates + found.moved)[0])
+                shifted = self.coordinates + solution.law_shift
+                fit = replace(fit, values=self.model.parametrisation.physical(shifted)[0])
             # a triangular root: its columns are those of the coordinates in their order
-            by = self.to_physical @ found.by @ np.linalg.qr(found.root.T)[1].T
+            root = np.linalg.qr(solution.root.T)[1].T
+            changes = self.to_physical @ solution.law_by_terms @ root
             for term in chosen:
-                own = [column for column, name in enumerate(names[: by.shape[1]]) if name == term.name]
-                fit = fit.with_term(term.name, by[:, own])
+                own = [column for column, name in enumerate(names[: changes.shape[1]]) if name == term.name]
+                fit = fit.with_term(term.name, changes[:, own])
         return fit
 
 

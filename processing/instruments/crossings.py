@@ -272,7 +272,7 @@ def circular_error(points: TurningPoints) -> CircularError:
     fit, time = FactoredJacobian(design / points.u_time_s[:, np.newaxis]), points.time_s / points.u_time_s
     if fit.condition > _LARGEST_CONDITION:
         raise DataError("the amplitudes are too much alike to tell how the period depends on them")
-    residual = fit.left(time)
+    residual = fit.residual(time)
     chi2_per_dof = float(residual @ residual) / (len(points) - 3)
     covariance = fit.covariance() * max(1.0, chi2_per_dof)
     _, half_s, slope_s = fit.coefficients(time).tolist()

@@ -107,7 +107,7 @@ def _release_fit(
         release_s += step_s
         if abs(release_s) > scale_s:
             return None
-    chi2_per_dof = float(np.sum(whole.left(left) ** 2)) / (len(seen) - len(whole.root))
+    chi2_per_dof = float(np.sum(whole.residual(left) ** 2)) / (len(seen) - len(whole.root))
     if chi2_per_dof > _LARGEST_CHI2 or not solution[0] > 0:
         return None
     u = np.sqrt(np.diag(whole.covariance()) * max(1.0, chi2_per_dof))

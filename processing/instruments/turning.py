@@ -94,7 +94,7 @@ def _fit(x: Floats, values: Floats, u_values: Floats) -> tuple[Floats, Floats]:
     design[:, :_POWERS] = np.vander(x, _POWERS, increasing=True)
     design[:, _POWERS] = x * np.abs(x)
     fit, weighted = FactoredJacobian(design / u_values[:, np.newaxis]), values / u_values
-    residual = fit.left(weighted)
+    residual = fit.residual(weighted)
     chi2_per_dof = float(residual @ residual) / (len(x) - _TERMS)
     spread = np.sum(fit.root**2, axis=1)
     return fit.coefficients(weighted), np.sqrt(spread * max(1.0, chi2_per_dof))

@@ -99,7 +99,7 @@ class PositionMap:
         """Standard uncertainties (n,) of `error` except for an undetermined constant and scale."""
         matrix = self.splines.matrix(place)
         trend = np.column_stack([np.ones(len(place)), place - place.mean()])
-        matrix = FactoredJacobian(trend).left(matrix)
+        matrix = FactoredJacobian(trend).residual(matrix)
         variance = np.einsum("ij,jk,ik->i", matrix, self.covariance, matrix)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
 

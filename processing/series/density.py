@@ -1,6 +1,6 @@
 """The posterior density of a series for many draws at once, its maximum, and the evidence of effects.
 
-Latent numbers are linear: given the scatters and which runs are bad, the density is normal and analytic.
+The model is linear in the latent numbers: given the scatters and the bad runs, their density is normal.
 Arguments are `h` (M, H), logarithms of scatters, and `w` (M, P), latent numbers, of M draws.
 """
 
@@ -18,14 +18,14 @@ from processing.series.runs import ORDER, CompressedRun, Effect, Form, covariate
 _LOG_2PI = float(np.log(2 * np.pi))
 _MAX_NEWTON_STEPS = 60
 _TOLERANCE = 1e-7
-_LARGEST_ARRAY = 4_000_000
+_MAX_ARRAY_SIZE = 4_000_000
 """Most numbers of one array: more draws are computed in parts."""
-_NARROWEST, _WIDEST = 1e-5, 8.0
+_MIN_SCATTER, _MAX_SCATTER = 1e-5, 8.0
 """Range of the scatters searched, over their stated sizes: without priors these are far too large."""
 _DERIVATIVE_STEP = 2e-3
-_OUTER, _INNER = 0.1, 0.02
+_OUTER_STEP, _INNER_STEP = 0.1, 0.02
 """Steps of second derivatives, so wide that the density's departure from a parabola shows in them."""
-_LARGEST_U = 1.5
+_MAX_LOG_SCATTER_U = 1.5
 """Largest standard uncertainty of a scatter's logarithm, which the data may leave open towards zero."""
 
 
@@ -49,12 +49,12 @@ def _log_scatters(h: Floats, places: Ints) -> Floats:
 def spread(design: Design, h: Floats, w: Floats | None = None) -> Spread:
     """The covariance of the runs' values: their own, scatter between runs, and by unknown covariates."""
     diagonal = between_runs(design, h)[:, None, :] * design.has
-    whole = design.covariance + diagonal[..., None] * np.eye(design.has.shape[1])
+    covariance = design.covariance + diagonal[..., None] * np.eye(design.has.shape[1])
     if w is not None and len(design.blurred_by):
         blur = design.blurred * w[:, design.blurred_by, None, None]
-        whole = whole + np.einsum("merk,merl->mrkl", blur, blur)
+        covariance = covariance + np.einsum("merk,merl->mrkl", blur, blur)
     # Cholesky's factor also fails for a matrix that is no covariance
-    return Spread(np.asarray(np.linalg.inv(whole), dtype=np.float64), log_determinant(whole))
+    return Spread(np.asarray(np.linalg.inv(covariance), dtype=np.float64), log_determinant(covariance))
 
 
 def log_determinant(matrices: Floats) -> Floats:
@@ -78,13 +78,13 @@ def _log_prior(design: Design, h: Floats, w: Floats) -> Floats:
     return np.asarray(of_w + of_h)
 
 
-def log_kinds(design: Design, w: Floats, found: Spread) -> Floats:
+def log_kinds(design: Design, w: Floats, of_runs: Spread) -> Floats:
     """Log likelihood (M, R, K) of every run by kind (good, or bad by a factor)."""
-    off = design.y - np.tensordot(w, design.x, (1, 2))
-    squared = np.sum((found.inverse @ off[..., None])[..., 0] * off, axis=-1)[..., None]
+    residuals = design.y - np.tensordot(w, design.x, (1, 2))
+    chi2 = np.sum((of_runs.inverse @ residuals[..., None])[..., 0] * residuals, axis=-1)[..., None]
     known = design.has.sum(axis=1)[:, None]
-    one = -0.5 * (squared / design.worse**2 + found.log_det[..., None] + known * _LOG_2PI)
-    return np.asarray(one - known * np.log(design.worse) + design.log_kind)
+    log_normal = -0.5 * (chi2 / design.worse**2 + of_runs.log_det[..., None] + known * _LOG_2PI)
+    return np.asarray(log_normal - known * np.log(design.worse) + design.log_kind)
 
 
 def chances(kinds: Floats) -> Floats:
@@ -107,45 +107,45 @@ def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats
     return value, -bounds.sign * hazard / width, -hazard * (z + hazard) / width2
 
 
-def log_density(design: Design, h: Floats, w: Floats, found: Spread | None = None) -> Floats:
+def log_density(design: Design, h: Floats, w: Floats, of_runs: Spread | None = None) -> Floats:
     """Log of prior times likelihood (M,)."""
     from scipy.special import logsumexp
 
-    known = spread(design, h, w) if found is None else found
-    of_runs = logsumexp(log_kinds(design, w, known), axis=2).sum(axis=1)
-    return np.asarray(_log_prior(design, h, w) + of_runs + _log_of_bounds(design, h, w)[0].sum(axis=1))
+    of_runs = spread(design, h, w) if of_runs is None else of_runs
+    log_likelihood = logsumexp(log_kinds(design, w, of_runs), axis=2).sum(axis=1)
+    return np.asarray(_log_prior(design, h, w) + log_likelihood + _log_of_bounds(design, h, w)[0].sum(axis=1))
 
 
 def conditional(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floats, Spread]:
     """Likeliest latent numbers (M, P) for given scatters, the curvature there (M, P, P), and the spread.
 
-    An iteration: each step solves linearly for the latent numbers, with the runs weighted by the probability
-    of being bad after the step before.
+    Each step of an iteration solves linearly for the latent numbers, with the runs weighted by their
+    probabilities to be bad after the last step.
     """
     w = np.broadcast_to(start, (len(h), len(design.prior_mean))).copy()
     precision = _prior_precision(design, h)
-    found, curvature = spread(design, h, w), np.empty(0)
+    of_runs, curvature = spread(design, h, w), np.empty(0)
     places = np.arange(w.shape[1])
     flat, x = design.x.reshape(-1, len(places)), design.bounds.x
     for _ in range(_MAX_NEWTON_STEPS):
-        chance = chances(log_kinds(design, w, found))
-        weighted = np.sum(chance / design.worse**2, axis=2)[..., None, None] * found.inverse
-        pulled = (weighted @ design.y[..., None])[..., 0]
+        chance = chances(log_kinds(design, w, of_runs))
+        weighted = np.sum(chance / design.worse**2, axis=2)[..., None, None] * of_runs.inverse
+        weighted_y = (weighted @ design.y[..., None])[..., 0]
         curvature = flat.T @ (weighted @ design.x).reshape(len(h), *flat.shape)
-        right = pulled.reshape(len(h), -1) @ flat + precision * design.prior_mean
+        right = weighted_y.reshape(len(h), -1) @ flat + precision * design.prior_mean
         curvature[:, places, places] += precision
         if len(design.bounds.limit):
             _, slope, second = _log_of_bounds(design, h, w)
             curvature = curvature + np.einsum("bp,mb,bq->mpq", x, -second, x)
             right = right + (slope - second * (w @ x.T)) @ x
-        after = np.linalg.solve(curvature, right[..., None])[..., 0]
-        step = np.einsum("mp,mpq,mq->m", after - w, curvature, after - w)
-        w = after
+        next_w = np.linalg.solve(curvature, right[..., None])[..., 0]
+        change = np.einsum("mp,mpq,mq->m", next_w - w, curvature, next_w - w)
+        w = next_w
         if len(design.blurred_by):
-            found = spread(design, h, w)
-        if np.all(step < _TOLERANCE):
+            of_runs = spread(design, h, w)
+        if np.all(change < _TOLERANCE):
             break
-    return w, curvature, found
+    return w, curvature, of_runs
 
 
 def log_marginal(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floats]:
@@ -153,8 +153,8 @@ def log_marginal(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floa
     likeliest latent numbers (M, P)."""
 
     def integrated(h: Floats) -> tuple[Floats, Floats]:
-        w, curvature, found = conditional(design, h, start)
-        value = log_density(design, h, w, found)
+        w, curvature, of_runs = conditional(design, h, start)
+        value = log_density(design, h, w, of_runs)
         return value + 0.5 * w.shape[1] * _LOG_2PI - 0.5 * log_determinant(curvature), w
 
     value, w = in_parts(design, integrated, h)
@@ -164,13 +164,13 @@ def log_marginal(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floa
 def in_parts(
     design: Design, function: Callable[..., tuple[Floats, ...]], *draws: Floats
 ) -> tuple[Floats, ...]:
-    """Results of a function of draws, called for parts of them so that no array exceeds `_LARGEST_ARRAY`."""
+    """Results of a function of draws, called for parts of them so that no array exceeds `_MAX_ARRAY_SIZE`."""
     runs, size = design.y.shape
-    each = runs * size * max(size * (1 + len(design.blurred_by)), design.x.shape[2])
-    width = max(1, _LARGEST_ARRAY // max(each, 1))
-    parts = range(0, len(draws[0]), width)
-    found = [function(*(one[begin : begin + width] for one in draws)) for begin in parts]
-    return tuple(np.concatenate(one) for one in zip(*found, strict=True))
+    numbers_per_draw = runs * size * max(size * (1 + len(design.blurred_by)), design.x.shape[2])
+    length = max(1, _MAX_ARRAY_SIZE // max(numbers_per_draw, 1))
+    begins = range(0, len(draws[0]), length)
+    results = [function(*(array[begin : begin + length] for array in draws)) for begin in begins]
+    return tuple(np.concatenate(arrays) for arrays in zip(*results, strict=True))
 
 
 class Laplace(NamedTuple):
@@ -195,30 +195,31 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
 
     def fall(h: Floats) -> tuple[float, Floats]:
         nonlocal w
-        value, found = log_marginal(design, np.concatenate([h[None], *_around(h, _DERIVATIVE_STEP)]), w)
-        w = found[0]
+        value, latent = log_marginal(design, np.concatenate([h[None], *_around(h, _DERIVATIVE_STEP)]), w)
+        w = latent[0]
         ahead, behind = np.split(value[1:], 2)
         return -float(value[0]), -(ahead - behind) / (2 * _DERIVATIVE_STEP)
 
-    low, high = np.log(_NARROWEST * design.scales), np.log(_WIDEST * design.scales)
+    low, high = np.log(_MIN_SCATTER * design.scales), np.log(_MAX_SCATTER * design.scales)
     solved = minimize(fall, np.clip(begin, low, high), jac=True, method="L-BFGS-B",
                       bounds=list(zip(low, high, strict=True)), options={"maxiter": 200})  # fmt: skip
     if not np.all(np.isfinite(solved.x)) or not np.isfinite(solved.fun):
         raise DataError("the likelihood of the series has no maximum: state priors, or leave effects out")
     h = np.asarray(solved.x, dtype=np.float64)
     # gradients ahead and behind in every direction
-    there = np.concatenate([inner for outer in np.concatenate(_around(h, _OUTER))
-                            for inner in _around(outer, _INNER)])  # fmt: skip
-    value = log_marginal(design, there, w)[0].reshape(2, size, 2, size)
-    gradient = (value[:, :, 0] - value[:, :, 1]) / (2 * _INNER)
-    curvature = -(gradient[0] - gradient[1]) / (2 * _OUTER)
+    trials = np.concatenate([inner for outer in np.concatenate(_around(h, _OUTER_STEP))
+                             for inner in _around(outer, _INNER_STEP)])  # fmt: skip
+    value = log_marginal(design, trials, w)[0].reshape(2, size, 2, size)
+    gradient = (value[:, :, 0] - value[:, :, 1]) / (2 * _INNER_STEP)
+    curvature = -(gradient[0] - gradient[1]) / (2 * _OUTER_STEP)
     values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
-    values = np.maximum(values, _LARGEST_U**-2)
+    values = np.maximum(values, _MAX_LOG_SCATTER_U**-2)
     evidence = -float(solved.fun) + 0.5 * size * _LOG_2PI - 0.5 * float(np.sum(np.log(values)))
     return Laplace(h, (vectors / values) @ vectors.T, w, evidence)
 
 
 def _around(h: Floats, step: float) -> tuple[Floats, Floats]:
+    """Points one step ahead and behind in every direction."""
     steps = step * np.eye(len(h))
     return h + steps, h - steps
 
@@ -233,17 +234,16 @@ _MIN_RUNS_PER_SIDE = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChangePoint:
-    """A change at one place of the series.
-
-    `probability` is that of a change at any place against none, which have equal prior probabilities, so that
-    the choice of the place is paid for. `first_run` is the likeliest place, counted from 0, of the first run
-    with another value; it lies between `at_least` and `at_most` with 95 %.
-    """
+    """A change of a parameter between two runs of a series."""
 
     parameter: str
     probability: float
+    """Probability of a change anywhere against none. Both have equal prior probabilities, so that the choice
+    among all runs is allowed for."""
     first_run: int
+    """Likeliest number, from 0, of the first run with another value."""
     at_least: int
+    """Lower end of the 95 % interval of this number."""
     at_most: int
 
 
@@ -254,11 +254,11 @@ def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: st
 
     if len(runs) < 2 * _MIN_RUNS_PER_SIDE:
         raise DataError(f"{len(runs)} runs: a change needs {_MIN_RUNS_PER_SIDE} on either side")
-    places = range(_MIN_RUNS_PER_SIDE, len(runs) - _MIN_RUNS_PER_SIDE + 1)
+    first_runs = range(_MIN_RUNS_PER_SIDE, len(runs) - _MIN_RUNS_PER_SIDE + 1)
     order, _ = covariate_of(runs, ORDER)
     steps = [
-        Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=float(order[place]))
-        for place in places
+        Effect(parameter=parameter, covariate=ORDER, form=Form.STEP, reference=float(order[run]))
+        for run in first_runs
     ]
     base = likeliest(design_of(runs, model))
     gains = np.array(
@@ -267,10 +267,10 @@ def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: st
             for step in steps
         ]
     )
-    nothing = float(np.exp(-logsumexp([0.0, *(gains - np.log(len(gains)))])))
+    no_change = float(np.exp(-logsumexp([0.0, *(gains - np.log(len(gains)))])))
     share = np.exp(gains - logsumexp(gains))
-    first, last = np.searchsorted(np.cumsum(share), (0.025, 0.975))
+    low, high = np.searchsorted(np.cumsum(share), (0.025, 0.975))
     return ChangePoint(
-        parameter=parameter, probability=1 - nothing, first_run=places[int(np.argmax(share))],
-        at_least=places[int(first)], at_most=places[min(int(last), len(places) - 1)],
+        parameter=parameter, probability=1 - no_change, first_run=first_runs[int(np.argmax(share))],
+        at_least=first_runs[int(low)], at_most=first_runs[min(int(high), len(first_runs) - 1)],
     )  # fmt: skip

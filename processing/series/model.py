@@ -1,4 +1,4 @@
-"""The linear part of a series' model: how latent numbers move the values of the runs."""
+"""Assumptions about a series, and the arrays by which latent numbers move the values of the runs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,7 +29,8 @@ GROWTH: Final = ("ageing", "adhesion_ageing")
 _UNKNOWN_LEVEL = 100.0
 """Prior standard deviation of an unknown level about the median of the data, in usual sizes."""
 _BOUNDED_U = 3.0
-"""Prior standard deviation of a level that runs only bound, nearly even in the parameter itself there."""
+"""Prior standard deviation of a level that runs only bound: near the limit it makes the prior of the
+parameter itself nearly even."""
 _NO_PRIOR_FACTOR = 30.0
 """Factor by which priors are widened so that they have no influence."""
 _BAD_FACTORS = (3.0, 10.0, 30.0)
@@ -81,62 +82,61 @@ class SeriesModel:
 
 
 class LatentNumber(NamedTuple):
-    """A latent number: the level of a coordinate (of a contact), the slope of an effect, a shared input, or a
-    scatter."""
+    """A latent number, or a scatter."""
 
     kind: str
+    """``contact`` or ``mean`` for the level of a coordinate, ``effect`` for a slope, ``shared`` for an input;
+    ``between runs`` or ``between contacts`` for a scatter."""
     name: str
     contact: str = ""
 
 
 class Bounds(NamedTuple):
-    """Values of B runs that are only bounded.
-
-    `x` (B, P) are their derivatives with respect to the latent numbers, `limit` (B,) the limits, `sign` is +1
-    for an upper limit and -1 for a lower one. `softness` is the standard deviation of a limit, `coordinate`
-    the index of the bounded coordinate.
-    """
+    """Values of B runs that are only bounded."""
 
     x: Floats
+    """Derivatives (B, P) of the values with respect to the latent numbers."""
     limit: Floats
     sign: Floats
+    """+1 for an upper limit, -1 for a lower one."""
     softness: Floats
+    """Standard deviations of the limits."""
     coordinate: Ints
+    """Indices of the bounded coordinates."""
 
 
 class Design(NamedTuple):
-    """Arrays of a series of R runs, k coordinates, P latent numbers.
-
-    Each run's likelihood is normal with the mean `y` (R, k) and the covariance `covariance` (R, k, k). Where
-    a run does not have a coordinate, `has` (R, k) is 0, its variance 1 and its value 0.
-
-    `x` (R, k, P) are the derivatives of the values with respect to the latent numbers `levels`, whose priors
-    are normal with `prior_mean` and `prior_u` (P,). `blurred` (E, R, k) are standard deviations of the values
-    by unknown covariates, for effects of size 1; `blurred_by` (E,) are the indices of these effects among
-    `levels`.
-
-    The scatters `hyper` (H,) have half-normal priors with the scales `scales` (H,). `scatter` (k,) is the
-    index of each coordinate's scatter between runs, `varies` (P,) that of the scatter of each latent number;
-    -1 means none. `worse` (K,) are factors on the widths of good and bad runs, `log_kind` (K,) the logarithms
-    of their prior probabilities.
-    """
+    """Arrays of a series of R runs, k coordinates, P latent numbers."""
 
     y: Floats
+    """Means (R, k) of the runs' normal likelihoods; 0 where a run does not have a coordinate."""
     covariance: Floats
+    """Their covariances (R, k, k), with the variance 1 where a run does not have a coordinate."""
     has: Floats
+    """1 where a run has a coordinate (R, k), else 0."""
     x: Floats
+    """Derivatives (R, k, P) of the values with respect to the latent numbers."""
     blurred: Floats
+    """Standard deviations (E, R, k) of the values by unknown covariates, for effects of size 1."""
     blurred_by: Ints
+    """Indices (E,) of these effects among the latent numbers."""
     levels: tuple[LatentNumber, ...]
+    """The latent numbers (P,), whose priors are normal."""
     prior_mean: Floats
     prior_u: Floats
     varies: Ints
+    """Index (P,) of the scatter of each latent number; -1 for none."""
     scatter: Ints
+    """Index (k,) of each coordinate's scatter between runs; -1 for none."""
     scales: Floats
+    """Scales (H,) of the scatters' half-normal priors."""
     hyper: tuple[LatentNumber, ...]
+    """The scatters (H,)."""
     bounds: Bounds
     log_kind: Floats
+    """Logarithms (K,) of the prior probabilities of good and bad runs."""
     worse: Floats
+    """Factors (K,) on the widths of good and bad runs."""
 
 
 def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
@@ -210,8 +210,9 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
 def _prior_of_bounded(runs: Sequence[CompressedRun], contact: str, name: str) -> Estimate | None:
     """Prior of the level of a contact that runs only bound on one side; None otherwise.
 
-    Even in a logarithm it would be far from the limit in nearly all cases, and the limit of the posterior far
-    beyond that of the runs. It rises as the parameter itself, or its inverse, towards the limit.
+    A prior that is even in the logarithm would put the level far from the limit in nearly all cases, and the
+    limit of the posterior far beyond that of the runs. This prior rises towards the limit as the parameter
+    itself, or its inverse.
     """
     side = only_bound(runs, contact, name)
     if side is None:
@@ -222,21 +223,21 @@ def _prior_of_bounded(runs: Sequence[CompressedRun], contact: str, name: str) ->
     return Estimate(max(limits) - _BOUNDED_U**2, _BOUNDED_U)
 
 
-def _add(row: Floats, names: Sequence[str], run: CompressedRun, moved: Floats | None) -> None:
-    """Add changes `moved` of a run's values to a row of the model's coordinates."""
-    for name, by in zip(run.names, () if moved is None else moved, strict=False):
+def _add(row: Floats, names: Sequence[str], run: CompressedRun, changes: Floats | None) -> None:
+    """Add changes of a run's values to a row of the model's coordinates."""
+    for name, change in zip(run.names, () if changes is None else changes, strict=False):
         if name in names:
-            row[names.index(name)] += by
+            row[names.index(name)] += change
 
 
 def _values(runs: Sequence[CompressedRun], names: Sequence[str]) -> tuple[Floats, Floats, Floats]:
     y, has = np.zeros((2, len(runs), len(names)))
     covariance = np.tile(np.eye(len(names)), (len(runs), 1, 1))
     for row, run in enumerate(runs):
-        own = [place for place, name in enumerate(run.names) if name in names]
-        there = [names.index(run.names[place]) for place in own]
-        y[row, there], has[row, there] = run.values[own], 1.0
-        covariance[row][np.ix_(there, there)] = run.covariance[np.ix_(own, own)]
+        in_run = [place for place, name in enumerate(run.names) if name in names]
+        in_model = [names.index(run.names[place]) for place in in_run]
+        y[row, in_model], has[row, in_model] = run.values[in_run], 1.0
+        covariance[row][np.ix_(in_model, in_model)] = run.covariance[np.ix_(in_run, in_run)]
     return y, covariance, has
 
 
@@ -246,24 +247,24 @@ def _effect(runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str])
     if not moved:
         raise DataError(f"{effect.label}: {effect.parameter} is not one of the parameters {', '.join(names)}")
     x, u = covariate_of(runs, effect.covariate if effect.form is not Form.DURING else ORDER)
-    concerned = np.array([effect.contact in ("", run.contact) for run in runs])
+    has_effect = np.array([effect.contact in ("", run.contact) for run in runs])
     column, blur = np.zeros((2, len(runs), len(names)))
     value, u_value = effect.expected(x, u)
-    column[:, moved], blur[:, moved] = (value * concerned)[:, None], (u_value * concerned)[:, None]
+    column[:, moved], blur[:, moved] = (value * has_effect)[:, None], (u_value * has_effect)[:, None]
     if effect.bends_decays:
-        for row, (run, rate) in enumerate(zip(runs, effect.slope(x) * concerned, strict=True)):
+        for row, (run, rate) in enumerate(zip(runs, effect.slope(x) * has_effect, strict=True)):
             if run.by_growth is not None:
                 _add(column[row], names, run, run.by_growth * rate * run.duration_s)
     return column, blur
 
 
 def _bounds(runs: Sequence[CompressedRun], names: Sequence[str], x: Floats) -> Bounds:
-    found = [
+    rows = [
         (x[row, names.index(name)], bound.limit, 1.0 if bound.side is EndSide.UPPER else -1.0, bound.softness,
          names.index(name))
         for row, run in enumerate(runs) for name, bound in run.bounds.items() if name in names
     ]  # fmt: skip
-    columns, limit, sign, softness, place = zip(*found, strict=True) if found else ((), (), (), (), ())
+    columns, limit, sign, softness, place = zip(*rows, strict=True) if rows else ((), (), (), (), ())
     return Bounds(
         np.array(columns).reshape(-1, x.shape[-1]), np.array(limit), np.array(sign), np.array(softness),
         np.array(place, dtype=np.int64),

@@ -38,7 +38,7 @@ DRAWS = 1000
 _ENOUGH_SHARE = 0.2
 """Effective share of the draws above which no further round is made."""
 _MAX_ITERATIONS = 4
-_SCATTER_TAILS, _LEVEL_TAILS = 6.0, 30.0
+_SCATTER_DOF, _LATENT_DOF = 6.0, 30.0
 """Degrees of freedom of Student's t from which scatters and latent numbers are drawn."""
 _MAX_R_HAT = 1.05
 """R-hat below which chains agree."""
@@ -51,18 +51,17 @@ _MAX_DRAWS = 4000
 
 @dataclass(frozen=True)
 class SeriesPosterior:
-    """Draws of a series' posterior with their weights.
-
-    `h` (M, H) are logarithms of scatters (`hyper`), `w` (M, P) latent numbers (`levels`), `weight` (M,)
-    sums to 1. `effective` is the number of equally weighted draws with the same information.
-    """
+    """Draws of a series' posterior with their weights."""
 
     runs: tuple[CompressedRun, ...]
     model: SeriesModel
     design: Design
     h: Floats
+    """Logarithms (M, H) of the scatters `hyper`."""
     w: Floats
+    """Latent numbers (M, P), `levels`."""
     weight: Floats
+    """Weights (M,), whose sum is 1."""
 
     @property
     def levels(self) -> tuple[LatentNumber, ...]:
@@ -74,6 +73,7 @@ class SeriesPosterior:
 
     @property
     def effective(self) -> float:
+        """Number of equally weighted draws with the same information."""
         return float(1 / np.sum(self.weight**2))
 
     def draws(self, level: LatentNumber) -> Floats:
@@ -94,24 +94,24 @@ class SeriesPosterior:
         """Mean and standard deviation."""
         return self.moments(self.draws(level))
 
-    def moments(self, found: Floats) -> Estimate:
+    def moments(self, draws: Floats) -> Estimate:
         """Mean and standard deviation of draws (M,) of any quantity."""
-        mean = float(self.weight @ found)
-        return Estimate(mean, float(np.sqrt(self.weight @ (found - mean) ** 2)))
+        mean = float(self.weight @ draws)
+        return Estimate(mean, float(np.sqrt(self.weight @ (draws - mean) ** 2)))
 
-    def quantiles(self, found: Floats, at: Sequence[float]) -> list[float]:
+    def quantiles(self, draws: Floats, probabilities: Sequence[float]) -> list[float]:
         """Quantiles of draws (M,) of any quantity."""
-        order = np.argsort(found)
-        reached = np.cumsum(self.weight[order]) - 0.5 * self.weight[order]
-        return [float(value) for value in np.interp(at, reached, found[order])]
+        order = np.argsort(draws)
+        cumulated = np.cumsum(self.weight[order]) - 0.5 * self.weight[order]
+        return [float(value) for value in np.interp(probabilities, cumulated, draws[order])]
 
-    def below(self, found: Floats, value: float) -> float:
+    def below(self, draws: Floats, value: float) -> float:
         """Probability that a quantity lies below a value."""
-        return float(np.sum(self.weight[found < value]))
+        return float(np.sum(self.weight[draws < value]))
 
-    def chance(self, found: Floats) -> float:
-        """Two-sided tail probability of zero, of draws of an effect or a difference; at least one draw's."""
-        positive = 1 - self.below(found, 0.0)
+    def chance(self, draws: Floats) -> float:
+        """Two-sided tail probability of zero by draws of an effect or a difference, at least one draw's."""
+        positive = 1 - self.below(draws, 0.0)
         return float(max(2 * min(positive, 1 - positive), 1 / self.effective))
 
     @cached_property
@@ -121,15 +121,14 @@ class SeriesPosterior:
         return np.asarray(self.weight @ chance)
 
     def run_values(self, reference_rad: float) -> tuple[Floats, Floats]:
-        """Parameters (R, k) of the runs by the whole series, each with its scatter, and their standard
-        uncertainties."""
+        """Parameters (R, k) of the runs by the series as a whole, and their standard uncertainties."""
         names = self.model.names
         slopes = at_own_exponent(names, reference_rad)
         run_posteriors = partial(_run_posteriors, self.design, slopes)
-        of, u2 = in_parts(self.design, run_posteriors, self.h, self.w)
-        mean, moved = np.einsum("m,mrk->rk", self.weight, of), of @ slopes.T
-        off = moved - mean @ slopes.T
-        u = np.sqrt(np.einsum("m,mrk->rk", self.weight, off**2 + u2))
+        means, u2 = in_parts(self.design, run_posteriors, self.h, self.w)
+        mean = np.einsum("m,mrk->rk", self.weight, means)
+        deviations = means @ slopes.T - mean @ slopes.T
+        u = np.sqrt(np.einsum("m,mrk->rk", self.weight, deviations**2 + u2))
         values = parameters(names, mean, reference_rad)
         return values, np.where([name in POSITIVE for name in names], np.abs(values), 1.0) * u
 
@@ -152,14 +151,14 @@ def _bad_chances(design: Design, h: Floats, w: Floats) -> tuple[Floats]:
 def _run_posteriors(design: Design, slopes: Floats, h: Floats, w: Floats) -> tuple[Floats, Floats]:
     """Means (M, R, k) of the runs' own coordinates by draw, and the variances (M, R, k) of `slopes` (k, k)
     times these."""
-    found, variance = spread(design, h, w), between_runs(design, h)[:, None]
-    chance = chances(log_kinds(design, w, found))
+    of_runs, variance = spread(design, h, w), between_runs(design, h)[:, None]
+    chance = chances(log_kinds(design, w, of_runs))
     centre = np.tensordot(w, design.x, (1, 2))
-    offset = variance * np.einsum("mrkl,mrl->mrk", found.inverse, design.y - centre)
+    offset = variance * np.einsum("mrkl,mrl->mrk", of_runs.inverse, design.y - centre)
     # the factor of a bad run's kind widens both its own uncertainty and its scatter
-    widths, moved = np.sum(chance * design.worse**2, axis=2)[..., None], slopes * variance
-    inner = np.einsum("mak,mrkl,mal->mra", moved, found.inverse, moved, optimize=True)
-    return centre + offset, np.maximum(widths * (variance @ (slopes**2).T - inner), 0.0)
+    factor2, weighted = np.sum(chance * design.worse**2, axis=2)[..., None], slopes * variance
+    reduction = np.einsum("mak,mrkl,mal->mra", weighted, of_runs.inverse, weighted, optimize=True)
+    return centre + offset, np.maximum(factor2 * (variance @ (slopes**2).T - reduction), 0.0)
 
 
 def fit_series(
@@ -172,23 +171,23 @@ def fit_series(
     number is small, another round starts from the moments of the last. The best round is returned.
     """
     design = design_of(runs, model)
-    found = likeliest(design)
+    maximum = likeliest(design)
     rng = np.random.default_rng(seed)
-    centre, covariance = found.h, found.covariance
+    centre, covariance = maximum.h, maximum.covariance
     best: SeriesPosterior | None = None
     for _ in range(_MAX_ITERATIONS):
-        z, log_z = _students(rng, (draws, len(centre)), _SCATTER_TAILS)
+        z, log_z = _students(rng, (draws, len(centre)), _SCATTER_DOF)
         h = centre + z @ np.linalg.cholesky(covariance).T
         log_h = log_z - 0.5 * log_determinant(covariance)
-        one, log_ratio = _weighted(rng, runs, model, design, found.w, h, log_h)
-        best = one if best is None or one.effective > best.effective else best
-        if one.effective > _ENOUGH_SHARE * draws or not len(centre):
+        posterior, log_ratio = _weighted(rng, runs, model, design, maximum.w, h, log_h)
+        best = posterior if best is None or posterior.effective > best.effective else best
+        if posterior.effective > _ENOUGH_SHARE * draws or not len(centre):
             break
         # tempered, so that few draws do not make the next round narrow
-        soft = _weights(0.5 * log_ratio)
-        centre = soft @ h
-        off = h - centre
-        covariance = off.T @ (off * soft[:, None]) + 1e-3 * found.covariance
+        tempered = _weights(0.5 * log_ratio)
+        centre = tempered @ h
+        deviations = h - centre
+        covariance = deviations.T @ (deviations * tempered[:, None]) + 1e-3 * maximum.covariance
     assert best is not None
     return best
 
@@ -215,7 +214,7 @@ def _weighted(
     """
 
     def draws_of_levels(h: Floats) -> tuple[Floats, Floats]:
-        z, log_z = _students(rng, (len(h), len(start)), _LEVEL_TAILS)
+        z, log_z = _students(rng, (len(h), len(start)), _LATENT_DOF)
         w, curvature, _ = conditional(design, h, start)
         factor = np.swapaxes(np.linalg.cholesky(curvature), 1, 2)
         w = w + np.linalg.solve(factor, z[..., None])[..., 0]
@@ -226,33 +225,32 @@ def _weighted(
     return SeriesPosterior(tuple(runs), model, design, h, w, _weights(log_ratio)), log_ratio
 
 
-def _students(rng: np.random.Generator, shape: tuple[int, int], tails: float) -> tuple[Floats, Floats]:
+def _students(rng: np.random.Generator, shape: tuple[int, int], dof: float) -> tuple[Floats, Floats]:
     """Draws of Student's t in several dimensions, and their log density."""
     from scipy.special import gammaln
 
     draws, size = shape
     if not size:
         return np.zeros(shape), np.zeros(draws)
-    stretch = np.sqrt(tails / rng.chisquare(tails, draws))
+    stretch = np.sqrt(dof / rng.chisquare(dof, draws))
     z = rng.standard_normal(shape) * stretch[:, None]
-    constant = gammaln(0.5 * (tails + size)) - gammaln(0.5 * tails) - 0.5 * size * np.log(tails * np.pi)
-    return z, np.asarray(constant - 0.5 * (tails + size) * np.log1p(np.sum(z**2, axis=1) / tails))
+    constant = gammaln(0.5 * (dof + size)) - gammaln(0.5 * dof) - 0.5 * size * np.log(dof * np.pi)
+    return z, np.asarray(constant - 0.5 * (dof + size) * np.log1p(np.sum(z**2, axis=1) / dof))
 
 
 @dataclass(frozen=True)
 class SampledPosterior:
-    """A posterior by a sampler.
-
-    `r_hat` and `effective` are by level: the ratio of scatters between and within independent halves of
-    ensembles, and the number of independent draws. `converged` is whether all chains agree.
-    """
+    """A posterior by a sampler."""
 
     posterior: SeriesPosterior
     r_hat: Mapping[LatentNumber, float]
+    """Ratio of variation of all draws of each scatter to that within independent halves of ensembles."""
     effective: Mapping[LatentNumber, float]
+    """Number of independent draws of each scatter."""
 
     @property
     def converged(self) -> bool:
+        """Whether all chains agree."""
         return max(self.r_hat.values()) < _MAX_R_HAT
 
 
@@ -265,19 +263,19 @@ def sample_series(
     """
     emcee = optional_module("emcee", "--sample", "emcee", "series", "leave it out")
     design = design_of(runs, model)
-    found, rng = likeliest(design), np.random.default_rng(seed)
-    size = len(found.h)
+    maximum, rng = likeliest(design), np.random.default_rng(seed)
+    size = len(maximum.h)
     if not size:
         raise ConfigurationError("the sampler explores scatters, and the model has none: leave it out")
-    # coordinates in which the maximum is a sphere
-    factor = np.linalg.cholesky(found.covariance)
+    # walkers move in coordinates z in which the maximum is a sphere
+    factor = np.linalg.cholesky(maximum.covariance)
 
-    def log_posterior(at: Floats) -> Floats:
-        h = found.h + at @ factor.T
-        value = np.full(len(at), -np.inf)
-        good = np.all(np.abs(h - found.h) < _MAX_LOG_SCATTER_CHANGE, axis=1)
-        if np.any(good):
-            value[good] = log_marginal(design, h[good], found.w)[0]
+    def log_posterior(z: Floats) -> Floats:
+        h = maximum.h + z @ factor.T
+        value = np.full(len(z), -np.inf)
+        near = np.all(np.abs(h - maximum.h) < _MAX_LOG_SCATTER_CHANGE, axis=1)
+        if np.any(near):
+            value[near] = log_marginal(design, h[near], maximum.w)[0]
         return np.where(np.isfinite(value), value, -np.inf)
 
     walkers = max(2 * size + 2, 10)
@@ -286,12 +284,14 @@ def sample_series(
         sampler = emcee.EnsembleSampler(walkers, size, log_posterior, vectorize=True)
         sampler.random_state = np.random.RandomState(int(rng.integers(2**31))).get_state()
         sampler.run_mcmc(rng.standard_normal((walkers, size)), steps, progress=False)
-        chains.append(found.h + sampler.get_chain(discard=int(_BURN_IN_SHARE * steps)) @ factor.T)
-        times.append([emcee.autocorr.integrated_time(one, tol=0) for one in np.moveaxis(chains[-1], 2, 0)])
+        chains.append(maximum.h + sampler.get_chain(discard=int(_BURN_IN_SHARE * steps)) @ factor.T)
+        by_scatter = np.moveaxis(chains[-1], 2, 0)
+        times.append([emcee.autocorr.integrated_time(chain, tol=0) for chain in by_scatter])
     walks = np.array(chains)
     flat = walks.reshape(-1, size)
     h = flat[:: max(1, len(flat) // _MAX_DRAWS)]
-    posterior, _ = _weighted(rng, runs, model, design, found.w, h, log_marginal(design, h, found.w)[0])
+    log_h = log_marginal(design, h, maximum.w)[0]
+    posterior, _ = _weighted(rng, runs, model, design, maximum.w, h, log_h)
     effective = len(flat) / np.maximum(np.mean(times, axis=0).ravel(), 1.0)
     return SampledPosterior(
         posterior,
@@ -306,6 +306,6 @@ def split_r_hat(chains: Floats) -> float:
     The walkers of an ensemble depend on each other, so that only ensembles and halves are compared.
     """
     half = chains.shape[1] // 2
-    parts = np.concatenate([chains[:, :half], chains[:, half : 2 * half]])
-    within = float(np.mean(parts.var(axis=(1, 2))))
-    return float(np.sqrt(1 + np.var(parts.mean(axis=(1, 2)), ddof=1) / within)) if within > 0 else 1.0
+    halves = np.concatenate([chains[:, :half], chains[:, half : 2 * half]])
+    within = float(np.mean(halves.var(axis=(1, 2))))
+    return float(np.sqrt(1 + np.var(halves.mean(axis=(1, 2)), ddof=1) / within)) if within > 0 else 1.0

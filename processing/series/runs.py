@@ -1,4 +1,4 @@
-"""The compressed likelihood of a run, as a series takes it, and the effects of covariates on runs.
+"""The compressed likelihood of a run, for a series, and the effects of covariates on runs.
 
 Coordinates are those in which a decay's likelihood is nearly a parabola: logarithms, with b and gamma at one
 amplitude.
@@ -18,40 +18,41 @@ from processing.errors import DataError
 POSITIVE: Final = ("b", "c", "gamma_pa")
 """Parameters of which the coordinate is the logarithm: changes of it are relative changes."""
 EXPONENT_OF: Final[Mapping[str, tuple[str, float]]] = {"b": ("p", 1.0), "gamma_pa": ("n", 0.0)}
-"""Parameters whose unit contains an exponent, with the exponent and the number that it is taken less:
+"""Parameters whose unit contains an exponent, with this exponent and the number that is subtracted from it:
 ln b + (p - 1) ln A and ln gamma + n ln A are nearly independent of it."""
 FRICTION: Final = "friction"
 """Parameter of an effect on b and c alike, which also shows within each run (`CompressedRun.by_growth`)."""
 ORDER: Final = "order"
-"""The covariate that every run has: its place in the series, from 0, where runs that were left out count."""
-_LARGEST_EXPONENT = 200.0
+"""The covariate that every run has: its number in the series, from 0; runs that are left out count, too."""
+_MAX_LOGARITHM = 200.0
 """Largest logarithm that is converted: that of a parameter which is not determined may overflow."""
 
 
 def to_coordinates(names: Sequence[str], values: Floats, reference_rad: float) -> tuple[Floats, Floats]:
     """Coordinates (k,) of parameters at the reference amplitude, and their derivatives (k, k) by the
     parameters; those of `POSITIVE` must be above 0."""
-    found, slopes = values.astype(np.float64), np.eye(len(names))
+    coordinates, slopes = values.astype(np.float64), np.eye(len(names))
     for place, name in enumerate(names):
         if name in POSITIVE:
-            found[place], slopes[place, place] = np.log(values[place]), 1 / values[place]
-        exponent, less = EXPONENT_OF.get(name, ("", 0.0))
+            coordinates[place], slopes[place, place] = np.log(values[place]), 1 / values[place]
+        exponent, offset = EXPONENT_OF.get(name, ("", 0.0))
         if exponent in names:
             other = list(names).index(exponent)
-            found[place] += (values[other] - less) * np.log(reference_rad)
+            coordinates[place] += (values[other] - offset) * np.log(reference_rad)
             slopes[place, other] = np.log(reference_rad)
-    return found, slopes
+    return coordinates, slopes
 
 
-def parameters(names: Sequence[str], found: Floats, reference_rad: float) -> Floats:
-    """The parameters by their coordinates `found`, along the last axis."""
-    values = np.array(found, dtype=np.float64)
+def parameters(names: Sequence[str], coordinates: Floats, reference_rad: float) -> Floats:
+    """The parameters by their coordinates, along the last axis."""
+    values = np.array(coordinates, dtype=np.float64)
     for place, name in enumerate(names):
-        exponent, less = EXPONENT_OF.get(name, ("", 0.0))
+        exponent, offset = EXPONENT_OF.get(name, ("", 0.0))
         if exponent in names:
-            values[..., place] -= (found[..., list(names).index(exponent)] - less) * np.log(reference_rad)
+            exponents = coordinates[..., list(names).index(exponent)]
+            values[..., place] -= (exponents - offset) * np.log(reference_rad)
         if name in POSITIVE:
-            values[..., place] = np.exp(np.minimum(values[..., place], _LARGEST_EXPONENT))
+            values[..., place] = np.exp(np.minimum(values[..., place], _MAX_LOGARITHM))
     return values
 
 
@@ -73,11 +74,12 @@ class EndSide(StrEnum):
 
 
 class Bound(NamedTuple):
-    """A value that a run only bounds, by a limit with the standard deviation `softness`, in coordinates."""
+    """A value that a run only bounds, in coordinates."""
 
     limit: float
     side: EndSide
     softness: float
+    """Standard deviation of the limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,30 +148,28 @@ class Form(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """A parameter that depends on a covariate; several of them add up.
-
-    `reference` is the covariate at which the effect is zero (`Form.LINEAR`, `Form.LOGARITHM`) or steps.
-    `contact` restricts it to one contact; empty: all contacts have it.
-    """
+    """A parameter that depends on a covariate; several effects add up."""
 
     parameter: str
     covariate: str
     form: Form
     reference: float = 0.0
+    """Covariate at which the effect is zero (`Form.LINEAR`, `Form.LOGARITHM`) or steps."""
     contact: str = ""
+    """Contact to which the effect is restricted; empty for all contacts."""
 
     @property
     def label(self) -> str:
-        of = f" of {self.contact}" if self.contact else ""
-        where = f" at {self.reference:g}" if self.form is Form.STEP else ""
-        over = "" if self.form is Form.DURING else f" over {self.covariate}"
-        return f"{self.parameter}{of}: {self.form}{over}{where}"
+        contact = f" of {self.contact}" if self.contact else ""
+        reference = f" at {self.reference:g}" if self.form is Form.STEP else ""
+        covariate = "" if self.form is Form.DURING else f" over {self.covariate}"
+        return f"{self.parameter}{contact}: {self.form}{covariate}{reference}"
 
     @property
     def bends_decays(self) -> bool:
         """Whether the effect makes friction grow within each run."""
-        in_time = self.form is Form.DURING or self.covariate.endswith("_s")
-        return self.parameter == FRICTION and in_time
+        is_in_time = self.form is Form.DURING or self.covariate.endswith("_s")
+        return self.parameter == FRICTION and is_in_time
 
     def moves(self) -> tuple[str, ...]:
         """The coordinates that the effect moves."""
@@ -211,9 +211,12 @@ class Effect:
         return value, np.sqrt(value * (1 - value))
 
     def span(self, runs: Sequence[CompressedRun]) -> float:
-        """Range of the form with slope 1 over the series."""
+        """Range of the form with slope 1 over the series; raises DataError where it is zero."""
         if self.form is Form.DURING:
-            return max(run.duration_s for run in runs)
+            duration_s = max(run.duration_s for run in runs)
+            if not duration_s > 0:
+                raise DataError(f"{self.label}: the duration of no run is known; leave the effect out")
+            return duration_s
         if self.form is Form.STEP:
             return 1.0
         x, _ = covariate_of(runs, self.covariate)
@@ -240,8 +243,8 @@ def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floa
     DataError where it is known of fewer than two runs.
     """
     if name == ORDER:
-        places = [run.covariates.get(ORDER, at) for at, run in enumerate(runs)]
-        return np.array(places, dtype=np.float64), np.zeros(len(runs))
+        numbers = [run.covariates.get(ORDER, number) for number, run in enumerate(runs)]
+        return np.array(numbers, dtype=np.float64), np.zeros(len(runs))
     known = _measured(runs, name)
     if len(known) < 2:
         raise DataError(

@@ -203,7 +203,7 @@ def fit_results(fit: FitResult) -> Fit:
 def _widening(fit: FitResult) -> dict[str, float]:
     if MEASUREMENT not in fit.terms:
         return {}
-    at_rest = fit.part(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER, REST_POSITION)
+    at_rest = fit.covariance_by(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER, REST_POSITION)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = fit.standard_uncertainty / np.sqrt(np.diag(at_rest))
     known = dict(zip(fit.names, ratio.tolist(), strict=True))

@@ -78,7 +78,7 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
         except DataError as error:
             problems.append(f"{method}: {error}")
     default = combined.get(FitMethod.EXACT)
-    measured, rig = None if default is None else default.measured, fitted[0].rig
+    measured, rig = None if default is None else default.combined, fitted[0].rig
     if measured is not None:
         try:
             exact = [LinearisedFit.of(run.points, pendulum, run.fitted[FitMethod.EXACT]) for run in fitted]

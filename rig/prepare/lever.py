@@ -190,7 +190,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
             f"{found.drag_s.standard_uncertainty:.2g} s, which no air exerts: larger vanes, "
             "or longer runs, are needed"
         )
-    slope, u_slope = found.per_m2_s
+    slope, u_slope = found.drag_per_area_s_per_m2
     if slope < -2.0 * u_slope:
         raise DataError(
             f"{vanes}: its runs lose {-slope:.2g} ± {u_slope:.2g} s of drag per m² of vanes, and vanes add "
@@ -219,15 +219,15 @@ def _details(found: MeasuredAir, areas_m2: list[float]) -> dict[str, Any]:
         for key, value in ((name, one), (f"u_{name}", u))
     }
     return {
-        **dict(zip(("per_m2_s", "u_per_m2_s"), found.per_m2_s, strict=True)),
+        **dict(zip(("per_m2_s", "u_per_m2_s"), found.drag_per_area_s_per_m2, strict=True)),
         "chi2": found.chi2,
         "degrees_of_freedom": found.dof,
-        "chance": found.chance,
-        "enlarged": found.enlarged,
+        "chance": found.p_value,
+        "enlarged": found.u_inflation,
         **contact_details,
         "areas_m2": areas_m2,
-        "drags_s": [one.value for one in found.of_runs_s],
-        "u_drags_s": [one.standard_uncertainty for one in found.of_runs_s],
+        "drags_s": [one.value for one in found.run_drags_s],
+        "u_drags_s": [one.standard_uncertainty for one in found.run_drags_s],
     }
 
 
@@ -241,14 +241,15 @@ def _notes(found: MeasuredAir, table: VaneFile, as_detected: Sequence[int]) -> l
         )
     if found.disagree:
         notes.append(
-            f"the runs do not agree on one contact and one line (chance {found.chance:.2g}): uncertainties "
-            f"are enlarged {found.enlarged:.2g} times; check which run deviates and if the load was the same"
+            f"the runs do not agree on one contact and one line (chance {found.p_value:.2g}): uncertainties "
+            f"are enlarged {found.u_inflation:.2g} times; check which run deviates and if the load was "
+            "the same"
         )
     if len({run.area_m2 for run in table.run}) < 3:
         notes.append("two areas do not show whether the drag follows the line: make runs at three")
     if min(run.area_m2 for run in table.run) > 0:
         notes.append("no run is without vanes: the drag of the pendulum alone is extrapolated")
-    slope, u_slope = found.per_m2_s
+    slope, u_slope = found.drag_per_area_s_per_m2
     if slope < 2.0 * u_slope:
         notes.append(
             f"the vanes add no drag that is seen ({slope:.2g} ± {u_slope:.2g} s per m²): see which record "

@@ -6,8 +6,8 @@ import pytest
 from processing.slope_uncertainty import Step, StepWatch
 
 
-def steps_in(values: np.ndarray, least: float = 3.0) -> list[Step]:
-    watch = StepWatch(least)
+def steps_in(values: np.ndarray, min_size: float = 3.0) -> list[Step]:
+    watch = StepWatch(min_size)
     return [step for k, value in enumerate(values) if (step := watch.take(k, float(value))) is not None]
 
 
@@ -27,7 +27,7 @@ def test_noise_drift_and_lost_values_are_no_steps() -> None:
     for noise in (0.1, 1.0, 10.0):
         values = rng.normal(0.0, noise, 2500) + 0.003 * np.arange(2500)
         values[rng.random(2500) < 0.2] = np.nan
-        assert steps_in(values, least=3.0 * noise) == []
+        assert steps_in(values, min_size=3.0 * noise) == []
 
 
 def test_one_odd_value_is_no_step() -> None:

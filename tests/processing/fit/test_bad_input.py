@@ -58,8 +58,8 @@ def test_ten_are_enough_to_try(points: TurningPoints, pendulum: PendulumOnBall) 
         ("u_time_s", -1e-3, "u_time_s of half-cycle 7 is -0.001: it must be positive"),
         ("amplitude", -1e-4, "amplitude of half-cycle 7 is -0.0001: it must be positive"),
         ("amplitude", np.nan, "amplitude of half-cycle 7 is nan: flag it or leave it out"),
-        ("time_s", 1.0, "swings out of order: time_s does not rise after half-cycle 6"),
-        ("index", 3, "swings out of order: index does not rise after half-cycle 6"),
+        ("time_s", 1.0, "half-cycles out of order: time_s does not rise after half-cycle 6"),
+        ("index", 3, "half-cycles out of order: index does not rise after half-cycle 6"),
     ],
 )
 def test_impossible_values(

@@ -51,7 +51,7 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
     added = wider.covariance[at, at] - again.covariance[at, at]
     assert np.sqrt(added) == pytest.approx(1e-3 * abs(again.values[at]), rel=0.3)
     np.testing.assert_allclose(
-        wider.part(FIXED_PATTERN), of_scale.of_parameters @ of_scale.of_parameters.T, rtol=1e-9
+        wider.covariance_by(FIXED_PATTERN), of_scale.of_parameters @ of_scale.of_parameters.T, rtol=1e-9
     )
     lines = {line.source: line.contribution for line in budgets(wider, rig())["c"].sources}
     before = {line.source: line.contribution for line in budgets(again, rig())["c"].sources}

@@ -272,7 +272,7 @@ def test_the_waveform_has_a_slope_at_the_end_of_a_parameters_range(
     slopes = []
     for before_the_end in (1e-10, 0.01):
         at = {**truth, "b": 1e-7 * model.reference**-5.0, "p": 6.0 - before_the_end}
-        columns = model.columns.from_physical(at)
+        columns = model.parametrisation.from_physical(at)
         rows, slope = model.linearised_at(columns).evidence_rows(columns)
         assert np.isfinite(rows).all()
         slopes.append(slope)

@@ -59,7 +59,7 @@ def test_at_rest_the_fit_is_that_of_one_free_decay(seed: int) -> None:
     assert 2e-10 < result.ground.upper_95 < 3e-9
     solution = one_decay(points, pendulum)
     model = ExactModel(points, pendulum)
-    values, matrix = model.columns.physical(solution.values)
+    values, matrix = model.parametrisation.physical(solution.values)
     u = np.sqrt(np.diag(matrix @ solution.covariance @ matrix.T))
     # a drive that chance suggests moves the values by less than it widens them
     assert np.all(np.abs(result.values - values) < 0.1 * u)
@@ -84,7 +84,7 @@ def test_with_a_drive_alone_the_residuals_are_errors_of_one_step() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = driven_decay(parameters, pendulum, q=3e-8, noise_arcsec=1e-7, seed=2, last_arcsec=20)
     model = ExactModel(points, pendulum)
-    columns = model.columns.from_physical(
+    columns = model.parametrisation.from_physical(
         dict(
             zip(
                 model.names,
@@ -136,7 +136,7 @@ def test_fits_that_see_no_drive_were_wrong_by_many_uncertainties() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = driven_decay(parameters, pendulum, q=1e-8, noise_arcsec=0.005, seed=0)
     solution = one_decay(points, pendulum)
-    columns = ExactModel(points, pendulum).columns
+    columns = ExactModel(points, pendulum).parametrisation
     values, matrix = columns.physical(solution.values)
     u = np.sqrt(np.diag(matrix @ solution.covariance @ matrix.T))
     assert np.abs((values[:SIX] - truth(parameters, PAPER.names())) / u[:SIX]).max() > 5

@@ -149,11 +149,13 @@ def test_held_parameters_have_the_right_derivatives() -> None:
         np.testing.assert_allclose(held.full(value, free)[0], best, rtol=1e-6)
         # a limit may lie nearer than the next number
         np.testing.assert_array_equal(held.follow(value, free, value), free)
-        _, jacobian = held.at(value)(free)
+        _, jacobian = held.with_held(value)(free)
         for k in range(len(free)):
             step = np.zeros(len(free))
             step[k] = 1e-5 * max(abs(free[k]), 1e-3)
-            numeric = (held.at(value)(free + step)[0] - held.at(value)(free - step)[0]) / (2 * step[k])
+            numeric = (held.with_held(value)(free + step)[0] - held.with_held(value)(free - step)[0]) / (
+                2 * step[k]
+            )
             # between its nodes the filter's table takes them as linear
             np.testing.assert_allclose(jacobian[:, k], numeric, atol=5e-4 * np.abs(numeric).max(), rtol=1e-4)
 

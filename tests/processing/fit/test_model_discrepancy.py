@@ -105,14 +105,14 @@ def test_what_a_law_lacks_is_a_term_of_every_fit_of_it() -> None:
     both = combine_runs([described, described]).parameters["b"]
     assert both.standard_uncertainty > 0.95 * described.estimate("b").standard_uncertainty
     assert DISCREPANCY in described.terms
-    assert described.part(DISCREPANCY)[0, 0] == described.part(DISCREPANCY)[0, 0]
+    assert described.covariance_by(DISCREPANCY)[0, 0] > 0.0
     for one in (fit, described):
         assert not compare_laws(points, PENDULUM, [PAPER], like=one).describes
     other = fit_asymptotic(points, PENDULUM, drag=True, exact=described)
     wider = other.with_terms_of(described, DISCREPANCY)
     at = PAPER.names().index("c")
     added = wider.covariance[at, at] - other.covariance[at, at]
-    assert added == pytest.approx(described.part(DISCREPANCY)[at, at])
+    assert added == pytest.approx(described.covariance_by(DISCREPANCY)[at, at])
     with pytest.raises(DataError):
         LinearisedFit.of(points, PENDULUM, other)
     assert described.discrepancy is not None

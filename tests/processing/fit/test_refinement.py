@@ -14,6 +14,7 @@ from processing.fit.refinement import (
     DecayFit,
     describes_as_well,
     fitted_twice,
+    judge_refinement,
     known_motion,
     measurement_shift,
     second_measurement,
@@ -118,6 +119,17 @@ def test_a_waveform_that_is_not_that_of_the_motion_is_refused(glass: Record) -> 
     wider = with_enlarged_u(swings, shift)
     assert wider[5].u_turn_time_s == pytest.approx(np.hypot(1.0, shift.time) * swings[5].u_turn_time_s)
     assert wider[5].turn_time_ns == swings[5].turn_time_ns
+
+
+def test_a_second_measurement_that_finds_no_half_cycle_states_no_shift(glass: Record) -> None:
+    parameters, pendulum = contact_truth("glass")
+    swings = detect(noisy(glass, 5))
+    motion = known_motion(parameters, pendulum, swings[0].amplitude)
+    lost = [replace(swing, flags=2) for swing in swings]
+    first = fit_exact(turning_points(swings), pendulum)
+    found = judge_refinement(swings, lost, motion, first, DecayFit(pendulum))
+    assert found.doubt == "the turning points stand as detected (none of the half-cycles was found again)"
+    assert found.swings == swings
 
 
 def test_a_pendulum_that_would_not_swing_is_refused() -> None:

@@ -42,8 +42,8 @@ def test_terms_are_those_of_generalised_least_squares(linear: tuple[Floats, Floa
     )
     np.testing.assert_allclose(found.values, values, rtol=1e-9)
     np.testing.assert_allclose(found.covariance, own, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found.moved, moved, rtol=1e-9)
-    by = found.by @ found.root
+    np.testing.assert_allclose(found.law_shift, moved, rtol=1e-9)
+    by = found.law_by_terms @ found.root
     law = np.linalg.inv(jacobian.T @ jacobian) + by @ by.T
     size = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     np.testing.assert_allclose(law / size, covariance / size, atol=1e-9)
@@ -54,7 +54,7 @@ def test_terms_are_those_of_generalised_least_squares(linear: tuple[Floats, Floa
         assert tried[1] == pytest.approx(float(deviance), rel=1e-9)
         without = np.where(np.arange(3) == group, 0.0, PRIOR)
         assert tried[0] == pytest.approx(restricted.deviance(without), rel=1e-9)
-    np.testing.assert_allclose(restricted.unexplained(PRIOR), found.left, atol=1e-9)
+    np.testing.assert_allclose(restricted.unexplained(PRIOR), found.residuals, atol=1e-9)
 
 
 def test_what_nothing_determines_is_infinite_and_what_is_known_stays(
@@ -70,17 +70,17 @@ def test_what_nothing_determines_is_infinite_and_what_is_known_stays(
     assert np.all(found.values[:3] == 0.0)
     assert np.all(found.covariance[:3] == 0.0)
     assert found.covariance[4, 4] == np.inf
-    assert found.left.shape == (ROWS - 1,)
+    assert found.residuals.shape == (ROWS - 1,)
 
 
 def test_a_fit_with_terms_does_not_ask_for_their_order() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=30)
     at = LinearisedFit.of(points, pendulum, fit_exact(points, pendulum))
-    shared = Term("shared", at.by_points(amplitude=1e-9 * np.ones((len(points), 1))), 1.0, "cover")
-    late = Term("late", at.by_points(time_s=1e-3 * points.amplitude[:, None]), 1.0, "cover")
-    both = at.solved(shared, late)
-    by = at.to_physical @ both.by
+    shared = Term("shared", at.residual_changes(amplitude=1e-9 * np.ones((len(points), 1))), 1.0, "cover")
+    late = Term("late", at.residual_changes(time_s=1e-3 * points.amplitude[:, None]), 1.0, "cover")
+    both = at.solve_terms(shared, late)
+    by = at.to_physical @ both.law_by_terms
     fits = [at.with_terms(*terms) for terms in ((shared, late), (late, shared))]
     fits.append(at.fit.with_terms_of(fits[0], "late", "shared"))
     for fit in fits:

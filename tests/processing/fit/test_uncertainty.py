@@ -20,12 +20,14 @@ from processing.fit import (
     sensor_derivatives,
 )
 from processing.fit.exact import fit_exact
-from processing.fit.reported import (
+from processing.fit.uncertainty import (
+    GROUND,
+    budgets,
     reported_quantities,
     rolling_moment_nm,
+    standard_uncertainties,
     works_per_cycle_j,
 )
-from processing.fit.uncertainty import GROUND, budgets, standard_uncertainties
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair

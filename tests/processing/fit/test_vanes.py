@@ -56,25 +56,25 @@ def found(runs: list[VanedRun]) -> MeasuredAir:
 
 @pytest.mark.slow
 def test_the_line_and_the_contact_are_those_of_all_runs(runs: list[VanedRun], found: MeasuredAir) -> None:
-    for (value, u), true in ((found.drag_s, DRAG_S), (found.per_m2_s, PER_M2_S)):
+    for (value, u), true in ((found.drag_s, DRAG_S), (found.drag_per_area_s_per_m2, PER_M2_S)):
         assert abs(value - true) < 3.5 * u
         assert u < 0.03 * true
     for name, (value, u) in found.contact.items():
         assert abs(value - getattr(PARAMETERS, name)) < 3.5 * u
     alone = min(run.fit.estimate("drag_s").standard_uncertainty for run in runs)
     assert 0.4 * alone < found.drag_s.standard_uncertainty < 0.9 * alone
-    assert (found.dof, found.enlarged) == (11, max(1.0, (found.chi2 / 11) ** 0.5))
-    assert found.chance > 0.01
-    for off, of_run in zip(found.off_s, found.of_runs_s, strict=True):
+    assert (found.dof, found.u_inflation) == (11, max(1.0, (found.chi2 / 11) ** 0.5))
+    assert found.p_value > 0.01
+    for off, of_run in zip(found.residuals_s, found.run_drags_s, strict=True):
         assert abs(off) < 3.5 * of_run.standard_uncertainty < 1e-4
 
 
 @pytest.mark.slow
 def test_runs_that_share_no_contact_are_seen(runs: list[VanedRun]) -> None:
     apart = air_of_vanes([runs[0], run_of(AREAS_M2[-1], 9, rougher=1.1)], PENDULUM)
-    assert apart.chance < 1e-6
+    assert apart.p_value < 1e-6
     assert apart.disagree
-    assert apart.enlarged > 2
+    assert apart.u_inflation > 2
 
 
 @pytest.mark.slow
@@ -85,13 +85,16 @@ def test_a_scatter_that_chance_may_explain_enlarges_too(runs: list[VanedRun], fo
         replace(run, fit=replace(run.fit, u_inflation=np.full(len(run.fit.names), quieter))) for run in runs
     ]
     doubted = air_of_vanes(quiet, PENDULUM)
-    assert 0.01 < doubted.chance < 0.2
+    assert 0.01 < doubted.p_value < 0.2
     assert not doubted.disagree
-    assert doubted.enlarged == pytest.approx(1.7**0.5, rel=0.05)
+    assert doubted.u_inflation == pytest.approx(1.7**0.5, rel=0.05)
     # what was left out of the stated noise is back
-    for one, whole in ((doubted.drag_s, found.drag_s), (doubted.per_m2_s, found.per_m2_s)):
-        unscaled = whole.standard_uncertainty / found.enlarged
-        assert one.standard_uncertainty == pytest.approx(unscaled * quieter * doubted.enlarged, rel=0.05)
+    for one, whole in (
+        (doubted.drag_s, found.drag_s),
+        (doubted.drag_per_area_s_per_m2, found.drag_per_area_s_per_m2),
+    ):
+        unscaled = whole.standard_uncertainty / found.u_inflation
+        assert one.standard_uncertainty == pytest.approx(unscaled * quieter * doubted.u_inflation, rel=0.05)
 
 
 def test_what_measures_no_air_is_refused(runs: list[VanedRun]) -> None:

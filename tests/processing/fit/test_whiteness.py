@@ -5,7 +5,7 @@ import pytest
 import scipy
 
 from processing.fit.exact_result import (
-    _factor,
+    _u_ratio,
     correlated_covariance,
     neighbours_covariance,
     whiteness,
@@ -117,4 +117,4 @@ def test_what_one_column_leaves_open_hides_no_correlation_of_the_others() -> Non
     assert by_lags[0, 0] == pytest.approx(correlated_covariance(noise, jacobian[:, :1], alone, 20)[0, 0])
     assert by_neighbours[0, 0] > 1.5 * alone[0, 0]
     # the second value is that of the open column
-    np.testing.assert_allclose(_factor(np.eye(2), by_lags, covariance) ** 2, [600 * by_lags[0, 0], 1.0])
+    np.testing.assert_allclose(_u_ratio(np.eye(2), by_lags, covariance) ** 2, [600 * by_lags[0, 0], 1.0])

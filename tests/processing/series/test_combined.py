@@ -123,7 +123,7 @@ def test_the_doubt_of_the_air_is_in_a_series_as_in_each_run() -> None:
     for name in ("b", "drag_s"):
         each = [result.estimate(name).standard_uncertainty for result in results]
         assert series.parameters[name].standard_uncertainty > 0.9 * min(each)
-    lines = {line.source: line for line in budgets(series.measured, rig())["b"].sources}
+    lines = {line.source: line for line in budgets(series.combined, rig())["b"].sources}
     assert lines["air"].type == "B"
     assert lines["air"].share > 0.5
     alone = {line.source: line for line in budgets(results[0], rig())["b"].sources}
@@ -157,7 +157,7 @@ def test_a_series_is_better_than_its_runs_and_goes_on_into_the_budget() -> None:
         combined = series.parameters[name]
         assert abs(combined.value - getattr(parameters, name)) < 4 * combined.standard_uncertainty
         assert len(combined.runs) == 3
-    table = budgets(series.measured, rig())
+    table = budgets(series.combined, rig())
     swings = next(line for line in table["c"].sources if line.type == "A")
     assert swings.u_source == pytest.approx(series.parameters["c"].standard_uncertainty)
 

@@ -57,6 +57,13 @@ def test_without_scatter_it_is_the_weighted_mean() -> None:
     assert 0.99 * len(found.weight) < found.effective <= len(found.weight)
 
 
+def test_growth_within_runs_of_unknown_duration_is_refused() -> None:
+    runs = [plain_run(value, 0.1) for value in (-18.1, -18.4, -18.2)]
+    growth = Effect(parameter=FRICTION, covariate="", form=Form.DURING)
+    with pytest.raises(DataError, match="duration of no run is known"):
+        fit_series(runs, SeriesModel(names=("c",), effects=(growth,), scatter=()))
+
+
 def test_what_runs_share_does_not_shrink_with_their_number() -> None:
     for count in (10, 40):
         found = fit_series(made(world(), count, np.random.default_rng(1)).runs, SeriesModel(names=NAMES))

@@ -38,13 +38,16 @@ def test_columns_stand_for_the_physical_values_and_back(law: Law) -> None:
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=5, last_arcsec=40)
     model = ExactModel(points, pendulum, law=law)
     start = next(starts_of(model))
-    values, by_columns = model.columns.physical(start)
-    back = model.columns.from_physical(dict(zip(model.names, values.tolist(), strict=True)))
+    values, by_columns = model.parametrisation.physical(start)
+    back = model.parametrisation.from_physical(dict(zip(model.names, values.tolist(), strict=True)))
     np.testing.assert_allclose(back, start, rtol=1e-9)
     for k in range(len(start)):
         step = np.zeros(len(start))
         step[k] = 1e-6 * max(abs(start[k]), 1e-3)
-        high, low = model.columns.physical(start + step)[0], model.columns.physical(start - step)[0]
+        high, low = (
+            model.parametrisation.physical(start + step)[0],
+            model.parametrisation.physical(start - step)[0],
+        )
         numeric = (high - low) / (2 * step[k])
         np.testing.assert_allclose(by_columns[:, k], numeric, rtol=1e-5, atol=1e-7 * np.abs(values).max())
 
