@@ -42,6 +42,11 @@ class BlockNumbers:
         self._lost = CameraStatus()
         self._stale: list[int] = []
 
+    def lose_faulty(self) -> None:
+        """Count a frame that came and that the camera or its driver marked as faulty."""
+        self.lost_parts += 1
+        self.faulty += 1
+
     def status(self, delivered: int) -> CameraStatus:
         """The counts, with `delivered` frames delivered."""
         since = CameraStatus(delivered, incomplete=self.lost_parts - self.faulty, error_status=self.faulty)

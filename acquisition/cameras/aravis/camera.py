@@ -134,7 +134,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             features.select_continuous()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
-            count = buffer_count(features.stated_rate(), payload, 64, 4096)
+            count = buffer_count(features.expected_rate_hz(), payload, 64, 4096)
             for _ in range(count):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
             numbers = self._begin((LAST_SHORT_ID,) if camera.is_gv_device() else ())

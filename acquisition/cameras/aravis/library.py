@@ -140,13 +140,13 @@ class AravisFeatures(GenicamFeatures):
             return None
         return float(getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}")())
 
-    def set_number(self, key: NumericFeature, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, value: float) -> None:
         if not getattr(self.camera, f"is_{_FUNCTION_NAMES[key]}_available")():
             raise DeviceError(f"{self.name}: does not allow it to be set; leave camera.{key} out")
         # libaravis clips values out of range without an error
         bounds = getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}_bounds")()
-        check_range(self.name, key, wanted, *bounds)
-        getattr(self.camera, f"set_{_FUNCTION_NAMES[key]}")(wanted)
+        check_range(self.name, key, value, *bounds)
+        getattr(self.camera, f"set_{_FUNCTION_NAMES[key]}")(value)
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
         found: dict[str, FeatureValue] = {}
@@ -219,9 +219,9 @@ class BufferReader:
             )
         x_padding, _ = buffer.get_image_padding()
         expected = self.expected
-        if not expected.may_have_padding(x_padding):
+        if not expected.can_strip_padding(x_padding):
             raise DeviceError(
-                f"{self.name}: pads rows of {expected.width_px} px in {expected.pixel_format.name}; set a "
+                f"{self.name}: pads rows of {expected.width_px} px in {expected.format.name}; set a "
                 "width that is a multiple of 4, or another pixel format"
             )
         data = buffer.get_data()

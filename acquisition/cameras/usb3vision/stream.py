@@ -342,16 +342,16 @@ class UsbFrameStream:
     def _fits(self, leader: Leader) -> bool:
         expected = self._expected
         size = (leader.width_px, leader.height_px, leader.pixel_format)
-        if expected.may_have_padding(leader.x_padding) and size == (
+        if expected.can_strip_padding(leader.x_padding) and size == (
             expected.width_px,
             expected.height_px,
-            expected.pixel_format.code,
+            expected.format.code,
         ):
             return True
         self._mismatches += 1
         if self._mismatches >= _MAX_MISMATCHES:
             sent = f"{leader.width_px} x {leader.height_px}, format 0x{leader.pixel_format:08X}"
-            stated = f"{expected.width_px} x {expected.height_px} in {expected.pixel_format.name}"
+            stated = f"{expected.width_px} x {expected.height_px} in {expected.format.name}"
             raise DeviceError(
                 f"{self._link.name}: sends frames of {sent}, padding {leader.x_padding}; "
                 f"its features say {stated}. Stop it and set size and format again"
