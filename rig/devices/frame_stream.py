@@ -13,7 +13,7 @@ from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameT
 from acquisition.frames.guard import CameraCounts, ReadMonitor, driver_errors, end_within
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.numbering import FrameLine
-from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, Policy, taken_from
+from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, Policy, take_all
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
@@ -96,7 +96,7 @@ class FrameStream:
         camera: Camera,
         settings: CameraSettings,
         *,
-        policy: Policy = "every",
+        policy: Policy = "drop",
         timeout_s: float = 5.0,
         reconnect_s: float = 60.0,
         permit: LightPermit | None = None,
@@ -114,7 +114,7 @@ class FrameStream:
         self._closed = False
         # a full queue loses no frames on demand, and a short one keeps them in the processor's cache
         most = _MOST_ON_DEMAND if policy == "wait" else math.inf
-        self._queue = BoundedQueue[Frame](most, policy, MAX_QUEUE_BYTES, fewest=_FEWEST)
+        self._queue = BoundedQueue[Frame](most, policy, MAX_QUEUE_BYTES, min_items=_FEWEST)
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._counts = CameraCounts(lambda: camera.status)
         self._thread: threading.Thread | None = None
@@ -168,14 +168,14 @@ class FrameStream:
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
-        taken = taken_from(self._events)
+        taken = take_all(self._events)
         if remark := self._counts.take_remark():
             taken.append((EventKind.WATCHER_FAILED, f"the camera's counts: {remark}"))
         return taken
 
     def take_clock_steps(self) -> list[RecordedClockStep]:
         """Steps of the camera's clock since the last call, which are subtracted from the frames' times."""
-        return taken_from(self._steps)
+        return take_all(self._steps)
 
     def request_stop(self) -> None:
         """End the stream; may be called from any thread."""
