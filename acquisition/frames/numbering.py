@@ -140,13 +140,13 @@ class FrameLine:
             final = NumberedFrames([timing.time_by_arrival(frame)])
         else:
             off_ns = math.inf if timing.last is None or not has_time else self._off_ns(frame, timing.last)
-            if has_time and (off_ns is None or timing.last is None):
-                # one of the clocks confirms the time
-                final = (
-                    self._release_confirmed(frame) if self._waiting else NumberedFrames([timing.learn(frame)])
-                )
-            else:
+            is_confirmed = has_time and (off_ns is None or timing.last is None)
+            if not is_confirmed:
                 final = self._hold_back(_DoubtfulFrame(frame, off_ns or 0.0, camera_ns))
+            elif self._waiting:
+                final = self._release_confirmed(frame)
+            else:
+                final = NumberedFrames([timing.learn(frame)])
         if note is None:
             return final
         return final._replace(notes=(*final.notes, note), steps=(*step, *final.steps))

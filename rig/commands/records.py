@@ -45,7 +45,7 @@ def _print_info(path: Path) -> None:
     sizes = []
     for file in files:
         cut = f"cut short after {_size(file.readable_bytes)} (see rig record recover)"
-        sizes.append(f"{file.path}: {_size(file.size)}, {'whole' if file.whole else cut}")
+        sizes.append(f"{file.path}: {_size(file.size)}, {'whole' if file.is_complete else cut}")
     print_line(sizes[0])
     for name, text in (("amplitude", amplitude), ("half-cycles", half_cycles), ("result", result)):
         print_line(f"{name:<12} {text}")
@@ -79,7 +79,7 @@ def _print_info(path: Path) -> None:
                 "half_cycles": len(swings),
                 "result": result,
                 "size_bytes": sum(file.size for file in files),
-                "whole": all(file.whole for file in files),
+                "whole": all(file.is_complete for file in files),
                 "start_ns": numbers.start_ns,
                 "end_ns": numbers.end_ns,
                 "messages": dict(counts),
@@ -167,7 +167,7 @@ def recover(
 
     path = one_record(record)
     with RecordReader(path) as reader:
-        if reader.sound:
+        if reader.is_sound:
             print_line(f"{path}: is sound, every byte is as written; there is nothing to recover")
             answer(path=path, sound=True)
             return

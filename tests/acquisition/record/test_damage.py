@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import Finding, check_record, recover
-from acquisition.record.chunk import ChunkPlace
+from acquisition.record.chunk import ChunkEntry
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
@@ -58,7 +58,7 @@ def whole(both: Files) -> bytes:
     return both.numbers
 
 
-def chunks_of(path: Path) -> list[ChunkPlace]:
+def chunks_of(path: Path) -> list[ChunkEntry]:
     file = ReadFile(path)
     file.close()
     return list(file.chunks)
@@ -79,7 +79,7 @@ def test_a_whole_record_has_no_findings_also_without_its_pixels(tmp_path: Path, 
     both.lay(path)
     assert check_record(path) == []
     with RecordReader(path) as reader:
-        assert reader.sound
+        assert reader.is_sound
         assert sum(1 for _ in reader.windows()) == FRAMES
     pixels_beside(path).unlink()
     assert check_record(path) == []
@@ -304,7 +304,7 @@ def test_a_record_whose_summary_is_damaged_is_read_by_walking_through_it(
 
 def overview(path: Path) -> dict[str, Any]:
     """What `rig record info` prints of a record."""
-    names = ("whole", "library", "start_ns", "end_ns", "attachments", "damages")
+    names = ("is_complete", "library", "start_ns", "end_ns", "attachments", "damages")
     with RecordReader(path) as reader:
         read = {"counts": reader.counts, "losses": reader.losses(), "chunks": len(reader.numbers.chunks)}
         return {name: getattr(reader.numbers, name) for name in names} | read
@@ -322,10 +322,10 @@ def test_info_reads_no_chunk(tmp_path: Path, whole: bytes) -> None:
     assert overview(path) == expected
     assert expected["counts"]["/spot"] == FRAMES
     assert expected["end_ns"] - expected["start_ns"] == pytest.approx(0.64e9)
-    assert expected["whole"]
+    assert expected["is_complete"]
     path.write_bytes(whole[: len(whole) - 9])
     cut = overview(path)
-    assert not cut["whole"]
+    assert not cut["is_complete"]
     assert (cut["counts"], cut["chunks"]) == (expected["counts"], expected["chunks"])
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import check_record, recover
-from acquisition.record.chunk import read_at
+from acquisition.record.chunk import read_bytes
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
@@ -94,7 +94,7 @@ class Failing(io.BytesIO):
 def test_a_disk_that_is_pulled_out_is_no_unreadable_block() -> None:
     """What was there is on the disk still: it would be taken for a damaged record."""
     file = Failing(bytes(8))
-    assert read_at(file, 0, 8) == b""
+    assert read_bytes(file, 0, 8) == b""
     file.number = errno.ENODEV
     with pytest.raises(OSError, match="failed"):
-        read_at(file, 0, 8)
+        read_bytes(file, 0, 8)
