@@ -8,7 +8,7 @@ from processing.errors import ConfigurationError
 PIXELS_SUFFIX = ".pixels.mcap"
 
 
-def recovered_beside(record: Path) -> Path:
+def recovery_path(record: Path) -> Path:
     """Path of the recovered copy of a record; commands on folders read that copy where it exists."""
     return record.with_name(f"{record.stem}-recovered{record.suffix}")
 
@@ -40,7 +40,7 @@ def records_in(path: Path) -> list[Path]:
         for file in records_of(path, "run-*.mcap")
         if (found := re.fullmatch(r"run-(\d+)", file.stem))
     )
-    records = [copy if (copy := recovered_beside(file)).exists() else file for _, file in runs]
+    records = [copy if (copy := recovery_path(file)).exists() else file for _, file in runs]
     records = records or records_of(path)
     if records:
         return records

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from acquisition.record import records_in, recovered_beside
+from acquisition.record import records_in, recovery_path
 from processing.errors import RigError
 from rig.commands.arguments import Record, group, in_json, input_option, new_file, one_record, output_option
 
@@ -171,7 +171,7 @@ def recover(
             print_line(f"{path}: is sound, every byte is as written; there is nothing to recover")
             answer(path=path, sound=True)
             return
-    target = output or recovered_beside(path)
+    target = output or recovery_path(path)
     recovery = recover_into(path, target)
     with RecordReader(target) as copy:
         messages, end_ns = copy.counts, max(file.end_ns for file in copy.files)
