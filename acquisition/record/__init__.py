@@ -13,7 +13,7 @@ def recovery_path(record: Path) -> Path:
     return record.with_name(f"{record.stem}-recovered{record.suffix}")
 
 
-def pixels_beside(record: Path) -> Path:
+def pixels_path(record: Path) -> Path:
     """Path of the file of pixels of a record; the record is complete without that file."""
     return record.with_name(f"{record.stem}{PIXELS_SUFFIX}")
 

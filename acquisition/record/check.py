@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.atomic_write import being_written
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ReadFile
@@ -134,7 +134,7 @@ def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
     present = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
     present |= {file.path.name: sha256_of(file.path) for file in reader.files if file.path.name in expected}
     # the pixels may have been deleted since, or had no hash on a disk that could not read them
-    pixels = pixels_beside(reader.path).name
+    pixels = pixels_path(reader.path).name
     if pixels not in present or not expected.get(pixels):
         expected.pop(pixels, None)
     changed = sorted(name for name, sha256 in expected.items() if present.get(name) != sha256)
@@ -151,7 +151,7 @@ def recover(source: Path, path: Path) -> dict[str, str]:
     checked. Raises RecordError where the source is no record of this program, or the new file exists already
     or cannot be written.
     """
-    pixels = pixels_beside(path)
+    pixels = pixels_path(path)
     try:
         with contextlib.ExitStack() as stack:
             reader = stack.enter_context(RecordReader(source))

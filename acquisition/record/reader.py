@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
-from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
+from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_path
 from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Message
 from acquisition.record.chunk import Piece as Piece
 from acquisition.record.codec import decode_preview, decode_window, preview_step
@@ -86,7 +86,7 @@ class RecordReader:
 
     def _open_pixels(self) -> None:
         """Open the file of pixels, if it is there and belongs to this record."""
-        path = pixels_beside(self.path)
+        path = pixels_path(self.path)
         if self._pixels is not None or not path.is_file():
             return
         try:

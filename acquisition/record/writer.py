@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from acquisition.camera import Frame, Image
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.codec import encode_preview
 from acquisition.record.codec import encode_window as encode_window
 from acquisition.record.events import Event, EventKind, Severity
@@ -55,7 +55,7 @@ _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md":
 class RecordWriter:
     """Writes a record; only one thread may use it.
 
-    `path` holds all numbers. The first pixels create the file of pixels beside it (`pixels_beside`), which
+    `path` holds all numbers. The first pixels create the file of pixels beside it (`pixels_path`), which
     also holds the previews; deleting that file makes the record smaller, and nothing else.
 
     The files are created under their final names and never replace others; until it is closed, each is a
@@ -117,9 +117,9 @@ class RecordWriter:
             "deflection_unit": str(self._unit),
             "record_id": secrets.token_hex(8),
         }
-        if pixels_beside(path).exists():
+        if pixels_path(path).exists():
             raise RecordError(
-                f"{pixels_beside(path)}: exists already and is never overwritten; choose another name"
+                f"{pixels_path(path)}: exists already and is never overwritten; choose another name"
             )
         self._numbers = McapFile(path, number_topics(self._unit), reserve_bytes)
         self._pixels: McapFile | None = None
@@ -194,7 +194,7 @@ class RecordWriter:
         """The file of pixels, which is created when the first pixels are written."""
         if self._pixels is None:
             try:
-                self._pixels = McapFile(pixels_beside(self.path), PIXEL_TOPICS, self._reserve_bytes)
+                self._pixels = McapFile(pixels_path(self.path), PIXEL_TOPICS, self._reserve_bytes)
             except RecordError as error:
                 raise self._close_after_error(str(error)) from error
             self._pixels.add_metadata({"record": self._identity}, time.time_ns())

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import METADATA_COPY, SCHEMA_VERSION
@@ -101,7 +101,7 @@ def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="never overwritten"):
         recover(path, path)
     assert path.read_bytes() == before
-    pixels_beside(path).rename(tmp_path / "other.pixels.mcap")
+    pixels_path(path).rename(tmp_path / "other.pixels.mcap")
     with pytest.raises(RecordError, match=r"other\.pixels\.mcap: exists already and is never overwritten"):
         RecordWriter(tmp_path / "other.mcap", 0)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["other.pixels.mcap", "run.mcap"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import check_record, recover
 from acquisition.record.chunk import read_bytes
 from acquisition.record.reader import RecordReader
@@ -43,10 +43,10 @@ def test_an_unreadable_end_as_of_a_broken_chain_of_clusters(disk: Mounted, tmp_p
     path, cut = disk.folder / "run.mcap", tmp_path / "cut.mcap"
     write_sample(path, FRAMES, flush_interval_s=0.0)
     cut.write_bytes(path.read_bytes())
-    pixels = pixels_beside(path)
+    pixels = pixels_path(path)
     size = pixels.stat().st_size
     first = (2 * size // 3) // BLOCK_BYTES * BLOCK_BYTES
-    pixels_beside(cut).write_bytes(pixels.read_bytes()[:first])
+    pixels_path(cut).write_bytes(pixels.read_bytes()[:first])
     disk.spoil(first, size, pixels.name)
     spots, windows, doubts = read(path)
     _, expected_windows, _ = read(cut)
