@@ -23,12 +23,12 @@ def is_pixels(path: Path) -> bool:
     return path.name.endswith(PIXELS_SUFFIX)
 
 
-def records_of(folder: Path, pattern: str = "*.mcap") -> list[Path]:
+def records_in_folder(folder: Path, pattern: str = "*.mcap") -> list[Path]:
     """The records in a folder whose names match, sorted by name."""
     return sorted(path for path in folder.glob(pattern) if path.is_file() and not is_pixels(path))
 
 
-def records_in(path: Path) -> list[Path]:
+def resolve_records(path: Path) -> list[Path]:
     """The record at `path`, or the records of a session's folder by run number; a recovered copy replaces it.
 
     Raises ConfigurationError for a folder without records.
@@ -37,11 +37,11 @@ def records_in(path: Path) -> list[Path]:
         return [path]
     runs = sorted(
         (int(found[1]), file)
-        for file in records_of(path, "run-*.mcap")
+        for file in records_in_folder(path, "run-*.mcap")
         if (found := re.fullmatch(r"run-(\d+)", file.stem))
     )
     records = [copy if (copy := recovery_path(file)).exists() else file for _, file in runs]
-    records = records or records_of(path)
+    records = records or records_in_folder(path)
     if records:
         return records
     raise ConfigurationError(f"{path}: holds no record (run-1.mcap, ...); name one, or a session's folder")

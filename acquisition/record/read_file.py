@@ -25,7 +25,7 @@ from mcap.records import Attachment, AttachmentIndex, Channel, Header, McapRecor
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from acquisition.record import records_of
+from acquisition.record import records_in_folder
 from acquisition.record.chunk import (
     CHUNK_HEAD,
     HEAD,
@@ -384,7 +384,7 @@ def _open_mcap(path: Path) -> IO[bytes]:
         file = path.open("rb")
         head = read_bytes(file, 0, len(MAGIC) + 1)
     except FileNotFoundError:
-        names = [record.name for record in records_of(path.parent)][:5]
+        names = [record.name for record in records_in_folder(path.parent)][:5]
         present = ", ".join(names) or "no record; give the path of one"
         raise RecordError(f"{path}: no such record; {path.parent} has {present}") from None
     except OSError as error:

@@ -6,7 +6,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
-from acquisition.record import records_of, recovery_path
+from acquisition.record import records_in_folder, recovery_path
 from acquisition.record.digest import cached_sha256, sha256_of, utc
 from acquisition.record.events import EARLY_ENDS, end_of
 from acquisition.record.reader import RecordReader
@@ -103,7 +103,7 @@ def session_rows(folder: Path) -> tuple[list[Row], list[str]]:
         except RecordError as error:
             flaws.append(str(error))
     by_record = {folder / run.record: run for run in results if run.decay is None}
-    found = set(records_of(folder))
+    found = set(records_in_folder(folder))
     # a recovered copy takes the place of its record
     kept = {path for path in found if recovery_path(path) not in found}
     for path in sorted(kept | (by_record.keys() - found)):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from acquisition.record import records_in, recovery_path
+from acquisition.record import recovery_path, resolve_records
 from processing.errors import RigError
 from rig.commands.arguments import Record, group, in_json, input_option, new_file, one_record, output_option
 
@@ -21,7 +21,7 @@ def info(record: Record) -> None:
     Example:
       rig record info runs/first
     """
-    for each in records_in(record):
+    for each in resolve_records(record):
         _print_info(each)
 
 
@@ -123,7 +123,7 @@ def check(
     Example:
       rig record check runs/first
     """
-    raise typer.Exit(max([_print_check(each, results) for each in records_in(record)]))
+    raise typer.Exit(max([_print_check(each, results) for each in resolve_records(record)]))
 
 
 def _print_check(path: Path, results: Path | None) -> int:
