@@ -200,12 +200,12 @@ class RecordWriter:
             self._pixels.add_metadata({"record": self._identity}, time.time_ns())
         return self._pixels
 
-    def write_swing(self, swing: HalfCycle) -> None:
+    def write_half_cycle(self, half_cycle: HalfCycle) -> None:
         """Write one half-cycle; amplitude and centre in `deflection_unit`."""
-        values = [getattr(swing, name) for name in HalfCycle.__dataclass_fields__]
-        for_displays = [swing.amplitude / ARCSEC_RAD] if self._unit is DeflectionUnit.RAD else []
-        message = self._swing.encode(*values, *for_displays, 2.0 * swing.half_period_s)
-        self._add(SWING.topic, swing.turn_time_ns, message)
+        values = [getattr(half_cycle, name) for name in HalfCycle.__dataclass_fields__]
+        for_displays = [half_cycle.amplitude / ARCSEC_RAD] if self._unit is DeflectionUnit.RAD else []
+        message = self._swing.encode(*values, *for_displays, 2.0 * half_cycle.half_period_s)
+        self._add(SWING.topic, half_cycle.turn_time_ns, message)
 
     def write_balance(self, balance: Balance) -> None:
         """Write one balance. Raises ValueError if its unit is not the record's `deflection_unit`."""

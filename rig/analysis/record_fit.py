@@ -68,7 +68,7 @@ def analyse_record(
         return analyse_run(
             reader,
             config,
-            reader.swings(),
+            reader.half_cycles(),
             blocks,
             reader.deflection_unit,
             blocks.beam,

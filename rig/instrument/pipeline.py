@@ -99,7 +99,7 @@ class Block(NamedTuple):
             clocks = device_times_ns, host_times_ns
             writer.write_spots(numbers, *clocks, self.spots, self.deflections, self.references)
         for swing in self.swings:
-            writer.write_swing(swing)
+            writer.write_half_cycle(swing)
         for balance in self.balances:
             writer.write_balance(balance)
 

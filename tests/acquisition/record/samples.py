@@ -81,7 +81,7 @@ def write_sample(
             time_ns = int(times[-1])
             swing = HalfCycle(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
             done.swings.append(swing)
-            writer.write_swing(swing)
+            writer.write_half_cycle(swing)
             done.balances.append(sample_balance(rng, time_ns, unit))
             writer.write_balance(done.balances[-1])
             if first % (4 * BLOCK) == 0:

@@ -241,7 +241,7 @@ def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> 
     path = folder / "run.mcap"
     writer = RecordWriter(path, EPOCH_OFFSET_NS, flush_interval_s=1e9)
     for index in range(100):
-        writer.write_swing(HalfCycle(index, index, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
+        writer.write_half_cycle(HalfCycle(index, index, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
         if index == 59:
             writer.flush()
     cut_power(folder)
@@ -254,7 +254,7 @@ def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> 
     assert _run(["mount", "-o", "loop", str(image), str(folder)]) == ""
     with RecordReader(path) as reader:
         assert reader.truncated
-        assert [swing.index for swing in reader.swings()] == list(range(60))
+        assert [swing.index for swing in reader.half_cycles()] == list(range(60))
     recover(path, tmp_path / "whole.mcap")
     with RecordReader(tmp_path / "whole.mcap") as reader:
         assert reader.counts["/swing"] == 60

@@ -99,7 +99,7 @@ def test_a_whole_record_comes_back(tmp_path: Path, dtype: str) -> None:
         assert table["sequence"].tolist() == list(range(128))
         assert table["time_ns"].tolist() == [i * FRAME_NS for i in range(128)]
         assert table["host_time_ns"].tolist() == [i * FRAME_NS + 123 for i in range(128)]
-        assert reader.swings() == wrote.swings
+        assert reader.half_cycles() == wrote.swings
         windows = list(reader.windows())
         for window, (sequence, pixels, origin) in zip(windows, wrote.windows, strict=True):
             assert (window.sequence, window.origin_px) == (sequence, origin)
@@ -145,7 +145,7 @@ def test_without_calibration_the_file_says_px(tmp_path: Path) -> None:
         deflections = reader.deflections()
         assert deflections.unit is DeflectionUnit.PX
         assert same_bits(deflections.y, wrote.deflections[1])
-        assert reader.swings() == wrote.swings
+        assert reader.half_cycles() == wrote.swings
         assert "amplitude_px" in (reader.table("/swing").dtype.names or ())
 
 
@@ -178,7 +178,7 @@ def test_a_record_without_frames_is_a_record(tmp_path: Path) -> None:
     with RecordReader(path) as reader:
         assert len(reader.spots()) == 0
         assert reader.spots().dtype == SPOT.table_dtype
-        assert reader.swings() == []
+        assert reader.half_cycles() == []
         assert list(reader.windows()) == []
         assert not reader.truncated
 
@@ -220,7 +220,7 @@ def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
     swing = HalfCycle(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0)
     for write in (
         lambda: writer.write_event(0, "late", ""),
-        lambda: writer.write_swing(swing),
+        lambda: writer.write_half_cycle(swing),
         lambda: writer.write(Environment(5)),
     ):
         with pytest.raises(RecordError, match="closed"):
