@@ -74,7 +74,8 @@ def fast_mode(contact: ContactTruth, fast: FastModeTruth) -> ModeConstants:
 class Motion:
     """Motion of one mode, integrated block by block as far as it is asked for.
 
-    Times must not decrease from call to call, because earlier blocks are discarded.
+    Times must not decrease from call to call, because earlier blocks are discarded. Raises
+    ConfigurationError where the elastic adhesion exceeds 90 % of gravity's restoring moment.
 
     Parameters
     ----------
@@ -84,11 +85,6 @@ class Motion:
         Angle and its derivative at `start_s`; before, the pendulum is held at `held_rad`.
     ground
         Angle that the ground adds to the rest position, in rad; None: the ground does not move.
-
-    Raises
-    ------
-    ConfigurationError
-        The elastic adhesion exceeds 90 % of gravity's restoring moment.
     """
 
     def __init__(
@@ -100,12 +96,12 @@ class Motion:
         held_rad: float,
         ground: SmoothSeries | None = None,
     ) -> None:
-        largest_rad = math.hypot(angle_rad, rate_rad_per_s / mode.w0_rad_per_s)
-        softening = mode.kappa * 0.5 * math.pi * largest_rad**mode.n
+        amplitude_rad = math.hypot(angle_rad, rate_rad_per_s / mode.w0_rad_per_s)
+        softening = mode.kappa * 0.5 * math.pi * amplitude_rad**mode.n
         if softening > 0.9:
             raise ConfigurationError(
                 f"simulation.contact.gamma_pa: the elastic adhesion is {softening:.2f} of gravity's "
-                f"restoring moment at {largest_rad / ARCSEC_RAD:.4g} arcsec; at most 0.9 "
+                f"restoring moment at {amplitude_rad / ARCSEC_RAD:.4g} arcsec; at most 0.9 "
                 "is possible: lower gamma_pa"
             )
         self._mode = mode
@@ -129,26 +125,26 @@ class Motion:
         """Change the rate instantly at `time_s`, which must not be before a time already requested."""
         end_s = self._state[TIME]
         if time_s < end_s:
-            self._return_to(time_s)
+            self._discard_after(time_s)
         self._kicks = sorted([*self._kicks, (time_s, rate_rad_per_s)])
 
     def hold(self, time_s: float, angle_rad: float) -> None:
-        """Hold the pendulum at this angle from `time_s` until `let_go`."""
-        self._move_to(time_s)
+        """Hold the pendulum at this angle from `time_s` until `release`."""
+        self._bring_to(time_s)
         self._held = True
         self._state[ANGLE] = angle_rad
         self._state[RATE] = 0.0
         self._set_direction()
 
-    def let_go(self, time_s: float) -> None:
+    def release(self, time_s: float) -> None:
         """Release the pendulum at `time_s`, at rest at the angle at which it is held."""
-        self._move_to(time_s)
+        self._bring_to(time_s)
         self._held = False
         self._set_direction()
 
-    def load(self, time_s: float, push_rad: float, drag_s: float) -> None:
+    def set_load(self, time_s: float, push_rad: float, drag_s: float) -> None:
         """Apply a constant moment (as shift of the rest position) and a linear drag from `time_s` on."""
-        self._move_to(time_s)
+        self._bring_to(time_s)
         self._mode = self._mode._replace(push_rad=push_rad, drag_s=drag_s)
         self._set_direction()
 
@@ -214,14 +210,15 @@ class Motion:
             )
         return self._ground.pieces(time_s)
 
-    def _move_to(self, time_s: float) -> None:
-        """Bring the state to `time_s`: integrate, or discard what was integrated beyond it."""
+    def _bring_to(self, time_s: float) -> None:
+        """Bring the state to `time_s`: integrate up to it, or discard what was integrated after it."""
         if self._state[TIME] > time_s:
-            self._return_to(time_s)
+            self._discard_after(time_s)
         while self._state[TIME] < time_s:
             self.advance(time_s)
 
     def _set_direction(self) -> None:
+        """Set the direction of the state: that of the motion, or in which it starts from rest."""
         rate = self._state[RATE]
         if self._held:
             self._state[DIRECTION] = 0.0
@@ -232,8 +229,8 @@ class Motion:
                 self._state[TIME], self._state[ANGLE], self._pieces(), self._mode
             )
 
-    def _return_to(self, time_s: float) -> None:
-        """Discard the motion that was integrated beyond `time_s`."""
+    def _discard_after(self, time_s: float) -> None:
+        """Discard the motion that was integrated after `time_s`."""
         angles, rates = np.empty(1), np.empty(1)
         last, _ = equation_of_motion.sample(
             self._steps, self._step_index, self._n_steps, np.array([time_s]), 0, angles, rates
