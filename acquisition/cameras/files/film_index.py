@@ -72,13 +72,7 @@ class FilmIndex:
 
 
 def film_index(path: Path) -> FilmIndex:
-    """Index of a film, read once.
-
-    Raises
-    ------
-    DeviceError
-        No film, no picture in it, or packets without times.
-    """
+    """Index of a film, read once. Raises DeviceError for another file, and for packets without times."""
     container = open_film(path)
     try:
         if not container.streams.video:

@@ -86,10 +86,7 @@ class FrameTimes(NamedTuple):
 def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
     """Times of the frames of a source: from a CSV file, a stated rate, or the film itself.
 
-    Raises
-    ------
-    DeviceError
-        None of these, a CSV file that does not match the frames, or a rate that the film contradicts.
+    Raises DeviceError where all are missing, the file does not match, or the film contradicts the rate.
     """
     if settings.frame_rate_hz is not None:
         return _times_at_rate(settings, settings.frame_rate_hz, source)

@@ -38,17 +38,8 @@ _MAX_CLOCK_STEP_NS: Final = 15_000
 
 
 class Usb3VisionCamera(GenicamCamera[NodeMap]):
-    """Any USB3 Vision camera, through pyusb and libusb.
+    """Any USB3 Vision camera, through pyusb's `backend` (None: libusb 1.0).
 
-    Parameters
-    ----------
-    settings
-        The camera to use, and options of the driver.
-    backend
-        pyusb's backend; None: libusb 1.0.
-
-    Notes
-    -----
     After a loss of the camera and a new start the counts continue (`CameraStatus.reconnects`); frames are
     numbered from 0 again.
     """
@@ -73,11 +64,8 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
     def open(self) -> CameraInfo:
         """Find and claim the camera, and read the description of its features.
 
-        Raises
-        ------
-        DeviceError
-            genicam is not installed; no camera; several and no serial number given; wrong serial number; no
-            permission (the message names the udev rule); in use; or an invalid description.
+        Raises DeviceError where genicam is not installed, the choice of the camera is not clear, permission
+        is missing (the message names the udev rule), it is in use, or its description is invalid.
         """
         self.close()
         load_genapi()

@@ -45,8 +45,6 @@ _EXPOSURE_STEP_US = 100.0
 class V4l2Camera(DeviceCamera["LinuxSource"]):
     """A UVC or other Video4Linux camera, on Linux.
 
-    Notes
-    -----
     The driver numbers frames. Gaps count as lost by the host if all buffers were full, else as lost on the
     bus; frames that the driver marks as damaged have an error status. `open` finds the same camera again,
     also under another device number.

@@ -145,10 +145,7 @@ def list_cameras() -> list[PluggedCamera]:
 def find_device(path: str | None, serial: str | None) -> VideoDevice:
     """The device with this path (or number) or this serial number; without either, the only one connected.
 
-    Raises
-    ------
-    DeviceError
-        No such device; several, of which none is selected (the message lists them); or no permission.
+    Raises DeviceError where the choice is not clear (the message lists the devices) or permission is missing.
     """
     devices = list_devices()
     if path is not None:
