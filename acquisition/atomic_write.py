@@ -1,7 +1,7 @@
 """The one way to write a file: it is on the disk whole or not at all, also after a power failure.
 
 A file is written under a temporary name in its folder, flushed to the disk, and only then gets its own name.
-Files that a kill leaves have such a name, and are removed when they are a day old (`take_away_leftovers`).
+Files that a kill leaves have such a name, and are removed when they are a day old (`remove_leftovers`).
 """
 
 import contextlib
@@ -26,7 +26,7 @@ def write_new(path: Path, data: bytes) -> None:
 
     Raises FileExistsError, or OSError where it cannot be written.
     """
-    with being_written(path) as temporary:
+    with atomic_file(path) as temporary:
         _write(temporary, data)
 
 
@@ -40,7 +40,7 @@ def replace(path: Path, data: bytes, *, mode: int = 0o666) -> None:
 
 
 @contextlib.contextmanager
-def being_written(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Iterator[Path]:
     """A temporary name for a file, which is flushed and gets its own name when the block ends.
 
     The file is removed where the block raises. Raises FileExistsError, and OSError where it cannot be
@@ -55,7 +55,7 @@ def being_written(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def folder_being_written(path: Path) -> Iterator[Path]:
+def atomic_folder(path: Path) -> Iterator[Path]:
     """A temporary name for a folder of plain files, which gets its own name when the block ends.
 
     Raises FileExistsError, and OSError where it cannot be written.
@@ -72,7 +72,7 @@ def folder_being_written(path: Path) -> Iterator[Path]:
         sync_folder(path.parent)
 
 
-def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
+def remove_leftovers(folder: Path, name: str = "") -> list[Path]:
     """Remove files (all, or of one name) that killed processes left a day ago; returns their own paths."""
     targets: list[Path] = []
     with contextlib.suppress(OSError):
@@ -109,7 +109,7 @@ def sync_folder(folder: Path) -> None:
 @contextlib.contextmanager
 def _temporary_name(path: Path) -> Iterator[Path]:
     """A temporary name in the folder of a path; a file or folder that still has it at the end is removed."""
-    take_away_leftovers(path.parent, path.name)
+    remove_leftovers(path.parent, path.name)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
         yield temporary

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.atomic_write import being_written
+from acquisition.atomic_write import atomic_file
 from acquisition.record import pixels_path
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.mcap_file import McapFile
@@ -155,7 +155,7 @@ def recover(source: Path, path: Path) -> dict[str, str]:
     try:
         with contextlib.ExitStack() as stack:
             reader = stack.enter_context(RecordReader(source))
-            names = [stack.enter_context(being_written(name)) for name in (path, pixels)[: len(reader.files)]]
+            names = [stack.enter_context(atomic_file(name)) for name in (path, pixels)[: len(reader.files)]]
             counts: Counter[str] = Counter()
             copies: list[McapFile] = []
             topics = (number_topics(reader.deflection_unit), PIXEL_TOPICS)

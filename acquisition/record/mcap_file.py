@@ -17,7 +17,7 @@ from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_protobuf.schema import register_schema
 
-from acquisition.atomic_write import being_written, sync_file, sync_folder
+from acquisition.atomic_write import atomic_file, sync_file, sync_folder
 from acquisition.record.digest import lock_for_writing
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import LIBRARY, METADATA_COPY, Topics
@@ -200,7 +200,7 @@ class Disk:
             path = path.with_name(f"{path.stem}-{secrets.token_hex(4)}{path.suffix}")
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file.seek(0)
-        with being_written(path) as temporary, temporary.open("wb") as copy:
+        with atomic_file(path) as temporary, temporary.open("wb") as copy:
             shutil.copyfileobj(self._file, copy)
 
     def _release_reserve(self, error: OSError) -> bool:
