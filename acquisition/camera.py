@@ -1,6 +1,6 @@
 """The interface of every camera driver: frames, settings, counts, and the errors of a camera."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from operator import add, attrgetter
@@ -133,18 +133,13 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
         return features
 
 
-def refuse_unsupported(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError for each setting of `_NEUTRAL_VALUES` that is requested; for drivers without them."""
+def refuse_unsupported(settings: CameraSettings, name: str, supported: Collection[str] = ()) -> None:
+    """Raise DeviceError for a requested setting that not every driver supports, unless it is `supported`."""
     for key, neutral in _NEUTRAL_VALUES.items():
         value = getattr(settings, key)
-        if value not in (None, neutral):
+        if key not in supported and value not in (None, neutral):
             raise DeviceError(f"{name}: this driver knows no {key}; leave camera.{key} = {value!r} out")
-
-
-def refuse_features(settings: CameraSettings, name: str) -> None:
-    """As `refuse_unsupported`, and raise DeviceError for any feature; for drivers without features."""
-    refuse_unsupported(settings, name)
-    if settings.features:
+    if settings.features and "features" not in supported:
         raise DeviceError(
             f"{name}: has no features that can be set by name; leave [camera.features] out "
             f"({', '.join(settings.features)})"

@@ -15,7 +15,7 @@ from acquisition.camera import (
     Frame,
     FrameTimeout,
     Image,
-    refuse_features,
+    refuse_unsupported,
 )
 from acquisition.cameras.reading import check_end, check_range
 from acquisition.simulation.inputs import FaultSettings, RigInputs
@@ -96,7 +96,7 @@ class SimulatedCamera:
         self._must_be_open()
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{_NAME}: cannot be configured while frames are running; stop it first")
-        refuse_features(settings.model_copy(update={"binning": None}), _NAME)
+        refuse_unsupported(settings, _NAME, supported=("binning",))
         binning = settings.binning or self._sensor_settings.binning
         sensor = self._settings.sensor
         width_px, height_px = sensor.width_px // binning, sensor.height_px // binning

@@ -18,14 +18,14 @@ def pixels_path(record: Path) -> Path:
     return record.with_name(f"{record.stem}{PIXELS_SUFFIX}")
 
 
-def is_pixels(path: Path) -> bool:
+def is_pixel_file(path: Path) -> bool:
     """Whether a file is the file of pixels of a record, and not a record."""
     return path.name.endswith(PIXELS_SUFFIX)
 
 
 def records_in_folder(folder: Path, pattern: str = "*.mcap") -> list[Path]:
     """The records in a folder whose names match, sorted by name."""
-    return sorted(path for path in folder.glob(pattern) if path.is_file() and not is_pixels(path))
+    return sorted(path for path in folder.glob(pattern) if path.is_file() and not is_pixel_file(path))
 
 
 def resolve_records(path: Path) -> list[Path]:
@@ -36,9 +36,9 @@ def resolve_records(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     runs = sorted(
-        (int(found[1]), file)
+        (int(match[1]), file)
         for file in records_in_folder(path, "run-*.mcap")
-        if (found := re.fullmatch(r"run-(\d+)", file.stem))
+        if (match := re.fullmatch(r"run-(\d+)", file.stem))
     )
     records = [copy if (copy := recovery_path(file)).exists() else file for _, file in runs]
     records = records or records_in_folder(path)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
-from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_path
+from acquisition.record import PIXELS_SUFFIX, is_pixel_file, pixels_path
 from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Message
 from acquisition.record.chunk import Piece as Piece
 from acquisition.record.codec import decode_preview, decode_window, preview_step
@@ -61,7 +61,7 @@ class RecordReader:
     """
 
     def __init__(self, path: Path) -> None:
-        if is_pixels(path):
+        if is_pixel_file(path):
             record = path.name.removesuffix(PIXELS_SUFFIX)
             raise RecordError(f"{path}: has the pixels of a record; name the record beside it, {record}.mcap")
         self.path = path

@@ -250,22 +250,14 @@ def motions(settings: SimulationSettings, run: int = 0) -> tuple[Motion, Motion]
     slow_ground, fast_ground = (None, None) if ground is None else ground.drive_rad
     slow = slow_mode(settings.contact)
     fast = fast_mode(settings.contact, settings.fast)
-    release = settings.release
-    amplitude_rad = release.amplitude_arcsec * ARCSEC_RAD
-    fast_amplitude_rad = settings.fast.amplitude_arcsec * ARCSEC_RAD
-    phase = settings.fast.phase_rad
-    if release.way == "let go":
-        slow_motion = Motion(slow, amplitude_rad, 0.0, release.at_s, amplitude_rad, slow_ground)
-    elif release.way == "push":
-        slow_motion = Motion(slow, 0.0, amplitude_rad * slow.w0_rad_per_s, release.at_s, 0.0, slow_ground)
-    else:
-        return Motion(fast, 0.0, 0.0, 0.0, 0.0, fast_ground), Motion(slow, 0.0, 0.0, 0.0, 0.0, slow_ground)
-    fast_motion = Motion(
-        fast,
-        fast_amplitude_rad * math.cos(phase),
-        -fast_amplitude_rad * fast.w0_rad_per_s * math.sin(phase),
-        release.at_s,
-        fast_amplitude_rad * math.cos(phase) if release.way == "let go" else 0.0,
-        fast_ground,
+    release, phase_rad = settings.release, settings.fast.phase_rad
+    start_s, is_held = release.at_s, release.way == "let go"
+    slow_rad, fast_rad = release.amplitude_arcsec * ARCSEC_RAD, settings.fast.amplitude_arcsec * ARCSEC_RAD
+    if release.way == "by command":
+        start_s = slow_rad = fast_rad = 0.0
+    slow_start = (slow_rad, 0.0) if is_held else (0.0, slow_rad * slow.w0_rad_per_s)
+    fast_start = fast_rad * math.cos(phase_rad), -fast_rad * fast.w0_rad_per_s * math.sin(phase_rad)
+    return (
+        Motion(fast, *fast_start, start_s, fast_start[0] if is_held else 0.0, fast_ground),
+        Motion(slow, *slow_start, start_s, slow_rad if is_held else 0.0, slow_ground),
     )
-    return fast_motion, slow_motion

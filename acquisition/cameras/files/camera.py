@@ -15,7 +15,7 @@ from acquisition.camera import (
     CameraSettings,
     Frame,
     Image,
-    refuse_features,
+    refuse_unsupported,
 )
 from acquisition.cameras.files.frame_source import FilesSettings, StoredImage, UnreadableFrame, frame_times
 from acquisition.cameras.files.sources import open_source
@@ -148,7 +148,7 @@ class RecordedFrames:
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set the region of interest; return the settings that apply."""
         info = self.info
-        refuse_features(settings, info.serial)
+        refuse_unsupported(settings, info.serial)
         x0, y0 = settings.offset_x_px or 0, settings.offset_y_px or 0
         width = settings.width_px or info.width_px - x0
         height = settings.height_px or info.height_px - y0

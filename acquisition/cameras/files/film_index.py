@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
+from statistics import median_high
 from typing import TYPE_CHECKING, Any
 
 from acquisition.cameras.files.frame_source import ONE_IMAGE, missing_frames, numbers_by_steps
@@ -176,13 +177,10 @@ def _constant_rate(
             steps = [later - earlier for earlier, later in pairwise(numbers)]
             # a microsecond more than a tick, because some files state rates to nine digits only
             tolerance_s = tick_s + Fraction(1, 1_000_000) if tick_s * rate_hz != 1 else 0
-            if min(steps) > 0 and _median(steps) == 1 and max(errors) - min(errors) <= tolerance_s * rate_hz:
+            rounding = max(errors) - min(errors)
+            if min(steps) > 0 and median_high(steps) == 1 and rounding <= tolerance_s * rate_hz:
                 return Fraction(rate_hz), [number - numbers[0] for number in numbers]
     return None, []
-
-
-def _median(values: Sequence[int]) -> int:
-    return sorted(values)[len(values) // 2]
 
 
 def _missing_at_end(
@@ -190,7 +188,7 @@ def _missing_at_end(
 ) -> int:
     """Number of frames announced beyond the last packet; 0 for containers that do not state it exactly."""
     steps = [later - earlier for earlier, later in pairwise(ticks)]
-    step = _median(steps) if steps else last_ticks
+    step = median_high(steps) if steps else last_ticks
     start, container_name = stream.start_time or 0, container.format.name
     if "avi" in container_name and stream.average_rate and tick_s * stream.average_rate == 1:
         # a chunk without bytes, which repeats a frame, counts too

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from decimal import Decimal, InvalidOperation
 from itertools import accumulate, pairwise
 from pathlib import Path
+from statistics import median_high
 from typing import Any, Literal, NamedTuple, Self, TypeVar
 
 from numpy.typing import NDArray
@@ -195,7 +196,7 @@ def _require_rising(path: Path, name: str, values: list[int]) -> list[int]:
 def numbers_by_steps(ticks: Sequence[int]) -> list[int]:
     """Numbers of frames at a varying rate; only clearly longer steps of time count as missing frames."""
     steps = [later - earlier for earlier, later in pairwise(ticks)]
-    usual = sorted(steps)[len(steps) // 2] if steps else 1
+    usual = median_high(steps) if steps else 1
     increments = (round(step / usual) if step >= _MIN_GAP_STEPS * usual else 1 for step in steps)
     return list(accumulate(increments, initial=0))
 

@@ -329,12 +329,10 @@ def _describe(device: Any) -> FoundCamera:
     try:
         vendor, model, serial = (_text(device, index) for index in indices)
         accessible = True
-    except usb.core.USBError as error:
+    except (usb.core.USBError, NotImplementedError) as error:
         vendor = model = serial = ""
-        accessible = error.errno != errno.EACCES
-    except NotImplementedError:  # Windows, for a device without the driver WinUSB
-        vendor = model = serial = ""
-        accessible = False
+        # on Windows, a device without the driver WinUSB raises NotImplementedError
+        accessible = isinstance(error, usb.core.USBError) and error.errno != errno.EACCES
     finally:
         usb.util.dispose_resources(device)
     return FoundCamera(vendor, model, serial, device.speed or 0, accessible, device)

@@ -162,7 +162,7 @@ class LinuxSource:
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings, in an order in which no setting changes an earlier one."""
-        refuse_unsupported(settings.model_copy(update={"colour_plane": None}), self._name)
+        refuse_unsupported(settings, self._name, supported=("colour_plane", "features"))
         self._plane = settings.colour_plane or self._plane
         settings = region_to_sensor_px(settings.model_copy(update={"colour_plane": self._plane}))
         try:
