@@ -294,7 +294,7 @@ class RecordReader:
             if len(block):
                 yield block
 
-    def half_cycles(self, piece: Piece | None = None) -> list[HalfCycle]:
+    def swings(self, piece: Piece | None = None) -> list[HalfCycle]:
         """All half-cycles, or those in a piece, with amplitudes in `deflection_unit`."""
         # the first fields of a row are those of `HalfCycle` in order
         count = len(HalfCycle.__dataclass_fields__)

@@ -68,7 +68,7 @@ def analyse_record(
         return analyse_run(
             reader,
             config,
-            reader.half_cycles(),
+            reader.swings(),
             blocks,
             reader.deflection_unit,
             blocks.beam,

@@ -35,7 +35,7 @@ def _print_info(path: Path) -> None:
     with RecordReader(path) as reader:
         numbers, metadata = reader.numbers, reader.metadata
         losses, counts, files = reader.losses(), reader.counts, reader.files
-        swings, unit = reader.half_cycles(), reader.deflection_unit
+        swings, unit = reader.swings(), reader.deflection_unit
         attachments = {name: len(next(numbers.copies(name), b"")) for name in numbers.attachments}
         damage = reader.damages
     clean = [swing.amplitude / unit.shown_size for swing in swings if not swing.flags]

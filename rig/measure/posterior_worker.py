@@ -211,7 +211,7 @@ class FollowedRun:
     def read(self) -> None:
         """Read what was flushed since the last call."""
         for piece in self._reader.unread():
-            half_cycles = self._reader.half_cycles(piece)
+            half_cycles = self._reader.swings(piece)
             deflections = self._reader.deflections(self._reader.table(SPOT.topic, piece))
             self._waveform.update(deflections)
             self._waveform.add(half_cycles)

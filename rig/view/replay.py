@@ -112,7 +112,7 @@ class Replay:
         """Complete the last half-cycles; returns all results."""
         self._swings += self._pipeline.finish()[0]
         dropped = self._last_sequence + 1 - sum(map(len, self._deflections))
-        comparison = self._comparison.finish(self._reader.half_cycles(), self._swings)
+        comparison = self._comparison.finish(self._reader.swings(), self._swings)
         return ReplayResult(self._swings, self._deflections, dropped, comparison, self._beam)
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:

@@ -74,9 +74,9 @@ def cut(share: float) -> Callable[[bytes], bytes]:
     return lambda data: data[: int(share * len(data))]
 
 
-def true_times_s(film: Film, count: int = FRAMES) -> NDArray[np.float64]:
-    """When the frames were taken."""
-    ticks = film.pts if film.pts is not None else range(count)
+def true_times_s(film: Film) -> NDArray[np.float64]:
+    """Times at which the frames were taken."""
+    ticks = film.pts if film.pts is not None else range(FRAMES)
     return np.array([float(tick * (film.tick_s or 1 / film.rate_hz)) for tick in ticks])
 
 

@@ -48,9 +48,9 @@ def carried(times: list[int], host_ns: list[int], numbers: Iterable[int] | None 
     return all_of
 
 
-def steady(count: int = 300, first_ns: int = 10**9) -> list[int]:
+def steady(count: int = 300) -> list[int]:
     rng = np.random.default_rng(4)
-    return [first_ns + n * INTERVAL_NS + round(2e3 * rng.normal()) for n in range(count)]
+    return [10**9 + n * INTERVAL_NS + round(2e3 * rng.normal()) for n in range(count)]
 
 
 def off_ns(frames: list[Frame]) -> float:

@@ -133,7 +133,7 @@ def test_a_stranger_plots_the_decay(mcap_packages: Path, tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     with RecordReader(path) as reader:
-        swings = [swing for swing in reader.half_cycles() if not swing.flags]
+        swings = [swing for swing in reader.swings() if not swing.flags]
         expected = [
             (reader.utc(swing.turn_time_ns).timestamp(), swing.amplitude / ARCSEC_RAD) for swing in swings
         ]

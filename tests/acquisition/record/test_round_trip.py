@@ -99,7 +99,7 @@ def test_a_whole_record_comes_back(tmp_path: Path, dtype: str) -> None:
         assert table["sequence"].tolist() == list(range(128))
         assert table["time_ns"].tolist() == [i * FRAME_NS for i in range(128)]
         assert table["host_time_ns"].tolist() == [i * FRAME_NS + 123 for i in range(128)]
-        assert reader.half_cycles() == wrote.swings
+        assert reader.swings() == wrote.swings
         windows = list(reader.windows())
         for window, (sequence, pixels, origin) in zip(windows, wrote.windows, strict=True):
             assert (window.sequence, window.origin_px) == (sequence, origin)
@@ -145,7 +145,7 @@ def test_without_calibration_the_file_says_px(tmp_path: Path) -> None:
         deflections = reader.deflections()
         assert deflections.unit is DeflectionUnit.PX
         assert same_bits(deflections.y, wrote.deflections[1])
-        assert reader.half_cycles() == wrote.swings
+        assert reader.swings() == wrote.swings
         assert "amplitude_px" in (reader.table("/swing").dtype.names or ())
 
 
@@ -178,7 +178,7 @@ def test_a_record_without_frames_is_a_record(tmp_path: Path) -> None:
     with RecordReader(path) as reader:
         assert len(reader.spots()) == 0
         assert reader.spots().dtype == SPOT.table_dtype
-        assert reader.half_cycles() == []
+        assert reader.swings() == []
         assert list(reader.windows()) == []
         assert not reader.truncated
 

@@ -22,7 +22,7 @@ def test_a_record_alone_gives_the_results_of_its_session(
 def test_results_say_what_the_record_holds(analysed_series: Sequence[AnalysedRun]) -> None:
     run = analysed_series[0]
     with RecordReader(run.path) as reader:
-        spots, swings = reader.spots(), reader.half_cycles()
+        spots, swings = reader.spots(), reader.swings()
     assert run.frames == len(spots)
     assert run.dropped_frames == spots["sequence"][-1] + 1 - len(spots)
     assert run.simulated

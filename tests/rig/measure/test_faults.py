@@ -77,7 +77,7 @@ def test_disturbances_flag_half_cycles_and_the_run_goes_on(tmp_path: Path) -> No
     done = run_with(tmp_path / "out", session__max_duration_s="66", **faults)
     assert "Traceback" not in done.stderr
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
-        swings = reader.half_cycles()
+        swings = reader.swings()
     disturbed = HalfCycleFlag.VIBRATION | HalfCycleFlag.START
     flagged = [swing for swing in swings if swing.flags & disturbed and swing.index > 2]
     after_s = [[swing.turn_time_ns * 1e-9 - 1.0 - at_s for swing in flagged] for at_s in disturbed_s.values()]

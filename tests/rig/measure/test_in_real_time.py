@@ -29,7 +29,7 @@ def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
     assert (folder / "run-1.mcap").exists(), done.stderr
     with RecordReader(folder / "run-1.mcap") as reader:
-        swings = [swing for swing in reader.half_cycles() if swing.flags == 0]
+        swings = [swing for swing in reader.swings() if swing.flags == 0]
     events = events_of(folder / "run-1.mcap")
     kinds = [kind for kind, _ in events]
     assert kinds.count("rest") == 2  # free, then held

@@ -120,7 +120,7 @@ def test_a_session_ends_by_what_it_knows_and_its_record_says_how_it_stood(
         levels = {
             EVENT.decode(one.data)[1]: EVENT.decode(one.data)[3] for one in reader.messages(EVENT.topic)
         }
-        frames, swings = len(reader.spots()), reader.half_cycles()
+        frames, swings = len(reader.spots()), reader.swings()
     assert [one.phase for one in phases] == [Phase.MEASURING, Phase.CLOSING]
     assert phases[-1].reason == run["ended"]
     # this rig controls no laser

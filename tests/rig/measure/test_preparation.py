@@ -59,7 +59,7 @@ def test_a_release_by_hand_is_caught_from_before_it_happens_and_json_lines_say_a
     assert states[-1]["reason"].startswith("time limit")
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         spots = reader.spots()
-        swings = [swing for swing in reader.half_cycles() if swing.flags == 0]
+        swings = [swing for swing in reader.swings() if swing.flags == 0]
         attachments = set(reader.attachments)
     # the camera's clock shows 1 s at simulated time 0
     release_s = 8.0

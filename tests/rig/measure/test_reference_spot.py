@@ -95,7 +95,7 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
         less = without_beam_motion(reader, recorded_configuration(reader))
         assert less is not None
         assert less.used
-        before = scatter(reader.half_cycles())
+        before = scatter(reader.swings())
         after = scatter(
             swings_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
         )
@@ -136,7 +136,7 @@ def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None
         after = scatter(
             swings_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
         )
-        before = scatter(reader.half_cycles())
+        before = scatter(reader.swings())
     assert after[0] < 0.3 * before[0]
 
 

@@ -130,7 +130,7 @@ def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> N
     assert "Traceback" not in done.stderr
     with RecordReader(record) as reader:
         kinds = [event.kind for event in reader.events()]
-        swings = reader.half_cycles()
+        swings = reader.swings()
     assert "spot lost" in kinds
     # 124 arcsec are 250 px, the sensor ends at 220 px: more than an eighth of these half-cycles is outside
     gap = HalfCycleFlag.GAP

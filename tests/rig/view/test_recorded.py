@@ -34,7 +34,7 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     rrd, record = tmp_path / "shown.rrd", make_record(tmp_path / "run.mcap", 20.0, windows=True)
     show_record(record, rrd=rrd)
     with RecordReader(record) as reader:
-        seen, swings, balances = reader.deflections(), reader.half_cycles(), reader.balances()
+        seen, swings, balances = reader.deflections(), reader.swings(), reader.balances()
     times_s, x = scalars(rrd, "/deflection/x")
     np.testing.assert_allclose(x, seen.shown_x, rtol=1e-12)
     assert times_s[[0, -1]] == pytest.approx([0.0, 19.98], abs=1e-9)
