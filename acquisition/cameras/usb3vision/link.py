@@ -241,8 +241,8 @@ class FoundCamera:
     @property
     def name(self) -> str:
         """Name of the camera in messages."""
-        numbers = f"{self.device.idVendor:04x}:{self.device.idProduct:04x}"
-        maker = f"{self.vendor} {self.model}".strip() or numbers
+        maker = f"{self.vendor} {self.model}".strip()
+        maker = maker or f"{self.device.idVendor:04x}:{self.device.idProduct:04x}"
         return f"USB3 Vision camera {maker} (serial {self.serial or 'unreadable'})"
 
 
