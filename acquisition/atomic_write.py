@@ -1,7 +1,7 @@
 """The one way to write a file: it is on the disk whole or not at all, also after a power failure.
 
 A file is written under a temporary name in its folder, flushed to the disk, and only then gets its own name.
-Files that a kill leaves have such a name, and are removed when they are a day old (`take_away_leftovers`).
+Files that a kill leaves have such a name, and are removed when they are a day old (`remove_leftovers`).
 """
 
 import contextlib
@@ -22,11 +22,8 @@ _LEFTOVER_AGE_S = 24 * 3600.0
 
 
 def write_new(path: Path, data: bytes) -> None:
-    """Write a file that must not exist yet.
-
-    Raises FileExistsError, or OSError where it cannot be written.
-    """
-    with being_written(path) as temporary:
+    """Write a new file. Raises FileExistsError where it exists, OSError where it cannot be written."""
+    with atomic_file(path) as temporary:
         _write(temporary, data)
 
 
@@ -40,49 +37,45 @@ def replace(path: Path, data: bytes, *, mode: int = 0o666) -> None:
 
 
 @contextlib.contextmanager
-def being_written(path: Path) -> Iterator[Path]:
-    """A temporary name for a file, which is flushed and gets its own name when the block ends.
+def atomic_file(path: Path) -> Iterator[Path]:
+    """A temporary name for a new file, which is flushed and gets its own name when the block ends.
 
-    The file is removed where the block raises. Raises FileExistsError, and OSError where it cannot be
-    written.
+    The file is removed where the block raises. Exceptions are those of `write_new`.
     """
     _refuse_existing(path)
     with _temporary_name(path) as temporary:
         yield temporary
         _flush(temporary)
-        _take_free_name(temporary, path)
+        _rename_to_free(temporary, path)
         sync_folder(path.parent)
 
 
 @contextlib.contextmanager
-def folder_being_written(path: Path) -> Iterator[Path]:
-    """A temporary name for a folder of plain files, which gets its own name when the block ends.
-
-    Raises FileExistsError, and OSError where it cannot be written.
-    """
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """A temporary name for a new folder of plain files, as `atomic_file` for a file."""
     _refuse_existing(path)
     with _temporary_name(path) as temporary:
         temporary.mkdir()
         yield temporary
-        for place, _, files in os.walk(temporary):
+        for folder, _, files in os.walk(temporary):
             for file in files:
-                _flush(Path(place) / file)
-            sync_folder(Path(place))
+                _flush(Path(folder) / file)
+            sync_folder(Path(folder))
         temporary.rename(path)
         sync_folder(path.parent)
 
 
-def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
+def remove_leftovers(folder: Path, name: str = "") -> list[Path]:
     """Remove files (all, or of one name) that killed processes left a day ago; returns their own paths."""
     targets: list[Path] = []
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(folder)):
-            found = _LEFTOVER.fullmatch(entry.name)
-            if found is None or (name and found[1] != name):
+            match = _LEFTOVER.fullmatch(entry.name)
+            if match is None or (name and match[1] != name):
                 continue
             if time.time() - entry.stat(follow_symlinks=False).st_mtime > _LEFTOVER_AGE_S:
                 _remove(Path(entry.path))
-                targets.append(folder / found[1])
+                targets.append(folder / match[1])
     return targets
 
 
@@ -109,7 +102,7 @@ def sync_folder(folder: Path) -> None:
 @contextlib.contextmanager
 def _temporary_name(path: Path) -> Iterator[Path]:
     """A temporary name in the folder of a path; a file or folder that still has it at the end is removed."""
-    take_away_leftovers(path.parent, path.name)
+    remove_leftovers(path.parent, path.name)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
         yield temporary
@@ -129,7 +122,7 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _take_free_name(temporary: Path, path: Path) -> None:
+def _rename_to_free(temporary: Path, path: Path) -> None:
     """Give a file its name, which must be free."""
     try:
         os.link(temporary, path)

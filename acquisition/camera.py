@@ -1,7 +1,7 @@
 """The interface of every camera driver: frames, settings, counts, and the errors of a camera."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from operator import add, attrgetter
 from typing import Final, Literal, NamedTuple, Protocol, Self, runtime_checkable
@@ -23,12 +23,12 @@ class Frame(NamedTuple):
     Attributes
     ----------
     image
-        Shape (ny, nx), uint8 or uint16, in DN; read-only for everyone behind the camera. The
-        camera does not write to it again.
+        Shape (ny, nx), uint8 or uint16, in DN. No consumer may write to it, and the camera does not write
+        to it again.
     sequence
         The camera's own frame number, counted from 0 at `start`; a gap is a lost frame.
     device_time_ns
-        The camera's clock in integer nanoseconds: from a driver at the moment of the exposure that
+        The camera's clock in integer nanoseconds: in a driver at the moment of the exposure that
         `CameraInfo.stamped` states, in a session at its middle; -1 where the camera has no clock of its own.
     host_time_ns
         The host's monotonic clock when the frame arrived, before any processing.
@@ -57,18 +57,19 @@ FORMAT_OF_BITS: Final[dict[int, PixelFormat]] = {
 BITS_OF_FORMAT: Final = {name: bits for bits, name in FORMAT_OF_BITS.items()}
 FeatureValue = bool | int | float | str
 """Value of one of the camera's own features."""
-Stamped = Literal["start", "middle", "end"]
+TimestampMoment = Literal["start", "middle", "end"]
 """The moment of the exposure that a camera's timestamps mark."""
 ColourPlane = Literal["red", "green", "blue"]
 """The pixels of one colour of a sensor with a Bayer mosaic."""
 Edge = Literal["rising", "falling"]
 """The change of a trigger's voltage that starts an exposure."""
 
-
+BAYER_PERIOD_PX: Final = 2
+"""Distance, in x and in y, of neighbouring pixels of one colour in a Bayer mosaic."""
 _NEUTRAL_VALUES: Final = {"ptp": False, "binning": 1} | dict.fromkeys(
     ("trigger", "trigger_edge", "exposure_output", "colour_plane")
 )
-"""Settings that some drivers do not support, with the value (besides None) that requests nothing."""
+"""Settings that some drivers do not support, with the value that, like None, means "not requested"."""
 
 
 class FrameTimeout(DeviceError):
@@ -80,10 +81,10 @@ class CameraLost(DeviceError):
 
 
 class CameraSettings(BaseModel, frozen=True, extra="forbid"):
-    """Settings of a camera requested by the user; None keeps the camera's present value.
+    """Settings of a camera requested by the user.
 
-    The region of interest is in sensor pixels, x to the right, y down; width and height of the
-    frame are those of the region.
+    None keeps the camera's present value, except where a field says otherwise. The region of interest is in
+    pixels of the delivered image, x to the right, y down; the image has its width and height.
     """
 
     exposure_us: float | None = Field(default=None, gt=0)
@@ -121,31 +122,24 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
     @property
     def pitch_factor(self) -> int:
         """Distance of neighbouring pixels of the image, in those of the sensor."""
-        return (self.binning or 1) * (1 if self.colour_plane is None else 2)
+        return (self.binning or 1) * (1 if self.colour_plane is None else BAYER_PERIOD_PX)
 
     @field_validator("features")
     @classmethod
-    def _no_binning(cls, features: dict[str, FeatureValue]) -> dict[str, FeatureValue]:
-        for name in features:
-            if name in ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"):
+    def _refuse_binning_features(cls, features: dict[str, FeatureValue]) -> dict[str, FeatureValue]:
+        for name in ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"):
+            if name in features:
                 raise ValueError(f"{name}: set camera.binning instead, which the pixel pitch follows")
         return features
 
 
-def refuse_unsupported(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError for a requested trigger, exposure output, network clock, binning or colour plane; for
-    drivers that support none of them.
-    """
+def refuse_unsupported(settings: CameraSettings, name: str, supported: Collection[str] = ()) -> None:
+    """Raise DeviceError for a requested setting that not every driver supports, unless it is `supported`."""
     for key, neutral in _NEUTRAL_VALUES.items():
         value = getattr(settings, key)
-        if value not in (None, neutral):
+        if key not in supported and value not in (None, neutral):
             raise DeviceError(f"{name}: this driver knows no {key}; leave camera.{key} = {value!r} out")
-
-
-def refuse_features(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError as `refuse_unsupported`, and for any feature; for drivers without features."""
-    refuse_unsupported(settings, name)
-    if settings.features:
+    if settings.features and "features" not in supported:
         raise DeviceError(
             f"{name}: has no features that can be set by name; leave [camera.features] out "
             f"({', '.join(settings.features)})"
@@ -163,19 +157,15 @@ class ShutterKind(StrEnum):
     @classmethod
     def of(cls, word: str) -> Self:
         """The kind of shutter from the camera's own word for it, which is also in the record."""
-        if word.lower().startswith(cls.ROLLING):
-            return cls("rolling")
-        return cls("unknown" if not word else "global" if word == "Global" else "other")
+        if not word or word.lower().startswith(cls.ROLLING):
+            return cls("rolling" if word else "unknown")
+        # "GlobalReset" exposes its rows for different times, so it is no global shutter
+        return cls("global" if word == "Global" else "other")
 
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """Identity and sensor of the camera.
-
-    `full_scale_dn` is the largest possible value of a pixel, `stamped` the moment of the exposure that its
-    timestamps mark. `shutter` is the camera's own word for it ("Rolling", "Global", "GlobalReset"), empty
-    where it does not say.
-    """
+    """Identity and sensor of the camera."""
 
     driver: str
     vendor: str
@@ -184,65 +174,59 @@ class CameraInfo:
     width_px: int
     height_px: int
     full_scale_dn: int
+    """Largest possible value of a pixel."""
     has_clock: bool
-    stamped: Stamped = "start"
+    stamped: TimestampMoment = "start"
     shutter: str = ""
+    """The camera's own word for its shutter ("Rolling", "Global", "GlobalReset"); empty where it has none."""
 
 
 class PluggedCamera(NamedTuple):
-    """A connected camera as found by its driver, before it is opened.
-
-    `place` is its port, address or path; `modes` are its image modes as far as known. `problem` is the
-    reason why it cannot be used, or empty.
-    """
+    """A connected camera as found by its driver, before it is opened."""
 
     driver: str
     name: str
     serial: str
-    place: str
+    connection: str
+    """Port, network address, path, transport layer or USB speed, as text."""
     modes: tuple[str, ...] = ()
+    """Image modes, as far as known."""
     problem: str = ""
+    """Reason why the camera cannot be used; empty if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraStatus:
-    """Numbers of frames since `start`: delivered, and lost, by the place of the loss.
-
-    `error_status` are those that the camera or its driver marked as faulty, `incomplete` those of which a
-    part is missing. `wrong_id` are those that came again or too late, with an earlier number: no frame is
-    missing because of them.
-    """
+    """Counts since `start`: frames delivered, frames lost by the place of the loss, reconnections."""
 
     delivered: int = 0
     dropped_by_camera: int = 0
     dropped_by_bus: int = 0
     dropped_by_host: int = 0
     incomplete: int = 0
+    """Frames of which a part is missing."""
     reconnects: int = 0
     error_status: int = 0
+    """Frames that the camera or its driver marked as faulty."""
     wrong_id: int = 0
+    """Frames that came again or too late, with an earlier number; none is missing because of them."""
 
     @property
     def dropped(self) -> int:
-        """Total number of frames lost in camera, bus and host."""
-        elsewhere = self.dropped_by_camera + self.dropped_by_bus + self.dropped_by_host
-        return elsewhere + self.incomplete + self.error_status
+        """Total number of missing frames."""
+        return sum(_counts(self)) - self.delivered - self.reconnects - self.wrong_id
 
     def __add__(self, other: "CameraStatus") -> "CameraStatus":
         """Sum of the counts of two parts of a run, before and after a reconnection."""
         return CameraStatus(*map(add, _counts(self), _counts(other)))
 
-    def initial_counts(self, *, lost: bool) -> "CameraStatus":
-        """Counts with which the next `start` begins: after a loss these and one reconnection, otherwise 0."""
-        return replace(self, reconnects=self.reconnects + 1) if lost else CameraStatus()
-
 
 _counts: Callable[[CameraStatus], tuple[int, ...]] = attrgetter(
     *(field.name for field in fields(CameraStatus))
 )
-"""All counts; they are added with every block of frames, for which `astuple` copies too deeply."""
+"""All counts; `astuple` copies recursively, which is too slow for every block of frames."""
 
-CLOCK_STATES: Final = ("PtpStatus", "GevIEEE1588Status")
+PTP_STATUS_FEATURES: Final = ("PtpStatus", "GevIEEE1588Status")
 """Features with the state of the clock by the Precision Time Protocol: "Slave" follows the network's."""
 
 

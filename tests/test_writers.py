@@ -19,10 +19,10 @@ ALLOWED = {
     # the way itself, and records, which grow while they are measured and are proved by their own sums
     "acquisition/atomic_write.py": "is the way",
     "acquisition/record/mcap_file.py": "a record while it is measured, which a cut must leave readable",
-    # names that being_written or folder_being_written gave
-    "rig/report/export.py": "under the name that being_written gives",
-    "rig/settings/configuration_writer.py": "under the name that being_written gives",
-    "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
+    # names that atomic_file or atomic_folder gave
+    "rig/report/export.py": "under the name that atomic_file gives",
+    "rig/settings/configuration_writer.py": "under the name that atomic_file gives",
+    "rig/measure/plain_record.py": "in the folder that atomic_folder gives",
     # lines that are added, never changed
     "rig/prepare/learned_turns.py": "a history to which lines are added",
     "rig/measure/session_orders.py": "lines of a file beside the record, which holds them too",

@@ -16,29 +16,19 @@ from processing.errors import ConfigurationError, DeviceError
 
 
 class Driver(NamedTuple):
-    """Locations of the parts of a driver, each as ``module:name``.
-
-    Parameters
-    ----------
-    camera
-        A class that implements `acquisition.camera.Camera`, called with its settings.
-    settings
-        Frozen pydantic models in modules that are cheap to import. A field ``serial`` is filled from
-        ``camera.serial``.
-    find
-        A function that returns the connected cameras as `PluggedCamera`, and raises DeviceError if it cannot
-        search; empty for a driver without hardware.
-    sections
-        Sections of the configuration with the settings; empty: the single section ``[camera.NAME]``.
-    on_demand
-        Frames are generated or read when requested, so that none are lost.
-    """
+    """Locations of the parts of a driver, each as ``module:name``."""
 
     camera: str
+    """Class that implements `acquisition.camera.Camera`, called with its settings."""
     settings: tuple[str, ...]
+    """Frozen pydantic models in modules that are cheap to import; `camera.serial` fills a field `serial`."""
     find: str = ""
+    """Function that returns the connected cameras as `PluggedCamera`, and raises DeviceError if it cannot
+    search; empty for a driver without hardware."""
     sections: tuple[str, ...] = ()
+    """Sections of the configuration with the settings; empty: the single section ``[camera.NAME]``."""
     on_demand: bool = False
+    """Whether frames are made or read when requested, so that none are lost."""
 
 
 DRIVERS: dict[str, Driver] = {
@@ -99,7 +89,7 @@ def unknown_driver() -> str:
 
 def settings_models(name: str) -> tuple[type[BaseModel], ...]:
     """Classes of the settings of a driver."""
-    return tuple(cast(type[BaseModel], _load(place)) for place in find_driver(name).settings)
+    return tuple(cast(type[BaseModel], _load(location)) for location in find_driver(name).settings)
 
 
 def default_settings(model: type[BaseModel]) -> BaseModel | None:
@@ -108,27 +98,19 @@ def default_settings(model: type[BaseModel]) -> BaseModel | None:
 
 
 def make_camera(name: str, *settings: BaseModel) -> Camera:
-    """A camera that is not opened yet.
+    """A camera of a driver of `DRIVERS` that is not opened yet.
 
-    Parameters
-    ----------
-    name
-        A key of `DRIVERS`.
-    settings
-        Instances of the driver's settings classes, in their order; missing ones have default values.
-
-    Raises
-    ------
-    ConfigurationError
-        Unknown driver, or settings that are missing or belong to another driver.
+    `settings` are instances of the driver's settings classes, in their order; missing ones have default
+    values. Raises ConfigurationError for an unknown driver, and for settings that are missing or belong to
+    another driver.
     """
     models = settings_models(name)
-    full = [*settings, *(default_settings(model) for model in models[len(settings) :])]
-    if len(full) > len(models) or not all(map(isinstance, full, models)):
-        wanted = ", ".join(model.__name__ for model in models)
+    complete = [*settings, *(default_settings(model) for model in models[len(settings) :])]
+    if len(complete) > len(models) or not all(map(isinstance, complete, models)):
+        needed = ", ".join(model.__name__ for model in models)
         given = ", ".join(type(value).__name__ for value in settings) or "nothing"
-        raise ConfigurationError(f"camera driver {name!r} takes {wanted}; {given} was given")
-    return cast(Camera, _load(find_driver(name).camera)(*full))
+        raise ConfigurationError(f"camera driver {name!r} takes {needed}; {given} was given")
+    return cast(Camera, _load(find_driver(name).camera)(*complete))
 
 
 def find_cameras() -> tuple[list[PluggedCamera], list[str]]:
@@ -144,8 +126,8 @@ def find_cameras() -> tuple[list[PluggedCamera], list[str]]:
     return cameras, notes
 
 
-def _load(place: str) -> Any:
-    module, _, name = place.partition(":")
+def _load(location: str) -> Any:
+    module, _, name = location.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
@@ -154,14 +136,13 @@ BUFFERED_S = 0.1
 _MAX_BYTES = 256 * 1024 * 1024
 
 
-def buffer_count(rate_hz: float | None, frame_bytes: int, least: int, most: int) -> int:
-    """Number of buffers: as many as `rate_hz` fills in `BUFFERED_S`.
+def buffer_count(rate_hz: float | None, frame_bytes: int, minimum: int, maximum: int) -> int:
+    """Number of buffers, `minimum` to `maximum`: as many as `rate_hz` (None: unknown) fills in `BUFFERED_S`.
 
-    There are at least `least` at any rate, also where the camera states none (None), and at most `most`; all
-    together take at most 256 MiB.
+    All together take at most 256 MiB.
     """
-    wanted = max(least, math.ceil(BUFFERED_S * (rate_hz or 0.0)) + 1)
-    return max(2, min(wanted, most, _MAX_BYTES // max(frame_bytes, 1)))
+    needed = max(minimum, math.ceil(BUFFERED_S * (rate_hz or 0.0)) + 1)
+    return max(2, min(needed, maximum, _MAX_BYTES // max(frame_bytes, 1)))
 
 
 def frames_ahead(rate_hz: float | None, frame_bytes: int) -> int:

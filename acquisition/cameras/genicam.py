@@ -2,16 +2,23 @@
 
 from typing import Final, TypeVar
 
-from acquisition.camera import CLOCK_STATES, CameraSettings, ColourPlane, Edge, FeatureValue, PixelFormat
+from acquisition.camera import (
+    PTP_STATUS_FEATURES,
+    CameraSettings,
+    ColourPlane,
+    Edge,
+    FeatureValue,
+    PixelFormat,
+)
 from acquisition.cameras.genicam_access import RATE_SWITCH, FeatureAccess, NumericFeature, is_on
 from acquisition.cameras.pixel_formats import (
     ExpectedFrames,
     Format,
     format_of,
-    in_plane_px,
-    in_sensor_px,
     names_by_depth,
     preferred_name,
+    region_to_plane_px,
+    region_to_sensor_px,
 )
 from acquisition.cameras.reading import DeviceCamera
 from processing.errors import DeviceError
@@ -68,7 +75,7 @@ class GenicamFeatures(FeatureAccess):
         requested = settings.model_copy(update=sticky)
         self._set_binning(requested.binning or 1)
         self._wire(requested)
-        self._requested, settings = requested, in_sensor_px(requested)
+        self._requested, settings = requested, region_to_sensor_px(requested)
         self.set_format(settings.pixel_format)
         self.set_region(settings)
         self._set_times(settings)
@@ -87,15 +94,15 @@ class GenicamFeatures(FeatureAccess):
 
     def pixel_format(self) -> Format:
         """The present pixel format; DeviceError if the rig does not support it."""
-        found = self.present_format()
-        if found is not None:
-            return found
-        mosaic = not self.plane and format_of(self.format_name(), "red") is not None
+        present = self.present_format()
+        if present is not None:
+            return present
+        is_mosaic = not self.plane and format_of(self.format_name(), "red") is not None
         depths = ", ".join(names_by_depth(self.offered_formats(), self.plane))
         raise DeviceError(
             f"{self.name}: pixel format {self.format_name()} is not supported; "
             f"set one of: {depths or '(this camera has none)'}"
-            + (", or camera.colour_plane to the laser's colour" if mosaic else "")
+            + (", or camera.colour_plane to the laser's colour" if is_mosaic else "")
         )
 
     def expected_frames(self, *, has_clock: bool) -> ExpectedFrames:
@@ -110,12 +117,12 @@ class GenicamFeatures(FeatureAccess):
         if format_of(self.format_name(), "red") is None:
             self.set_format(None)
 
-    def set_format(self, wanted: PixelFormat | None) -> None:
-        """Set the format `wanted`, unless the present one has this depth; None: keep any supported one."""
+    def set_format(self, depth: PixelFormat | None) -> None:
+        """Set a format of this depth, unless the present one has it; None: keep any supported one."""
         offered, present = self.offered_formats(), self.present_format()
-        if present is not None and wanted in (None, present.pixel_format) and present.name in offered:
+        if present is not None and depth in (None, present.depth) and present.name in offered:
             return
-        self.put("PixelFormat", preferred_name(self.name, offered, wanted, self.plane))
+        self.put("PixelFormat", preferred_name(self.name, offered, depth, self.plane))
 
     # ---- wiring
 
@@ -128,17 +135,17 @@ class GenicamFeatures(FeatureAccess):
     def run_freely(self) -> None:
         """Switch all triggers off."""
         selectors = self.choices("TriggerSelector") if self.writable("TriggerSelector") else ()
-        before = self.read("TriggerSelector") if selectors else None
+        old_selector = self.read("TriggerSelector") if selectors else None
         for selector in selectors or ("",):
             if selector:
                 self.write("TriggerSelector", selector)
             if self.writable("TriggerMode") and self.read("TriggerMode") != "Off":
                 self.write("TriggerMode", "Off")
-        if before is not None:
-            self.write("TriggerSelector", before)
+        if old_selector is not None:
+            self.write("TriggerSelector", old_selector)
 
     def latch_clock_state(self) -> None:
-        """Have the camera renew its `CLOCK_STATES`, which some do on command only."""
+        """Have the camera renew its `PTP_STATUS_FEATURES`, which some do on command only."""
         if latch := next(filter(self.writable, _PTP_LATCHES), ""):
             self.write(latch, True)
 
@@ -165,18 +172,18 @@ class GenicamFeatures(FeatureAccess):
                 raise DeviceError(f"{self.name}: has no {_PTP[0]}; leave camera.ptp out")
 
     def _read_wiring(self, settings: CameraSettings) -> dict[str, str | bool]:
-        """Wiring read back from the camera, for those `settings` of it that are not None."""
-        found: dict[str, str | bool] = {}
+        """Trigger, exposure output and network clock as the camera reports them, if `settings` state them."""
+        wiring: dict[str, str | bool] = {}
         if settings.trigger is not None and self.read("TriggerMode") == "On":
-            found["trigger"] = str(self.read("TriggerSource"))
+            wiring["trigger"] = str(self.read("TriggerSource"))
             for edge, name in _EDGES.items():
                 if self.read("TriggerActivation") == name:
-                    found["trigger_edge"] = edge
+                    wiring["trigger_edge"] = edge
         if settings.exposure_output is not None and self.read("LineSource") == _EXPOSURE_SIGNAL:
-            found["exposure_output"] = str(self.read("LineSelector"))
+            wiring["exposure_output"] = str(self.read("LineSelector"))
         if settings.ptp is not None:
-            found["ptp"] = any(is_on(self.read(name)) for name in _PTP)
-        return found
+            wiring["ptp"] = any(is_on(self.read(name)) for name in _PTP)
+        return wiring
 
     # ---- inside
 
@@ -193,22 +200,21 @@ class GenicamFeatures(FeatureAccess):
 
     def _set_binning(self, binning: int) -> None:
         """Set the binning in both directions, without decimation; 1 undoes another program's binning."""
-        wanted = dict.fromkeys(_BINNING, binning) | dict.fromkeys(_DECIMATION, 1)
-        for name, value in wanted.items():
+        requested = dict.fromkeys(_BINNING, binning) | dict.fromkeys(_DECIMATION, 1)
+        for name, value in requested.items():
             present = self.read(name)
             if present is None and value == 1:
                 continue
             if present is None:
                 raise DeviceError(f"{self.name}: has no {name}; leave camera.binning out")
-            if float(present) != value:
-                if self.writable(name):
-                    self.write(name, value)
-                got = self.read(name)
-                if got is None or float(got) != value:
-                    raise DeviceError(
-                        f"{self.name}: {name} = {value} was requested, the camera reports {got}; "
-                        "set camera.binning to what it can do"
-                    )
+            if float(present) != value and self.writable(name):
+                self.write(name, value)
+                present = self.read(name)
+            if present is None or float(present) != value:
+                raise DeviceError(
+                    f"{self.name}: {name} = {value} was requested, the camera reports {present}; "
+                    "set camera.binning to what it can do"
+                )
 
     def _set_times(self, settings: CameraSettings) -> None:
         """Set exposure and frame rate, which limit each other, in the order in which both are possible.
@@ -218,37 +224,39 @@ class GenicamFeatures(FeatureAccess):
         exposure_us, rate_hz = settings.exposure_us, settings.frame_rate_hz
         if settings.trigger is not None:
             rate_hz = None
-            if self.writable(switch := self.find(RATE_SWITCH)):
+            if self.writable(switch := self.local_name(RATE_SWITCH)):
                 self.put(switch, False)
-        now_us = None if exposure_us is None else self.number("exposure_us")
-        wanted: list[tuple[NumericFeature, float | None]] = [
+        present_us = None if exposure_us is None else self.number("exposure_us")
+        times: list[tuple[NumericFeature, float | None]] = [
             ("exposure_us", exposure_us),
             ("frame_rate_hz", rate_hz),
         ]
-        if exposure_us is not None and now_us is not None and exposure_us > now_us:
-            wanted.reverse()
-        for key, value in wanted:
+        if exposure_us is not None and present_us is not None and exposure_us > present_us:
+            times.reverse()
+        for key, value in times:
             if value is not None:
                 self.set_number(key, value)
 
     def _read_back(self, settings: CameraSettings) -> CameraSettings:
         """The camera's present settings, in pixels of the colour plane; None for those that it lacks."""
         # a triggered camera is expected to be triggered at the requested rate
-        triggered_hz = min(filter(None, (settings.frame_rate_hz, self.possible_rate())), default=None)
+        triggered_hz = min(filter(None, (settings.frame_rate_hz, self.max_rate_hz())), default=None)
         x, y, width_px, height_px = self.region()
         applied = CameraSettings(
             exposure_us=self.number("exposure_us") or None,
             gain_db=self.number("gain_db"),
-            frame_rate_hz=self.free_rate() if settings.trigger is None else triggered_hz,
-            pixel_format=self.pixel_format().pixel_format,
+            frame_rate_hz=self.free_rate_hz() if settings.trigger is None else triggered_hz,
+            pixel_format=self.pixel_format().depth,
             binning=None if (binned := self.read(_BINNING[0])) is None else round(float(binned)),
             width_px=width_px,
             height_px=height_px,
             offset_x_px=x,
             offset_y_px=y,
-            features={name: self.value_for_user(name) for name in settings.features},
+            features={name: self.displayed_value(name) for name in settings.features},
         )
-        return in_plane_px(applied.model_copy(update=self._read_wiring(settings)), settings.colour_plane)
+        return region_to_plane_px(
+            applied.model_copy(update=self._read_wiring(settings)), settings.colour_plane
+        )
 
 
 _Features = TypeVar("_Features", bound=GenicamFeatures)
@@ -267,6 +275,6 @@ class GenicamCamera(DeviceCamera[_Features]):
         with self._lock, self._translate_errors():
             features = self._open_device()
             features.renew()
-            if name in CLOCK_STATES:
+            if name in PTP_STATUS_FEATURES:
                 features.latch_clock_state()
             return features.read(name)

@@ -88,7 +88,7 @@ class FeatureAccess(ABC):
 
     # ---- features by their standard names
 
-    def find(self, name: str) -> str:
+    def local_name(self, name: str) -> str:
         """The name of a feature in this camera, a usable one first; `name` itself if the camera has none."""
         present = [alias for alias in self.ALIASES.get(name, ()) if self.has(alias)] or [name]
         usable = (alias for alias in present if self.writable(alias) or self.read(alias) is not None)
@@ -96,15 +96,15 @@ class FeatureAccess(ABC):
 
     def set_feature(self, name: str, value: FeatureValue) -> FeatureValue:
         """Set a feature by the name in the user's settings; returns the value that the camera reports."""
-        found = self.find(name)
-        if not self.has(found):
+        feature = self.local_name(name)
+        if not self.has(feature):
             raise DeviceError(f"{self.name}: has no feature {name}; leave camera.features.{name} out")
-        self.put(found, value)
-        return self.value_for_user(name)
+        self.put(feature, value)
+        return self.displayed_value(name)
 
-    def value_for_user(self, name: str) -> FeatureValue:
+    def displayed_value(self, name: str) -> FeatureValue:
         """Present value of a feature for the user; empty if it is not readable."""
-        value = self.read(self.find(name))
+        value = self.read(self.local_name(name))
         return "" if value is None else value
 
     def put(self, feature: str, value: FeatureValue) -> None:
@@ -115,29 +115,29 @@ class FeatureAccess(ABC):
     def number(self, key: NumericFeature) -> float | None:
         """Present value of a quantity; None where the camera does not have it, or does not use it."""
         if key == "frame_rate_hz":
-            switch = self.read(self.find(RATE_SWITCH))
+            switch = self.read(self.local_name(RATE_SWITCH))
             if switch is not None and not is_on(switch):
                 return None
-        value = self.read(self.find(_NAMES[key]))
+        value = self.read(self.local_name(_NAMES[key]))
         return None if value is None else float(value)
 
-    def set_number(self, key: NumericFeature, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, value: float) -> None:
         """Set a quantity; DeviceError if the camera does not have it, or cannot be set to this value."""
         if key == "frame_rate_hz":
             self._choose_if_possible("AcquisitionFrameRateAuto", "Off")
-            if self.writable(switch := self.find(RATE_SWITCH)):
+            if self.writable(switch := self.local_name(RATE_SWITCH)):
                 self.put(switch, True)
-        found = self.find(_NAMES[key])
-        if not self.writable(found):
-            raise DeviceError(f"{self.name}: has no {found} that can be set; leave camera.{key} out")
-        low, high = self.limits(found)
-        check_range(self.name, key, wanted, low, high)
-        self.put(found, round(wanted) if isinstance(low, int) else wanted)
+        feature = self.local_name(_NAMES[key])
+        if not self.writable(feature):
+            raise DeviceError(f"{self.name}: has no {feature} that can be set; leave camera.{key} out")
+        low, high = self.limits(feature)
+        check_range(self.name, key, value, low, high)
+        self.put(feature, round(value) if isinstance(low, int) else value)
 
     def sensor_size(self, size: str) -> int:
         """Number of columns (`size` "Width") or rows ("Height") of the sensor that can be read out."""
-        present, offset = self.read(size), self.read("OffsetX" if size == "Width" else "OffsetY")
-        end = int(present or 0) + int(offset or 0)
+        length, offset = self.read(size), self.read("OffsetX" if size == "Width" else "OffsetY")
+        end = int(length or 0) + int(offset or 0)
         for name in (f"{size}Max", f"Sensor{size}"):
             if value := self.read(name):
                 return max(int(value), end)
@@ -153,38 +153,36 @@ class FeatureAccess(ABC):
     def set_region(self, requested: CameraSettings) -> None:
         """Set those of offset and size that are not None, in pixels of the sensor."""
         x, y, width_px, height_px = self.region()
-        for axis, start, length, present in (
-            ("x", requested.offset_x_px, requested.width_px, (x, width_px)),
-            ("y", requested.offset_y_px, requested.height_px, (y, height_px)),
+        for offset, size, start, length, old_start, old_length in (
+            ("OffsetX", "Width", requested.offset_x_px, requested.width_px, x, width_px),
+            ("OffsetY", "Height", requested.offset_y_px, requested.height_px, y, height_px),
         ):
-            offset, size = f"Offset{axis.upper()}", "Width" if axis == "x" else "Height"
-            before, wanted = present[0], length or present[1]
-            start = before if start is None else start
-            check_end(self.name, f"{size.lower()}_px", start, wanted, self.sensor_size(size))
+            start, length = old_start if start is None else start, length or old_length
+            check_end(self.name, f"{size.lower()}_px", start, length, self.sensor_size(size))
             try:
-                if wanted != present[1]:
-                    if before:
+                if length != old_length:
+                    if old_start:
                         self.put(offset, 0)  # the old offset may not allow a size that fits at the new one
-                    self.put(size, wanted)
+                    self.put(size, length)
             except BaseException:
-                start = before
+                start = old_start
                 raise
             finally:
                 if start != int(self.read(offset) or 0):
                     self.put(offset, start)
 
-    def possible_rate(self) -> float | None:
+    def max_rate_hz(self) -> float | None:
         """Highest rate in Hz that exposure, size and bus allow; None: unknown."""
         rates_hz = (float(self.read(name) or 0) for name in _RESULTING_RATES)
         return next(filter(None, rates_hz), None)
 
-    def stated_rate(self) -> float | None:
+    def expected_rate_hz(self) -> float | None:
         """Highest frame rate in Hz to expect, triggered or not; None if the camera states none."""
-        return min(filter(None, (self.number("frame_rate_hz"), self.possible_rate())), default=None)
+        return min(filter(None, (self.number("frame_rate_hz"), self.max_rate_hz())), default=None)
 
-    def free_rate(self) -> float | None:
+    def free_rate_hz(self) -> float | None:
         """Frame rate in Hz without a trigger; None: unknown."""
-        return self.stated_rate()
+        return self.expected_rate_hz()
 
     def info(self, driver: str, vendor: str, model: str, serial: str, *, has_clock: bool) -> CameraInfo:
         """Identity and sensor of the camera at its present pixel format."""
@@ -209,22 +207,22 @@ class FeatureAccess(ABC):
         """Names of the pixel formats that the camera offers now and the driver can read."""
         return self.choices("PixelFormat")
 
-    def _choose(self, feature: str, wanted: str, key: str) -> None:
-        """Set an enumeration for ``camera.KEY``; DeviceError with the choices if `wanted` is not one."""
+    def _choose(self, feature: str, choice: str, key: str) -> None:
+        """Set an enumeration for ``camera.KEY``; DeviceError with the choices if `choice` is not one."""
         if not self.writable(feature):
             raise DeviceError(f"{self.name}: has no {feature} that can be set; leave camera.{key} out")
         offered = self.choices(feature)
-        if wanted not in offered:
+        if choice not in offered:
             listed = ", ".join(offered)
             raise DeviceError(
-                f"{self.name}: camera.{key}: its {feature} cannot be {wanted}; it can be {listed}"
+                f"{self.name}: camera.{key}: its {feature} cannot be {choice}; it can be {listed}"
             )
-        self.write(feature, wanted)
+        self.write(feature, choice)
 
-    def _choose_if_possible(self, feature: str, wanted: str) -> None:
+    def _choose_if_possible(self, feature: str, choice: str) -> None:
         """Set an enumeration, if the camera has it, it can be set, and it offers this value."""
-        if wanted in self.choices(feature) and self.writable(feature):
-            self.write(feature, wanted)
+        if choice in self.choices(feature) and self.writable(feature):
+            self.write(feature, choice)
 
 
 def is_on(value: FeatureValue | None) -> bool:

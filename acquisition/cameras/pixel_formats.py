@@ -1,12 +1,12 @@
 """Supported pixel formats, and kernels that unpack the packed ones.
 
-Packed pixels are stored without gaps: ``p`` formats least significant bits first
-(Pixel Format Naming Convention), the older ``Packed`` formats with the low bits of two pixels shared
-in the middle byte (GigE Vision).
+Packed pixels are stored without gaps. In ``p`` formats the least significant bits come first (Pixel Format
+Naming Convention). In the older ``Packed`` formats the low bits of two pixels share the middle byte (GigE
+Vision).
 
 A colour plane of a sensor with a Bayer mosaic is one pixel of each square of four, as it was read; it equals
 a grey sensor of twice the pitch. Planes are not combined, because pixels of other colours than the laser's
-hold little light and all of their noise, and interpolated pixels are correlated.
+receive little light but have the full noise, and interpolated pixels are correlated.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -16,7 +16,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraSettings, ColourPlane, Image, PixelFormat
+from acquisition.camera import BAYER_PERIOD_PX, CameraSettings, ColourPlane, Image, PixelFormat
 from processing.errors import DeviceError
 from processing.kernel import kernel
 
@@ -82,19 +82,18 @@ def unpack_12_packed(packed: Bytes, pixels: NDArray[np.uint16]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One pixel format of the naming convention.
-
-    `transport_bits` is the number of bits of a pixel on the bus; `kernel` unpacks pixels that do not consist
-    of whole bytes. `colours` are those of the first two pixels of the first row of a Bayer mosaic.
-    """
+    """One pixel format of the naming convention."""
 
     name: str
     code: int
-    pixel_format: PixelFormat
+    depth: PixelFormat
     transport_bits: int
+    """Bits of a pixel on the bus."""
     full_scale_dn: int
     kernel: _Kernel | None = None
+    """Function that unpacks pixels which are not whole bytes."""
     colours: str = ""
+    """Colours of the first two pixels of the first row of a Bayer mosaic."""
 
     def prepare(self) -> None:
         """Compile the kernel now; compilation at the first frame would block the reading thread."""
@@ -119,8 +118,8 @@ class Format:
             rows = raw.reshape(height_px, -1)
             raw = np.ascontiguousarray(rows[:, : rows.shape[1] - x_padding]).reshape(-1)
         if self.kernel is None:
-            whole = raw if self.transport_bits == 8 else raw.view(np.uint16)
-            return whole.reshape(height_px, width_px)
+            unpacked = raw if self.transport_bits == 8 else raw.view(np.uint16)
+            return unpacked.reshape(height_px, width_px)
         pixels = np.empty(width_px * height_px, np.uint16)
         self.kernel(raw, pixels)
         return pixels.reshape(height_px, width_px)
@@ -138,14 +137,11 @@ FORMATS: Final = (
     Format("Mono14", 0x01100025, "mono14", 16, 16383),
     Format("Mono16", 0x01100007, "mono16", 16, 65535),
 )
-
-
-PITCH: Final = 2
-"""Distance of neighbouring pixels of a plane, in pixels of the sensor."""
 _REGION: Final = ("width_px", "height_px", "offset_x_px", "offset_y_px")
 _SECOND_ROW: Final = {"RG": "GB", "GR": "BG", "GB": "RG", "BG": "GR"}
 """Colours of the second row of a mosaic, by those of the first."""
-_DEPTHS: Final[tuple[tuple[str, PixelFormat, int, int, dict[str, int]], ...]] = (
+# suffix of the name, depth, bits on the bus, full scale in DN, codes by the colours of the first row
+_BAYER_ROWS: Final[tuple[tuple[str, PixelFormat, int, int, dict[str, int]], ...]] = (
     ("8", "mono8", 8, 255, {"GR": 0x01080008, "RG": 0x01080009, "GB": 0x0108000A, "BG": 0x0108000B}),
     ("10p", "mono10", 10, 1023, {"BG": 0x010A0052, "GB": 0x010A0054, "GR": 0x010A0056, "RG": 0x010A0058}),
     ("10", "mono10", 16, 1023, {"GR": 0x0110000C, "RG": 0x0110000D, "GB": 0x0110000E, "BG": 0x0110000F}),
@@ -156,7 +152,7 @@ _DEPTHS: Final[tuple[tuple[str, PixelFormat, int, int, dict[str, int]], ...]] = 
 _KERNELS: Final = {"10p": unpack_10p, "12p": unpack_12p}
 BAYER_FORMATS: Final = tuple(
     Format(f"Bayer{first}{suffix}", code, depth, bits, full_scale_dn, _KERNELS.get(suffix), first)
-    for suffix, depth, bits, full_scale_dn, codes in _DEPTHS
+    for suffix, depth, bits, full_scale_dn, codes in _BAYER_ROWS
     for first, code in codes.items()
 )
 
@@ -165,8 +161,8 @@ class KnownFormat(Protocol):
     """A pixel format that a driver can read, under the name that its cameras have for it."""
 
     @property
-    def pixel_format(self) -> PixelFormat:
-        """Its depth."""
+    def depth(self) -> PixelFormat:
+        """Bits of a pixel, as the configuration names them."""
 
     @property
     def colours(self) -> str:
@@ -191,7 +187,7 @@ def names_by_depth(
     found: dict[PixelFormat, list[str]] = {}
     for name, item in known.items():
         if name in offered and bool(item.colours) == bool(plane):
-            found.setdefault(item.pixel_format, []).append(name)
+            found.setdefault(item.depth, []).append(name)
     return found
 
 
@@ -225,12 +221,15 @@ def plane_of(image: Image, colours: str, plane: ColourPlane | None) -> Image:
     if plane is None:
         return image
     row, column = place_in_mosaic(colours, plane)
-    part: Image = image[row::PITCH, column::PITCH].copy()
-    return part
+    plane_image: Image = image[row::BAYER_PERIOD_PX, column::BAYER_PERIOD_PX].copy()
+    return plane_image
 
 
 def place_in_mosaic(colours: str, plane: ColourPlane) -> tuple[int, int]:
-    """Row and column of the first pixel of a colour, by the first row's colours; for green in the red row."""
+    """Row and column of the first pixel of a colour in a mosaic with these `colours` in its first row.
+
+    Of the two green pixels of a square, the one in the row of the red pixel is used.
+    """
     rows = (colours, _SECOND_ROW[colours])
     row = next(i for i, letters in enumerate(rows) if ("B" if plane == "blue" else "R") in letters)
     return row, rows[row].index(plane[0].upper())
@@ -238,43 +237,45 @@ def place_in_mosaic(colours: str, plane: ColourPlane) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True)
 class ExpectedFrames:
-    """Format and size of every frame of a run, whether the camera has a clock, and the colour to deliver."""
+    """Format and size of every frame of a run, and whether the camera has a clock."""
 
-    pixel_format: Format
+    format: Format
     width_px: int
     height_px: int
     has_clock: bool
     plane: ColourPlane | None
+    """Colour plane to deliver; None: all pixels."""
 
     def image_bytes(self, x_padding: int = 0) -> int:
         """Number of bytes of the image on the bus, with `x_padding` bytes after each row."""
-        return self.pixel_format.byte_count(self.width_px, self.height_px, x_padding)
+        return self.format.byte_count(self.width_px, self.height_px, x_padding)
 
-    def may_have_padding(self, x_padding: int) -> bool:
+    def can_strip_padding(self, x_padding: int) -> bool:
         """Whether `x_padding` bytes after each row can be left out."""
-        return not x_padding or self.pixel_format.rows_end_with_bytes(self.width_px)
+        return not x_padding or self.format.rows_end_with_bytes(self.width_px)
 
     def image(self, raw: Bytes, x_padding: int = 0) -> Image:
-        """The image in these bytes, of the colour to deliver; read-only."""
-        whole = self.pixel_format.image(raw, self.width_px, self.height_px, x_padding)
-        image = plane_of(whole, self.pixel_format.colours, self.plane)
+        """The image in these bytes, of the colour plane to deliver; read-only."""
+        mosaic = self.format.image(raw, self.width_px, self.height_px, x_padding)
+        image = plane_of(mosaic, self.format.colours, self.plane)
         image.flags.writeable = False
         return image
 
 
-def in_sensor_px(settings: CameraSettings) -> CameraSettings:
+def region_to_sensor_px(settings: CameraSettings) -> CameraSettings:
     """Settings with the region converted from pixels of the plane to those of the sensor, for the camera."""
-    return settings if settings.colour_plane is None else _in_px_of(settings, lambda px: px * PITCH)
+    if settings.colour_plane is None:
+        return settings
+    return settings.model_copy(update={name: px * BAYER_PERIOD_PX for name, px in _region(settings).items()})
 
 
-def in_plane_px(applied: CameraSettings, plane: ColourPlane | None) -> CameraSettings:
+def region_to_plane_px(applied: CameraSettings, plane: ColourPlane | None) -> CameraSettings:
     """Settings as read back, with the region converted from pixels of the sensor to those of the plane."""
     if plane is None:
         return applied
-    return _in_px_of(applied, lambda px: px // PITCH).model_copy(update={"colour_plane": plane})
+    region = {name: px // BAYER_PERIOD_PX for name, px in _region(applied).items()}
+    return applied.model_copy(update={**region, "colour_plane": plane})
 
 
-def _in_px_of(settings: CameraSettings, convert: Callable[[int], int]) -> CameraSettings:
-    stated = {name: getattr(settings, name) for name in _REGION}
-    found = {name: convert(value) for name, value in stated.items() if value is not None}
-    return settings.model_copy(update=found)
+def _region(settings: CameraSettings) -> dict[str, int]:
+    return {name: px for name in _REGION if (px := getattr(settings, name)) is not None}

@@ -54,8 +54,8 @@ class PylonFeatures(GenicamFeatures):
         else:
             node.FromString(str(value).lower() if isinstance(value, bool) else str(value))
 
-    def value_for_user(self, name: str) -> FeatureValue:
-        return str(self._node(self.find(name)).ToString())
+    def displayed_value(self, name: str) -> FeatureValue:
+        return str(self._node(self.local_name(name)).ToString())
 
     def offered_formats(self) -> tuple[str, ...]:
         # pylon makes arrays of whole words only
@@ -68,22 +68,21 @@ class PylonFeatures(GenicamFeatures):
         return node if node is not None and node.IsValid() else None
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
-        found: dict[str, FeatureValue] = {}
+        values: dict[str, FeatureValue] = {}
         for node in self._nodes.GetNodes():
             if node.IsReadable() and hasattr(node, "ToString") and not hasattr(node, "Features"):
-                # some features are reported as readable, and fail
+                # some features are reported as readable, and fail when they are read
                 with suppress(error):
-                    found[node.GetNode().GetName()] = str(node.ToString())
-        return found
+                    values[node.GetNode().GetName()] = str(node.ToString())
+        return values
 
     def tick_ns(self) -> float:
-        """Length of a tick in ns: USB cameras count ns, GigE cameras report a frequency (PTP changes it)."""
+        """Length of a tick in ns: USB cameras count ns, GigE cameras state a frequency, which PTP changes."""
         per_s = self.read(_TICKS_PER_S)
         return NS_PER_S / float(per_s) if per_s else 1.0
 
 
-_NO_BLOCK: Final = 2**64 - 1
-"""Block number that means "not known"."""
+_UNKNOWN_BLOCK_ID: Final = 2**64 - 1
 
 
 class PylonCamera(GenicamCamera[PylonFeatures]):
@@ -113,12 +112,12 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         self.close()
         pylon = self._pylon = load_pylon()
         factory = pylon.TlFactory.GetInstance()
-        plugged = [
+        connected = [
             (f"{device.GetModelName()} (serial {number})", number, device)
             for device in factory.EnumerateDevices()
             for number in [device.GetSerialNumber()]
         ]
-        device = only_camera("pylon", plugged, self._settings.serial)
+        device = only_camera("pylon", connected, self._settings.serial)
         self._name = f"pylon camera {device.GetModelName()} (serial {device.GetSerialNumber()})"
         with self._lock, self._translate_errors():
             camera = pylon.InstantCamera(factory.CreateDevice(device))
@@ -140,11 +139,12 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         with self._lock, self._translate_errors():
             features, camera = self._open_device(), self._camera
             self._must_be_idle()
+            # block numbers of old GigE cameras end at 65535
             self._begin((LAST_SHORT_ID,))
             self._format_and_plane = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             frame_bytes = camera.PayloadSize.Value
-            camera.MaxNumBuffer.Value = buffer_count(features.stated_rate(), frame_bytes, 64, 4096)
+            camera.MaxNumBuffer.Value = buffer_count(features.expected_rate_hz(), frame_bytes, 64, 4096)
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
             self._run = CameraRun(self._next, camera.StopGrabbing)
 
@@ -160,12 +160,11 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             return None
         try:
             if not result.GrabSucceeded():
-                self._numbers.lost_parts += 1
-                self._numbers.faulty += 1
+                self._numbers.lose_faulty()
                 return None
             # pylon's count of skipped images lacks other losses; the numbers of blocks show every loss
             block = int(result.GetBlockID())
-            number = self._numbers.number(None if block == _NO_BLOCK else block, "dropped_by_bus")
+            number = self._numbers.number(None if block == _UNKNOWN_BLOCK_ID else block, "dropped_by_bus")
             if number is None:
                 return None
             image = np.array(result.GetArray(), copy=True)
@@ -199,9 +198,8 @@ def load_pylon() -> Any:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """All cameras found by pylon, with the transport layer as `place`."""
-    devices = load_pylon().TlFactory.GetInstance().EnumerateDevices()
+    """All cameras found by pylon, with the transport layer as `connection`."""
     return [
         PluggedCamera("pylon", device.GetModelName(), device.GetSerialNumber(), device.GetDeviceClass())
-        for device in devices
+        for device in load_pylon().TlFactory.GetInstance().EnumerateDevices()
     ]

@@ -11,13 +11,14 @@ from acquisition.camera import CameraLost, CameraSettings, CameraStatus, Frame, 
 from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError, RigError
 
-_POLL_S: Final = 0.05  # longest wait for the camera, after which `read` checks for `stop`
-_STOP_S: Final = 0.4
+_POLL_S: Final = 0.05
+"""Longest wait for the camera, after which `read` checks for `stop`."""
+_STOP_TIMEOUT_S: Final = 0.4
 """Longest wait of `stop` for a read that is under way."""
 
 
 class CameraRun:
-    """One run of a camera, whose frames `read` takes; it is ended once, by `stop` or by an error.
+    """Frames of a camera from `start` to an end, which `stop` or an error brings once.
 
     Parameters
     ----------
@@ -102,6 +103,7 @@ class CameraRun:
         action()
 
     def _end(self) -> None:
+        """Release the resources of the run; a second call does nothing."""
         with self._ending:
             actions, self._at_end = self._at_end, []
             self._ended = True
@@ -110,7 +112,7 @@ class CameraRun:
 
 
 def check_range(name: str, key: str, value: float, low: float | None, high: float | None) -> None:
-    """Raise DeviceError, which states the range, for a value outside it; a limit of None is none."""
+    """Raise DeviceError, which states the range, for a value outside it; None: no limit."""
     low, high = -math.inf if low is None else low, math.inf if high is None else high
     if not low <= value <= high:
         raise DeviceError(f"{name}: {key} = {value:g} is out of range; {low:g} to {high:g} are possible")
@@ -125,19 +127,18 @@ def check_end(name: str, key: str, start_px: int, length_px: int, sensor_px: int
         )
 
 
-_Found = TypeVar("_Found")
+_Camera = TypeVar("_Camera")
 
 
 def only_camera(
     kind: str,
-    cameras: Sequence[tuple[str, str, _Found]],
+    cameras: Sequence[tuple[str, str, _Camera]],
     serial: str | None,
     setting: str = "camera.serial",
-) -> _Found:
-    """Of `cameras`, (name, serial number, camera) each, that of this number; None: the only one connected.
+) -> _Camera:
+    """The camera with this serial number, or for None the only one, of `cameras` (name, number, camera).
 
-    Raises DeviceError, with a list of the cameras, if there is none, or if the choice is ambiguous without
-    `setting`.
+    Raises DeviceError, with a list of the cameras, if there is none, or if only `setting` could decide.
     """
     chosen = [camera for _, number, camera in cameras if serial in (None, number)]
     listed = "; ".join(name for name, _, _ in cameras)
@@ -165,7 +166,7 @@ _Opened = TypeVar("_Opened", bound=AppliesSettings)
 class DeviceCamera(Generic[_Opened]):
     """Base of the drivers' cameras: settings, frames until a stop, counts that continue after a reconnection.
 
-    `_features` is the open device, `_run` the run since `start`; a driver sets both, and `_name`.
+    A driver sets `_features`, the open device, `_run`, the run since `start`, and `_name`.
     """
 
     _HINT: ClassVar[str] = ""
@@ -208,7 +209,7 @@ class DeviceCamera(Generic[_Opened]):
 
     def stop(self) -> None:
         if self._run is not None:
-            self._run.stop(_STOP_S)
+            self._run.stop(_STOP_TIMEOUT_S)
 
     @property
     def status(self) -> CameraStatus:
@@ -218,8 +219,8 @@ class DeviceCamera(Generic[_Opened]):
 
     def _begin(self, counters: tuple[int, ...] = (), *, has_clock: bool = False) -> BlockNumbers:
         """Begin to count frames from 0, or continue after a loss of the camera; see `BlockNumbers`."""
-        self._past_counts, self._was_lost = self.status.initial_counts(lost=self._was_lost), False
-        self._run = None
+        self._past_counts = self.status + CameraStatus(reconnects=1) if self._was_lost else CameraStatus()
+        self._run, self._was_lost = None, False
         self._numbers = BlockNumbers(self._name, counters, has_clock=has_clock)
         return self._numbers
 

@@ -15,7 +15,7 @@ from acquisition.camera import (
     Frame,
     FrameTimeout,
     Image,
-    refuse_features,
+    refuse_unsupported,
 )
 from acquisition.cameras.reading import check_end, check_range
 from acquisition.simulation.inputs import FaultSettings, RigInputs
@@ -26,8 +26,8 @@ from processing.units import nanoseconds, seconds
 
 _log = logging.getLogger(__name__)
 _NAME = "simulated camera"
-_AHEAD_BYTES = 16 * 1024 * 1024
-"""Memory of the images that are computed at once; the system gives so much in large pages, which is fast."""
+_DRAWN_BYTES = 16 * 1024 * 1024
+"""Memory of the images that are drawn at once; the system gives so much in large pages, which is fast."""
 
 
 class SimulatedCamera:
@@ -74,7 +74,7 @@ class SimulatedCamera:
         if self._reader is not None and self._reader.lost:
             self._reader.replug()
         if self._settings.real_time and self._reader is None:
-            # its first frame compiles kernels: while it is dark, for no watchdog waits for that
+            # the first frame compiles kernels, which takes longer than a watchdog waits once the light is on
             self._frames(None)
         self._opened = True
         sensor = self._settings.sensor
@@ -96,7 +96,7 @@ class SimulatedCamera:
         self._must_be_open()
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{_NAME}: cannot be configured while frames are running; stop it first")
-        refuse_features(settings.model_copy(update={"binning": None}), _NAME)
+        refuse_unsupported(settings, _NAME, supported=("binning",))
         binning = settings.binning or self._sensor_settings.binning
         sensor = self._settings.sensor
         width_px, height_px = sensor.width_px // binning, sensor.height_px // binning
@@ -104,14 +104,14 @@ class SimulatedCamera:
             self._sensor_settings = self._sensor_settings._replace(
                 binning=binning, offset_x_px=0, offset_y_px=0, width_px=width_px, height_px=height_px
             )
-        asked = {
+        requested = {
             name: value
             for name in SensorSettings._fields
             if (value := getattr(settings, name, None)) is not None
         }
         if settings.pixel_format is not None:
-            asked["bit_depth"] = BITS_OF_FORMAT[settings.pixel_format]
-        new = self._sensor_settings._replace(**asked)
+            requested["bit_depth"] = BITS_OF_FORMAT[settings.pixel_format]
+        new = self._sensor_settings._replace(**requested)
         if settings.width_px is not None and settings.offset_x_px is None:
             new = new._replace(offset_x_px=min(new.offset_x_px, max(width_px - new.width_px, 0)))
         if settings.height_px is not None and settings.offset_y_px is None:
@@ -144,10 +144,10 @@ class SimulatedCamera:
         self._runs += 1
 
     def _frames(self, inputs: RigInputs | None) -> "_SimulatedFrames":
-        """The frames of the next run, of which the first is drawn."""
+        """The frames of the next run; the first is drawn already."""
         scene = Scene(self._settings, self._faults, self._sensor_settings, self._runs, inputs)
         rate_hz = self._sensor_settings.frame_rate_hz
-        block = block_frames(rate_hz, inputs is not None)
+        block = block_frames(rate_hz, is_controlled=inputs is not None)
         return _SimulatedFrames(scene, block, self._settings, self._faults, rate_hz)
 
     def read(self, timeout_s: float) -> Frame | None:
@@ -183,14 +183,7 @@ class SimulatedCamera:
 class _SimulatedFrames:
     """Delivers the frames of a run; `stop` may be called by another thread.
 
-    Parameters
-    ----------
-    scene
-        The run.
-    block
-        Number of frames that are calculated at once, before they are drawn.
-    rate_hz
-        Frame rate.
+    `block` is the number of frames that are calculated at once, before they are drawn.
     """
 
     def __init__(
@@ -207,20 +200,22 @@ class _SimulatedFrames:
         self._rate_hz = rate_hz
         self._block = block
         self._plan: PlannedFrames = scene.plan(block)
-        self._ahead = 1 if settings.real_time else max(1, _AHEAD_BYTES // scene.image_bytes)
+        self._draw_count = 1 if settings.real_time else max(1, _DRAWN_BYTES // scene.image_bytes)
         self._drawn: dict[int, Image] = {}
         # the first image compiles kernels, so it is drawn before the run's clock starts and a reader waits
         self._draw(0)
         self._stopped = threading.Event()
         self._next = 0
-        self._numbered_from = 0
+        self._first_number = 0
         self._begin_ns = time.monotonic_ns()
         self._last_host_ns = 0
         self.status = CameraStatus()
-        self._unplug_at: float = _frame_at(faults.camera_unplugged_at_s, self._rate_hz)
-        self._stall_at: float = _frame_at(faults.frames_stalled_at_s, self._rate_hz)
-        self._stall_end: float = self._stall_at + math.ceil(faults.frames_stalled_duration_s * self._rate_hz)
-        self._end: float = _frame_at(settings.max_duration_s, self._rate_hz)
+        self._unplug_frame: float = _frame_at(faults.camera_unplugged_at_s, self._rate_hz)
+        self._stall_frame: float = _frame_at(faults.frames_stalled_at_s, self._rate_hz)
+        self._stall_end_frame: float = self._stall_frame + math.ceil(
+            faults.frames_stalled_duration_s * self._rate_hz
+        )
+        self._end_frame: float = _frame_at(settings.max_duration_s, self._rate_hz)
         self.lost = False
 
     @property
@@ -231,21 +226,21 @@ class _SimulatedFrames:
     @property
     def stalled(self) -> bool:
         """Whether no frames come although the camera is plugged in, which opening it again does not cure."""
-        return self._stall_at <= self._next < self._stall_end
+        return self._stall_frame <= self._next < self._stall_end_frame
 
     def stop(self) -> None:
         self._stopped.set()
 
     def read(self, timeout_s: float) -> Frame | None:
         deadline_ns = time.monotonic_ns() + nanoseconds(timeout_s)
-        stepped_s = 0.0
+        passed_s = 0.0
         while not self._stopped.is_set():
             if self.lost:
                 raise CameraLost(f"{_NAME}: is unplugged; plug it in, then open it again")
             frame = self._next
-            if frame >= self._end:
+            if frame >= self._end_frame:
                 return None
-            if frame >= self._unplug_at:
+            if frame >= self._unplug_frame:
                 self._lose()
                 continue
             if self._settings.real_time:
@@ -254,22 +249,22 @@ class _SimulatedFrames:
                         return None
                     raise FrameTimeout(f"{_NAME}: no frame within {timeout_s:g} s")
                 frame = self._skip_overrun(frame)
-            if self._stall_at <= frame < self._stall_end:
+            if self._stall_frame <= frame < self._stall_end_frame:
                 if self._settings.real_time:
-                    self._pass_over(1)
+                    self._skip(1)
                     continue
-                silent_s = (self._stall_end - frame) / self._rate_hz
-                if silent_s > timeout_s - stepped_s:
-                    self._pass_over(math.ceil((timeout_s - stepped_s) * self._rate_hz))
+                silent_s = (self._stall_end_frame - frame) / self._rate_hz
+                if silent_s > timeout_s - passed_s:
+                    self._skip(math.ceil((timeout_s - passed_s) * self._rate_hz))
                     raise FrameTimeout(f"{_NAME}: no frame within {timeout_s:g} s")
-                stepped_s += silent_s
-                self._pass_over(int(self._stall_end) - frame)
+                passed_s += silent_s
+                self._skip(int(self._stall_end_frame) - frame)
                 continue
-            row = self._row(frame)
-            if self._plan.dropped[row]:
-                self._pass_over(1)
+            index = self._index_in_plan(frame)
+            if self._plan.dropped[index]:
+                self._skip(1)
                 continue
-            return self._deliver(frame, row)
+            return self._deliver(frame, index)
         return None
 
     def replug(self) -> None:
@@ -277,18 +272,18 @@ class _SimulatedFrames:
         back_s = self._faults.camera_replugged_at_s
         if back_s is None:
             raise DeviceError(f"{_NAME}: is unplugged; plug it in")
-        back = math.ceil(back_s * self._rate_hz)
-        now = self._due(time.monotonic_ns()) if self._settings.real_time else max(back, self._next)
-        if now < back:
+        replug_frame = math.ceil(back_s * self._rate_hz)
+        due = self._due(time.monotonic_ns()) if self._settings.real_time else max(replug_frame, self._next)
+        if due < replug_frame:
             raise DeviceError(f"{_NAME}: is unplugged; plug it in")
-        self._unplug_at = math.inf
-        self._next = max(self._next, now)
+        self._unplug_frame = math.inf
+        self._next = max(self._next, due)
 
     def resume(self) -> None:
         """Continue the run; frames are numbered from 0 again."""
         if self._settings.real_time:
             self._next = max(self._next, self._due(time.monotonic_ns()))
-        self._numbered_from = self._next
+        self._first_number = self._next
         self.status += CameraStatus(reconnects=1)
         self.lost = False
         self._stopped.clear()
@@ -318,26 +313,26 @@ class _SimulatedFrames:
             self.status += CameraStatus(dropped_by_host=late)
         return self._next
 
-    def _pass_over(self, count: int) -> None:
+    def _skip(self, count: int) -> None:
+        """Lose the next frames in the camera."""
         self._next += count
         self.status += CameraStatus(dropped_by_camera=count)
 
-    def _row(self, frame: int) -> int:
+    def _index_in_plan(self, frame: int) -> int:
         while frame >= self._plan.first + self._block:
             self._plan = self._scene.plan(self._block)
             self._drawn.clear()
         return frame - self._plan.first
 
-    def _draw(self, row: int) -> None:
-        """Draw the image of a row of the plan; in simulated time also the following ones."""
-        images = self._scene.draw(self._plan, slice(row, row + self._ahead))
-        self._drawn = dict(enumerate(images, start=row))
+    def _draw(self, index: int) -> None:
+        """Draw the image of a frame of the plan; in simulated time also the following ones."""
+        images = self._scene.draw(self._plan, slice(index, index + self._draw_count))
+        self._drawn = dict(enumerate(images, start=index))
 
-    def _deliver(self, frame: int, row: int) -> Frame:
-        plan = self._plan
-        if row not in self._drawn:
-            self._draw(row)
-        image = self._drawn.pop(row)
+    def _deliver(self, frame: int, index: int) -> Frame:
+        if index not in self._drawn:
+            self._draw(index)
+        image = self._drawn.pop(index)
         host_ns = time.monotonic_ns()
         if self._settings.real_time:
             # a frame in the buffer arrived at its exposure, before it was read
@@ -346,10 +341,10 @@ class _SimulatedFrames:
         self._last_host_ns = host_ns
         self._next = frame + 1
         self.status += CameraStatus(delivered=1)
-        device_ns = int(plan.device_time_ns[row])
+        device_ns = int(self._plan.device_time_ns[index])
         if self._settings.real_time:
             device_ns = self._faulty_clock_ns(frame, device_ns)
-        return Frame(image, frame - self._numbered_from, device_ns, host_ns)
+        return Frame(image, frame - self._first_number, device_ns, host_ns)
 
     def _faulty_clock_ns(self, frame: int, device_ns: int) -> int:
         faults = self._faults

@@ -24,7 +24,8 @@ _MAX_BUFFERS: Final = 8
 """Images kept for comparison; a driver's ring of buffers rarely has more."""
 _INT_END: Final = 1 << 63
 """End of the signed integers of 64 bits."""
-_END_PATIENCE_S: Final = 10.0
+_END_TIMEOUT_S: Final = 10.0
+"""Longest wait for a `stop` or `close`."""
 READ_GRACE_S: Final = 10.0
 """A `read` that exceeds its timeout by this much hangs, and is abandoned."""
 _MAX_FUTURE_NS: Final = 1_000_000_000
@@ -79,7 +80,7 @@ class FrameChecks:
             numbers[1] = _INT_END - 1
             frame = frame._replace(device_time_ns=numbers[1])
         if set(map(type, numbers)) != {int} or not -_INT_END <= min(numbers) <= max(numbers) < _INT_END:
-            numbers = [_whole_number(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
+            numbers = list(map(_whole_number, Frame._fields[1:], numbers))
             frame = Frame(image, *numbers)
         number, _, host_time_ns = numbers
         ahead_ns = host_time_ns - time.monotonic_ns()
@@ -105,17 +106,17 @@ class FrameChecks:
         form = (image.shape, image.dtype)
         self._form = self._form or form
         if form != self._form:
-            (shape, kind), (ny, nx) = self._form, image.shape
+            (shape, dtype), (ny, nx) = self._form, image.shape
             raise _refusal(
                 f"frame {number} has {nx} x {ny} pixels of {image.dtype}, those before had "
-                f"{shape[1]} x {shape[0]} of {kind}",
+                f"{shape[1]} x {shape[0]} of {dtype}",
                 "leave its settings alone while it runs, then measure again",
             )
-        for before in self._newest:
-            may_have_changed = before is self._newest[-1] or np.may_share_memory(before.image, image)
-            if may_have_changed and not np.array_equal(_sampled_pixels(before.image), before.pixels):
+        for earlier in self._newest:
+            may_have_changed = earlier is self._newest[-1] or np.may_share_memory(earlier.image, image)
+            if may_have_changed and not np.array_equal(_sampled_pixels(earlier.image), earlier.pixels):
                 raise _refusal(
-                    f"the image of frame {before.number} has changed since it was delivered",
+                    f"the image of frame {earlier.number} has changed since it was delivered",
                     "its driver fills the same buffers again and again; give each frame an image of its own: "
                     "image.copy()",
                 )
@@ -157,25 +158,25 @@ def driver_errors(camera: str, what: str) -> Iterator[None]:
         raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
 
 
-def end_within(ending: Callable[[], object], name: str, patience_s: float = _END_PATIENCE_S) -> str:
-    """Call `ending` (stop or close) and wait for at most `patience_s`; returns the problem, or "".
+def end_within(ending: Callable[[], object], name: str, timeout_s: float = _END_TIMEOUT_S) -> str:
+    """Call `ending` (stop or close) and wait for at most `timeout_s`; returns the problem, or "".
 
     Measured data must not be lost because a driver hangs.
     """
-    raised: list[Exception] = []
+    errors: list[Exception] = []
 
     def end() -> None:
         try:
             ending()
         except Exception as error:
-            raised.append(error)
+            errors.append(error)
 
     thread = threading.Thread(target=end, name=name, daemon=True)
     thread.start()
-    thread.join(patience_s)
+    thread.join(timeout_s)
     if thread.is_alive():
-        return f"{name} has not returned for {patience_s:g} s, and is left to itself"
-    return f"{name} failed: {in_one_line(raised[0])}" if raised else ""
+        return f"{name} has not returned for {timeout_s:g} s, and is left to itself"
+    return f"{name} failed: {in_one_line(errors[0])}" if errors else ""
 
 
 class CameraCounts:
@@ -184,18 +185,18 @@ class CameraCounts:
     `take_remark` reports such a failure once; missing frames still show in the frame numbers.
     """
 
-    def __init__(self, ask: Callable[[], object]) -> None:
-        self._ask = ask
-        self._last = self._before = CameraStatus()
+    def __init__(self, read_status: Callable[[], object]) -> None:
+        self._read_status = read_status
+        self._last = self._before_restart = CameraStatus()
         self._remark, self._failure_reported = "", False
 
     @property
     def latest(self) -> CameraStatus:
         """Latest known counts; never raises."""
         try:
-            found = self._ask()
-            if not isinstance(found, CameraStatus):
-                raise TypeError(f"status is {type(found).__name__}, no CameraStatus")
+            status = self._read_status()
+            if not isinstance(status, CameraStatus):
+                raise TypeError(f"status is {type(status).__name__}, no CameraStatus")
         except Exception as error:
             if not self._failure_reported:
                 self._failure_reported = True
@@ -203,17 +204,17 @@ class CameraCounts:
                     f"cannot be read any more: {in_one_line(error)}; frames that are missing are seen by "
                     "their numbers"
                 )
-            return self._before + self._last
-        self._last = found
-        return self._before + found
+        else:
+            self._last = status
+        return self._before_restart + self._last
 
-    def go_on(self, before: CameraStatus) -> None:
-        """Take account of a restart after the camera was lost; `before` are its counts at the loss.
+    def go_on(self, at_loss: CameraStatus) -> None:
+        """Take account of a restart after the camera was lost; `at_loss` are its counts at the loss.
 
         A driver that has noticed the loss continues its counts; any other begins again at 0.
         """
-        if self.latest.reconnects == before.reconnects:
-            self._before = before
+        if self.latest.reconnects == at_loss.reconnects:
+            self._before_restart = at_loss
 
     def take_remark(self) -> str:
         """The warning since the last call; usually empty."""
@@ -228,8 +229,8 @@ class ReadMonitor:
     clock would also run while the program is suspended.
     """
 
-    def __init__(self, asked_s: float, hangs_s: float = READ_GRACE_S) -> None:
-        self._asked_s, self._limit_s = asked_s, asked_s + hangs_s
+    def __init__(self, timeout_s: float, grace_s: float = READ_GRACE_S) -> None:
+        self._timeout_s, self._limit_s = timeout_s, timeout_s + grace_s
         self._read: object | None = None
         self._read_at_last_check: object | None = None
         self._waited_s = 0.0
@@ -244,15 +245,16 @@ class ReadMonitor:
 
     def check(self, waited_s: float) -> str:
         """Add a wait (0: a frame came); returns a message if the `read` hangs, else ""."""
-        read, before = self._read, self._read_at_last_check
-        same = read is not None and read is before
-        self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
+        # the reading thread may change it meanwhile
+        read = self._read
+        is_same_read = read is not None and read is self._read_at_last_check
+        self._waited_s = self._waited_s + waited_s if is_same_read and waited_s else 0.0
         self._read_at_last_check = read
         if self._waited_s < self._limit_s:
             return ""
         return (
             f"camera: read() has not returned for {self._waited_s:.0f} s; it was asked to wait for "
-            f"{self._asked_s:g} s at most: its driver hangs"
+            f"{self._timeout_s:g} s at most: its driver hangs"
         )
 
 
@@ -272,7 +274,7 @@ class ClockCheck:
     def restart(self) -> None:
         """Begin a new stretch, after the camera was reopened."""
         self._stretch: list[tuple[int, int]] = []
-        self._soonest: tuple[int, int] | None = None
+        self._last_minimum: tuple[int, int] | None = None
 
     def see(self, frame: Frame) -> None:
         """Take the next frame into account; raises DeviceError if the clock cannot be right."""
@@ -282,22 +284,23 @@ class ClockCheck:
         stretch.append((host_ns - frame.device_time_ns, host_ns))
         if host_ns - stretch[0][1] < _STRETCH_NS or len(stretch) < _MIN_FRAMES:
             return
-        before, self._soonest, self._stretch = self._soonest, min(stretch), []
-        if before is not None:
-            self._compare(*before, *self._soonest)
+        previous, self._last_minimum, self._stretch = self._last_minimum, min(stretch), []
+        if previous is not None:
+            self._compare(*previous, *self._last_minimum)
 
-    def _compare(self, late_before_ns: int, before_ns: int, late_ns: int, host_ns: int) -> None:
-        drift_ppm = 1e6 * (late_before_ns - late_ns) / max(host_ns - before_ns, 1)
+    def _compare(self, delay1_ns: int, host1_ns: int, delay2_ns: int, host2_ns: int) -> None:
+        """Compare the smallest delays of two stretches, at these times of the computer's clock."""
+        drift_ppm = 1e6 * (delay1_ns - delay2_ns) / max(host2_ns - host1_ns, 1)
         if abs(drift_ppm) <= MAX_DRIFT_PPM:
             self._done = True
             return
         self._drifts_ppm = [*self._drifts_ppm, drift_ppm][-_AGREEING_STRETCHES:]
-        mean = sum(self._drifts_ppm) / len(self._drifts_ppm)
-        same = all(abs(drift - mean) < _MAX_SPREAD * abs(mean) for drift in self._drifts_ppm)
-        if len(self._drifts_ppm) == _AGREEING_STRETCHES and same:
+        mean_ppm = sum(self._drifts_ppm) / len(self._drifts_ppm)
+        agree = all(abs(drift - mean_ppm) < _MAX_SPREAD * abs(mean_ppm) for drift in self._drifts_ppm)
+        if len(self._drifts_ppm) == _AGREEING_STRETCHES and agree:
             raise DeviceError(
-                f"{clock_rate_text(mean)}, at most {MAX_DRIFT_PPM:g} ppm are possible: its times cannot be "
-                "used; the driver misreads its unit, or the computer's clock was set: see rig doctor"
+                f"{clock_rate_text(mean_ppm)}, at most {MAX_DRIFT_PPM:g} ppm are possible: its times cannot "
+                "be used; the driver misreads its unit, or the computer's clock was set: see rig doctor"
             )
 
 

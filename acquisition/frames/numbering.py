@@ -30,13 +30,16 @@ _AGREEING_FRAMES = 3
 """Number of frames that must agree on a step before it is accepted."""
 _MAX_WAITING = 12
 """Number of doubtful frames (each holds an image) that forces a decision, unless the reader is behind."""
-_MAX_WAITING_BEHIND, _MAX_WAITING_BYTES = 2000, 64 * 1024 * 1024
-"""The same limit, and one of memory, for a reader that is behind, whose frames do not tell when they came."""
+_MAX_WAITING_BEHIND = 2000
+"""As `_MAX_WAITING`, for a reader that is behind, whose frames do not show when they came."""
+_MAX_WAITING_BYTES = 64 * 1024 * 1024
+"""Memory of doubtful frames that forces a decision, too, where the reader is behind."""
 _MAX_QUEUED_DELAY_NS = 800_000_000.0
-"""`MAX_READING_DELAY_NS` for a frame that was not waited for, but lay in the driver until it was read."""
-_COUNTERS_NS: Final = tuple((1 << 32) * tick_ns for tick_ns in (1, 8, 10, 16, 20, 40, 100, 1000))
+"""As `MAX_READING_DELAY_NS`, for a frame that lay in the driver until it was read."""
+_COUNTER_PERIODS_NS: Final = tuple((1 << 32) * tick_ns for tick_ns in (1, 8, 10, 16, 20, 40, 100, 1000))
 """Times after which a counter of 32 bits begins again, for usual lengths of its tick."""
 _SILENCE_MARGIN_S = 0.35
+"""Addition to two frame intervals, so that an interruption is reported within 0.5 s of them."""
 _MIN_CLOCK_RESET_NS = 1_000_000_000
 """Smallest disagreement of the two clocks over a gap that means that the camera's was reset in it."""
 _U_BY_HOST_NS = 2_000_000
@@ -44,23 +47,24 @@ _U_BY_HOST_NS = 2_000_000
 
 
 class NumberedFrames(NamedTuple):
-    """Frames with final numbers and times, notes as (kind, text), and the steps that were subtracted.
-
-    A step's time is that of the frame after it. A step of 0 means that the clock was abandoned; its
-    uncertainty is then that of each later time.
-    """
+    """Frames with final numbers and times, and events of the camera's clock."""
 
     frames: list[Frame]
     notes: tuple[tuple[EventKind, str], ...] = ()
+    """Kinds and texts of events."""
     steps: tuple[RecordedClockStep, ...] = ()
+    """Steps of the clock that were subtracted, each with the time of the frame after it. A step of 0 means
+    that the clock was abandoned; its uncertainty is then that of each later time."""
 
 
-class _Doubtful(NamedTuple):
-    """A frame whose time is in doubt, its deviation from the expected time, and the camera's own time."""
+class _DoubtfulFrame(NamedTuple):
+    """A frame whose time is in doubt."""
 
     frame: Frame
     off_ns: float
-    shown_ns: int
+    """Deviation of its time from the expected time."""
+    camera_ns: int
+    """Its time as the camera stated it."""
 
 
 class FrameLine:
@@ -73,8 +77,14 @@ class FrameLine:
 
     Each frame is checked first, and a clock that cannot be right is refused (`guard`).
 
-    `missing` counts the frames missed while the camera was gone, `rejected` those with times that fitted
-    neither clock, `wraps` how often a counter of the camera began again.
+    Attributes
+    ----------
+    missing
+        Number of frames missed while the camera was gone.
+    rejected
+        Number of frames whose times fitted neither clock.
+    wraps
+        Number of times that a counter of the camera began again.
     """
 
     def __init__(self, time_shift_ns: int = 0, *, in_real_time: bool = False) -> None:
@@ -83,20 +93,17 @@ class FrameLine:
         self._checks = FrameChecks(in_real_time=in_real_time)
         self._clock_check = ClockCheck()
         self._timing = FrameTiming()
-        self._waiting: list[_Doubtful] = []
+        self._waiting: list[_DoubtfulFrame] = []
         self._before_gap: Frame | None = None
         self._number_offset = self._offset_ns = 0
         self._clock_abandoned = False
         self._steps_ns: list[float] = []
         self.missing = self.rejected = self.wraps = 0
 
-    def patience_s(self, without_s: float) -> float:
-        """Longest normal time without a frame: two frame intervals and a margin; `without_s` at the start.
-
-        With this margin an interruption is reported within two frame intervals plus 0.5 s.
-        """
+    def patience_s(self, initial_s: float) -> float:
+        """Longest normal time without a frame: two frame intervals and a margin; `initial_s` at the start."""
         usual_ns = self._timing.interval_ns
-        return 2 * S_PER_NS * usual_ns + _SILENCE_MARGIN_S if usual_ns else without_s
+        return 2 * S_PER_NS * usual_ns + _SILENCE_MARGIN_S if usual_ns else initial_s
 
     def restart(self) -> None:
         """Take account of a camera that was opened again: the next frame is its first, its clock is new."""
@@ -109,38 +116,40 @@ class FrameLine:
         self._offset_ns = 0
         self._clock_abandoned = False
 
-    def take(self, read: object) -> NumberedFrames:
-        """Frames that are final after this one was `read`: none while a step is in doubt, several afterwards.
+    def take(self, item: object) -> NumberedFrames:
+        """Frames that are final after `item` was read: none while a step is in doubt, several afterwards.
 
         Raises DeviceError, in one line, for a frame or a clock that `guard` refuses.
         """
-        frame = self._checks.check(read)
+        frame = self._checks.check(item)
         if self._in_real_time:
             self._clock_check.see(frame)
-        shown_ns = frame.device_time_ns
-        has_time = 0 <= shown_ns < NO_TIME_NS
+        camera_ns = frame.device_time_ns
+        has_time = 0 <= camera_ns < NO_TIME_NS
         before_gap, timing = self._before_gap, self._timing
-        continues = before_gap is not None and (shown_ns < NO_TIME_NS or not self._in_real_time)
+        continues = before_gap is not None and (camera_ns < NO_TIME_NS or not self._in_real_time)
         note, step = (
             self._after_gap(frame, before_gap) if before_gap is not None and continues else (None, [])
         )
-        time_ns = self._middle_ns(frame) + self._offset_ns if has_time else shown_ns
-        if self._number_offset or time_ns != shown_ns:
+        time_ns = self._middle_ns(frame) + self._offset_ns if has_time else camera_ns
+        if self._number_offset or time_ns != camera_ns:
             frame = Frame(frame.image, frame.sequence + self._number_offset, time_ns, frame.host_time_ns)
-        if shown_ns < 0 or not self._in_real_time:
-            passed = NumberedFrames([timing.learn(frame)])
+        if camera_ns < 0 or not self._in_real_time:
+            final = NumberedFrames([timing.learn(frame)])
         elif self._clock_abandoned:
-            passed = NumberedFrames([timing.time_by_arrival(frame)])
+            final = NumberedFrames([timing.time_by_arrival(frame)])
         else:
             off_ns = math.inf if timing.last is None or not has_time else self._off_ns(frame, timing.last)
-            if has_time and (off_ns is None or timing.last is None):
-                # one of the clocks confirms the time
-                passed = self._confirmed(frame) if self._waiting else NumberedFrames([timing.learn(frame)])
+            is_confirmed = has_time and (off_ns is None or timing.last is None)
+            if not is_confirmed:
+                final = self._hold_back(_DoubtfulFrame(frame, off_ns or 0.0, camera_ns))
+            elif self._waiting:
+                final = self._release_confirmed(frame)
             else:
-                passed = self._hold_back(_Doubtful(frame, off_ns or 0.0, shown_ns))
+                final = NumberedFrames([timing.learn(frame)])
         if note is None:
-            return passed
-        return passed._replace(notes=(*passed.notes, note), steps=(*step, *passed.steps))
+            return final
+        return final._replace(notes=(*final.notes, note), steps=(*step, *final.steps))
 
     @property
     def waiting(self) -> int:
@@ -155,7 +164,7 @@ class FrameLine:
         self._before_gap = None
         passed_ns = by_host_ns = frame.host_time_ns - last.host_time_ns
         step: list[RecordedClockStep] = []
-        shifted = ""
+        remark = ""
         if 0 <= frame.device_time_ns < NO_TIME_NS:
             by_device_ns = self._middle_ns(frame) - last.device_time_ns
             # a clock that began again is behind, or far off if it is set by another clock
@@ -164,38 +173,40 @@ class FrameLine:
                 self._offset_ns = by_host_ns - by_device_ns
                 after_ns = last.device_time_ns + by_host_ns
                 step.append(RecordedClockStep(after_ns, -self._offset_ns, _U_BY_HOST_NS))
-                shifted = f"; its clock restarted, {self._offset_ns} ns are added to its times"
+                remark = f"; its clock restarted, {self._offset_ns} ns are added to its times"
             else:
                 passed_ns = by_device_ns
         usual_ns = self._timing.interval_ns
         missing = max(round(passed_ns / usual_ns) - 1, 0) if usual_ns else 0
         self._number_offset = last.sequence + 1 + missing - frame.sequence
         self.missing += missing
-        passed = f"{seconds(passed_ns):.3f} s without frames, about {missing} of them"
-        return (EventKind.CAMERA_BACK, f"opened again after {passed}{shifted}"), step
+        gap = f"{seconds(passed_ns):.3f} s without frames, about {missing} of them"
+        return (EventKind.CAMERA_BACK, f"opened again after {gap}{remark}"), step
 
     def _middle_ns(self, frame: Frame) -> int:
         return max(frame.device_time_ns + self._to_middle_ns, 0)
 
-    def _hold_back(self, one: _Doubtful) -> NumberedFrames:
+    def _hold_back(self, doubtful: _DoubtfulFrame) -> NumberedFrames:
         """Keep a frame whose time neither clock confirms, until the next frames explain it."""
-        self._waiting.append(one)
+        self._waiting.append(doubtful)
         last, allowed_ns = self._timing.last, self._timing.allowed_ns
-        agreed = [other for other in self._waiting if abs(other.off_ns - one.off_ns) < allowed_ns]
-        decides = len(self._waiting) >= _MAX_WAITING and (self._reader_keeps_up or self._is_full)
-        if len(agreed) >= _AGREEING_FRAMES and last is not None:
-            step = self._agreed_step(agreed, last, decides=decides)
-            return NumberedFrames([]) if step is None else self._stepped(last, *step)
-        if not decides:
+        agreeing = [other for other in self._waiting if abs(other.off_ns - doubtful.off_ns) < allowed_ns]
+        must_decide = len(self._waiting) >= _MAX_WAITING and (self._reader_keeps_up or self._is_full)
+        if len(agreeing) >= _AGREEING_FRAMES and last is not None:
+            step = self._agreed_step(agreeing, last, must_decide=must_decide)
+            return NumberedFrames([]) if step is None else self._release_after_step(last, *step)
+        if not must_decide:
             return NumberedFrames([])
         step = None if last is None else self._step_by_arrivals(last)
-        return self._give_up() if last is None or step is None else self._stepped(last, *step)
+        if last is None or step is None:
+            return self._abandon_clock()
+        return self._release_after_step(last, *step)
 
     @property
     def _reader_keeps_up(self) -> bool:
         """Whether the newest frames were waited for; a reader that hung, even twice, takes many at once."""
-        came_ns = [one.frame.host_time_ns for one in self._waiting[-1 - _AGREEING_FRAMES :]]
-        return all(later - sooner > 0.5 * self._timing.interval_ns for sooner, later in pairwise(came_ns))
+        arrivals_ns = [doubtful.frame.host_time_ns for doubtful in self._waiting[-1 - _AGREEING_FRAMES :]]
+        return all(later - sooner > 0.5 * self._timing.interval_ns for sooner, later in pairwise(arrivals_ns))
 
     @property
     def _is_full(self) -> bool:
@@ -213,121 +224,125 @@ class FrameLine:
         by_rate_ns = numbers * timing.interval_ns if numbers > 0 else by_host_ns
         off_ns = passed_ns - by_rate_ns
         if timing.is_regular:
-            near = abs(off_ns) < timing.allowed_ns or self._by_computer(frame, last, off_ns)
-            return None if passed_ns > 0 and near else off_ns
+            is_confirmed = abs(off_ns) < timing.allowed_ns or self._host_confirms(frame, last, off_ns)
+            return None if passed_ns > 0 and is_confirmed else off_ns
         # an irregular camera's frame came at its arrival, or was read late; the frame before may also have
         # been read late, if both had gathered in the driver
-        latest_ns = by_host_ns + (MAX_READING_DELAY_NS if timing.waited_for else _MAX_QUEUED_DELAY_NS)
-        by_rate = timing.learned > 0 and abs(off_ns) < MAX_IRREGULARITY * by_rate_ns
-        return None if passed_ns > 0 and (passed_ns <= latest_ns or by_rate) else passed_ns - by_host_ns
+        delay_ns = MAX_READING_DELAY_NS if timing.last_read_at_arrival else _MAX_QUEUED_DELAY_NS
+        fits_rate = timing.intervals > 0 and abs(off_ns) < MAX_IRREGULARITY * by_rate_ns
+        is_confirmed = passed_ns > 0 and (passed_ns <= by_host_ns + delay_ns or fits_rate)
+        return None if is_confirmed else passed_ns - by_host_ns
 
-    def _by_computer(self, frame: Frame, last: Frame, off_ns: float) -> bool:
+    def _host_confirms(self, frame: Frame, last: Frame, off_ns: float) -> bool:
         """Whether the computer's clock confirms a time that the camera's rate does not.
 
-        A camera may change its rate, and lose frames without numbering them. Of a frame that was not waited
-        for, the computer does not know when it came.
+        A camera may change its rate, and lose frames without numbering them. When a frame came that was read
+        later than it arrived, the computer does not know.
         """
         timing = self._timing
-        before = self._waiting[-1].frame if self._waiting else last
-        passed_ns = frame.device_time_ns - before.device_time_ns
-        by_host_ns = frame.host_time_ns - before.host_time_ns
+        previous = self._waiting[-1].frame if self._waiting else last
+        passed_ns = frame.device_time_ns - previous.device_time_ns
+        by_host_ns = frame.host_time_ns - previous.host_time_ns
         if passed_ns <= 0 or by_host_ns < 0.5 * min(passed_ns, timing.interval_ns):
             return False
         early_ns = abs(timing.early_ns(frame))
-        if timing.waited_for:
+        if timing.last_read_at_arrival:
             by_last_ns = frame.device_time_ns - last.device_time_ns - frame.host_time_ns + last.host_time_ns
             early_ns = min(early_ns, abs(by_last_ns))
         return early_ns < min(timing.allowed_by_arrival_ns, 0.5 * abs(off_ns))
 
-    def _confirmed(self, frame: Frame) -> NumberedFrames:
+    def _release_confirmed(self, frame: Frame) -> NumberedFrames:
         """Release the waiting frames after a frame whose time one of the clocks confirms.
 
         Usually the waiting times are wrong, and are left out. Those that rise to this frame's are kept, if
         the computer confirms it and the rate does not: then frames without numbers are missing, or the rate
         has changed, and the waiting frames were read too late to be confirmed.
         """
-        timing, kept = self._timing, list[int]()
+        timing, indices = self._timing, list[int]()
         if timing.last is not None and timing.is_regular:
             several = len(self._waiting) >= _AGREEING_FRAMES
             if several or abs(timing.off_by_rate_ns(frame, timing.last)) >= timing.allowed_ns:
-                before = [(place, one.frame.device_time_ns) for place, one in enumerate(self._waiting)]
-                sooner = {place for place, time_ns in before if time_ns < frame.device_time_ns}
-                kept = [place for place in self._rising(timing.last, newest=[frame]).kept if place in sooner]
-        frames, notes, _ = self._release_waiting(kept)
+                times_ns = [doubtful.frame.device_time_ns for doubtful in self._waiting]
+                sooner = {i for i, time_ns in enumerate(times_ns) if time_ns < frame.device_time_ns}
+                indices = [i for i in self._rising(timing.last, newest=[frame]).consistent if i in sooner]
+        frames, notes, _ = self._release_waiting(indices)
         return NumberedFrames([*frames, timing.learn(frame)], notes)
 
     def _rising(self, last: Frame, step_ns: int = 0, newest: Iterable[Frame] = ()) -> RisingTimes:
-        frames = [*(one.frame for one in self._waiting), *newest]
+        frames = [*(doubtful.frame for doubtful in self._waiting), *newest]
         return rising_times(
-            [float(one.device_time_ns - last.device_time_ns) for one in frames],
-            [one.sequence - last.sequence for one in frames],
+            [float(frame.device_time_ns - last.device_time_ns) for frame in frames],
+            [frame.sequence - last.sequence for frame in frames],
             self._timing.interval_ns,
             float(step_ns),
         )
 
-    def _agreed_step(self, agreed: list[_Doubtful], last: Frame, *, decides: bool) -> tuple[int, int] | None:
+    def _agreed_step(
+        self, agreeing: list[_DoubtfulFrame], last: Frame, *, must_decide: bool
+    ) -> tuple[int, int] | None:
         """A step and its standard uncertainty, in ns: by the camera's rate if the computer agrees, else by
         the computer, because frames without numbers may be missing, of which the rate knows nothing.
 
         None while late reading may explain the difference.
         """
         timing = self._timing
-        by_host_ns = max(timing.early_ns(one.frame) for one in agreed)
+        by_host_ns = max(timing.early_ns(doubtful.frame) for doubtful in agreeing)
         if not timing.is_regular:
             # times must rise from the last one, however late that was read
-            beyond_ns = max(by_host_ns - (agreed[0].frame.device_time_ns - last.device_time_ns - 1), 0.0)
+            beyond_ns = max(by_host_ns - (agreeing[0].frame.device_time_ns - last.device_time_ns - 1), 0.0)
             return round(by_host_ns - beyond_ns), round(timing.scatter_ns + beyond_ns)
-        by_rate_ns = sum(one.off_ns for one in agreed) / len(agreed)
-        for round_ns in _COUNTERS_NS:
-            if abs(by_rate_ns + round_ns) < timing.allowed_ns:
-                return -round_ns, 0
-        apart_ns = abs(by_rate_ns - by_host_ns)
-        if apart_ns < min(timing.allowed_by_arrival_ns, 0.5 * abs(by_rate_ns)):
-            numbers = max(agreed[-1].frame.sequence - last.sequence, 1)
+        by_rate_ns = sum(doubtful.off_ns for doubtful in agreeing) / len(agreeing)
+        for period_ns in _COUNTER_PERIODS_NS:
+            if abs(by_rate_ns + period_ns) < timing.allowed_ns:
+                return -period_ns, 0
+        difference_ns = abs(by_rate_ns - by_host_ns)
+        if difference_ns < min(timing.allowed_by_arrival_ns, 0.5 * abs(by_rate_ns)):
+            numbers = max(agreeing[-1].frame.sequence - last.sequence, 1)
             return round(by_rate_ns), math.ceil(timing.deviation_ns * (1.0 + SMOOTHING * numbers) + 1.0)
-        if not decides:
+        if not must_decide:
             return None
         if not self._reader_keeps_up:
             # read late by an unknown time, and frames without numbers may be missing
-            return round(by_rate_ns), math.ceil(apart_ns)
+            return round(by_rate_ns), math.ceil(difference_ns)
         if abs(by_host_ns) < timing.allowed_by_arrival_ns:
             # the camera lost frames that have no number, and its clock is right
             return 0, 0
         return round(by_host_ns), round(timing.scatter_ns)
 
     def _step_by_arrivals(self, last: Frame) -> tuple[int, int] | None:
-        """A step and its standard uncertainty, in ns, from the arrivals of the newest frames, which were
-        waited for; for a rate that may have changed. None where these frames do not agree.
+        """A step and its standard uncertainty, in ns, from the arrivals of the newest frames, which were read
+        as they arrived; for a rate that may have changed. None where these frames do not agree.
         """
         timing = self._timing
         if not timing.is_regular or math.isnan(timing.delay_ns):
             return None
-        early_ns = [timing.early_ns(one.frame) for one in self._waiting[-1 - _AGREEING_FRAMES :]]
+        newest = self._waiting[-1 - _AGREEING_FRAMES :]
+        early_ns = [timing.early_ns(doubtful.frame) for doubtful in newest]
         step_ns = round(max(early_ns))
         # no more frames can wait for a late reader: regularly rising times are accepted without a step
         if not self._reader_keeps_up or abs(step_ns) < timing.allowed_by_arrival_ns:
             step_ns = 0
         if self._reader_keeps_up and max(early_ns) - min(early_ns) > timing.allowed_by_arrival_ns:
             return None
-        if len(self._rising(last, step_ns).kept) < 0.5 * len(self._waiting):
+        if len(self._rising(last, step_ns).consistent) < 0.5 * len(self._waiting):
             return None
         return step_ns, round(timing.scatter_ns) if step_ns else 0
 
-    def _stepped(self, last: Frame, step_ns: int, u_ns: int) -> NumberedFrames:
+    def _release_after_step(self, last: Frame, step_ns: int, u_ns: int) -> NumberedFrames:
         """Release the waiting frames, which agree on a step of the clock, with the step subtracted."""
         rising = self._rising(last, step_ns)
         waiting, first = len(self._waiting), rising.first_after_step
         first = waiting if first is None else first
-        before = self._waiting[min(first, waiting - 1)].frame.sequence
-        frames, notes, left_out = self._release_waiting(rising.kept, first, step_ns)
+        first_number = self._waiting[min(first, waiting - 1)].frame.sequence
+        frames, notes, rejected = self._release_waiting(rising.consistent, first, step_ns)
         if not step_ns:
             return NumberedFrames(frames, notes)
         self._offset_ns -= step_ns
         is_wrap = step_ns < 0 and any(abs(step_ns - ns) < MAX_READING_DELAY_NS for ns in self._steps_ns)
         self._steps_ns.append(step_ns)
-        after = [one for one, place in zip(frames, rising.kept, strict=True) if place >= first]
+        later = [frame for frame, i in zip(frames, rising.consistent, strict=True) if i >= first]
         # a counter that began again (u is 0) is known exactly, and is not recorded as a step of the clock
-        steps = (RecordedClockStep(after[0].time_ns, step_ns, u_ns),) if after and u_ns else ()
+        steps = (RecordedClockStep(later[0].time_ns, step_ns, u_ns),) if later and u_ns else ()
         self.wraps += is_wrap
         if is_wrap and self.wraps > 1:
             return NumberedFrames(frames, notes, steps)
@@ -335,54 +350,54 @@ class FrameLine:
         if not is_wrap:
             text = (
                 f"the camera's clock stepped by {seconds(step_ns):+.6g} s (u {seconds(max(u_ns, 1)):.1g} s) "
-                f"before frame {before}; its times continue without the step"
-                + (f", {_frames(left_out)} left out" if left_out else "")
+                f"before frame {first_number}; its times continue without the step"
+                + (f", {_frames(rejected)} left out" if rejected else "")
             )
         return NumberedFrames(frames, ((EventKind.CAMERA_CLOCK, text),), steps)
 
-    def _give_up(self) -> NumberedFrames:
+    def _abandon_clock(self) -> NumberedFrames:
         """Abandon a clock whose times disagree: later times are the computer's, at the camera's rate."""
         self._clock_abandoned = True
-        doubtful, notes = [one.frame for one in self._waiting], list[tuple[EventKind, str]]()
+        waiting, notes = [doubtful.frame for doubtful in self._waiting], list[tuple[EventKind, str]]()
         if (last := self._before_gap) is not None:
-            notes.append(self._after_gap(doubtful[0], last)[0])
-            doubtful = [one._replace(sequence=one.sequence + self._number_offset) for one in doubtful]
+            notes.append(self._after_gap(waiting[0], last)[0])
+            waiting = [frame._replace(sequence=frame.sequence + self._number_offset) for frame in waiting]
             self._timing.delay_ns = float(last.host_time_ns - last.device_time_ns)
         elif math.isnan(self._timing.delay_ns):
             self._timing.delay_ns = 0.0
-        frames, shown_ns = [self._timing.time_by_arrival(one) for one in doubtful], self._waiting[0].shown_ns
+        frames, camera_ns = list(map(self._timing.time_by_arrival, waiting)), self._waiting[0].camera_ns
         self._waiting.clear()
         u_ns = round(self._timing.scatter_ns)
         text = (
-            f"the camera's clock is abandoned from frame {doubtful[0].sequence} on, where it shows "
-            f"{shown_ns} ns: times are the computer's, u {seconds(u_ns):.1g} s; restart "
+            f"the camera's clock is abandoned from frame {waiting[0].sequence} on, where it shows "
+            f"{camera_ns} ns: times are the computer's, u {seconds(u_ns):.1g} s; restart "
             "the camera before the next run"
         )
         step = RecordedClockStep(frames[0].time_ns, 0, u_ns)
         return NumberedFrames(frames, (*notes, (EventKind.CAMERA_CLOCK, text)), (step,))
 
     def _release_waiting(
-        self, kept: Collection[int], first: int = 0, step_ns: int = 0
+        self, indices: Collection[int], first: int = 0, step_ns: int = 0
     ) -> tuple[list[Frame], tuple[tuple[EventKind, str], ...], int]:
-        """Release the waiting frames: those at the places `kept`, without the step from place `first` on, the
-        notes on the others, and the number of these.
+        """The waiting frames of these indices, from `first` on without the step; and of the others, which are
+        left out, notes and their number.
         """
-        frames, rejected, kept = [], [], set(kept)
-        for place, one in enumerate(self._waiting):
-            if place not in kept:
-                rejected.append(one)
+        frames, rejected, indices = [], [], set(indices)
+        for i, doubtful in enumerate(self._waiting):
+            if i not in indices:
+                rejected.append(doubtful)
                 continue
-            time_ns = one.frame.device_time_ns - (step_ns if place >= first else 0)
-            frames.append(self._timing.learn(one.frame._replace(device_time_ns=time_ns)))
+            time_ns = doubtful.frame.device_time_ns - (step_ns if i >= first else 0)
+            frames.append(self._timing.learn(doubtful.frame._replace(device_time_ns=time_ns)))
         self._waiting.clear()
         self.rejected += len(rejected)
         if not rejected:
             return frames, (), 0
-        frame, off_ns, shown_ns = rejected[0]
+        frame, off_ns, camera_ns = rejected[0]
         off = "no time" if math.isinf(off_ns) else f"{S_PER_NS * off_ns:+.3g} s from what both clocks say"
         text = (
             f"{_frames(len(rejected))} left out from frame {frame.sequence} on: the camera's time "
-            f"{shown_ns} ns is {off}"
+            f"{camera_ns} ns is {off}"
         )
         return frames, ((EventKind.CAMERA_CLOCK, text),), len(rejected)
 

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from typing import Generic, Literal, Protocol, TypeVar
 
-Policy = Literal["wait", "every"]
+Policy = Literal["wait", "drop"]
 
 
 class HasSize(Protocol):
@@ -31,26 +31,28 @@ class BoundedQueue(Generic[Item]):
     """A queue that hands out its items in blocks, in order, and counts those dropped.
 
     Policies for a full queue: ``wait`` blocks the thread that puts (simulated time, files, entries of a
-    record: nothing is lost); ``every`` rejects the newest item (measurement: losses form one contiguous gap).
+    record: nothing is lost); ``drop`` rejects the newest item (measurement: losses form one contiguous gap).
 
     Parameters
     ----------
-    most
+    max_items
         Number of items at which the queue is full.
-    most_bytes
+    max_bytes
         Memory of the items at which the queue is full, too.
-    fewest
+    min_items
         Number of items that the queue takes whatever their memory.
     """
 
-    def __init__(self, most: float, policy: Policy, most_bytes: float = math.inf, *, fewest: int = 1) -> None:
+    def __init__(
+        self, max_items: float, policy: Policy, max_bytes: float = math.inf, *, min_items: int = 1
+    ) -> None:
         self._items: deque[Item] = deque()
-        self._most, self._fewest = most, fewest
+        self._max_items, self._min_items = max_items, min_items
         self._policy = policy
         self._changed = threading.Condition()
         self._closed = False
         self._peak = self._peak_bytes = 0
-        self.most_bytes = most_bytes
+        self.max_bytes = max_bytes
         self.waiting_bytes = 0
         self.dropped = 0
 
@@ -73,15 +75,15 @@ class BoundedQueue(Generic[Item]):
             self._changed.notify_all()
             return True
 
-    def take(self, at_most: int, timeout_s: float) -> list[Item]:
-        """Up to `at_most` items, as soon as there is one; an empty list after the timeout or when drained."""
+    def take(self, count: int, timeout_s: float) -> list[Item]:
+        """Up to `count` items, as soon as there is any; an empty list after the timeout or when drained."""
         with self._changed:
             deadline_s = time.monotonic() + timeout_s
             while not self._items and not self._closed:
                 left_s = deadline_s - time.monotonic()
                 if left_s <= 0 or not self._changed.wait(left_s):
                     break
-            block = [self._items.popleft() for _ in range(min(at_most, len(self._items)))]
+            block = [self._items.popleft() for _ in range(min(count, len(self._items)))]
             if block:
                 self.waiting_bytes -= sum(item.memory_bytes for item in block)
                 self._changed.notify_all()
@@ -104,15 +106,15 @@ class BoundedQueue(Generic[Item]):
         the policy ``wait``, an empty text.
         """
         waiting, size = len(self._items), self.waiting_bytes
-        if size > max(_WARN_FRACTION * self.most_bytes, self._peak_bytes) and self._policy != "wait":
+        if size > max(_WARN_FRACTION * self.max_bytes, self._peak_bytes) and self._policy != "wait":
             begins, self._peak, self._peak_bytes = not self._peak, waiting, size
             if begins:
-                memory = f"{size / 1e6:.0f} of {self.most_bytes / 1e6:.0f} MB"
+                memory = f"{size / 1e6:.0f} of {self.max_bytes / 1e6:.0f} MB"
                 return (
                     f"{waiting} frames wait to be processed, {memory}; once full, frames are lost and "
                     "counted: close other programs, or set a lower camera.frame_rate_hz or a smaller region"
                 )
-        elif self._peak and size <= 0.1 * _WARN_FRACTION * self.most_bytes:
+        elif self._peak and size <= 0.1 * _WARN_FRACTION * self.max_bytes:
             text = f"caught up; at most {self._peak} frames waited, {self._peak_bytes / 1e6:.0f} MB"
             self._peak = self._peak_bytes = 0
             return text
@@ -120,12 +122,12 @@ class BoundedQueue(Generic[Item]):
 
     def _is_full(self, more_bytes: int) -> bool:
         count, size = len(self._items), self.waiting_bytes + more_bytes
-        return count >= self._most or (count >= self._fewest and size > self.most_bytes)
+        return count >= self._max_items or (count >= self._min_items and size > self.max_bytes)
 
 
-_Any = TypeVar("_Any")
+_Value = TypeVar("_Value")
 
 
-def taken_from(waiting: deque[_Any]) -> list[_Any]:
+def take_all(waiting: deque[_Value]) -> list[_Value]:
     """Take all waiting items, oldest first; another thread may add items meanwhile."""
     return [waiting.popleft() for _ in range(len(waiting))]

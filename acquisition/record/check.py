@@ -11,8 +11,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.atomic_write import being_written
-from acquisition.record import pixels_beside
+from acquisition.atomic_write import atomic_file
+from acquisition.record import pixels_path
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ReadFile
@@ -24,7 +24,7 @@ RECOVERY = "recovery"
 """Name of the metadata about a recovery by `rig record recover`; those of a second one are "recovery 2"."""
 _RESERVE_BYTES = 1024 * 1024
 FindingLevel = Literal["error", "warning", "note"]
-_MAX_SHOWN_GAPS = 10
+_MAX_LISTED_GAPS = 10
 
 
 class Finding(NamedTuple):
@@ -43,12 +43,7 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
 
     The following are checked: the file's ending; the checksums of data section, summary, chunks and
     attachments; times that decrease; gaps in the frame numbers; and the SHA-256 that `results` (a
-    results.json) states for this file.
-
-    Raises
-    ------
-    RecordError
-        The file is not a record of this program, or `results` cannot be read.
+    results.json) states for this file. Raises RecordError where either file cannot be read.
     """
     with RecordReader(path) as reader:
         findings = [finding for file in reader.files for finding in _check_file(file)]
@@ -65,16 +60,16 @@ def _check_file(file: ReadFile) -> list[Finding]:
     """Findings on structure, chunks and attachments of one file."""
     name = file.path.name
     findings: list[Finding] = []
-    if not file.whole:
+    if not file.is_complete:
         lost = file.size - file.readable_bytes
         where = f": {lost} bytes after the last complete entry at {utc_text(file.end_ns)}"
         if not file.end_ns:
             where = f" before anything was measured, after {file.readable_bytes} bytes"
         findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
-    for place in file.chunks:
-        file.piece(place)
-    for attached in file.attachments:
-        list(file.copies(attached))
+    for chunk in file.chunks:
+        file.piece(chunk)
+    for attachment in file.attachments:
+        list(file.copies(attachment))
     findings += _errors(*(f"{name}: {damage}" for damage in file.damages.values()))
     if not findings and not file.data_crc_matches():
         findings += _errors(f"{name}: bytes have changed outside chunks: in metadata or an index")
@@ -100,13 +95,13 @@ def _check_frames(reader: RecordReader) -> list[Finding]:
     for block in reader.spot_blocks(fields=("sequence",)):
         rows = block if last is None else np.concatenate((last, block))
         last, numbers, times_ns = rows[-1:], rows["sequence"], rows["time_ns"]
-        steps, earlier = np.diff(numbers), np.flatnonzero(np.diff(times_ns) < 0)
-        if len(earlier) and not backwards:
-            first_backwards_ns = int(times_ns[earlier[0] + 1]) + reader.epoch_offset_ns
-        backwards += len(earlier)
+        steps, decreasing = np.diff(numbers), np.flatnonzero(np.diff(times_ns) < 0)
+        if len(decreasing) and not backwards:
+            first_backwards_ns = int(times_ns[decreasing[0] + 1]) + reader.epoch_offset_ns
+        backwards += len(decreasing)
         not_rising += int(np.count_nonzero(steps <= 0))
         missing += int((steps[steps > 1] - 1).sum())
-        gaps += [f"{numbers[at] + 1}-{numbers[at + 1] - 1}" for at in np.flatnonzero(steps > 1)]
+        gaps += [f"{numbers[i] + 1}-{numbers[i + 1] - 1}" for i in np.flatnonzero(steps > 1)]
     findings: list[Finding] = []
     if backwards:
         when = utc_text(first_backwards_ns)
@@ -114,9 +109,9 @@ def _check_frames(reader: RecordReader) -> list[Finding]:
     if not_rising:
         findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {not_rising} places")
     if gaps:
-        more = f" and {len(gaps) - _MAX_SHOWN_GAPS} more gaps" if len(gaps) > _MAX_SHOWN_GAPS else ""
-        shown = f"{', '.join(gaps[:_MAX_SHOWN_GAPS])}{more}"
-        findings.append(Finding("warning", f"{SPOT.topic}: {missing} frames are missing: {shown}"))
+        more = f" and {len(gaps) - _MAX_LISTED_GAPS} more gaps" if len(gaps) > _MAX_LISTED_GAPS else ""
+        listed = f"{', '.join(gaps[:_MAX_LISTED_GAPS])}{more}"
+        findings.append(Finding("warning", f"{SPOT.topic}: {missing} frames are missing: {listed}"))
     spots, windows = (reader.counts.get(topic, 0) for topic in (SPOT.topic, WINDOW.topic))
     if 0 < windows < spots:
         text = f"{WINDOW.topic}: {spots - windows} frames have a spot message and no window"
@@ -128,24 +123,24 @@ def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
     """Compare what a results.json states of the record, its configuration and its calibrations."""
     try:
         runs = json.loads(results.read_text(encoding="utf-8"))["runs"]
-        run = next((one for one in runs if Path(one["record"]).name == reader.path.name), None)
-        stated = {} if run is None else {reader.path.name: run["sha256"], **run.get("inputs_sha256", {})}
+        run = next((run for run in runs if Path(run["record"]).name == reader.path.name), None)
+        expected = {} if run is None else {reader.path.name: run["sha256"], **run.get("inputs_sha256", {})}
     except OSError as error:
         raise RecordError(f"{results}: cannot be read: {error.strerror or error}") from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise RecordError(f"{results}: is not a results.json; name the one beside the record") from None
-    if not stated:
+    if not expected:
         return [Finding("warning", f"{results.name} does not contain {reader.path.name}")]
-    found = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
-    found |= {file.path.name: sha256_of(file.path) for file in reader.files if file.path.name in stated}
+    present = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
+    present |= {file.path.name: sha256_of(file.path) for file in reader.files if file.path.name in expected}
     # the pixels may have been deleted since, or had no hash on a disk that could not read them
-    pixels = pixels_beside(reader.path).name
-    if pixels not in found or not stated.get(pixels):
-        stated.pop(pixels, None)
-    changed = sorted(name for name, sha256 in stated.items() if found.get(name) != sha256)
+    pixels = pixels_path(reader.path).name
+    if pixels not in present or not expected.get(pixels):
+        expected.pop(pixels, None)
+    changed = sorted(name for name, sha256 in expected.items() if present.get(name) != sha256)
     if changed:
         return _errors(*(f"{name} has another SHA-256 than {results.name} states" for name in changed))
-    return [Finding("note", f"SHA-256 is the one in {results.name}: {', '.join(stated)}")]
+    return [Finding("note", f"SHA-256 is the one in {results.name}: {', '.join(expected)}")]
 
 
 def recover(source: Path, path: Path) -> dict[str, str]:
@@ -153,18 +148,14 @@ def recover(source: Path, path: Path) -> dict[str, str]:
 
     The source is not changed. The metadata `RECOVERY` of the new record state its source and what is missing,
     and are returned; those of an earlier recovery stay. The new files appear after they were read back and
-    checked.
-
-    Raises
-    ------
-    RecordError
-        The source is not a record of this program; the new file exists already or cannot be written.
+    checked. Raises RecordError where the source is no record of this program, or the new file exists already
+    or cannot be written.
     """
-    pixels = pixels_beside(path)
+    pixels = pixels_path(path)
     try:
         with contextlib.ExitStack() as stack:
             reader = stack.enter_context(RecordReader(source))
-            names = [stack.enter_context(being_written(name)) for name in (path, pixels)[: len(reader.files)]]
+            names = [stack.enter_context(atomic_file(name)) for name in (path, pixels)[: len(reader.files)]]
             counts: Counter[str] = Counter()
             copies: list[McapFile] = []
             topics = (number_topics(reader.deflection_unit), PIXEL_TOPICS)
@@ -185,16 +176,16 @@ def recover(source: Path, path: Path) -> dict[str, str]:
             f"{error.filename}: exists already and is never overwritten; choose another name"
         ) from None
     except OSError as error:
-        why = f"{path}: cannot be written: {error.strerror or error}; {source} is unchanged"
-        raise RecordError(why) from error
+        reason = error.strerror or error
+        raise RecordError(f"{path}: cannot be written: {reason}; {source} is unchanged") from error
     return recovery
 
 
 def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
     """Copy all intact messages; returns how many, by topic."""
     counts: Counter[str] = Counter()
-    for place in file.chunks:
-        for message in file.piece(place).messages():
+    for chunk in file.chunks:
+        for message in file.piece(chunk).messages():
             copy.add(*message)
             counts[message.topic] += 1
         if copy.disk.full is not None:
@@ -209,7 +200,7 @@ def _copy_metadata(reader: RecordReader, copies: Sequence[McapFile]) -> dict[str
         copies[0].add_attachment(name, "application/octet-stream", data, start_ns)
     lost = reader.damages
     for file in reader.files:
-        if not file.whole and (rest := file.size - file.readable_bytes):
+        if not file.is_complete and (rest := file.size - file.readable_bytes):
             lost.append(f"{rest} bytes after the last complete entry of {file.path.name}")
     recovery = {
         "source": reader.path.name,
@@ -227,13 +218,13 @@ def _copy_metadata(reader: RecordReader, copies: Sequence[McapFile]) -> dict[str
 
 def _verify(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:
     """Read the copies again. Raises RecordError where they do not hold what was written."""
-    found: Counter[str] = Counter()
+    counts_read: Counter[str] = Counter()
     sound = True
     for name in names:
         with contextlib.closing(ReadFile(name)) as copy:
             sound = sound and copy.is_sound()
-            found.update({topic: copy.counts[number] for number, topic in copy.channels.items()})
-    if not sound or +found != Counter(counts):
+            counts_read.update({topic: copy.counts[number] for number, topic in copy.channels.items()})
+    if not sound or +counts_read != Counter(counts):
         raise RecordError(f"{path}: does not hold what was written; {source} is unchanged")
 
 

@@ -1,5 +1,4 @@
-"""The bytes of an MCAP file as its disk gives them, and one chunk: its place, its content, verified by its
-checksum, and the messages in that."""
+"""Bytes and chunks of an MCAP file: where a chunk lies, its verified content, and the messages in that."""
 
 import errno
 import struct
@@ -34,20 +33,21 @@ class Message(NamedTuple):
     data: bytes
 
 
-class ChunkPlace(NamedTuple):
-    """Offset and length of a chunk in bytes, its log times (UTC), and its channels.
-
-    `channels` has the bit ``1 << number`` for each channel; 0: they are not known.
-    """
+class ChunkEntry(NamedTuple):
+    """A chunk in the table of contents of a file."""
 
     offset: int
+    """Position of the chunk in the file, in bytes."""
     length: int
+    """Number of bytes of the chunk, its head included."""
     start_ns: int
     end_ns: int
+    """Log times (UTC) of the first and the last message."""
     channels: int = 0
+    """Bits ``1 << number`` of the channels that occur; 0: they are not known."""
 
 
-def chunk_at(offset: int, data: bytes) -> ChunkPlace | None:
+def chunk_at(offset: int, data: bytes) -> ChunkEntry | None:
     """The chunk at a position in the file, where `data` begin; None if they are not the head of one."""
     if len(data) < CHUNK_HEAD.size:
         return None
@@ -55,14 +55,14 @@ def chunk_at(offset: int, data: bytes) -> ChunkPlace | None:
     if (opcode, name_bytes, name) != (Opcode.CHUNK, len(_COMPRESSION), _COMPRESSION) or start_ns > end_ns:
         return None
     lengths_agree = length == CHUNK_HEAD.size - HEAD.size + size
-    return ChunkPlace(offset, HEAD.size + length, start_ns, end_ns) if lengths_agree else None
+    return ChunkEntry(offset, HEAD.size + length, start_ns, end_ns) if lengths_agree else None
 
 
-def content_of(record: bytes, place: ChunkPlace) -> bytes:
+def content_of(record: bytes, chunk: ChunkEntry) -> bytes:
     """The messages of a chunk, verified. Raises ValueError, with what has changed, for a damaged chunk."""
-    if len(record) < place.length:
+    if len(record) < chunk.length:
         raise ValueError("ends early, or its disk cannot give all of it")
-    if chunk_at(place.offset, record) is None:
+    if chunk_at(chunk.offset, record) is None:
         raise ValueError("its head has changed")
     _, _, _, _, size, crc, *_ = CHUNK_HEAD.unpack_from(record)
     packed = memoryview(record)[CHUNK_HEAD.size :]
@@ -88,28 +88,29 @@ class Piece:
     def __init__(self, content: bytes, channels: Mapping[int, str]) -> None:
         self._content = content
         self._runs: dict[str, list[range]] = {}
-        at = 0
-        while at < len(content):
-            begin, head = at, content[at : at + _MESSAGE_BEGIN.size]
+        offset = 0
+        while offset < len(content):
+            begin, head = offset, content[offset : offset + _MESSAGE_BEGIN.size]
             opcode, length, channel = _MESSAGE_BEGIN.unpack(head)
             step = HEAD.size + length
-            at += step
+            offset += step
             # the first chunk begins with schemas and channels, which are no messages
             if opcode == Opcode.MESSAGE and channel in channels:
-                while content.startswith(head, at):
-                    at += step
-                self._runs.setdefault(channels[channel], []).append(range(begin, at, step))
+                while content.startswith(head, offset):
+                    offset += step
+                self._runs.setdefault(channels[channel], []).append(range(begin, offset, step))
 
     def __contains__(self, topic: str) -> bool:
         return topic in self._runs
 
     def messages(self, topic: str | None = None) -> Iterator[Message]:
         """Messages of a topic, or all, in the order of the file."""
-        runs = [(run, name) for name, found in self._runs.items() if topic in (None, name) for run in found]
-        for run, name in sorted(runs, key=lambda one: one[0].start):
-            for at in run:
-                _, _, _, sequence, log_time_ns, _ = _MESSAGE.unpack_from(self._content, at)
-                data = self._content[at + MESSAGE_HEAD_BYTES : at + run.step]
+        topics = self._runs if topic is None else (topic,)
+        named_runs = [(run, name) for name in topics for run in self._runs.get(name, ())]
+        for run, name in sorted(named_runs, key=lambda named_run: named_run[0].start):
+            for offset in run:
+                _, _, _, sequence, log_time_ns, _ = _MESSAGE.unpack_from(self._content, offset)
+                data = self._content[offset + MESSAGE_HEAD_BYTES : offset + run.step]
                 yield Message(name, sequence, log_time_ns, data)
 
     def count(self, topic: str) -> int:
@@ -122,9 +123,9 @@ class Piece:
         return ((run.step, view[run.start : run.stop]) for run in self._runs.get(topic, ()))
 
 
-def read_at(file: IO[bytes], place: int, count: int) -> bytes:
+def read_bytes(file: IO[bytes], offset: int, count: int) -> bytes:
     """Bytes from a position on; none where the disk cannot read all of them, as exFAT after a power cut."""
-    file.seek(place)
+    file.seek(offset)
     try:
         return file.read(count)
     except OSError as error:

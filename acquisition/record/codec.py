@@ -52,7 +52,7 @@ def encode_window(
     With the fitted `spot` the pixels minus a model of it are stored, without loss, in about half the bytes.
     """
     height, width = image.shape
-    large = image.nbytes >= _LARGE_BYTES
+    is_large = image.nbytes >= _LARGE_BYTES
     model, count = None if spot is None else spot_model(spot, x0_px, y0_px, (height, width)), 0
     if model is not None:
         count, planes = to_planes(image, model)
@@ -61,34 +61,33 @@ def encode_window(
         pixels = np.ascontiguousarray(image, dtype=f"<u{image.itemsize}").view(np.uint8)
         # high bytes vary little from pixel to pixel: stored apart from the low bytes they compress well
         planes = pixels.reshape(-1, image.itemsize).T.tobytes()
-    if large:
+    if is_large:
         planes = zstandard.compress(planes, _ZSTD_LEVEL)
-    head = (sequence, time_ns, x0_px, y0_px, width, height, image.itemsize, int(large))
+    head = (sequence, time_ns, x0_px, y0_px, width, height, image.itemsize, int(is_large))
     return WINDOW.encode(*head, *model, count, planes)
 
 
 def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
     """Window from a message of the type `kind`. Raises ValueError if the number of pixels is wrong."""
-    field = dict(zip(kind.names, kind.decode(data), strict=True))
-    shape, size = (field["height_px"], field["width_px"]), field["bytes_per_pixel"]
-    modelled = bool(field["model_inverse_x"])
-    expected_bytes = (
-        field["bit_planes"] * ((shape[0] * shape[1] + 7) // 8) if modelled else shape[0] * shape[1] * size
-    )
-    pixels = field["pixels"]
-    pixels_bytes = zstandard.get_frame_parameters(pixels).content_size if field["compressed"] else len(pixels)
+    fields = dict(zip(kind.names, kind.decode(data), strict=True))
+    shape, size = (fields["height_px"], fields["width_px"]), fields["bytes_per_pixel"]
+    count, has_model = shape[0] * shape[1], bool(fields["model_inverse_x"])
+    expected_bytes = fields["bit_planes"] * ((count + 7) // 8) if has_model else count * size
+    pixels = fields["pixels"]
+    is_compressed = fields["compressed"]
+    pixels_bytes = zstandard.get_frame_parameters(pixels).content_size if is_compressed else len(pixels)
     if pixels_bytes != expected_bytes:
         raise ValueError(f"{kind.full_name}: its pixels are not {shape[1]} x {shape[0]}")
-    pixels = zstandard.decompress(pixels) if field["compressed"] else pixels
+    pixels = zstandard.decompress(pixels) if is_compressed else pixels
     image: Image
-    if modelled:
-        model = IntegerGaussian(*(field[f"model_{name}"] for name in IntegerGaussian._fields))
-        image = from_planes(pixels, field["bit_planes"], model, shape, size)
+    if has_model:
+        model = IntegerGaussian(*(fields[f"model_{name}"] for name in IntegerGaussian._fields))
+        image = from_planes(pixels, fields["bit_planes"], model, shape, size)
     else:
         planes = np.frombuffer(pixels, dtype=np.uint8).reshape(size, -1)
         image = np.ascontiguousarray(planes.T).view(f"<u{size}").reshape(shape)
     image.flags.writeable = False
-    return RecordedWindow(field["sequence"], field["time_ns"], image, (field["x0_px"], field["y0_px"]))
+    return RecordedWindow(fields["sequence"], fields["time_ns"], image, (fields["x0_px"], fields["y0_px"]))
 
 
 def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> IntegerGaussian | None:
@@ -102,12 +101,12 @@ def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> In
         return None
     cos, sin = math.cos(spot.rotation_rad), math.sin(spot.rotation_rad)
     # pixels integrate over the light, which widens the spot by the variance of their width
-    square_x, square_y = spot.sigma_x_px**2, spot.sigma_y_px**2
-    variance_x = square_x * cos**2 + square_y * sin**2 + 1 / 12
-    variance_y = square_x * sin**2 + square_y * cos**2 + 1 / 12
+    variance_1, variance_2 = spot.sigma_x_px**2, spot.sigma_y_px**2
+    variance_x = variance_1 * cos**2 + variance_2 * sin**2 + 1 / 12
+    variance_y = variance_1 * sin**2 + variance_2 * cos**2 + 1 / 12
     root = math.sqrt(variance_x * variance_y)
     amplitude_dn = spot.amplitude_dn * abs(spot.sigma_x_px * spot.sigma_y_px) / root
-    if abs((square_x - square_y) * sin * cos) > _MAX_CORRELATION * root:
+    if abs((variance_1 - variance_2) * sin * cos) > _MAX_CORRELATION * root:
         return None
     model = IntegerGaussian(
         round(256 * x_px),
@@ -121,8 +120,7 @@ def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> In
         return None
     reach_x = max(abs(model.x), abs(256 * shape[1] - model.x))
     reach_y = max(abs(model.y), abs(256 * shape[0] - model.y))
-    fits = max(reach_x**2 * model.inverse_x, reach_y**2 * model.inverse_y) < 2**63
-    return model if fits else None
+    return model if max(reach_x**2 * model.inverse_x, reach_y**2 * model.inverse_y) < 2**63 else None
 
 
 def to_planes(image: Image, model: IntegerGaussian) -> tuple[int, bytes]:
@@ -138,17 +136,17 @@ def from_planes(
     data: bytes, count: int, model: IntegerGaussian, shape: tuple[int, int], bytes_per_pixel: int
 ) -> Image:
     """Image of this shape (ny, nx) from `count` bit planes. Raises ValueError where sizes differ."""
-    kind = np.dtype(f"u{bytes_per_pixel}")
+    dtype = np.dtype(f"u{bytes_per_pixel}")
     size = shape[0] * shape[1]
     planes = np.frombuffer(data, dtype=np.uint8).reshape(count, (size + 7) // 8)
-    folded = np.zeros(size, dtype=kind)
+    folded = np.zeros(size, dtype=dtype)
     for plane, bits in enumerate(np.unpackbits(planes, axis=1, count=size)):
-        folded |= bits.astype(kind) << kind.type(plane)
-    rest = (folded >> kind.type(1)) ^ -(folded & kind.type(1))
-    down = model.amplitude * _profile(shape[0], model.y, model.inverse_y) >> 12
-    across = _profile(shape[1], model.x, model.inverse_x)
-    modelled = (np.multiply.outer(down, across) + ((model.background << 12) + (1 << 14))) >> 15
-    image: Image = modelled.astype(kind) + rest.reshape(shape)
+        folded |= bits.astype(dtype) << dtype.type(plane)
+    residuals = (folded >> dtype.type(1)) ^ -(folded & dtype.type(1))
+    y_profile = model.amplitude * _profile(shape[0], model.y, model.inverse_y) >> 12
+    x_profile = _profile(shape[1], model.x, model.inverse_x)
+    modelled = (np.multiply.outer(y_profile, x_profile) + ((model.background << 12) + (1 << 14))) >> 15
+    image: Image = modelled.astype(dtype) + residuals.reshape(shape)
     return image
 
 

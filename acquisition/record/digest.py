@@ -1,5 +1,6 @@
-"""Identity of a record: its SHA-256, camera and dates; and its lock."""
+"""Identity of a record: SHA-256, camera and dates; and the lock of its writer."""
 
+import contextlib
 import datetime
 import functools
 import hashlib
@@ -30,12 +31,13 @@ def cached_sha256(path: Path) -> str:
     """
     try:
         if path.is_dir():
-            lines = [f"{cached_sha256(one)}  {one.name}\n" for one in sorted(path.iterdir()) if one.is_file()]
+            files = sorted(file for file in path.iterdir() if file.is_file())
+            lines = [f"{cached_sha256(file)}  {file.name}\n" for file in files]
             return hashlib.sha256("".join(lines).encode()).hexdigest()
-        found = path.stat()
+        state = path.stat()
     except (OSError, ValueError):
         return sha256_of(path)
-    return _cached_by_identity(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
+    return _cached_by_identity(path.resolve(), (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns))
 
 
 def sha256_of(path: Path) -> str:
@@ -71,10 +73,11 @@ def camera_metadata(info: CameraInfo) -> dict[str, dict[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class RecordedCamera:
-    """The camera as a record states it; `has_clock` None: not stated."""
+    """The camera as a record states it."""
 
     simulated: bool
     has_clock: bool | None
+    """Whether the camera has a clock; None: not stated."""
     shutter: ShutterKind
 
     @classmethod
@@ -89,7 +92,7 @@ class RecordedCamera:
 
 
 def utc(time_ns: int) -> datetime.datetime:
-    """Nanoseconds since 1970 as a date."""
+    """Nanoseconds since 1970 as a date and time in UTC."""
     return datetime.datetime.fromtimestamp(seconds(time_ns), datetime.UTC)
 
 
@@ -116,26 +119,24 @@ _UNCHANGED_S = 30.0
 def lock_for_writing(descriptor: int) -> None:
     """Lock an open file (its descriptor) until it is closed; does nothing where there are no locks."""
     if fcntl is not None:
-        try:
+        with contextlib.suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return
 
 
 def is_being_written(path: Path) -> bool:
     """Whether a living process writes this file."""
     try:
-        number = os.open(path, os.O_RDONLY)
+        descriptor = os.open(path, os.O_RDONLY)
     except OSError:
         return False
     try:
         if fcntl is not None:
-            fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
             return False
     except BlockingIOError:
         return True
     except OSError:
         pass
     finally:
-        os.close(number)
+        os.close(descriptor)
     return time.time() - path.stat().st_mtime < _UNCHANGED_S

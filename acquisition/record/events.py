@@ -128,8 +128,8 @@ EARLY_ENDS: Final = (EventKind.ENDED_EARLY, EventKind.FAILED)
 
 def end_of(events: Sequence[Event]) -> Event | None:
     """The end event of a run, of kind STOP (regular), REJECTED, ENDED_EARLY or FAILED; None if missing."""
-    place = max((place for place, event in enumerate(events) if event.kind in _ENDS), default=None)
-    if place is None:
+    index = max((i for i, event in enumerate(events) if event.kind in _ENDS), default=None)
+    if index is None:
         return None
-    end, before = events[place], events[place - 1] if place else None
-    return end if before is None or before.kind not in EARLY_ENDS else end._replace(kind=before.kind)
+    end, previous = events[index], events[index - 1] if index else None
+    return end if previous is None or previous.kind not in EARLY_ENDS else end._replace(kind=previous.kind)

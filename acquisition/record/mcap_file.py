@@ -17,7 +17,7 @@ from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_protobuf.schema import register_schema
 
-from acquisition.atomic_write import being_written, sync_file, sync_folder
+from acquisition.atomic_write import atomic_file, sync_file, sync_folder
 from acquisition.record.digest import lock_for_writing
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import LIBRARY, METADATA_COPY, Topics
@@ -28,7 +28,9 @@ _FULL_DISK = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 _INDEX_BYTES = 512
 """Upper limit of a chunk's entry in the file's ending, about 100 bytes and 10 for each topic."""
 _RESERVE_STEP_BYTES = 1024 * 1024
+"""Bytes by which the reserve grows at once."""
 _SPARE_BYTES = 64 * 1024
+"""Bytes of the reserve beyond the ending, so that it need not grow with every chunk."""
 
 
 class Reserve:
@@ -70,9 +72,15 @@ class Reserve:
 class Disk:
     """The stream under the library's writer; data that could not be written completely are cut off again.
 
-    If the disk is full, the reserve is released, the bytes are written, and `full` holds the error: the owner
-    must then finish the file. After any other error it is `broken`, and the library's writer cannot go on.
-    `size` is the length of the file so far, `chunks` the number of its chunks.
+    Attributes
+    ----------
+    full
+        Error of a full disk. The reserve was then released and the bytes were written; the owner must finish
+        the file.
+    broken
+        Whether any other error has occurred, after which the library's writer cannot go on.
+    size, chunks
+        Length of the file so far in bytes, and number of its chunks.
     """
 
     def __init__(self, path: Path, reserve_bytes: int) -> None:
@@ -83,7 +91,7 @@ class Disk:
         self._path = path
         self._reserve_bytes = reserve_bytes
         self._reserve_lock = threading.Lock()
-        self._thread: threading.Thread | None = None
+        self._flusher: threading.Thread | None = None
         self._failure: OSError | None = None
         # also readable, so that a record whose name was removed can be copied
         self._file = path.open("x+b", buffering=0)
@@ -112,27 +120,27 @@ class Disk:
                 with contextlib.suppress(OSError):
                     self._file.truncate(self.size)
                     self._file.seek(self.size)
-                if not self._give_reserve_back(error):
+                if not self._release_reserve(error):
                     self.broken = True
                     raise
                 rest = memoryview(data)
         self.size += len(data)
         return len(data)
 
-    def force(self, wait: bool) -> None:
-        """Flush the file to the disk, and adapt the reserve to the size of the file's ending.
+    def sync(self, wait: bool) -> None:
+        """Flush the file to the disk in a thread, and adapt the reserve to the size of the file's ending.
 
-        Without `wait` a thread does it, unless that of an earlier call still runs. Raises the OSError of that
+        Without `wait` a thread of an earlier call that still runs is enough. Raises the OSError of the
         thread, once.
         """
         if wait:
-            self.wait_for_thread()
+            self.wait_for_sync()
         self._raise_failure()
-        if self._thread is None or not self._thread.is_alive():
-            self._thread = threading.Thread(target=self._force, name="record sync", daemon=True)
-            self._thread.start()
+        if self._flusher is None or not self._flusher.is_alive():
+            self._flusher = threading.Thread(target=self._sync, name="record sync", daemon=True)
+            self._flusher.start()
         if wait:
-            self.wait_for_thread()
+            self.wait_for_sync()
             self._raise_failure()
 
     def _raise_failure(self) -> None:
@@ -141,31 +149,31 @@ class Disk:
         if failure is not None:
             raise failure
 
-    def wait_for_thread(self) -> None:
+    def wait_for_sync(self) -> None:
         """Wait until nothing is flushed any more."""
-        if self._thread is not None:
-            self._thread.join()
+        if self._flusher is not None:
+            self._flusher.join()
 
-    def _force(self) -> None:
+    def _sync(self) -> None:
         try:
             if not self._has_its_name():
                 raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
             try:
                 with self._reserve_lock:
-                    needed = self._reserve_bytes + _INDEX_BYTES * self.chunks + _SPARE_BYTES
-                    if self.full is None and self._reserve.size < needed:
+                    needed_bytes = self._reserve_bytes + _INDEX_BYTES * self.chunks + _SPARE_BYTES
+                    if self.full is None and self._reserve.size < needed_bytes:
                         # in steps, because each increase is a write to the disk
-                        self._reserve.hold(needed + _SPARE_BYTES)
+                        self._reserve.hold(needed_bytes + _SPARE_BYTES)
                 sync_file(self._file.fileno())
             except OSError as error:
-                if not self._give_reserve_back(error):
+                if not self._release_reserve(error):
                     raise
                 sync_file(self._file.fileno())
         except OSError as error:
             self._failure = self._failure or error
 
-    def last_force(self) -> None:
-        """Flush the finished file; if its name was removed, copy it to its name. Raises what `force` left."""
+    def last_sync(self) -> None:
+        """Flush the finished file; if its name was removed, copy it to its name. Raises what `sync` left."""
         sync_file(self._file.fileno())
         if not self._has_its_name():
             self._copy_to_its_name()
@@ -192,10 +200,11 @@ class Disk:
             path = path.with_name(f"{path.stem}-{secrets.token_hex(4)}{path.suffix}")
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file.seek(0)
-        with being_written(path) as temporary, temporary.open("wb") as copy:
+        with atomic_file(path) as temporary, temporary.open("wb") as copy:
             shutil.copyfileobj(self._file, copy)
 
-    def _give_reserve_back(self, error: OSError) -> bool:
+    def _release_reserve(self, error: OSError) -> bool:
+        """Free the reserve if the error is a full disk; False where there is none to free."""
         if error.errno not in _FULL_DISK:
             return False
         with self._reserve_lock:
@@ -204,17 +213,12 @@ class Disk:
 
 
 class McapFile:
-    """Creates one MCAP file and appends to it; it can be read up to its last whole chunk at any time.
+    """Creates one MCAP file and appends to it; it can be read up to its last complete chunk at any time.
 
     The channels are 1, 2, ... in the order of `topics`. Every chunk has a checksum, and the data section too.
-
-    `waiting` is the number of messages in the open chunk, which are lost where its `disk` is broken.
-
-    Raises
-    ------
-    RecordError
-        The file exists or cannot be created, or there is no space for the reserve. Later methods raise
-        OSError where it cannot be written (disk full after the release of the reserve, drive removed).
+    `waiting` is the number of messages in the open chunk, which are lost where its `disk` is broken. Raises
+    RecordError where the file exists or cannot be created, or there is no space for the reserve; later
+    methods raise OSError where it cannot be written (disk full without a reserve, drive removed).
     """
 
     def __init__(self, path: Path, topics: Topics, reserve_bytes: int) -> None:
@@ -278,12 +282,12 @@ class McapFile:
         self.disk.chunks += bool(self.waiting)
         self._writer.flush()  # type: ignore[no-untyped-call]
         self.waiting = 0
-        self.disk.force(wait)
+        self.disk.sync(wait)
 
     def finish(self) -> None:
         """Write summary and ending, or only the shortest ending if there is no space for them, and close."""
         try:
-            self.disk.wait_for_thread()
+            self.disk.wait_for_sync()
             try:
                 if not self.disk.broken:
                     for time_ns, name, media_type, data in self._attachments:
@@ -296,11 +300,11 @@ class McapFile:
                 builder = RecordBuilder()
                 Footer(0, 0, 0).write(builder)
                 self.disk.write(builder.end() + MCAP0_MAGIC)  # type: ignore[no-untyped-call]
-            self.disk.last_force()
+            self.disk.last_sync()
         finally:
             self.abandon()
 
     def abandon(self) -> None:
         """Close the file without an ending; never raises."""
-        self.disk.wait_for_thread()
+        self.disk.wait_for_sync()
         self.disk.close()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
-from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
+from acquisition.record import PIXELS_SUFFIX, is_pixel_file, pixels_path
 from acquisition.record.chunk import MESSAGE_HEAD_BYTES, Message
 from acquisition.record.chunk import Piece as Piece
 from acquisition.record.codec import decode_preview, decode_window, preview_step
@@ -45,8 +45,8 @@ from processing.swing import HalfCycle
 
 _Value = TypeVar("_Value", bound=TimedMessage)
 
-_ROWS_AT_ONCE = 4096
-_LOOK_S = 0.1
+_ROWS_PER_TABLE = 4096
+_FOLLOW_INTERVAL_S = 0.1
 
 
 class RecordReader:
@@ -56,16 +56,12 @@ class RecordReader:
     checksum is wrong is left out, listed in `damages` and logged; everything else is read. A file without an
     ending, as after a crash or a power failure, is `truncated`; its complete chunks are read. While a record
     is still being written, `update` and `follow` list what has been flushed since. `numbers` is the file of
-    numbers, with its table of contents.
-
-    Raises
-    ------
-    RecordError
-        No such file, not an MCAP file, not a record of this program, or one of another schema.
+    numbers, with its table of contents. Raises RecordError for a file that is missing, or is no record of
+    this program and schema.
     """
 
     def __init__(self, path: Path) -> None:
-        if is_pixels(path):
+        if is_pixel_file(path):
             record = path.name.removesuffix(PIXELS_SUFFIX)
             raise RecordError(f"{path}: has the pixels of a record; name the record beside it, {record}.mcap")
         self.path = path
@@ -78,11 +74,7 @@ class RecordReader:
             self.deflection_unit = DeflectionUnit(self._identity["deflection_unit"])
             self.epoch_offset_ns = int(self._identity["epoch_offset_ns"])
             topics = number_topics(self.deflection_unit)
-            self._kinds = {
-                kind.topic: kind
-                for kind in (*topics.values(), WINDOW, IMAGE)
-                if isinstance(kind, MessageType)
-            }
+            self._kinds = {topic: kind for topic, kind in topics.items() if isinstance(kind, MessageType)}
             self.numbers.channels = dict(enumerate(topics, start=1))
             self._open_pixels()
         except OSError as error:
@@ -94,7 +86,7 @@ class RecordReader:
 
     def _open_pixels(self) -> None:
         """Open the file of pixels, if it is there and belongs to this record."""
-        path = pixels_beside(self.path)
+        path = pixels_path(self.path)
         if self._pixels is not None or not path.is_file():
             return
         try:
@@ -107,7 +99,7 @@ class RecordReader:
                 raise
         except RecordError as error:
             # while a record is written, or where it was cut, its file of pixels may only have begun
-            if self.numbers.whole:
+            if self.numbers.is_complete:
                 self.numbers.note_damage(0, str(error))
             return
         pixels.channels = dict(enumerate(PIXEL_TOPICS, start=1))
@@ -137,56 +129,56 @@ class RecordReader:
     @property
     def truncated(self) -> bool:
         """Whether a file was cut short, so that it has no ending."""
-        return not all(file.whole for file in self.files)
+        return not all(file.is_complete for file in self.files)
 
     @property
-    def sound(self) -> bool:
+    def is_sound(self) -> bool:
         """Whether every byte is as it was written, by the checksums of summaries and data sections."""
         return all(file.is_sound() for file in self.files)
 
     @property
     def cut_notice(self) -> str:
         """One line for the user about a truncated record, with the remedy; empty if it is complete."""
-        cut = [file.path for file in self.files if not file.whole]
-        if not cut:
+        truncated = [file.path for file in self.files if not file.is_complete]
+        if not truncated:
             return ""
         return (
-            f"{cut[0]}: was cut short (it has no ending); its complete part is used, "
+            f"{truncated[0]}: was cut short (it has no ending); its complete part is used, "
             f"rig record recover {self.path} makes a complete file of it"
         )
 
     def doubts(self) -> list[str]:
         """Warnings, one line each, that belong to all data read so far: cut short, damaged or changed."""
-        lines = [self.cut_notice] if self.truncated else []
-        return lines + [f"damaged, not used: {damage}" for damage in self.damages]
+        lines = [f"damaged, not used: {damage}" for damage in self.damages]
+        return [self.cut_notice, *lines] if self.truncated else lines
 
     @property
     def attachments(self) -> dict[str, bytes]:
         """Attached files by name, without those that have no intact copy; `damages` lists damaged copies."""
-        found = {name: next(self.numbers.copies(name), None) for name in self.numbers.attachments}
-        return {name: data for name, data in found.items() if name != METADATA_COPY and data is not None}
+        copies = {name: next(self.numbers.copies(name), None) for name in self.numbers.attachments}
+        return {name: data for name, data in copies.items() if name != METADATA_COPY and data is not None}
 
     def update(self) -> bool:
         """List what has been flushed since the last call; True if anything has."""
         self._open_pixels()
-        new = [file.update() for file in self.files]
-        return any(new)
+        has_new = [file.update() for file in self.files]
+        return any(has_new)
 
-    def follow(self, every_s: float = _LOOK_S) -> Iterator[None]:
+    def follow(self, interval_s: float = _FOLLOW_INTERVAL_S) -> Iterator[None]:
         """Yield once at the beginning, and once after each flush of a record that is being written.
 
-        The iteration ends when the record is closed or its writer is gone; it looks every `every_s`.
+        The iteration ends when the record is closed or its writer is gone; it looks every `interval_s`.
         """
         yield None
-        while not self.numbers.whole:
+        while not self.numbers.is_complete:
             # checked before `update`, so that the last flush of a writer that ends meanwhile is read
-            alone = not is_being_written(self.path)
+            has_writer = is_being_written(self.path)
             if self.update():
                 yield None
-            elif alone:
+            elif not has_writer:
                 return
             else:
-                time.sleep(every_s)
+                time.sleep(interval_s)
 
     def unread(self) -> Iterator[Piece]:
         """Messages by topic of each chunk of numbers that this method has not yielded before.
@@ -204,13 +196,13 @@ class RecordReader:
         They are at least `interval_ns` apart; chunks that begin after `until_ns` are left for a later call.
         """
         while self._pixels is not None and self._picture_chunks_read < len(self._pixels.chunks):
-            place = self._pixels.chunks[self._picture_chunks_read]
-            if place.start_ns - self.epoch_offset_ns > until_ns:
+            chunk = self._pixels.chunks[self._picture_chunks_read]
+            if chunk.start_ns - self.epoch_offset_ns > until_ns:
                 return
             self._picture_chunks_read += 1
-            if place.end_ns - self.epoch_offset_ns < self._picture_due_ns:
+            if chunk.end_ns - self.epoch_offset_ns < self._picture_due_ns:
                 continue
-            for message in self._pixels.piece(place).messages(PREVIEW_TOPIC):
+            for message in self._pixels.piece(chunk).messages(PREVIEW_TOPIC):
                 time_ns = message.log_time_ns - self.epoch_offset_ns
                 if time_ns >= self._picture_due_ns:
                     self._picture_due_ns = time_ns + interval_ns
@@ -246,7 +238,7 @@ class RecordReader:
         from_ns = self._utc_ns(start_ns)
         for file in self.files:
             for piece in file.pieces(topic, from_ns):
-                yield from (one for one in piece.messages(topic) if one.log_time_ns >= from_ns)
+                yield from (message for message in piece.messages(topic) if message.log_time_ns >= from_ns)
 
     def _utc_ns(self, start_ns: int | None) -> int:
         """Log time of a time on the frames' clock; 0 for the record's beginning (None)."""
@@ -262,9 +254,8 @@ class RecordReader:
         The names of the fields are those in the file, with units.
         """
         kind = self._kinds[topic]
-        pieces = self.numbers.pieces(topic) if piece is None else [piece]
-        parts = list(self._tables(kind, pieces))
-        return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
+        tables = list(self._tables(kind, self.numbers.pieces(topic) if piece is None else [piece]))
+        return np.concatenate(tables) if tables else np.empty(0, dtype=kind.table_dtype)
 
     def values(self, value_class: type[_Value], piece: Piece | None = None) -> list[_Value]:
         """All values of a class that were written, or those in a piece."""
@@ -296,12 +287,12 @@ class RecordReader:
         With `start_ns` (on the frames' clock), spots before that time are left out, and chunks before it are
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
-        wanted = None if fields is None else {"time_ns", *fields}
+        names = None if fields is None else {"time_ns", *fields}
         pieces = self.numbers.pieces(SPOT.topic, self._utc_ns(start_ns))
-        for table in self._tables(self._kinds[SPOT.topic], pieces, wanted):
-            rest = table if start_ns is None else table[table["time_ns"] >= start_ns]
-            if len(rest):
-                yield rest
+        for table in self._tables(self._kinds[SPOT.topic], pieces, names):
+            block = table if start_ns is None else table[table["time_ns"] >= start_ns]
+            if len(block):
+                yield block
 
     def swings(self, piece: Piece | None = None) -> list[HalfCycle]:
         """All half-cycles, or those in a piece, with amplitudes in `deflection_unit`."""
@@ -317,7 +308,8 @@ class RecordReader:
 
     def events(self, piece: Piece | None = None) -> list[Event]:
         """All events, or those in a piece."""
-        return [Event(*EVENT.decode(one.data)[:3]) for one in self._topic_messages(EVENT.topic, piece)]
+        messages = self._topic_messages(EVENT.topic, piece)
+        return [Event(*EVENT.decode(message.data)[:3]) for message in messages]
 
     def notes(self) -> list[RecordedNote]:
         """Notes of operators during the run."""
@@ -325,8 +317,8 @@ class RecordReader:
 
     def losses(self) -> FrameLosses | None:
         """Numbers of lost frames by cause; None in a record that was cut before they were written."""
-        found = self.values(RecordedLosses)
-        return FrameLosses(*found[-1][1:]) if found else None
+        losses = self.values(RecordedLosses)
+        return FrameLosses(*losses[-1][1:]) if losses else None
 
     def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:
         """Windows around the spot, in order of time, one at a time; `start_ns` as in `spot_blocks`."""
@@ -346,14 +338,14 @@ class RecordReader:
         self, kind: MessageType, pieces: Iterable[Piece], fields: Collection[str] | None = None
     ) -> Iterator[NDArray[Any]]:
         """Messages of numbers, some thousand rows at a time: a chunk may hold only a few dozen."""
-        wanted_bytes = MESSAGE_HEAD_BYTES + kind.wire_dtype.itemsize
+        expected_bytes = MESSAGE_HEAD_BYTES + kind.wire_dtype.itemsize
         rows = bytearray()
         for piece in pieces:
             for row_bytes, run in piece.rows(kind.topic):
-                if row_bytes != wanted_bytes:
+                if row_bytes != expected_bytes:
                     raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
                 rows += run
-            if len(rows) >= _ROWS_AT_ONCE * wanted_bytes:
+            if len(rows) >= _ROWS_PER_TABLE * expected_bytes:
                 yield kind.decode_table(rows, fields, MESSAGE_HEAD_BYTES)
                 rows = bytearray()
         if rows:

@@ -106,16 +106,15 @@ _LAST_SHORT_TAG = 15
 
 @dataclass(frozen=True)
 class MessageType:
-    """A protobuf message of the fields `fields`, whose numbers count from 1.
-
-    `description` and `meanings` go into the description that is stored in a file.
-    """
+    """A protobuf message, whose description is stored in every file."""
 
     name: str
     topic: str
     fields: tuple[tuple[str, Kind], ...]
+    """Names and kinds of the fields, whose protobuf numbers count from 1."""
     description: str = dataclasses.field(default="", compare=False)
     meanings: tuple[Meanings, ...] = dataclasses.field(default=(), compare=False)
+    """Enumerations that explain the values of fields to people."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -139,19 +138,19 @@ class MessageType:
         file = files.file.add(name=f"{_PACKAGE}/{self.name}.proto", package=_PACKAGE, syntax="proto2")
         message = file.message_type.add(name=self.name)
         _comment(file, self.description)
-        for place, (field, kind) in enumerate(self.fields):
+        for i, (field, kind) in enumerate(self.fields):
             required = _FIELD.LABEL_REQUIRED
             message.field.add(
-                name=field, number=place + 1, type=PROTO_TYPE[kind], label=required, json_name=field
+                name=field, number=i + 1, type=PROTO_TYPE[kind], label=required, json_name=field
             )
-            _comment(file, comment_of(field), _FIELD_PATH, place)
-        for place, meaning in enumerate(self.meanings):
+            _comment(file, comment_of(field), _FIELD_PATH, i)
+        for i, meaning in enumerate(self.meanings):
             enum = message.enum_type.add(name="Flag" if issubclass(meaning, IntFlag) else "Side")
             prefix = enum.name.upper()
             enum.value.add(name=f"{prefix}_NONE", number=0)
             for member in meaning:
                 enum.value.add(name=f"{prefix}_{member.name}", number=member.value)
-            _comment(file, meaning.__doc__ or "", _ENUM_PATH, place)
+            _comment(file, meaning.__doc__ or "", _ENUM_PATH, i)
         return files.SerializeToString()
 
     @cached_property
@@ -178,11 +177,9 @@ class MessageType:
     def encode(self, *values: Any) -> bytes:
         """Encode a message from the values of its fields in order."""
         # protobuf takes no truth value for a whole number
-        stated = {
-            name: index(value) if kind == "int" else value
-            for (name, kind), value in zip(self.fields, values, strict=True)
-        }
-        encoded: bytes = self._message(**stated).SerializeToString()
+        pairs = zip(self.fields, values, strict=True)
+        by_name = {name: index(value) if kind == "int" else value for (name, kind), value in pairs}
+        encoded: bytes = self._message(**by_name).SerializeToString()
         return encoded
 
     def decode(self, data: bytes) -> tuple[Any, ...]:
@@ -201,9 +198,9 @@ class MessageType:
         `head_bytes` other bytes precede each message.
         """
         wire = np.frombuffer(messages, [("head", f"V{head_bytes}"), ("message", self.wire_dtype)])["message"]
-        wanted = [(name, kind) for name, kind in self.fields if names is None or name in names]
-        table = np.empty(len(wire), dtype=[(name, _NUMPY[kind]) for name, kind in wanted])
-        for name, _ in wanted:
+        fields = [(name, _NUMPY[kind]) for name, kind in self.fields if names is None or name in names]
+        table = np.empty(len(wire), dtype=fields)
+        for name, _ in fields:
             table[name] = wire[name]
         return table
 

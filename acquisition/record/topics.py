@@ -339,9 +339,8 @@ KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
     if not issubclass(value_class, Message)
 }
 """Types of the messages that hold one value each, by the class of the value."""
-ENVIRONMENT, REFERENCE, SEISMOMETER, CLOCK = (
-    KIND_OF[one] for one in (Environment, RecordedReference, RecordedSeismometer, ClockAnchor)
-)
+ENVIRONMENT, REFERENCE = KIND_OF[Environment], KIND_OF[RecordedReference]
+SEISMOMETER, CLOCK = KIND_OF[RecordedSeismometer], KIND_OF[ClockAnchor]
 Topics: TypeAlias = dict[str, MessageType | type[Message]]
 """Message types of a file by topic, ours or Foxglove's classes, in the order of the channels 1, 2, ..."""
 

@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from acquisition.camera import Frame, Image
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.codec import encode_preview
 from acquisition.record.codec import encode_window as encode_window
 from acquisition.record.events import Event, EventKind, Severity
@@ -55,7 +55,7 @@ _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md":
 class RecordWriter:
     """Writes a record; only one thread may use it.
 
-    `path` holds all numbers. The first pixels create the file of pixels beside it (`pixels_beside`), which
+    `path` holds all numbers. The first pixels create the file of pixels beside it (`pixels_path`), which
     also holds the previews; deleting that file makes the record smaller, and nothing else.
 
     The files are created under their final names and never replace others; until it is closed, each is a
@@ -82,12 +82,9 @@ class RecordWriter:
     clock
         Monotonic clock of the host in s, for the intervals of flushing.
 
-    Raises
-    ------
-    RecordError
-        The file exists or cannot be created. Methods that write raise it if the file can no longer be
-        written; the file is then already closed, and `close` does nothing. An error of the disk after a
-        method has returned is raised by the next method that flushes.
+    RecordError is raised where the file exists or cannot be created, and by methods that write if the file
+    can no longer be written; the file is then already closed, and `close` does nothing. An error of the disk
+    after a method has returned is raised by the next method that flushes.
     """
 
     def __init__(
@@ -120,9 +117,9 @@ class RecordWriter:
             "deflection_unit": str(self._unit),
             "record_id": secrets.token_hex(8),
         }
-        if pixels_beside(path).exists():
+        if pixels_path(path).exists():
             raise RecordError(
-                f"{pixels_beside(path)}: exists already and is never overwritten; choose another name"
+                f"{pixels_path(path)}: exists already and is never overwritten; choose another name"
             )
         self._numbers = McapFile(path, number_topics(self._unit), reserve_bytes)
         self._pixels: McapFile | None = None
@@ -176,8 +173,7 @@ class RecordWriter:
     def write_window(
         self, sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: int, spot: Spot | None = None
     ) -> None:
-        """Write the raw pixels (ny, nx) around the spot; (x0, y0) is the first pixel's position on the
-        sensor.
+        """Write the pixels (ny, nx) around the spot; (x0, y0) is the position of the first on the sensor.
 
         With the fitted `spot` about half the bytes are written; a wrong spot costs bytes and loses no pixel.
         """
@@ -198,18 +194,18 @@ class RecordWriter:
         """The file of pixels, which is created when the first pixels are written."""
         if self._pixels is None:
             try:
-                self._pixels = McapFile(pixels_beside(self.path), PIXEL_TOPICS, self._reserve_bytes)
+                self._pixels = McapFile(pixels_path(self.path), PIXEL_TOPICS, self._reserve_bytes)
             except RecordError as error:
                 raise self._close_after_error(str(error)) from error
             self._pixels.add_metadata({"record": self._identity}, time.time_ns())
         return self._pixels
 
-    def write_swing(self, swing: HalfCycle) -> None:
+    def write_half_cycle(self, half_cycle: HalfCycle) -> None:
         """Write one half-cycle; amplitude and centre in `deflection_unit`."""
-        values = [getattr(swing, name) for name in HalfCycle.__dataclass_fields__]
-        for_displays = [swing.amplitude / ARCSEC_RAD] if self._unit is DeflectionUnit.RAD else []
-        message = self._swing.encode(*values, *for_displays, 2.0 * swing.half_period_s)
-        self._add(SWING.topic, swing.turn_time_ns, message)
+        values = [getattr(half_cycle, name) for name in HalfCycle.__dataclass_fields__]
+        for_displays = [half_cycle.amplitude / ARCSEC_RAD] if self._unit is DeflectionUnit.RAD else []
+        message = self._swing.encode(*values, *for_displays, 2.0 * half_cycle.half_period_s)
+        self._add(SWING.topic, half_cycle.turn_time_ns, message)
 
     def write_balance(self, balance: Balance) -> None:
         """Write one balance. Raises ValueError if its unit is not the record's `deflection_unit`."""
@@ -327,9 +323,9 @@ class RecordWriter:
 
     def _log_time_ns(self, time_ns: int) -> int:
         """The time of a message in its file, UTC."""
-        logged_ns = self._offset_ns + time_ns
-        self._end_ns = max(self._end_ns, logged_ns)
-        return logged_ns
+        log_time_ns = self._offset_ns + time_ns
+        self._end_ns = max(self._end_ns, log_time_ns)
+        return log_time_ns
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -347,27 +343,26 @@ class RecordWriter:
         if failure is not None:
             raise self._close_after_error(failure.strerror or str(failure)) from failure
 
-    def _close_after_error(self, why: str) -> RecordError:
+    def _close_after_error(self, reason: str) -> RecordError:
         """Close the files with the data that can still be written; return the error to be raised."""
         self._closed = True
-        what = f"{self.path}: cannot be written: {why}"
+        text = f"{self.path}: cannot be written: {reason}"
         lost = sum(file.waiting for file in self._files if file.disk.broken)
         failure = None
         try:
             # without an end event, readers could not tell why the run ended
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
-                event = Event(self._end_ns - self._offset_ns, kind, what)
+                event = Event(self._end_ns - self._offset_ns, kind, text)
                 encoded_event = EVENT.encode(*event, event.level)
                 self._numbers.add(EVENT.topic, self._sequence, self._end_ns, encoded_event)
                 self._sequence += 1
         except OSError as error:
             failure = error
-        unfinished = self._finish()
-        failure = failure or unfinished
-        if failure is not None:
+        finish_failure = self._finish()
+        if (failure := failure or finish_failure) is not None:
             return self._close_error(failure)
-        rest = f"; the last {lost} messages could not be written" if lost else ""
-        return RecordError(f"{what}; the record is closed and readable{rest}")
+        remark = f"; the last {lost} messages could not be written" if lost else ""
+        return RecordError(f"{text}; the record is closed and readable{remark}")
 
     def _close_error(self, error: OSError) -> RecordError:
         return RecordError(

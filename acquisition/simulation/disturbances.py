@@ -22,7 +22,7 @@ _AIR, _PHASE, _OWN_AIR = (17, 18), 19, (20, 21)
 
 
 class FrameNoise(NamedTuple):
-    """Random numbers of one run, for consecutive frames of which `first` is the number of the first one."""
+    """Random numbers of one run, for consecutive frames from the number `first` on."""
 
     seed: int
     run: int
@@ -68,8 +68,7 @@ class Pointing:
             offset += truth.pointing_jitter_px * self._noise.normals(JITTER, first, count, 2)
         if truth.pointing_walk_px_per_sqrt_s > 0:
             step_px = truth.pointing_walk_px_per_sqrt_s * math.sqrt(self._period_s)
-            # the sum continues from the last position, so that it does not depend on the lengths of the
-            # blocks
+            # the sum continues from the last position, so that the lengths of blocks have no effect
             steps = np.vstack([self._walk_px, step_px * self._noise.normals(WALK, first, count, 2)])
             path = np.cumsum(steps, axis=0)[1:]
             self._walk_px = path[-1]
@@ -78,9 +77,9 @@ class Pointing:
         if truth.air_arcsec > 0:
             self._air = np.column_stack([series.at(times_s) for series in self._air_px])
             offset += self._air
-        for one, phases in zip(truth.microphonics, self._phases, strict=True):
-            cycle = 2 * np.pi * one.frequency_hz * times_s
-            offset += one.amplitude_px * np.sin(cycle[:, None] + phases)
+        for shaking, phases in zip(truth.microphonics, self._phases, strict=True):
+            cycle = 2 * np.pi * shaking.frequency_hz * times_s
+            offset += shaking.amplitude_px * np.sin(cycle[:, None] + phases)
         self._camera = self._camera_px(times_s)
         offset += self._camera
         self._offset = offset
@@ -90,11 +89,11 @@ class Pointing:
         """Motion of all spots that the camera's own motion causes, (n, 2), px."""
         truth = self._truth
         creep = np.array([truth.camera_creep_x_px_per_min, truth.camera_creep_y_px_per_min])
-        moved = times_s[:, None] * (creep / 60.0)
+        motion_px = times_s[:, None] * (creep / 60.0)
         if truth.camera_slips_at_s is not None:
             slip = np.array([truth.camera_slip_x_px, truth.camera_slip_y_px])
-            moved = moved + np.where(times_s[:, None] >= truth.camera_slips_at_s, slip, 0.0)
-        return np.asarray(moved)
+            motion_px = motion_px + np.where(times_s[:, None] >= truth.camera_slips_at_s, slip, 0.0)
+        return np.asarray(motion_px)
 
     def reference_px(self, first: int, count: int) -> NDArray[np.float64]:
         """Offset of the reference spot times the gain, (count, 2), px, for frames of the last `offset_px`.
@@ -140,10 +139,10 @@ def laser_factor(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArray
     """
     if faults.laser_fades_at_s is None:
         return np.ones(len(times_s))
-    part = (times_s - faults.laser_fades_at_s) / faults.laser_fade_duration_s
-    depth = np.clip(np.minimum(4 * part, 4 * (1 - part)), 0, 1)
-    dark: NDArray[np.float64] = 0.5 * (1 - np.cos(np.pi * depth))
-    return 1 - (1 - faults.laser_fade_to) * dark
+    fraction = (times_s - faults.laser_fades_at_s) / faults.laser_fade_duration_s
+    depth = np.clip(np.minimum(4 * fraction, 4 * (1 - fraction)), 0, 1)
+    loss: NDArray[np.float64] = 0.5 * (1 - np.cos(np.pi * depth))
+    return 1 - (1 - faults.laser_fade_to) * loss
 
 
 def vibration_rad(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -151,18 +150,14 @@ def vibration_rad(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArra
     if faults.vibration_burst_at_s is None:
         return np.zeros(len(times_s))
     since_s = times_s - faults.vibration_burst_at_s
-    part = np.clip(since_s / faults.vibration_burst_duration_s, 0, 1)
-    envelope = np.sin(np.pi * part) ** 2
+    envelope = np.sin(np.pi * np.clip(since_s / faults.vibration_burst_duration_s, 0, 1)) ** 2
     phase = 2 * np.pi * faults.vibration_burst_hz * since_s
     shake: NDArray[np.float64] = faults.vibration_burst_arcsec * ARCSEC_RAD * envelope * np.sin(phase)
     return shake
 
 
 def add_draught(faults: FaultSettings, fast: Motion, slow: Motion) -> None:
-    """Add the impulse of a draught to both modes.
-
-    The impulse is the one that would make the resting pendulum swing to `draught_arcsec`.
-    """
+    """Add a draught's impulse, which would make the resting pendulum swing to `draught_arcsec`."""
     if faults.draught_at_s is not None:
         for motion in (fast, slow):
             motion.kick(faults.draught_at_s, faults.draught_arcsec * ARCSEC_RAD * motion.w0_rad_per_s)

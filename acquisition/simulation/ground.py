@@ -84,19 +84,23 @@ def read_ground_file(path: Path) -> GroundRecord:
 
 
 def _scales(path: Path, header: str) -> NDArray[np.float64]:
+    """Factors that convert the columns of accelerations to m/s^2."""
     names = [name.strip() for name in header.split(",")]
-    wanted = "the header must read time_s,acceleration_m_per_s2 (or _um_per_s2, _nm_per_s2), with a second "
+    remedy = (
+        "the header must read time_s,acceleration_m_per_s2 (or _um_per_s2, _nm_per_s2), with a second "
+        "acceleration if there is one"
+    )
     if names[0] != "time_s" or not 2 <= len(names) <= 3:
-        raise _fault(path, f"its first line is {header[:60]!r}; {wanted}acceleration if there is one")
+        raise _fault(path, f"its first line is {header[:60]!r}; {remedy}")
     scales = []
     for name in names[1:]:
         # a name ends in its unit: acceleration_um_per_s2
-        top, _, bottom = name.rpartition("_per_")
+        numerator, _, denominator = name.rpartition("_per_")
+        unit = f"{numerator.rpartition('_')[2]}/{denominator.replace('s2', 's^2')}"
         try:
-            scales.append(conversion(f"{top.rpartition('_')[2]}/{bottom.replace('s2', 's^2')}", "m/s^2"))
+            scales.append(conversion(unit, "m/s^2"))
         except ConfigurationError:
-            fault = f"column {name} has no unit of acceleration; {wanted}acceleration if any"
-            raise _fault(path, fault) from None
+            raise _fault(path, f"column {name} has no unit of acceleration; {remedy}") from None
     return np.array(scales)
 
 
@@ -174,31 +178,32 @@ def _knots_of_file(truth: GroundTruth) -> GroundRecord:
     """The file's accelerations, resampled by a whole number to as few knots as `bandwidth_hz` needs."""
     assert truth.file is not None
     record = read_ground_file(truth.file)
-    wanted_hz = KNOTS_PER_PERIOD * truth.bandwidth_hz
-    more = max(1, math.ceil(wanted_hz / record.rate_hz - 1e-6))
-    fewer = max(1, math.floor(record.rate_hz / wanted_hz + 1e-6))
+    needed_hz = KNOTS_PER_PERIOD * truth.bandwidth_hz
+    up = max(1, math.ceil(needed_hz / record.rate_hz - 1e-6))
+    down = max(1, math.floor(record.rate_hz / needed_hz + 1e-6))
     values = record.accelerations_m_per_s2
-    if more > 1 or fewer > 1:
+    if up > 1 or down > 1:
         # imported here because it is the slowest import of all, and only this function needs it
         from scipy.signal import resample_poly
 
-        values = resample_poly(values, more, fewer, axis=0, padtype="line")
+        values = resample_poly(values, up, down, axis=0, padtype="line")
     # knots beyond the last sample would be extrapolated
-    count = 1 + (len(record.accelerations_m_per_s2) - 1) * more // fewer
-    return GroundRecord(record.rate_hz * more / fewer, values[:count])
+    count = 1 + (len(record.accelerations_m_per_s2) - 1) * up // down
+    return GroundRecord(record.rate_hz * up / down, values[:count])
 
 
 def _record_term(record: GroundRecord, column: int, offset_s: float) -> Term:
-    through = coefficients_through(record.accelerations_m_per_s2[:, column])
+    """One column of the file, from an offset on, as a `Term`."""
+    coefficients = coefficients_through(record.accelerations_m_per_s2[:, column])
     offset = round(offset_s * record.rate_hz)
 
     def term(block: int) -> NDArray[np.float64]:
         first = offset + block * BLOCK_KNOTS - 2
-        place = np.arange(first, first + BLOCK_KNOTS + DEGREE)
+        index = np.arange(first, first + BLOCK_KNOTS + DEGREE)
         # beyond its ends the series is mirrored, as the coefficients are; no run reaches them
-        period = 2 * (len(through) - 1)
-        place = np.abs((place + period // 2) % period - period // 2)
-        return np.asarray(through[place])
+        period = 2 * (len(coefficients) - 1)
+        index = np.abs((index + period // 2) % period - period // 2)
+        return np.asarray(coefficients[index])
 
     return term
 
@@ -206,10 +211,10 @@ def _record_term(record: GroundRecord, column: int, offset_s: float) -> Term:
 def _check_length(settings: SimulationSettings, end_s: float) -> None:
     truth = settings.ground
     if end_s <= 0 or (settings.max_duration_s is not None and settings.max_duration_s > end_s):
-        wanted = "any run" if settings.max_duration_s is None else f"{settings.max_duration_s:g} s of a run"
+        run = "any run" if settings.max_duration_s is None else f"{settings.max_duration_s:g} s of a run"
         raise ConfigurationError(
             f"simulation.ground.file = {str(truth.file)!r}: from file_offset_s = {truth.file_offset_s:g} on "
-            f"it lasts {end_s:.6g} s, too short for {wanted}; take a longer file, or less of it"
+            f"it lasts {end_s:.6g} s, too short for {run}; take a longer file, or a smaller file_offset_s"
         )
 
 
@@ -223,8 +228,8 @@ def _base_tilt(truth: GroundTruth, mode: int) -> Callable[[NDArray[np.float64]],
         return None
 
     def tilt_rad(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        part = np.clip((times_s - at_s) / _STEP_DURATION_S, 0, 1)
-        return np.asarray(ARCSEC_RAD * (rate * times_s / 60 + step * np.sin(0.5 * np.pi * part) ** 2))
+        fraction = np.clip((times_s - at_s) / _STEP_DURATION_S, 0, 1)
+        return np.asarray(ARCSEC_RAD * (rate * times_s / 60 + step * np.sin(0.5 * np.pi * fraction) ** 2))
 
     return tilt_rad
 

@@ -74,7 +74,8 @@ def fast_mode(contact: ContactTruth, fast: FastModeTruth) -> ModeConstants:
 class Motion:
     """Motion of one mode, integrated block by block as far as it is asked for.
 
-    Times must not decrease from call to call, because earlier blocks are discarded.
+    Times must not decrease from call to call, because earlier blocks are discarded. Raises
+    ConfigurationError where the elastic adhesion exceeds 90 % of gravity's restoring moment.
 
     Parameters
     ----------
@@ -84,11 +85,6 @@ class Motion:
         Angle and its derivative at `start_s`; before, the pendulum is held at `held_rad`.
     ground
         Angle that the ground adds to the rest position, in rad; None: the ground does not move.
-
-    Raises
-    ------
-    ConfigurationError
-        The elastic adhesion exceeds 90 % of gravity's restoring moment.
     """
 
     def __init__(
@@ -100,12 +96,12 @@ class Motion:
         held_rad: float,
         ground: SmoothSeries | None = None,
     ) -> None:
-        largest_rad = math.hypot(angle_rad, rate_rad_per_s / mode.w0_rad_per_s)
-        softening = mode.kappa * 0.5 * math.pi * largest_rad**mode.n
+        amplitude_rad = math.hypot(angle_rad, rate_rad_per_s / mode.w0_rad_per_s)
+        softening = mode.kappa * 0.5 * math.pi * amplitude_rad**mode.n
         if softening > 0.9:
             raise ConfigurationError(
                 f"simulation.contact.gamma_pa: the elastic adhesion is {softening:.2f} of gravity's "
-                f"restoring moment at {largest_rad / ARCSEC_RAD:.4g} arcsec; at most 0.9 "
+                f"restoring moment at {amplitude_rad / ARCSEC_RAD:.4g} arcsec; at most 0.9 "
                 "is possible: lower gamma_pa"
             )
         self._mode = mode
@@ -129,26 +125,26 @@ class Motion:
         """Change the rate instantly at `time_s`, which must not be before a time already requested."""
         end_s = self._state[TIME]
         if time_s < end_s:
-            self._return_to(time_s)
+            self._discard_after(time_s)
         self._kicks = sorted([*self._kicks, (time_s, rate_rad_per_s)])
 
     def hold(self, time_s: float, angle_rad: float) -> None:
-        """Hold the pendulum at this angle from `time_s` until `let_go`."""
-        self._move_to(time_s)
+        """Hold the pendulum at this angle from `time_s` until `release`."""
+        self._bring_to(time_s)
         self._held = True
         self._state[ANGLE] = angle_rad
         self._state[RATE] = 0.0
         self._set_direction()
 
-    def let_go(self, time_s: float) -> None:
+    def release(self, time_s: float) -> None:
         """Release the pendulum at `time_s`, at rest at the angle at which it is held."""
-        self._move_to(time_s)
+        self._bring_to(time_s)
         self._held = False
         self._set_direction()
 
-    def load(self, time_s: float, push_rad: float, drag_s: float) -> None:
+    def set_load(self, time_s: float, push_rad: float, drag_s: float) -> None:
         """Apply a constant moment (as shift of the rest position) and a linear drag from `time_s` on."""
-        self._move_to(time_s)
+        self._bring_to(time_s)
         self._mode = self._mode._replace(push_rad=push_rad, drag_s=drag_s)
         self._set_direction()
 
@@ -214,14 +210,15 @@ class Motion:
             )
         return self._ground.pieces(time_s)
 
-    def _move_to(self, time_s: float) -> None:
-        """Bring the state to `time_s`: integrate, or discard what was integrated beyond it."""
+    def _bring_to(self, time_s: float) -> None:
+        """Bring the state to `time_s`: integrate up to it, or discard what was integrated after it."""
         if self._state[TIME] > time_s:
-            self._return_to(time_s)
+            self._discard_after(time_s)
         while self._state[TIME] < time_s:
             self.advance(time_s)
 
     def _set_direction(self) -> None:
+        """Set the direction of the state: that of the motion, or in which it starts from rest."""
         rate = self._state[RATE]
         if self._held:
             self._state[DIRECTION] = 0.0
@@ -232,8 +229,8 @@ class Motion:
                 self._state[TIME], self._state[ANGLE], self._pieces(), self._mode
             )
 
-    def _return_to(self, time_s: float) -> None:
-        """Discard the motion that was integrated beyond `time_s`."""
+    def _discard_after(self, time_s: float) -> None:
+        """Discard the motion that was integrated after `time_s`."""
         angles, rates = np.empty(1), np.empty(1)
         last, _ = equation_of_motion.sample(
             self._steps, self._step_index, self._n_steps, np.array([time_s]), 0, angles, rates
@@ -253,22 +250,14 @@ def motions(settings: SimulationSettings, run: int = 0) -> tuple[Motion, Motion]
     slow_ground, fast_ground = (None, None) if ground is None else ground.drive_rad
     slow = slow_mode(settings.contact)
     fast = fast_mode(settings.contact, settings.fast)
-    release = settings.release
-    amplitude_rad = release.amplitude_arcsec * ARCSEC_RAD
-    fast_amplitude_rad = settings.fast.amplitude_arcsec * ARCSEC_RAD
-    phase = settings.fast.phase_rad
-    if release.way == "let go":
-        slow_motion = Motion(slow, amplitude_rad, 0.0, release.at_s, amplitude_rad, slow_ground)
-    elif release.way == "push":
-        slow_motion = Motion(slow, 0.0, amplitude_rad * slow.w0_rad_per_s, release.at_s, 0.0, slow_ground)
-    else:
-        return Motion(fast, 0.0, 0.0, 0.0, 0.0, fast_ground), Motion(slow, 0.0, 0.0, 0.0, 0.0, slow_ground)
-    fast_motion = Motion(
-        fast,
-        fast_amplitude_rad * math.cos(phase),
-        -fast_amplitude_rad * fast.w0_rad_per_s * math.sin(phase),
-        release.at_s,
-        fast_amplitude_rad * math.cos(phase) if release.way == "let go" else 0.0,
-        fast_ground,
+    release, phase_rad = settings.release, settings.fast.phase_rad
+    start_s, is_held = release.at_s, release.way == "let go"
+    slow_rad, fast_rad = release.amplitude_arcsec * ARCSEC_RAD, settings.fast.amplitude_arcsec * ARCSEC_RAD
+    if release.way == "by command":
+        start_s = slow_rad = fast_rad = 0.0
+    slow_start = (slow_rad, 0.0) if is_held else (0.0, slow_rad * slow.w0_rad_per_s)
+    fast_start = fast_rad * math.cos(phase_rad), -fast_rad * fast.w0_rad_per_s * math.sin(phase_rad)
+    return (
+        Motion(fast, *fast_start, start_s, fast_start[0] if is_held else 0.0, fast_ground),
+        Motion(slow, *slow_start, start_s, slow_rad if is_held else 0.0, slow_ground),
     )
-    return fast_motion, slow_motion

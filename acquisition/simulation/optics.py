@@ -11,7 +11,7 @@ from acquisition.simulation.settings import AxesTruth, OpticsTruth, SensorTruth
 from processing.errors import ConfigurationError
 from processing.kernel import kernel
 
-FAINTEST_E = 1e-3
+MIN_LIGHT_E = 1e-3
 """Smallest light in electrons per pixel that is not neglected."""
 
 _GAUSS_3 = math.sqrt(0.6)
@@ -30,41 +30,41 @@ class GaussianBeam(NamedTuple):
 
 
 def spot_position_px(
-    x_rad: NDArray[np.float64],
-    y_rad: NDArray[np.float64],
+    fast_rad: NDArray[np.float64],
+    slow_rad: NDArray[np.float64],
     times_s: NDArray[np.float64],
     axes: AxesTruth,
     optics: OpticsTruth,
     sensor: SensorTruth,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre (x, y) of the spot on the sensor in px, for tilts (n,) along the pendulum's own axes.
+    """Centre (x, y) of the spot on the sensor in px, for tilts (n,) of the two modes.
 
     The tilt of each mode moves the spot along the mode's direction (see `AxesTruth`) by ``arm tan(2 tilt)``.
     """
-    per_px = optics.arm_m / sensor.pixel_pitch_m
-    along_fast = per_px * np.tan(2.0 * x_rad)
-    along_slow = per_px * np.tan(2.0 * y_rad)
+    arm_px = optics.arm_m / sensor.pixel_pitch_m
+    along_fast = arm_px * np.tan(2.0 * fast_rad)
+    along_slow = arm_px * np.tan(2.0 * slow_rad)
     slow = axes.slow_angle_rad + axes.spin_rad_per_s * times_s
     fast = slow + 0.5 * math.pi + axes.non_orthogonality_rad
-    hand = -1.0 if axes.mirrored else 1.0
+    mirror_sign = -1.0 if axes.mirrored else 1.0
     middle_x = 0.5 * (sensor.width_px - 1) if optics.reference_x_px is None else optics.reference_x_px
     middle_y = 0.5 * (sensor.height_px - 1) if optics.reference_y_px is None else optics.reference_y_px
     return (
-        middle_x + along_slow * np.sin(slow) + hand * along_fast * np.sin(fast),
-        middle_y - along_slow * np.cos(slow) - hand * along_fast * np.cos(fast),
+        middle_x + along_slow * np.sin(slow) + mirror_sign * along_fast * np.sin(fast),
+        middle_y - along_slow * np.cos(slow) - mirror_sign * along_fast * np.cos(fast),
     )
 
 
 @kernel
 def beam_reach(beam: GaussianBeam) -> float:
-    """Distance from the centre, in standard deviations, at which a pixel receives `FAINTEST_E`."""
-    return math.sqrt(2.0 * math.log(beam.peak_e / FAINTEST_E)) + 0.5
+    """Distance from the centre, in standard deviations, at which a pixel receives `MIN_LIGHT_E`."""
+    return math.sqrt(2.0 * math.log(beam.peak_e / MIN_LIGHT_E)) + 0.5
 
 
 @kernel
 def beam_box(beam: GaussianBeam, ny: int, nx: int) -> tuple[int, int, int, int]:
     """Rows y0 <= y < y1 and columns x0 <= x < x1 with light of the beam, as (y0, y1, x0, x1); 0s if none."""
-    if not beam.peak_e > FAINTEST_E or not math.isfinite(beam.x_px + beam.y_px):
+    if not beam.peak_e > MIN_LIGHT_E or not math.isfinite(beam.x_px + beam.y_px):
         return 0, 0, 0, 0
     reach = beam_reach(beam)
     cos = math.cos(beam.rotation_rad)
@@ -156,7 +156,8 @@ def _integrals(out: NDArray[np.float64], centre_px: float, sigma_px: float) -> N
 
 
 _NODES = 9
-_MAX_ITERATIONS = 12
+"""Number of times in a readout at which the motion is calculated; a polynomial goes through the positions."""
+_FIXED_POINT_ITERATIONS = 12
 
 
 class RollingReadout:
@@ -169,39 +170,41 @@ class RollingReadout:
                 f"simulation.sensor.row_time_s = {truth.row_time_s:g}: {rows} rows take {self._span_s:.4g} s,"
                 f" more than a frame at {frame_rate_hz:g} Hz; lower camera.frame_rate_hz or height_px"
             )
-        self._from_top = truth.first_row == "top"
-        self._first, self._last = (top, top + rows - 1) if self._from_top else (top + rows - 1, top)
-        # fractions of the readout at which the motion is calculated; a polynomial goes through these points
-        self._part = np.linspace(0.0, 1.0, _NODES)
-        self._to_polynomial = np.linalg.inv(np.vander(self._part, increasing=True))
+        first, last = (top, top + rows - 1) if truth.first_row == "top" else (top + rows - 1, top)
+        # a region of one row is exposed at one time, whatever the length stated here
+        self._first, self._length = first, last - first or 1
+        self._fractions = np.linspace(0.0, 1.0, _NODES)
+        self._to_polynomial = np.linalg.inv(np.vander(self._fractions, increasing=True))
 
     def times_s(self, frame_times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Increasing times (n * nodes,) within the readouts of frames whose first rows have these times."""
-        times: NDArray[np.float64] = (frame_times_s[:, None] + self._span_s * self._part).ravel()
+        times: NDArray[np.float64] = (frame_times_s[:, None] + self._span_s * self._fractions).ravel()
         return times
 
-    def seen(self, moving_px: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at_exposure(self, moving_px: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Position of the spot when its own rows are exposed, (n, 2), and motion per row, (n, 2), in px.
 
-        `moving_px` (n, nodes, 2) is its position at `times_s`. For a spot outside it the nearest counts.
+        `moving_px` (n, nodes, 2) is its position at `times_s`. For a spot outside the region the nearest row
+        is used.
         """
         path = np.einsum("kj,njc->nkc", self._to_polynomial, moving_px)
-        part = np.full(len(path), 0.5)
-        for _ in range(_MAX_ITERATIONS):
-            y_px = self._along(path, part)[:, 1]
-            part = np.clip((y_px - self._first) / (self._last - self._first), 0.0, 1.0)
+        fraction = np.full(len(path), 0.5)
+        for _ in range(_FIXED_POINT_ITERATIONS):
+            y_px = self._along(path, fraction)[:, 1]
+            fraction = np.clip((y_px - self._first) / self._length, 0.0, 1.0)
         powers = np.arange(1, _NODES)
-        by_part = np.einsum("nkc,nk->nc", path[:, 1:] * powers[:, None], part[:, None] ** (powers - 1))
-        return self._along(path, part), by_part / (self._last - self._first)
+        rate_px = np.einsum("nkc,nk->nc", path[:, 1:] * powers[:, None], fraction[:, None] ** (powers - 1))
+        return self._along(path, fraction), rate_px / self._length
 
     def row_begins_s(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Time in s from the begin of the first row's exposure to that of the row at `y_px` of the sensor."""
-        begins: NDArray[np.float64] = self._span_s * (y_px - self._first) / (self._last - self._first)
+        begins: NDArray[np.float64] = self._span_s * (y_px - self._first) / self._length
         return begins
 
     @staticmethod
-    def _along(path: NDArray[np.float64], part: NDArray[np.float64]) -> NDArray[np.float64]:
-        position: NDArray[np.float64] = np.einsum("nkc,nk->nc", path, part[:, None] ** np.arange(_NODES))
+    def _along(path: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Position (n, 2) in px at a fraction (n,) of the readout."""
+        position: NDArray[np.float64] = np.einsum("nkc,nk->nc", path, fraction[:, None] ** np.arange(_NODES))
         return position
 
 
@@ -227,18 +230,17 @@ class ShearedBeams:
     def shapes(self) -> NDArray[np.float64]:
         """Standard deviations in px along two axes, and the angle of the first from x, (n, 3)."""
         optics = self.optics
-        plain = optics.sigma_x_px, optics.sigma_y_px, optics.rotation_rad
         if not self.slope.any():
-            return np.tile(plain, (len(self.slope), 1))
+            shape = optics.sigma_x_px, optics.sigma_y_px, optics.rotation_rad
+            return np.tile(shape, (len(self.slope), 1))
         cos, sin = math.cos(optics.rotation_rad), math.sin(optics.rotation_rad)
-        turn = np.array([[cos, -sin], [sin, cos]])
-        covariance = turn @ np.diag([optics.sigma_x_px**2, optics.sigma_y_px**2]) @ turn.T
+        rotation = np.array([[cos, -sin], [sin, cos]])
+        covariance = rotation @ np.diag([optics.sigma_x_px**2, optics.sigma_y_px**2]) @ rotation.T
         # a pixel at (dx, dy) from the centre receives the beam's light at (dx - sx dy, dy - sy dy)
         sx, sy = self.slope.T
         stretch = 1.0 / (1.0 - sy)
         to_image = np.zeros((len(sx), 2, 2))
         to_image[:, 0, 0], to_image[:, 0, 1], to_image[:, 1, 1] = 1.0, sx * stretch, stretch
-        seen = to_image @ covariance @ to_image.transpose(0, 2, 1)
-        variance, axes = np.linalg.eigh(seen)
+        variance, axes = np.linalg.eigh(to_image @ covariance @ to_image.transpose(0, 2, 1))
         angle_rad = np.arctan2(axes[:, 1, 0], axes[:, 0, 0])
         return np.column_stack((np.sqrt(variance), angle_rad))

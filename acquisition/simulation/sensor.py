@@ -13,16 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation import randomness
-from acquisition.simulation.optics import FAINTEST_E, GaussianBeam, add_beam, beam_box
+from acquisition.simulation.optics import MIN_LIGHT_E, GaussianBeam, add_beam, beam_box
 from acquisition.simulation.randomness import fill_normals, poisson, scramble, stream_key, uniform
 from acquisition.simulation.settings import SensorState, SensorTruth
 from processing.kernel import kernel
 
 _MAP, _HOT, FRAME = 1, 2, 3
+"""Purposes of the random numbers; each purpose has numbers of its own."""
 _MAX_COLUMNS = 2**14
 _MIN_PROBABILITY = 2.0**-34
-_SPARSE = 0.94
+"""Probability of a value below which 32 random bits cannot represent it."""
+_MIN_SPARSE_PROBABILITY = 0.94
+"""Probability of the most frequent value from which on the rare values alone are drawn."""
 _CLIP_SD = 7.0
+"""Distance from the full well in standard deviations below which pixels are drawn exactly."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _U32 = np.uint64(32)
@@ -30,36 +34,36 @@ _LOW32 = np.uint64(0xFFFFFFFF)
 
 
 class DarkTable(NamedTuple):
-    """Distribution of a dark pixel's DN; the most frequent value `common_dn` has the probability `common`.
+    """Distribution of a dark pixel's DN, drawn in one of two ways.
 
-    If `sparse`, nearly all pixels have this value. The others follow each other at geometrically distributed
-    distances, with values from `rare_dn` by their cumulative probabilities `rare_below`. Otherwise every
-    pixel is drawn by Walker's alias method from 32 random bits: the upper ones are the number of a column,
-    the `shift` lower ones are compared with its `threshold` and decide between `first` and `second`.
+    If `sparse`, nearly all pixels have one value. The others follow each other at geometrically distributed
+    distances. Otherwise every pixel is drawn by Walker's alias method from 32 random bits: the upper bits
+    are the number of a column, the lower bits decide between the two values of the column.
     """
 
     sparse: bool
     common_dn: int
     common: float
+    """Probability of the most frequent value `common_dn`."""
     rare_dn: NDArray[np.int64]
     rare_below: NDArray[np.float64]
+    """Cumulative probabilities of the other values `rare_dn`."""
     first: NDArray[np.uint16]
     second: NDArray[np.uint16]
     threshold: NDArray[np.uint32]
+    """Number that is compared with the `shift` lower bits: below it the first value of a column is drawn."""
     shift: int
 
 
 class Pixels(NamedTuple):
-    """Properties of single pixels in the region that is read out.
-
-    `response` (ny, nx) is relative, or (0, 0) if it is 1 everywhere. `hot_e` is the mean dark signal in e- of
-    hot pixels.
-    """
+    """Properties of single pixels in the region that is read out."""
 
     response: NDArray[np.float32]
+    """Relative response (ny, nx); shape (0, 0) if it is 1 everywhere."""
     hot_row: NDArray[np.int64]
     hot_column: NDArray[np.int64]
     hot_e: NDArray[np.float64]
+    """Mean dark signal of the hot pixels in e-."""
 
 
 def dark_probabilities(state: SensorState) -> NDArray[np.float64]:
@@ -82,7 +86,7 @@ def dark_table(state: SensorState) -> DarkTable:
     rare = rare[rare != common]
     weights = p[rare]
     below = np.cumsum(weights) / weights.sum() if len(rare) else np.ones(1)
-    sparse = bool(p[common] >= _SPARSE)
+    sparse = bool(p[common] >= _MIN_SPARSE_PROBABILITY)
     first, second, threshold, shift = _alias(p) if not sparse else _alias(np.ones(1))
     return DarkTable(
         sparse=sparse,
@@ -131,20 +135,20 @@ def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int, bi
     response = empty
     if truth.prnu > 0:
         noise = randomness.normals(seed, 0, _MAP, 0, (truth.height_px, truth.width_px))
-        part = np.s_[y0 * binning : (y0 + ny) * binning, x0 * binning : (x0 + nx) * binning]
-        blocks = np.maximum(1 + truth.prnu * noise, 0)[part].reshape(ny, binning, nx, binning)
+        region = np.s_[y0 * binning : (y0 + ny) * binning, x0 * binning : (x0 + nx) * binning]
+        blocks = np.maximum(1 + truth.prnu * noise, 0)[region].reshape(ny, binning, nx, binning)
         response = blocks.mean(axis=(1, 3)).astype(np.float32)
     generator = np.random.Generator(np.random.PCG64([seed, _HOT]))
     count = min(truth.hot_pixels, truth.width_px * truth.height_px)
-    place = generator.choice(truth.width_px * truth.height_px, size=count, replace=False)
+    index = generator.choice(truth.width_px * truth.height_px, size=count, replace=False)
     hot_e: NDArray[np.float64] = generator.exponential(truth.hot_pixel_dn * truth.gain_e_per_dn, size=count)
-    row, column = place // truth.width_px // binning, place % truth.width_px // binning
+    row, column = index // truth.width_px // binning, index % truth.width_px // binning
     inside = (row >= y0) & (row < y0 + ny) & (column >= x0) & (column < x0 + nx)
     row, column, hot_e = row[inside] - y0, column[inside] - x0, hot_e[inside]
     if binning > 1:  # one pixel of the image may combine two hot pixels of the sensor
-        places, place_numbers = np.unique(row * nx + column, return_inverse=True)
-        row, column = places // nx, places % nx
-        hot_e = np.bincount(place_numbers, weights=hot_e, minlength=len(places)).astype(np.float64)
+        indices, owners = np.unique(row * nx + column, return_inverse=True)
+        row, column = indices // nx, indices % nx
+        hot_e = np.bincount(owners, weights=hot_e, minlength=len(indices)).astype(np.float64)
     return Pixels(np.ascontiguousarray(response), row, column, hot_e)
 
 
@@ -274,7 +278,7 @@ def _draw_lit(
         least, most = math.inf, 0.0
         for x in range(x0, x1):
             mean = light_e[y, x]
-            if mean < FAINTEST_E:
+            if mean < MIN_LIGHT_E:
                 continue
             if uneven:
                 mean *= response[y, x]

@@ -140,10 +140,7 @@ class ReferenceTruth(SimulationSection, frozen=True):
 
 
 class SensorState(NamedTuple):
-    """Properties of the sensor at one bit depth and gain, for `SensorTruth.at`, and for the kernels.
-
-    `ambient_e` is the uniform background light of an exposure.
-    """
+    """Properties of the sensor at one bit depth and gain, for the kernels."""
 
     gain_e_per_dn: float
     read_noise_e: float
@@ -151,6 +148,7 @@ class SensorState(NamedTuple):
     black_level_dn: float
     full_well_e: float
     ambient_e: float = 0.0
+    """Uniform background light of an exposure."""
 
     def binned(self, binning: int) -> "SensorState":
         """Properties of the mean of `binning` squared pixels, each of which is read with its own noise."""

@@ -31,22 +31,22 @@ TAPS = 2**15
 _FFT = 2 * TAPS
 _COLUMNS = 64
 _FALL_RATIO = 1.25
-_MARGIN = 40
+"""Frequency at which the spectrum has fallen to 0, over the end of the band."""
+_MARGIN_KNOTS = 40
+"""Knots beyond a block within which the end of the data affects the coefficients of a spline."""
 
 Term = Callable[[int], NDArray[np.float64]]
 """B-spline coefficients of a block, (BLOCK_KNOTS + DEGREE,): the first belongs to the knot two before it."""
 
 
 class Pieces(NamedTuple):
-    """A function of time as polynomials between even knots, from `start_s` on.
-
-    Row k of `coefficients` (m, 6), rising powers, holds from ``start_s + k step_s`` on, in units of
-    `step_s` since then. No rows: the function is zero everywhere.
-    """
+    """A function of time as polynomials between even knots, from `start_s` on."""
 
     start_s: float
     step_s: float
     coefficients: NDArray[np.float64]
+    """Rising powers (m, 6): row k holds from ``start_s + k step_s`` on, in units of `step_s` since then. No
+    rows: the function is zero everywhere."""
 
 
 def _basis() -> NDArray[np.float64]:
@@ -126,20 +126,20 @@ class SmoothSeries:
 
     def at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Values at times (n,) before `end_s`, which must not decrease."""
-        out = np.empty(len(times_s))
+        values = np.empty(len(times_s))
         done = 0
         while done < len(times_s):
             pieces = self.pieces(times_s[done])
-            place = (times_s[done:] - pieces.start_s) / pieces.step_s
-            place = place[: np.searchsorted(place, BLOCK_KNOTS - 1e-6)]
-            knot = np.maximum(np.floor(place), 0.0).astype(np.int64)
-            u = place - knot
-            value = np.zeros(len(place))
+            position = (times_s[done:] - pieces.start_s) / pieces.step_s
+            position = position[: np.searchsorted(position, BLOCK_KNOTS - 1e-6)]
+            knot = np.maximum(np.floor(position), 0.0).astype(np.int64)
+            u = position - knot
+            value = np.zeros(len(position))
             for power in range(DEGREE, -1, -1):
                 value = value * u + pieces.coefficients[knot, power]
-            out[done : done + len(place)] = value
-            done += len(place)
-        return out
+            values[done : done + len(position)] = value
+            done += len(position)
+        return values
 
 
 class BandNoise:
@@ -167,13 +167,13 @@ class BandNoise:
     ) -> None:
         frequencies_hz = np.arange(1, TAPS // 2 + 1) * (rate_hz / TAPS)
         fall = np.clip((frequencies_hz / band_hz - 1) / (_FALL_RATIO - 1), 0, 1)
-        inside = fall < 1
+        in_band = fall < 1
         gain = np.zeros(TAPS // 2 + 1)
-        gain[1:][inside] = (
-            density(frequencies_hz[inside])
+        gain[1:][in_band] = (
+            density(frequencies_hz[in_band])
             * math.sqrt(rate_hz / 2)
-            * np.cos(0.5 * np.pi * fall[inside])
-            / np.sinc(frequencies_hz[inside] / rate_hz) ** (DEGREE + 1)
+            * np.cos(0.5 * np.pi * fall[in_band])
+            / np.sinc(frequencies_hz[in_band] / rate_hz) ** (DEGREE + 1)
         )
         # without the window, a step of the spectrum would cause ripples in all of it
         taps = np.roll(np.fft.irfft(gain), TAPS // 2) * np.sin(np.pi * np.arange(TAPS) / TAPS) ** 2
@@ -199,7 +199,7 @@ def sampled(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], rate
 
     def term(block: int) -> NDArray[np.float64]:
         first = block * BLOCK_KNOTS - 2
-        knots = np.arange(first - _MARGIN, first + BLOCK_KNOTS + DEGREE + _MARGIN)
-        return coefficients_through(function(knots / rate_hz))[_MARGIN:-_MARGIN]
+        knots = np.arange(first - _MARGIN_KNOTS, first + BLOCK_KNOTS + DEGREE + _MARGIN_KNOTS)
+        return coefficients_through(function(knots / rate_hz))[_MARGIN_KNOTS:-_MARGIN_KNOTS]
 
     return term

@@ -41,19 +41,18 @@ def true_turning_points(
     `final_amplitude_arcsec` on, or after `max_duration_s`, are left out. The ground depends on `run`.
     """
     slow = motions(settings, run)[1]
-    found = []
+    blocks = [np.empty((0, 2))]
     if settings.release.way == "let go":
-        found.append([[settings.release.at_s, settings.release.amplitude_arcsec * ARCSEC_RAD]])
+        blocks.append(np.array([[settings.release.at_s, settings.release.amplitude_arcsec * ARCSEC_RAD]]))
     final_rad = final_amplitude_arcsec * ARCSEC_RAD
     while slow.reached_s < max_duration_s and not slow.at_rest:
-        turns = slow.advance(max_duration_s)
-        found.append(turns.tolist())
-        if len(turns) and abs(turns[-1, 1]) < final_rad:
+        blocks.append(slow.advance(max_duration_s))
+        if (np.abs(blocks[-1][-1:, 1]) < final_rad).any():
             break
-    points = np.array([point for chunk in found for point in chunk]).reshape(-1, 2)
-    below = np.abs(points[:, 1]) < final_rad
-    if below.any():
-        points = points[: np.argmax(below)]
+    points = np.concatenate(blocks)
+    is_below = np.abs(points[:, 1]) < final_rad
+    if is_below.any():
+        points = points[: np.argmax(is_below)]
     return TruePoints(points[:, 0].copy(), points[:, 1].copy())
 
 
@@ -92,11 +91,13 @@ def noisy(truth: TruePath, u_x_rad: float, u_y_rad: float, seed: int) -> TruePat
 
 
 class TrimWeight(NamedTuple):
-    """One weight; `pitch_m` is that of its thread, `direction` (X, Y, down) that of a positive turn."""
+    """One weight of a simulated pendulum."""
 
     mass_kg: float
     pitch_m: float
+    """Pitch of its thread."""
     direction: tuple[float, float, float]
+    """Direction (X, Y, down) in which a positive turn moves it."""
     backlash_turns: float = 0.0
 
 
@@ -148,11 +149,10 @@ class TrimmedPendulum:
         """Turn a weight, with the play of its screw and a random error of the turn."""
         weight = self._weights[name]
         self._screw[name] += turns + _U_TURNS * self._random.standard_normal()
-        screw, before = self._screw[name], self._nut[name]
-        self._nut[name] = min(max(before, screw - weight.backlash_turns), screw)
-        shift_m = (
-            weight.mass_kg / self._settings.contact.mass_kg * weight.pitch_m * (self._nut[name] - before)
-        )
+        screw, old_nut = self._screw[name], self._nut[name]
+        self._nut[name] = min(max(old_nut, screw - weight.backlash_turns), screw)
+        mass_ratio = weight.mass_kg / self._settings.contact.mass_kg
+        shift_m = mass_ratio * weight.pitch_m * (self._nut[name] - old_nut)
         self._centre_m = self._centre_m + shift_m * np.array(weight.direction)
 
     @property
@@ -177,14 +177,14 @@ class TrimmedPendulum:
 def imperfect_weights(nominal: dict[str, TrimWeight], seed: int) -> dict[str, TrimWeight]:
     """Weights that deviate from the nominal ones at random: up to 15 % of mass, some degrees, backlash."""
     random = np.random.default_rng((seed, 77))
-    found = {}
+    weights = {}
     for name, weight in nominal.items():
         tilted = np.array(weight.direction) + random.uniform(-0.12, 0.12, 3)
         tilted *= np.linalg.norm(weight.direction) / np.linalg.norm(tilted)
-        found[name] = TrimWeight(
+        weights[name] = TrimWeight(
             mass_kg=weight.mass_kg * random.uniform(0.85, 1.15),
             pitch_m=weight.pitch_m,
             direction=(float(tilted[0]), float(tilted[1]), float(tilted[2])),
             backlash_turns=random.uniform(0.0, 0.05),
         )
-    return found
+    return weights

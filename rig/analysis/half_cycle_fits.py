@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.digest import cached_sha256
 from calibration import Axes
 from processing.ambient import AmbientConditions
@@ -159,7 +159,7 @@ def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -
 
 def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, Any]:
     """Fields of a run's results that name its file, the unit and the number of half-cycles."""
-    pixels = pixels_beside(path)
+    pixels = pixels_path(path)
     return dict[str, Any](
         path=path,
         record=path.name,

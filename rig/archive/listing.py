@@ -92,7 +92,7 @@ def writing(archive: Path) -> Iterator[Any]:
         # where it exists at the end, another process has made it meanwhile
         with (
             contextlib.suppress(FileExistsError),
-            atomic_write.being_written(archive) as temporary,
+            atomic_write.atomic_file(archive) as temporary,
             _connection(temporary) as connection,
         ):
             connection.execute(_TABLES_SQL)

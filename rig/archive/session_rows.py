@@ -6,7 +6,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
-from acquisition.record import records_of, recovered_beside
+from acquisition.record import records_in_folder, recovery_path
 from acquisition.record.digest import cached_sha256, sha256_of, utc
 from acquisition.record.events import EARLY_ENDS, end_of
 from acquisition.record.reader import RecordReader
@@ -103,9 +103,9 @@ def session_rows(folder: Path) -> tuple[list[Row], list[str]]:
         except RecordError as error:
             flaws.append(str(error))
     by_record = {folder / run.record: run for run in results if run.decay is None}
-    found = set(records_of(folder))
+    found = set(records_in_folder(folder))
     # a recovered copy takes the place of its record
-    kept = {path for path in found if recovered_beside(path) not in found}
+    kept = {path for path in found if recovery_path(path) not in found}
     for path in sorted(kept | (by_record.keys() - found)):
         run = by_record.get(path)
         name = str(path.relative_to(folder) if path.is_relative_to(folder) else path)
@@ -163,7 +163,7 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
                 row["flaw"] = (
                     "no footer: it is being measured, or was cut short (rig record recover completes it)"
                 )
-            elif not reader.sound:
+            elif not reader.is_sound:
                 row |= {
                     "state": "damaged",
                     "flaw": "; ".join(reader.damages) or "its bytes have changed",

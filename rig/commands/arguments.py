@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, ge
 import typer
 from typer.core import TyperCommand
 
-from acquisition.record import records_in, records_of
+from acquisition.record import records_in_folder, resolve_records
 from processing.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -68,14 +68,14 @@ def _each(check: Callable[[Path], object], *, is_read: bool = True) -> Callable[
 @_each
 def record_input(path: Path) -> None:
     """Check that records exist; a folder must hold one."""
-    records_in(path)
+    resolve_records(path)
 
 
 @_each
 def fit_input(path: Path) -> None:
     """Check the input of `rig fit`: records, a table, a film, or folders of them exist."""
     if kind_of(path) == "records":
-        records_in(path)
+        resolve_records(path)
 
 
 def kind_of(path: Path) -> Literal["records", "table", "film"]:
@@ -86,7 +86,7 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
     suffix = path.suffix.lower()
     if suffix in (".mcap", ".csv", ".txt", ".toml", ".json"):
         return "records" if suffix == ".mcap" else "table"
-    if path.is_dir() and (records_of(path) or any(path.glob("results*.json"))):
+    if path.is_dir() and (records_in_folder(path) or any(path.glob("results*.json"))):
         return "records"
     # imported here: the readers of films take a second
     from rig.intake import is_filmed
@@ -100,7 +100,7 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
 def record_or_results(path: Path) -> None:
     """Check that records exist, or results that rig fit made of a table or a film."""
     if not is_of_table(path):
-        records_in(path)
+        resolve_records(path)
 
 
 def is_of_table(path: Path) -> bool:
@@ -131,7 +131,7 @@ def results_folder(path: Path) -> None:
 
 def one_record(path: Path) -> Path:
     """The record itself, or the only one of a folder; raises ConfigurationError for none or several."""
-    records = records_in(path)
+    records = resolve_records(path)
     if len(records) > 1:
         names = ", ".join(record.name for record in records)
         raise ConfigurationError(f"{path}: holds {len(records)} records; name one of them: {names}")

@@ -96,7 +96,7 @@ def snap(
         full_scale_dn = opened.info.full_scale_dn
         image = picture.average(picture.read_frames(opened.camera, average, stated.camera.patience_s))
         try:
-            atomic_write.take_away_leftovers(output.parent, output.name)
+            atomic_write.remove_leftovers(output.parent, output.name)
             atomic_write.write_new(output, picture.png_of(image, output))
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from acquisition.record import records_in
+from acquisition.record import resolve_records
 from processing.errors import ConfigurationError
 from rig.commands.arguments import (
     ResultsFolder,
@@ -131,7 +131,7 @@ def fit(
     kind = "records" if len(files) > 1 else kind_of(files[0])
     if kind == "records":
         refuse_stated("on records, only on a table or a film; leave it out", columns, of_films, both)
-        records = [record for path in files for record in records_in(path)]
+        records = [record for path in files for record in resolve_records(path)]
         same = [one for one in records if sum(one.resolve() == other.resolve() for other in records) > 1]
         if same:
             raise ConfigurationError(f"{same[0]}: named twice; a run counts once in a series")

@@ -198,10 +198,10 @@ def _camera(cameras: Sequence["PluggedCamera"]) -> Keys:
     drivers = [camera.driver for camera in cameras]
     for place, camera in enumerate(cameras, 1):
         several = drivers.count(camera.driver) > 1
-        answer = f"{camera.driver} {camera.serial or camera.place}" if several else camera.driver
+        answer = f"{camera.driver} {camera.serial or camera.connection}" if several else camera.driver
         answer = answer if answer not in keys else f"{answer} {place}"
         keys[answer] = _identity(camera, several=several)
-        words = [camera.name, camera.serial and f"serial {camera.serial}", camera.place, camera.problem]
+        words = [camera.name, camera.serial and f"serial {camera.serial}", camera.connection, camera.problem]
         choices.append((answer, ", ".join(part for part in words if part)))
     for driver, text in _LATER.items():
         if driver in DRIVERS and driver not in drivers:
@@ -219,7 +219,7 @@ def _identity(camera: "PluggedCamera", *, several: bool) -> dict[str, Any]:
     if several and camera.serial:
         keys["camera.serial"] = camera.serial
     elif several and camera.driver == "v4l2":
-        keys["camera.v4l2.device"] = camera.place
+        keys["camera.v4l2.device"] = camera.connection
     return keys
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from acquisition.record import records_in, recovered_beside
+from acquisition.record import recovery_path, resolve_records
 from processing.errors import RigError
 from rig.commands.arguments import Record, group, in_json, input_option, new_file, one_record, output_option
 
@@ -21,7 +21,7 @@ def info(record: Record) -> None:
     Example:
       rig record info runs/first
     """
-    for each in records_in(record):
+    for each in resolve_records(record):
         _print_info(each)
 
 
@@ -45,7 +45,7 @@ def _print_info(path: Path) -> None:
     sizes = []
     for file in files:
         cut = f"cut short after {_size(file.readable_bytes)} (see rig record recover)"
-        sizes.append(f"{file.path}: {_size(file.size)}, {'whole' if file.whole else cut}")
+        sizes.append(f"{file.path}: {_size(file.size)}, {'whole' if file.is_complete else cut}")
     print_line(sizes[0])
     for name, text in (("amplitude", amplitude), ("half-cycles", half_cycles), ("result", result)):
         print_line(f"{name:<12} {text}")
@@ -79,7 +79,7 @@ def _print_info(path: Path) -> None:
                 "half_cycles": len(swings),
                 "result": result,
                 "size_bytes": sum(file.size for file in files),
-                "whole": all(file.whole for file in files),
+                "whole": all(file.is_complete for file in files),
                 "start_ns": numbers.start_ns,
                 "end_ns": numbers.end_ns,
                 "messages": dict(counts),
@@ -123,7 +123,7 @@ def check(
     Example:
       rig record check runs/first
     """
-    raise typer.Exit(max([_print_check(each, results) for each in records_in(record)]))
+    raise typer.Exit(max([_print_check(each, results) for each in resolve_records(record)]))
 
 
 def _print_check(path: Path, results: Path | None) -> int:
@@ -167,11 +167,11 @@ def recover(
 
     path = one_record(record)
     with RecordReader(path) as reader:
-        if reader.sound:
+        if reader.is_sound:
             print_line(f"{path}: is sound, every byte is as written; there is nothing to recover")
             answer(path=path, sound=True)
             return
-    target = output or recovered_beside(path)
+    target = output or recovery_path(path)
     recovery = recover_into(path, target)
     with RecordReader(target) as copy:
         messages, end_ns = copy.counts, max(file.end_ns for file in copy.files)

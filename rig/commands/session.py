@@ -172,7 +172,7 @@ def _list_devices(*, json_lines: bool) -> None:
         print_json_line("devices", {**listed, "notes": list(notes)})
         return
     for camera in cameras:
-        words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
+        words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.connection]
         print_line("camera  " + "  ".join(word for word in words if word))
         for mode in camera.modes:
             print_line(f"          {mode}")

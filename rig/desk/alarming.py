@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
-from acquisition.frames.queue import taken_from
+from acquisition.frames.queue import take_all
 from acquisition.record.events import EventKind, Severity
 from processing.errors import RigError
 from rig.control import STALE_S, ControlState, LatchedTrip, Light, Loop, SafetyNow, TripCause
@@ -192,8 +192,8 @@ class Alarming:
             self.alarms.session_begins()
         # the end of a session is seen before the latch of a rig that ends with it
         trip, self._trip = self._desk.safety.trip or self._trip, self._desk.safety.trip
-        events = taken_from(following.unheard)
-        ends = [*taken_from(following.ended), *self._start_alarms()]
+        events = take_all(following.unheard)
+        ends = [*take_all(following.ended), *self._start_alarms()]
         news = following.news if following.running else {}
         age_s = time.monotonic() - following.heard_s if news else 0.0
         holding = conditions(

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CLOCK_STATES, Camera, Frame, HasFeatures
+from acquisition.camera import PTP_STATUS_FEATURES, Camera, Frame, HasFeatures
 from acquisition.frames.guard import MAX_DRIFT_PPM, clock_rate_text
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import ClockAnchor, RecordedClockStep
@@ -83,7 +83,7 @@ def wait_for_network_clock(
 
 def _clock_state(camera: Camera) -> str:
     if isinstance(camera, HasFeatures):
-        for name in CLOCK_STATES:
+        for name in PTP_STATUS_FEATURES:
             value = camera.feature_value(name)
             if value is not None:
                 return str(value)

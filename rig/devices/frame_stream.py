@@ -12,7 +12,7 @@ from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameT
 from acquisition.frames.guard import CameraCounts, ReadMonitor, driver_errors, end_within
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.numbering import FrameLine
-from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, Policy, taken_from
+from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, Policy, take_all
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
@@ -86,7 +86,7 @@ class FrameStream:
         camera: Camera,
         settings: CameraSettings,
         *,
-        policy: Policy = "every",
+        policy: Policy = "drop",
         timeout_s: float = 5.0,
         reconnect_s: float = 60.0,
         permit: LightPermit | None = None,
@@ -104,7 +104,7 @@ class FrameStream:
         self._closed = False
         # a full queue loses no frames on demand, and a short one keeps them in the processor's cache
         max_frames = _MAX_FRAMES_ON_DEMAND if policy == "wait" else math.inf
-        self._queue = BoundedQueue[Frame](max_frames, policy, MAX_QUEUE_BYTES, fewest=_MIN_QUEUE_FRAMES)
+        self._queue = BoundedQueue[Frame](max_frames, policy, MAX_QUEUE_BYTES, min_items=_MIN_QUEUE_FRAMES)
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._counts = CameraCounts(lambda: camera.status)
         self._thread: threading.Thread | None = None
@@ -160,14 +160,14 @@ class FrameStream:
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
-        events = taken_from(self._events)
+        events = take_all(self._events)
         if remark := self._counts.take_remark():
             events.append((EventKind.WATCHER_FAILED, f"the camera's counts: {remark}"))
         return events
 
     def take_clock_steps(self) -> list[RecordedClockStep]:
         """Steps of the camera's clock since the last call, which are subtracted from the frames' times."""
-        return taken_from(self._steps)
+        return take_all(self._steps)
 
     def request_stop(self) -> None:
         """End the stream; may be called from any thread."""

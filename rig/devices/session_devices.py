@@ -196,7 +196,7 @@ class Devices(LitDevices):
             camera.camera,
             camera_settings(config),
             # sources on demand wait and lose no frame, which a real camera cannot
-            policy="wait" if config.on_demand else "every",
+            policy="wait" if config.on_demand else "drop",
             timeout_s=config.camera.patience_s,
             permit=self.permit,
             time_shift_ns=camera.time_shift_ns,

@@ -98,7 +98,7 @@ class Block(NamedTuple):
             clocks = device_times_ns, host_times_ns
             writer.write_spots(numbers, *clocks, self.spots, self.deflections, self.references)
         for half_cycle in self.half_cycles:
-            writer.write_swing(half_cycle)
+            writer.write_half_cycle(half_cycle)
         for balance in self.balances:
             writer.write_balance(balance)
 

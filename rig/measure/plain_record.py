@@ -96,7 +96,7 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
         frames = read_frames(opened.camera, count, config.camera.patience_s)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write.folder_being_written(folder) as beside:
+        with atomic_write.atomic_folder(folder) as beside:
             for number, frame in enumerate(frames):
                 name = f"{number:03d}.png"
                 (beside / name).write_bytes(png_of(frame.image, folder / name))

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from acquisition.camera import Frame, Image
-from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, taken_from
+from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, take_all
 from acquisition.record.events import Event
 from acquisition.record.topics import TimedMessage
 from acquisition.record.writer import RecordWriter
@@ -100,12 +100,12 @@ class Recorder:
         """Text that says that the disk hangs; empty while it does not."""
         if not (paused_s := self.disk_silent_s):
             return ""
-        waiting = f"{self.waiting_bytes / 1e6:.0f} of {self._entries.most_bytes / 1e6:.0f} MB"
+        waiting = f"{self.waiting_bytes / 1e6:.0f} of {self._entries.max_bytes / 1e6:.0f} MB"
         return f"the disk has not answered for {paused_s:.0f} s; {waiting} of memory wait for it"
 
     def take_pauses(self) -> list[float]:
         """Durations in s of the writes since the last call that took longer than `SLOW_S`."""
-        return taken_from(self._pauses_s)
+        return take_all(self._pauses_s)
 
     @property
     def bytes_written(self) -> int:

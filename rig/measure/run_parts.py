@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from acquisition.camera import Camera, HasFeatures
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from processing.errors import DeviceError
 from rig.devices import SessionNews
 from rig.instrument import RunNow
@@ -84,8 +84,8 @@ def set_aside(record: Path, attempt: int) -> Path:
     """Rename the record of a rejected start; returns its new path."""
     aside = record.with_name(f"{record.stem}-start-{attempt}{record.suffix}")
     record.rename(aside)
-    if pixels_beside(record).exists():
-        pixels_beside(record).rename(pixels_beside(aside))
+    if pixels_path(record).exists():
+        pixels_path(record).rename(pixels_path(aside))
     return aside
 
 

@@ -12,7 +12,7 @@ from typing import IO, Any, Self
 from pydantic import BaseModel
 
 from acquisition import atomic_write
-from acquisition.record import recovered_beside
+from acquisition.record import recovery_path
 from acquisition.record.check import recover
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
@@ -289,7 +289,7 @@ def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
     name, reason = "", "the session was interrupted"
     if record.exists():
         try:
-            whole = recovered_beside(record)
+            whole = recovery_path(record)
             if not whole.exists():
                 recover(record, whole)
             name = whole.name

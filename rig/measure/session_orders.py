@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from acquisition.frames.queue import taken_from
+from acquisition.frames.queue import take_all
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import RigError
@@ -79,7 +79,7 @@ class Notes:
 
     def take(self) -> list[OperatorNote]:
         """The notes since the last call, oldest first."""
-        return taken_from(self._typed)
+        return take_all(self._typed)
 
 
 _CHECK_INTERVAL_S = 0.1

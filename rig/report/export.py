@@ -11,7 +11,7 @@ from typing import Any, Literal, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.atomic_write import being_written, write_new
+from acquisition.atomic_write import atomic_file, write_new
 from acquisition.record.digest import cached_sha256, sha256_of, utc
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
@@ -239,7 +239,7 @@ def _write_tables(folder: Path, run: ExportData, kind: Literal["csv", "parquet"]
     }
     for name, table in _tables(run, harmless_text if kind == "csv" else str):
         path = folder / f"{run.name}-{name}.{kind}"
-        with being_written(path) as beside:
+        with atomic_file(path) as beside:
             if kind == "csv":
                 with beside.open("xb") as file:
                     file.write(head)

@@ -160,7 +160,7 @@ def save_figures(files: Path, draw: Callable[[], Sequence[ReportFigure]]) -> dic
     `draw` makes them in the style of reports. Returns the HTML of each figure by name.
     """
     files.mkdir(parents=True, exist_ok=True)
-    atomic_write.take_away_leftovers(files)
+    atomic_write.remove_leftovers(files)
     found = {}
     with styled():
         for drawing in draw():

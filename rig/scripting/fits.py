@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from acquisition.record import records_in
+from acquisition.record import resolve_records
 from processing.contact import DEFAULT_LAW, Law, StatedLaw, StatedMoment
 from processing.errors import ConfigurationError
 from rig.analysis import (
@@ -156,7 +156,7 @@ def _paths(source: RecordSource) -> list[Path]:
         case Record():
             return [source.path]
         case _:
-            return records_in(Path(source))
+            return resolve_records(Path(source))
 
 
 def fit_table(

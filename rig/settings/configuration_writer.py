@@ -128,7 +128,7 @@ def write_configuration(path: Path, stated: ValuesByKey) -> Configuration:
     refuse_existing(path)
     text = _configuration_text(stated, datetime.datetime.now().astimezone())
     try:
-        with atomic_write.being_written(path) as temporary:
+        with atomic_write.atomic_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
             try:
                 return load_configuration(temporary)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
-from acquisition.camera import CameraSettings, Stamped
+from acquisition.camera import CameraSettings, TimestampMoment
 from acquisition.cameras.drivers import (
     DRIVERS,
     default_settings,
@@ -276,7 +276,7 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
         description="the camera counts as stalled after this time without a frame, or two frame times",
     )
 
-    stamped: Stamped | None = Field(
+    stamped: TimestampMoment | None = Field(
         default=None,
         description="moment of the exposure that the timestamps mark; None: as the driver knows it",
     )

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedWindow
 from processing.deflections import Deflections
@@ -64,7 +64,7 @@ class Replay:
         if retrack and not reader.counts.get(WINDOW.topic):
             why = "" if recorded.record.windows else " (it was made with record.windows = false)"
             if recorded.record.windows and len(reader.files) == 1:
-                why = f" ({pixels_beside(reader.path).name} is not beside it)"
+                why = f" ({pixels_path(reader.path).name} is not beside it)"
             raise RecordError(
                 f"{reader.path}: contains no windows of raw pixels{why}, the spot cannot be tracked again; "
                 "replay it without --retrack"

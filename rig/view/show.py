@@ -192,7 +192,7 @@ def _parameters(reader: RecordReader, config: Configuration | None) -> tuple[str
         and config.instrument.description().report == "contact"
         and pendulum_on_ball(config) is not None
     )
-    if not fitted or (reader.numbers.whole and KIND_OF[RecordedHealth].topic not in reader.counts):
+    if not fitted or (reader.numbers.is_complete and KIND_OF[RecordedHealth].topic not in reader.counts):
         return ()
     return DEFAULT_LAW.fit_names(drag=config.fit.fits_drag)[:-2]
 

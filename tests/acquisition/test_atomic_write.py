@@ -42,7 +42,7 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(
 
 
 def test_what_is_not_finished_takes_no_name(tmp_path: Path) -> None:
-    writing = atomic_write.being_written(tmp_path / "file")
+    writing = atomic_write.atomic_file(tmp_path / "file")
     writing.__enter__().write_bytes(b"data")
     assert not writing.__exit__(ValueError, ValueError("no"), None)
     assert list(tmp_path.iterdir()) == []
@@ -50,7 +50,7 @@ def test_what_is_not_finished_takes_no_name(tmp_path: Path) -> None:
 
 def test_a_file_that_somebody_else_writes_meanwhile_stays(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    writing = atomic_write.being_written(path)
+    writing = atomic_write.atomic_file(path)
     writing.__enter__().write_bytes(b"mine")
     path.write_bytes(b"other")
     with pytest.raises(FileExistsError):
@@ -65,7 +65,7 @@ def test_what_a_kill_left_a_day_ago_is_taken_away_and_nothing_else(tmp_path: Pat
         (tmp_path / name).write_bytes(b"half")
         if not name.endswith("0"):
             os.utime(tmp_path / name, (0, 0))
-    assert atomic_write.take_away_leftovers(tmp_path, "run-1.mcap") == [tmp_path / "run-1.mcap"]
+    assert atomic_write.remove_leftovers(tmp_path, "run-1.mcap") == [tmp_path / "run-1.mcap"]
     (tmp_path / ".run-2.mcap.76543210").mkdir()
     atomic_write.write_new(tmp_path / "run-2.mcap", b"whole")
     left = [".hidden", ".run-1.mcap.76543210", ".run-2.mcap.76543210", "run-2.mcap"]
@@ -74,13 +74,13 @@ def test_what_a_kill_left_a_day_ago_is_taken_away_and_nothing_else(tmp_path: Pat
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "crate"
-    with atomic_write.folder_being_written(path) as beside:
+    with atomic_write.atomic_folder(path) as beside:
         (beside / "inner").mkdir()
         (beside / "inner" / "file").write_bytes(b"whole")
         assert not path.exists()
     assert (path / "inner" / "file").read_bytes() == b"whole"
-    with pytest.raises(FileExistsError), atomic_write.folder_being_written(path):
+    with pytest.raises(FileExistsError), atomic_write.atomic_folder(path):
         pass
-    with pytest.raises(ValueError, match="not good"), atomic_write.folder_being_written(tmp_path / "other"):
+    with pytest.raises(ValueError, match="not good"), atomic_write.atomic_folder(tmp_path / "other"):
         raise ValueError("not good")
     assert [entry.name for entry in tmp_path.iterdir()] == ["crate"]

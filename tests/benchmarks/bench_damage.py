@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import check_record
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
@@ -36,7 +36,7 @@ def _of_file(folder: Path, whole: bytes, what: str, count: int, rng: np.random.G
     path = folder / "run.mcap"
     for name in ("whole.mcap", "whole.pixels.mcap"):
         (folder / name.replace("whole", "run")).write_bytes((folder / name).read_bytes())
-    damaged = path if what == "numbers" else pixels_beside(path)
+    damaged = path if what == "numbers" else pixels_path(path)
     places, cuts = rng.integers(0, len(whole), count), rng.integers(3000, len(whole), count)
     results: dict[str, Any] = {"bytes": len(whole)}
     for kind, flips, lengths in (

@@ -90,7 +90,7 @@ def packaged_libusb() -> usb.backend.IBackend:
 
 def opened(reading: str, backend: usb.backend.IBackend | None = None) -> Usb3VisionCamera:
     camera = Usb3VisionCamera(Usb3VisionSettings.model_validate({"reading": reading}), backend)
-    driver._REPLY_S = 2.0  # type: ignore[misc]
+    driver._REPLY_TIMEOUT_S = 2.0  # type: ignore[misc]
     camera.open()
     camera.configure(
         CameraSettings(width_px=WIDTH, height_px=HEIGHT, frame_rate_hz=RATE_HZ, exposure_us=100.0)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
@@ -102,7 +102,7 @@ def _record(
 
 def _copied_out(kind: str, folder: Path, count: int) -> list[tuple[bytes, bytes]]:
     """Numbers and pixels on each of the cut drives, as a kernel mounts them; empty where it cannot."""
-    names = RECORD, pixels_beside(Path(RECORD)).name
+    names = RECORD, pixels_path(Path(RECORD)).name
     copies = folder / "copies.img"
     with copies.open("wb") as file:
         file.truncate(len(names) * count * DRIVE_BYTES)
@@ -146,9 +146,9 @@ def _copied_out(kind: str, folder: Path, count: int) -> list[tuple[bytes, bytes]
 def _read(path: Path, numbers: bytes, pixels: bytes) -> dict[str, Any]:
     """How many frames can be read, and what is wrong besides that the files were cut."""
     path.write_bytes(numbers)
-    pixels_beside(path).write_bytes(pixels)
+    pixels_path(path).write_bytes(pixels)
     copy = path.with_name("copy.mcap")
-    for file in (copy, pixels_beside(copy)):
+    for file in (copy, pixels_path(copy)):
         file.unlink(missing_ok=True)
     try:
         with RecordReader(path) as reader:

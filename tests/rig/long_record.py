@@ -56,11 +56,11 @@ def make_long_record(path: Path, spots: int, *, windows: bool = True) -> Path:
             deflections = Deflections(times_ns, x, y, u, u, DeflectionUnit.RAD)
             writer.write_spots(sequences.tolist(), listed, listed, spot[: len(y)], deflections)
             for swing in detector.update(times_ns, y, u):
-                writer.write_swing(swing)
+                writer.write_half_cycle(swing)
             if windows:
                 for sequence, time_ns in zip(sequences.tolist(), listed, strict=True):
                     writer.write_window(sequence, time_ns, WINDOW, 639, 511)
             writer.flush()
         for swing in detector.finish():
-            writer.write_swing(swing)
+            writer.write_half_cycle(swing)
     return path

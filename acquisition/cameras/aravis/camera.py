@@ -23,8 +23,10 @@ from processing.errors import DeviceError
 logger = logging.getLogger(__name__)
 
 _MAX_CLOSE_WAIT_S: Final = 0.4
+"""Longest wait of `stop` and `close` for libaravis."""
 _MAX_RELEASE_S: Final = 15.0
-_PROBE_AFTER_S: Final = 1.0
+"""Longest wait of `open` and `start` for earlier actions."""
+_MAX_SILENCE_S: Final = 1.0
 """Silence after which a register is read, because libaravis takes 6 s to notice the loss of a GigE camera,
 and may not monitor a USB camera at all.
 """
@@ -36,13 +38,6 @@ _TICKS_REGISTERS: Final = (0x093C, 0x0940)
 class AravisCamera(GenicamCamera[AravisFeatures]):
     """A GigE Vision or USB3 Vision camera read by libaravis, which acquires and queues the frames.
 
-    Parameters
-    ----------
-    settings
-        The camera to use, and options of the driver.
-
-    Notes
-    -----
     The host time of a frame is the arrival of its first bytes, as recorded by libaravis. If no frames
     arrive, a register is read to test the connection; a camera that does not answer is reported as lost.
     """
@@ -73,10 +68,8 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
     def open(self) -> CameraInfo:
         """Find the camera and take control of it.
 
-        Raises
-        ------
-        DeviceError
-            libaravis or PyGObject is missing; no camera, or several and none is specified; in use.
+        Raises DeviceError where libaravis or PyGObject is missing, the choice of the camera is not clear, or
+        it is in use.
         """
         self.close()
         with self._lock:
@@ -113,14 +106,14 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         return info, features
 
     def _set_packet_size(self, library: Library, camera: Any) -> None:
-        wanted = self._settings.packet_bytes
-        if wanted is not None:
-            camera.gv_set_packet_size(wanted)
+        packet_bytes = self._settings.packet_bytes
+        if packet_bytes is not None:
+            camera.gv_set_packet_size(packet_bytes)
             return
         try:
             camera.gv_auto_packet_size()
-        except library.error as failure:
-            logger.info("%s: packet size not changed: %s", self._name, failure)
+        except library.error as error:
+            logger.info("%s: packet size not changed: %s", self._name, error)
 
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
@@ -134,7 +127,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             features.select_continuous()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
-            count = buffer_count(features.stated_rate(), payload, 64, 4096)
+            count = buffer_count(features.expected_rate_hz(), payload, 64, 4096)
             for _ in range(count):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
             numbers = self._begin((LAST_SHORT_ID,) if camera.is_gv_device() else ())
@@ -172,7 +165,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         camera, library, gone = features.camera, self._library, self._gone
         now_s = time.monotonic()
         is_probing = self._probe is not None and self._probe.is_alive()
-        if is_probing or camera is None or library is None or now_s - self._last_reply_s < _PROBE_AFTER_S:
+        if is_probing or camera is None or library is None or now_s - self._last_reply_s < _MAX_SILENCE_S:
             return
         address = _GIGE_CONTROL_REGISTER if camera.is_gv_device() else _USB_VERSION_REGISTER
 
@@ -249,8 +242,9 @@ def _run_action(
     error: type[Exception],
     earlier: list[threading.Thread],
 ) -> None:
-    for other in earlier:
-        other.join()
+    """Run the action after the `earlier` threads have ended, then clear the list `references`."""
+    for thread in earlier:
+        thread.join()
     try:
         if action is not None:
             action()

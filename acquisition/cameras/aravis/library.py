@@ -35,11 +35,11 @@ def load_library() -> Library:
 
             gi.require_version("Aravis", "0.8")
             from gi.repository import Aravis, GLib
-    except (ImportError, ValueError) as missing:
+    except (ImportError, ValueError) as error:
         raise DeviceError(
             "camera.driver = 'aravis' needs libaravis 0.8 and PyGObject (Debian: apt install "
             "gir1.2-aravis-0.8 python3-gi, and an environment made with --system-site-packages); "
-            f"here: {missing}"
+            f"here: {error}"
         ) from None
     return Library(Aravis, GLib.Error)
 
@@ -64,17 +64,14 @@ def list_cameras() -> list[PluggedCamera]:
     return list(find_cameras().values())
 
 
-def find_camera(wanted: str | None) -> tuple[str, str]:
-    """Id, and name in messages, of the camera with this serial number, or id where two share one.
-
-    None: the only camera connected.
-    """
+def find_camera(serial: str | None) -> tuple[str, str]:
+    """Id, and name in messages, of the camera with this serial number or id; None: the only one connected."""
     cameras = [
-        (f"aravis camera {found.name} (serial {found.serial or 'unknown'})", found.serial, identity)
-        for identity, found in find_cameras().items()
+        (f"aravis camera {camera.name} (serial {camera.serial or 'unknown'})", camera.serial, identity)
+        for identity, camera in find_cameras().items()
     ]
     names = {identity: name for name, _, identity in cameras}
-    identity = wanted if wanted in names else only_camera("aravis", cameras, wanted)
+    identity = serial if serial in names else only_camera("aravis", cameras, serial)
     return identity, names[identity]
 
 
@@ -140,28 +137,28 @@ class AravisFeatures(GenicamFeatures):
             return None
         return float(getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}")())
 
-    def set_number(self, key: NumericFeature, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, value: float) -> None:
         if not getattr(self.camera, f"is_{_FUNCTION_NAMES[key]}_available")():
             raise DeviceError(f"{self.name}: does not allow it to be set; leave camera.{key} out")
         # libaravis clips values out of range without an error
         bounds = getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}_bounds")()
-        check_range(self.name, key, wanted, *bounds)
-        getattr(self.camera, f"set_{_FUNCTION_NAMES[key]}")(wanted)
+        check_range(self.name, key, value, *bounds)
+        getattr(self.camera, f"set_{_FUNCTION_NAMES[key]}")(value)
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
-        found: dict[str, FeatureValue] = {}
-        waiting = ["Root"]
+        values: dict[str, FeatureValue] = {}
+        names = ["Root"]
         genicam = self.camera.get_device().get_genicam()
-        while waiting:
-            name = waiting.pop()
+        while names:
+            name = names.pop()
             node = genicam.get_node(name)
             if isinstance(node, self._aravis.GcCategory):
-                waiting += node.get_features()
+                names += node.get_features()
                 continue
             with suppress(error, AttributeError):
                 if not isinstance(node, self._aravis.GcCommand) and node.is_available():
-                    found[name] = str(node.get_value_as_string())
-        return found
+                    values[name] = str(node.get_value_as_string())
+        return values
 
     def _node(self, feature: str) -> Any:
         """libaravis's node of a feature; None if the camera does not have it."""
@@ -176,8 +173,8 @@ class Underruns:
         # (time of fetching a frame, libaravis's count at that time)
         self._samples = deque([(-1, 0)])
 
-    def before(self, arrived_ns: int, fetched_ns: int, count: int) -> bool:
-        """Whether buffers were lacking since the frame before, by libaravis's count when it was fetched."""
+    def occurred(self, arrived_ns: int, fetched_ns: int, count: int) -> bool:
+        """Whether buffers lacked since the last frame, by libaravis's count when this one was fetched."""
         samples = self._samples
         while len(samples) > 1 and samples[1][0] <= self._last_arrived_ns:
             samples.popleft()
@@ -191,12 +188,12 @@ class Underruns:
 class BufferReader:
     """Converts the buffers of one acquisition into frames.
 
-    `aravis` is the library's module. Damaged frames count as incomplete, other missing ones as lost by the
-    host if libaravis lacked free buffers in the time in question, otherwise as lost on the bus: cameras do
-    not report those that they lost themselves.
+    Damaged frames count as incomplete, other missing ones as lost by the host if libaravis lacked free
+    buffers at that time, otherwise as lost on the bus: cameras do not report those that they lost themselves.
     """
 
     aravis: Any
+    """The library's module."""
     name: str
     expected: ExpectedFrames
     numbers: BlockNumbers
@@ -219,9 +216,9 @@ class BufferReader:
             )
         x_padding, _ = buffer.get_image_padding()
         expected = self.expected
-        if not expected.may_have_padding(x_padding):
+        if not expected.can_strip_padding(x_padding):
             raise DeviceError(
-                f"{self.name}: pads rows of {expected.width_px} px in {expected.pixel_format.name}; set a "
+                f"{self.name}: pads rows of {expected.width_px} px in {expected.format.name}; set a "
                 "width that is a multiple of 4, or another pixel format"
             )
         data = buffer.get_data()
@@ -230,7 +227,7 @@ class BufferReader:
             return None
         now_ns = time.monotonic_ns()
         arrived_ns = self._arrived_ns(now_ns, buffer.get_system_timestamp())
-        lacked_buffers = self._underruns.before(arrived_ns, now_ns, underruns)
+        lacked_buffers = self._underruns.occurred(arrived_ns, now_ns, underruns)
         lost: LossCause = "dropped_by_host" if lacked_buffers else "dropped_by_bus"
         number = self.numbers.number(buffer.get_frame_id(), lost)
         if number is None:

@@ -15,7 +15,7 @@ from acquisition.camera import (
     CameraSettings,
     Frame,
     Image,
-    refuse_features,
+    refuse_unsupported,
 )
 from acquisition.cameras.files.frame_source import FilesSettings, StoredImage, UnreadableFrame, frame_times
 from acquisition.cameras.files.sources import open_source
@@ -74,7 +74,7 @@ class FilesCamera(DeviceCamera["RecordedFrames"]):
             if not self._was_lost:
                 self._next_index = 0
             numbers, index = self._begin(), self._next_index
-            # the frame before the first, at which the count of gaps begins
+            # gaps are counted from the frame before the first
             numbers.number(frames.times.sequence[index - 1] if index else -1, "dropped_by_camera")
             self._run = CameraRun(lambda _: self._next(frames), lambda: None)
 
@@ -148,7 +148,7 @@ class RecordedFrames:
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Set the region of interest; return the settings that apply."""
         info = self.info
-        refuse_features(settings, info.serial)
+        refuse_unsupported(settings, info.serial)
         x0, y0 = settings.offset_x_px or 0, settings.offset_y_px or 0
         width = settings.width_px or info.width_px - x0
         height = settings.height_px or info.height_px - y0
@@ -157,8 +157,8 @@ class RecordedFrames:
                 f"{info.serial}: a region of {width}x{height} px at ({x0}, {y0}) does not lie in images of "
                 f"{info.width_px}x{info.height_px} px"
             )
-        whole = (x0, y0, width, height) == (0, 0, info.width_px, info.height_px)
-        self._region = None if whole else np.s_[y0 : y0 + height, x0 : x0 + width]
+        is_full_image = (x0, y0, width, height) == (0, 0, info.width_px, info.height_px)
+        self._region = None if is_full_image else np.s_[y0 : y0 + height, x0 : x0 + width]
         return CameraSettings(
             frame_rate_hz=self._settings.frame_rate_hz,
             pixel_format=FORMAT_OF_BITS.get(info.full_scale_dn.bit_length()),
@@ -169,6 +169,7 @@ class RecordedFrames:
         )
 
     def _first_image(self) -> tuple[Image, int, str]:
+        """The first image that can be read, its full scale and its label."""
         source, reasons = self.source, []
         for index in range(source.count):
             try:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
+from statistics import median_high
 from typing import TYPE_CHECKING, Any
 
 from acquisition.cameras.files.frame_source import ONE_IMAGE, missing_frames, numbers_by_steps
@@ -52,20 +53,19 @@ def ffmpeg_error() -> type[Exception]:
 
 @dataclass(frozen=True, slots=True)
 class FilmIndex:
-    """Packets of a film that are shown, in the order of their times.
-
-    `ticks` are times in units of `tick_s`, `time_ns` times since the first frame, `sequence` numbers that
-    count missing frames too. `rate_hz` is the constant rate with which all times agree, else None.
-    `key_ticks` are the times of key frames. `time_ns` and `sequence` also have the frames that the container
-    announces beyond its last packet.
-    """
+    """Packets of a film that are displayed, in the order of their times."""
 
     ticks: Sequence[int]
+    """Times of the packets in units of `tick_s`."""
     time_ns: Sequence[int]
+    """Times since the first frame, also of the frames that the container announces beyond its last packet."""
     sequence: Sequence[int]
+    """Numbers of the same frames as `time_ns`; they count missing frames, too."""
     tick_s: Fraction
     rate_hz: Fraction | None
+    """Constant rate with which all times agree; None without one."""
     key_ticks: Sequence[int]
+    """Times of key frames in units of `tick_s`."""
     warnings: tuple[str, ...]
     codec: str
     pixel_format: str
@@ -73,13 +73,7 @@ class FilmIndex:
 
 
 def film_index(path: Path) -> FilmIndex:
-    """Index of a film, read once.
-
-    Raises
-    ------
-    DeviceError
-        No film, no picture in it, or packets without times.
-    """
+    """Index of a film, read once. Raises DeviceError for another file, and for packets without times."""
     container = open_film(path)
     try:
         if not container.streams.video:
@@ -95,8 +89,8 @@ def film_index(path: Path) -> FilmIndex:
 
 def _index(path: Path, container: Any, stream: "VideoStream") -> FilmIndex:
     warnings: list[str] = []
-    shown: dict[int, bool] = {}
-    dts_before: int | None = None
+    is_key: dict[int, bool] = {}
+    last_dts: int | None = None
     total = duplicates = 0
     last_duration = 0
     tick_s: Fraction = stream.time_base or Fraction(1, _SECOND_NS)
@@ -113,26 +107,26 @@ def _index(path: Path, container: Any, stream: "VideoStream") -> FilmIndex:
                     "their rate"
                 )
             if packet.dts is not None:
-                if dts_before is not None and packet.dts < dts_before:
+                if last_dts is not None and packet.dts < last_dts:
                     raise DeviceError(
                         f"{path}: the times go back at packet {total}, as in films that were joined; cut "
                         "it there"
                     )
-                dts_before = packet.dts
+                last_dts = packet.dts
             if packet.is_discard:
                 continue
-            if packet.pts in shown:
+            if packet.pts in is_key:
                 duplicates += 1
                 continue
-            shown[packet.pts] = packet.is_keyframe
+            is_key[packet.pts] = packet.is_keyframe
             last_duration = packet.duration or 0
     except ffmpeg_error() as error:
         warnings.append(f"cannot be read beyond packet {total}: {error}")
-    if not shown:
+    if not is_key:
         raise DeviceError(f"{path}: holds no frame; name another film")
     if duplicates:
         warnings.append(f"{duplicates} packets have the time of another and are left out")
-    ticks = sorted(shown)
+    ticks = sorted(is_key)
     rate_hz, numbers = _constant_rate(
         ticks, tick_s, [stream.average_rate, stream.base_rate, stream.guessed_rate]
     )
@@ -149,11 +143,11 @@ def _index(path: Path, container: Any, stream: "VideoStream") -> FilmIndex:
         time_ns += [time_ns[-1] + step_ns * (k + 1) for k in range(missing)]
         numbers += [numbers[-1] + k + 1 for k in range(missing)]
     context, aspect = stream.codec_context, stream.sample_aspect_ratio or Fraction(1)
-    shown_nx = round(context.width * aspect)
-    if shown_nx != context.width:
+    displayed_nx = round(context.width * aspect)
+    if displayed_nx != context.width:
         warnings.append(
             f"pixels are not square, {aspect.numerator}:{aspect.denominator} wide to high: a viewer shows "
-            f"{shown_nx}x{context.height} px instead of {context.width}x{context.height}"
+            f"{displayed_nx}x{context.height} px instead of {context.width}x{context.height}"
         )
     return FilmIndex(
         ticks=ticks,
@@ -161,7 +155,7 @@ def _index(path: Path, container: Any, stream: "VideoStream") -> FilmIndex:
         sequence=numbers,
         tick_s=tick_s,
         rate_hz=rate_hz,
-        key_ticks=[tick for tick in ticks if shown[tick]],
+        key_ticks=[tick for tick in ticks if is_key[tick]],
         warnings=tuple(warnings),
         codec=context.name,
         pixel_format=context.pix_fmt or "",
@@ -170,42 +164,39 @@ def _index(path: Path, container: Any, stream: "VideoStream") -> FilmIndex:
 
 
 def _constant_rate(
-    ticks: Sequence[int], tick_s: Fraction, stated: Iterable[Fraction | None]
+    ticks: Sequence[int], tick_s: Fraction, rates_hz: Iterable[Fraction | None]
 ) -> tuple[Fraction | None, list[int]]:
-    """The stated rate with which all times agree to the rounding of a tick, and the frames' numbers at it."""
-    for rate_hz in dict.fromkeys(stated):
+    """The rate with which all times agree to the rounding of a tick, and the frames' numbers at it."""
+    for rate_hz in dict.fromkeys(rates_hz):
         if not rate_hz or rate_hz * tick_s > 1 or len(ticks) < 3:
             continue
         for offset_ticks in (Fraction(0), Fraction(1, 2), Fraction(-1, 2)):
-            exact = [(tick - ticks[0] + offset_ticks) * tick_s * rate_hz for tick in ticks]
-            numbers = [round(one) for one in exact]
-            errors = [one - number for one, number in zip(exact, numbers, strict=True)]
-            steps = [after - before for before, after in pairwise(numbers)]
+            positions = [(tick - ticks[0] + offset_ticks) * tick_s * rate_hz for tick in ticks]
+            numbers = [round(position) for position in positions]
+            errors = [position - number for position, number in zip(positions, numbers, strict=True)]
+            steps = [later - earlier for earlier, later in pairwise(numbers)]
             # a microsecond more than a tick, because some files state rates to nine digits only
             tolerance_s = tick_s + Fraction(1, 1_000_000) if tick_s * rate_hz != 1 else 0
-            if min(steps) > 0 and _median(steps) == 1 and max(errors) - min(errors) <= tolerance_s * rate_hz:
+            rounding = max(errors) - min(errors)
+            if min(steps) > 0 and median_high(steps) == 1 and rounding <= tolerance_s * rate_hz:
                 return Fraction(rate_hz), [number - numbers[0] for number in numbers]
     return None, []
-
-
-def _median(values: Sequence[int]) -> int:
-    return sorted(values)[len(values) // 2]
 
 
 def _missing_at_end(
     container: Any, stream: "VideoStream", ticks: Sequence[int], total: int, tick_s: Fraction, last_ticks: int
 ) -> int:
     """Number of frames announced beyond the last packet; 0 for containers that do not state it exactly."""
-    steps = [after - before for before, after in pairwise(ticks)]
-    step = _median(steps) if steps else last_ticks
-    start, kind = stream.start_time or 0, container.format.name
-    if "avi" in kind and stream.average_rate and tick_s * stream.average_rate == 1:
+    steps = [later - earlier for earlier, later in pairwise(ticks)]
+    step = median_high(steps) if steps else last_ticks
+    start, container_name = stream.start_time or 0, container.format.name
+    if "avi" in container_name and stream.average_rate and tick_s * stream.average_rate == 1:
         # a chunk without bytes, which repeats a frame, counts too
         return max(stream.frames - 1 - ticks[-1], 0)
     if step and stream.duration and stream.frames:
         missing = int((start + stream.duration - ticks[-1] - max(last_ticks, step)) / step + 0.25)
         return max(min(missing, stream.frames - total), 0)
-    if step and "matroska" in kind and container.duration and len(container.streams) == 1:
+    if step and "matroska" in container_name and container.duration and len(container.streams) == 1:
         # the container's duration begins at time zero, not at the first frame
         announced = round(container.duration / (1_000_000 * tick_s))
         return max(int((announced - ticks[-1] - max(last_ticks, step)) / step + 0.25), 0)

@@ -4,8 +4,9 @@ import csv
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from decimal import Decimal, InvalidOperation
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
+from statistics import median_high
 from typing import Any, Literal, NamedTuple, Self, TypeVar
 
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
         return self
 
 
-T = TypeVar("T")
+_Value = TypeVar("_Value")
 _MAX_DIGITS = 11
 """Largest decimal exponent of a time in s that is computed; a larger time does not fit into 64 bits of ns."""
 _MAX_OFF_TICKS = 1.5
@@ -86,24 +87,20 @@ class FrameTimes(NamedTuple):
 def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
     """Times of the frames of a source: from a CSV file, a stated rate, or the film itself.
 
-    Raises
-    ------
-    DeviceError
-        None of these, a CSV file that does not match the frames, or a rate that the film contradicts.
+    Raises DeviceError where all are missing, the file does not match, or the film contradicts the rate.
     """
     if settings.frame_rate_hz is not None:
         return _times_at_rate(settings, settings.frame_rate_hz, source)
     frames = settings.path
-    beside = frames / "timestamps.csv" if frames.is_dir() else frames.with_suffix(".csv")
-    path = settings.timestamps_csv or beside
-    if settings.timestamps_csv is None and not path.is_file():
-        if source.times is not None:
-            return source.times
-        raise DeviceError(
-            f"{settings.path}: when were the frames taken? State camera.files.frame_rate_hz (rig fit: "
-            f"--rate) or write {path}"
-        )
-    return _times_from_csv(path, source.count, source.names)
+    default_path = frames / "timestamps.csv" if frames.is_dir() else frames.with_suffix(".csv")
+    if settings.timestamps_csv is not None or default_path.is_file():
+        return _times_from_csv(settings.timestamps_csv or default_path, source.count, source.names)
+    if source.times is not None:
+        return source.times
+    raise DeviceError(
+        f"{settings.path}: when were the frames taken? State camera.files.frame_rate_hz (rig fit: "
+        f"--rate) or write {default_path}"
+    )
 
 
 def _times_at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource") -> FrameTimes:
@@ -153,12 +150,12 @@ def _times_from_csv(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
     sequence: Sequence[int] = range(count)
     if "sequence" in header:
         numbers = _require_rising(path, "sequence", _column(path, header, body, "sequence", int))
-        sequence = [number - numbers[0] for number in numbers] if numbers else numbers
+        sequence = [number - numbers[0] for number in numbers]
     if "file" in header and names:
-        stated = _column(path, header, body, "file", str)
-        for line, (name, wanted) in enumerate(zip(stated, names, strict=True), start=2):
-            if name != wanted:
-                raise DeviceError(f"{path}: line {line} names {name!r} where the image is {wanted!r}")
+        file_cells = _column(path, header, body, "file", str)
+        for line, (cell, name) in enumerate(zip(file_cells, names, strict=True), start=2):
+            if cell != name:
+                raise DeviceError(f"{path}: line {line} names {cell!r} where the image is {name!r}")
     return FrameTimes(times_ns, sequence)
 
 
@@ -170,12 +167,12 @@ def _ns_of_seconds(text: str) -> int:
 
 
 def _column(
-    path: Path, header: list[str], body: list[list[str]], name: str, convert: Callable[[str], T]
-) -> list[T]:
-    place = header.index(name)
+    path: Path, header: list[str], body: list[list[str]], name: str, convert: Callable[[str], _Value]
+) -> list[_Value]:
+    column = header.index(name)
     values = []
     for line, row in enumerate(body, start=2):
-        text = row[place].strip() if place < len(row) else ""
+        text = row[column].strip() if column < len(row) else ""
         try:
             values.append(convert(text))
         except (ValueError, InvalidOperation, OverflowError):
@@ -186,11 +183,11 @@ def _column(
 
 
 def _require_rising(path: Path, name: str, values: list[int]) -> list[int]:
-    for line, (before, after) in enumerate(pairwise(values), start=3):
-        if after <= before:
+    for line, (earlier, later) in enumerate(pairwise(values), start=3):
+        if later <= earlier:
             raise DeviceError(f"{path}: line {line}: {name} does not rise; frames must be in the order taken")
     if values and values[-1] >= 2**63:
-        raise DeviceError(f"{path}: {name} holds more than 9.2e18 ns, which cannot be kept")
+        raise DeviceError(f"{path}: {name} rises above 9.2e18, which cannot be stored")
     if values and values[0] < 0:
         raise DeviceError(f"{path}: line 2: {name} is negative; count from an earlier moment")
     return values
@@ -198,32 +195,29 @@ def _require_rising(path: Path, name: str, values: list[int]) -> list[int]:
 
 def numbers_by_steps(ticks: Sequence[int]) -> list[int]:
     """Numbers of frames at a varying rate; only clearly longer steps of time count as missing frames."""
-    steps = sorted(after - before for before, after in pairwise(ticks))
-    usual = steps[len(steps) // 2] if steps else 1
-    numbers = [0]
-    for before, after in pairwise(ticks):
-        step = after - before
-        numbers.append(numbers[-1] + (round(step / usual) if step >= _MIN_GAP_STEPS * usual else 1))
-    return numbers
+    steps = [later - earlier for earlier, later in pairwise(ticks)]
+    usual = median_high(steps) if steps else 1
+    increments = (round(step / usual) if step >= _MIN_GAP_STEPS * usual else 1 for step in steps)
+    return list(accumulate(increments, initial=0))
 
 
 def missing_frames(time_ns: Sequence[int], numbers: Sequence[int], source: str) -> list[str]:
-    """Warning (none or one line) about gaps in the frames' numbers; `source` says what these come from."""
+    """Warning (none or one line) about gaps in the frames' numbers; `source` says where these come from."""
     gaps = [
-        (time_ns[i] / NS_PER_S, numbers[i + 1] - numbers[i] - 1)
-        for i in range(len(numbers) - 1)
-        if numbers[i + 1] - numbers[i] > 1
+        (time_ns[i] / NS_PER_S, later - earlier - 1)
+        for i, (earlier, later) in enumerate(pairwise(numbers))
+        if later - earlier > 1
     ]
     if not gaps:
         return []
-    places = first_places_text([f"{count} after {time_s:.3f} s" for time_s, count in gaps])
-    return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {places}"]
+    listed = listed_gaps([f"{count} after {time_s:.3f} s" for time_s, count in gaps])
+    return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {listed}"]
 
 
-def first_places_text(places: Sequence[str]) -> str:
-    """The first places of a list in words, and the number of the others."""
-    more = f" and {len(places) - _MAX_LISTED} more places" if len(places) > _MAX_LISTED else ""
-    return ", ".join(places[:_MAX_LISTED]) + more
+def listed_gaps(gaps: Sequence[str]) -> str:
+    """The first gaps in words, and the number of the others."""
+    more = f" and {len(gaps) - _MAX_LISTED} more places" if len(gaps) > _MAX_LISTED else ""
+    return ", ".join(gaps[:_MAX_LISTED]) + more
 
 
 ONE_IMAGE = "is one image; name the folder that holds the images, or a film"
@@ -234,14 +228,14 @@ class UnreadableFrame(Exception):
 
 
 class StoredImage(NamedTuple):
-    """Pixels as stored, (ny, nx) or (ny, nx, channels), and their largest possible value.
-
-    `coloured` is True if the pixels are the luminance of a picture that also stores colour.
-    """
+    """Pixels as stored."""
 
     pixels: NDArray[Any]
+    """Shape (ny, nx) or (ny, nx, channels)."""
     full_scale: int
+    """Largest possible value of a pixel."""
     coloured: bool = False
+    """Whether the pixels are the luminance of a picture that also stores colour."""
 
 
 class FrameSource(ABC):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import TiffImagePlugin as TIFF
 
 from acquisition.cameras.files.film import FilmSource
-from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage, first_places_text
+from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage, listed_gaps
 from acquisition.cameras.files.frame_source import UnreadableFrame as UnreadableFrame
 from processing.errors import DeviceError
 
@@ -65,23 +65,23 @@ def numbers_in(names: Sequence[str]) -> list[int] | None:
 
     Usable names differ in one number only, which rises evenly except where images are missing.
     """
-    parts = [re.split(r"(\d+)", name) for name in names]
-    if len(names) < 3 or len({len(one) for one in parts}) > 1:
+    rows = [re.split(r"(\d+)", name) for name in names]
+    if len(names) < 3 or len({len(row) for row in rows}) > 1:
         return None
     # a number with and without leading zeros is the same number
-    changing = [k for k, column in enumerate(zip(*parts, strict=True)) if len(set(column)) > 1]
+    changing = [k for k, column in enumerate(zip(*rows, strict=True)) if len(set(column)) > 1]
     if len(changing) != 1 or changing[0] % 2 == 0:
         return None
-    numbers = [int(one[changing[0]]) for one in parts]
-    steps = Counter(after - before for before, after in pairwise(numbers))
-    step, times = steps.most_common(1)[0]
-    if step <= 0 or 2 * times < len(names) - 1 or any(one % step for one in steps):
+    numbers = [int(row[changing[0]]) for row in rows]
+    steps = Counter(later - earlier for earlier, later in pairwise(numbers))
+    usual, times = steps.most_common(1)[0]
+    if usual <= 0 or 2 * times < len(names) - 1 or any(step % usual for step in steps):
         return None
-    return [(number - numbers[0]) // step for number in numbers]
+    return [(number - numbers[0]) // usual for number in numbers]
 
 
 class _Images:
-    """The images of one file, which holds a single one unless it is of a subclass."""
+    """The images of one file, which holds a single image unless it is of a subclass."""
 
     count = 1
     warnings: Sequence[str] = ()
@@ -131,11 +131,11 @@ class _TiffImages(_Images):
 
     def read(self, page: int) -> StoredImage:
         if self._pixels_at >= 0:
-            wanted = math.prod(self._shape) * self._dtype.itemsize
+            image_bytes = math.prod(self._shape) * self._dtype.itemsize
             with self._path.open("rb") as file:
-                file.seek(self._pixels_at + page * wanted)
-                raster = file.read(wanted)
-            if len(raster) < wanted:
+                file.seek(self._pixels_at + page * image_bytes)
+                raster = file.read(image_bytes)
+            if len(raster) < image_bytes:
                 raise UnreadableFrame("the file is cut off before this image; copy it again")
             stored = np.frombuffer(raster, self._dtype).reshape(self._shape)
             return _stored(stored.astype(self._dtype.newbyteorder("=")))
@@ -178,17 +178,17 @@ def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
     Raises DeviceError if the images are not a series in time.
     """
     if note.startswith("ImageJ"):
-        stated = {name: int(number) for name, number in re.findall(r"^(\w+)=(\d+)\s*$", note, re.MULTILINE)}
-        many = [name for name in ("channels", "slices", "frames") if stated.get(name, 1) > 1]
-        if "channels" in many or len(many) > 1:
+        counts = {name: int(number) for name, number in re.findall(r"^(\w+)=(\d+)\s*$", note, re.MULTILINE)}
+        axes = [name for name in ("channels", "slices", "frames") if counts.get(name, 1) > 1]
+        if "channels" in axes or len(axes) > 1:
             raise DeviceError(
-                f"{path}: holds {' of '.join(f'{stated[name]} {name}' for name in many)} by ImageJ's note; "
+                f"{path}: holds {' of '.join(f'{counts[name]} {name}' for name in axes)} by ImageJ's note; "
                 "save the images of one channel and slice"
             )
-        return stated.get("images", 0)
-    if found := re.match(r'{"shape": \[([\d, ]+)\]', note):
-        numbers = [int(one) for one in found.group(1).split(",")]
-        return math.prod(numbers) // max(math.prod(shape), 1) if numbers[-2:] == shape else 0
+        return counts.get("images", 0)
+    if match := re.match(r'{"shape": \[([\d, ]+)\]', note):
+        lengths = [int(length) for length in match.group(1).split(",")]
+        return math.prod(lengths) // max(math.prod(shape), 1) if lengths[-2:] == shape else 0
     return 0
 
 
@@ -208,29 +208,29 @@ class ImageSource(FrameSource):
         self._folder, files, warnings = path, [""], list[str]()
         if path.is_dir():
             try:
-                inside = [entry.name for entry in path.iterdir()]
+                names = [entry.name for entry in path.iterdir()]
             except OSError as error:
                 raise DeviceError(f"{path}: cannot be listed: {error.strerror}") from None
-            files = images_in(inside)
-            warnings = _ignored_files(path, inside, files)
+            files = images_in(names)
+            warnings = _ignored_files(path, names, files)
         self._files = [path / name for name in files]
         self._images = [
             (_TiffImages if file.suffix.lower() in _STACKS else _Images)(file) for file in self._files
         ]
-        self._places = [(k, page) for k, one in enumerate(self._images) for page in range(one.count)]
-        self.count = len(self._places)
+        self._pages = [(k, page) for k, images in enumerate(self._images) for page in range(images.count)]
+        self.count = len(self._pages)
         if path.is_dir():
-            self.names = [files[k] for k, _ in self._places]
+            self.names = [files[k] for k, _ in self._pages]
             warnings += self._number_by_names(files)
         elif self.count == 1:
             self._refuse_single_image()
         if self.count > len(files):
             self.summary = f"{self.count} images in {len(files)} file{'s' if len(files) > 1 else ''}"
-        self.warnings = [*warnings, *(line for one in self._images for line in one.warnings)]
+        self.warnings = [*warnings, *(line for images in self._images for line in images.warnings)]
         self.lossy = "jpeg" if self._files[0].suffix.lower() in _LOSSY else ""
 
     def read(self, index: int) -> StoredImage:
-        file, page = self._places[index]
+        file, page = self._pages[index]
         try:
             return self._images[file].read(page)
         except OSError as error:
@@ -239,7 +239,7 @@ class ImageSource(FrameSource):
             raise UnreadableFrame(str(error.strerror)) from None
 
     def label(self, index: int) -> str:
-        file, page = self._places[index]
+        file, page = self._pages[index]
         return str(self._files[file]) + (f", image {page + 1}" if self._images[file].count > 1 else "")
 
     def _refuse_single_image(self) -> None:
@@ -255,20 +255,20 @@ class ImageSource(FrameSource):
         if len(files) < 3:
             # in fewer than three files no gap can be recognised
             return []
-        numbers, counts = numbers_in(files), [one.count for one in self._images]
+        numbers, counts = numbers_in(files), [images.count for images in self._images]
         # the last file may hold fewer images than the others
         if numbers is None or len(set(counts[:-1])) > 1 or counts[-1] > counts[0]:
             return ["the numbers in the images' names are uneven: no gap can be found"]
-        self.numbers = [numbers[k] * counts[0] + page for k, page in self._places]
-        gaps = [i for i, (before, after) in enumerate(pairwise(numbers)) if after - before > 1]
+        self.numbers = [numbers[k] * counts[0] + page for k, page in self._pages]
+        gaps = [i for i, (earlier, later) in enumerate(pairwise(numbers)) if later - earlier > 1]
         count = counts[0] * sum(numbers[i + 1] - numbers[i] - 1 for i in gaps)
-        places = first_places_text([f"{files[i]} to {files[i + 1]}" for i in gaps])
-        return [f"{count} images are missing by the numbers in their names: between {places}"] if gaps else []
+        listed = listed_gaps([f"{files[i]} to {files[i + 1]}" for i in gaps])
+        return [f"{count} images are missing by the numbers in their names: between {listed}"] if gaps else []
 
 
-def _ignored_files(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:
+def _ignored_files(path: Path, names: Sequence[str], images: Sequence[str]) -> list[str]:
     """Warnings about other files in the folder; raises DeviceError if there are no images."""
-    others = [name for name in inside if name not in set(images) and not name.startswith(".")]
+    others = [name for name in names if name not in set(images) and not name.startswith(".")]
     films = sum(is_film(path / name) for name in others)
     if not images and films:
         raise DeviceError(f"{path}: holds {films} films and no images; name one of the films")
@@ -280,8 +280,8 @@ def _ignored_files(path: Path, inside: Sequence[str], images: Sequence[str]) -> 
             "convert them"
         )
     photographs = sum(Path(name).suffix.lower() in _LOSSY for name in others)
-    beside = [(films, "films"), (photographs, "JPEG pictures")]
-    return [f"{count} {what} lie beside the images, and are left out" for count, what in beside if count]
+    ignored = [(films, "films"), (photographs, "JPEG pictures")]
+    return [f"{count} {kind} lie beside the images, and are left out" for count, kind in ignored if count]
 
 
 class StackSource(FrameSource):
@@ -315,7 +315,7 @@ def _portable(data: bytes) -> StoredImage:
     header = _HEADER.match(data)
     if header is None:
         raise UnreadableFrame("no header of a binary PGM or PPM file (P5, P6); save it as one, or as PNG")
-    kind, nx, ny, largest = (int(one) for one in header.groups())
+    kind, nx, ny, largest = map(int, header.groups())
     if not 0 < largest < 65536 or nx * ny == 0:
         raise UnreadableFrame(f"the header states {nx}x{ny} pixels up to {largest}")
     channels, dtype = 3 if kind == 6 else 1, np.dtype(np.uint8 if largest < 256 else ">u2")

@@ -28,27 +28,18 @@ logger = logging.getLogger(__name__)
 
 _MAX_FRAME_BYTES: Final = 1 << 30
 _MAX_TRANSFER_BYTES: Final = 1 << 20
-_REPLY_S: Final = 0.5
+_REPLY_TIMEOUT_S: Final = 0.5
 # the three limits together let `stop` and `close` return within a second, whatever the camera does
-_LOCK_S: Final = 0.2
-_COMMANDS_S: Final = 0.25
-_JOIN_S: Final = 0.25
+_LOCK_TIMEOUT_S: Final = 0.2
+_COMMANDS_TIMEOUT_S: Final = 0.25
+_READ_END_TIMEOUT_S: Final = 0.25
 _MAX_CLOCK_STEP_NS: Final = 15_000
 """Resolution of the camera's clock above which the times of turning points become less accurate."""
 
 
 class Usb3VisionCamera(GenicamCamera[NodeMap]):
-    """Any USB3 Vision camera, through pyusb and libusb.
+    """Any USB3 Vision camera, through pyusb's `backend` (None: libusb 1.0).
 
-    Parameters
-    ----------
-    settings
-        The camera to use, and options of the driver.
-    backend
-        pyusb's backend; None: libusb 1.0.
-
-    Notes
-    -----
     After a loss of the camera and a new start the counts continue (`CameraStatus.reconnects`); frames are
     numbered from 0 again.
     """
@@ -73,21 +64,18 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
     def open(self) -> CameraInfo:
         """Find and claim the camera, and read the description of its features.
 
-        Raises
-        ------
-        DeviceError
-            genicam is not installed; no camera; several and no serial number given; wrong serial number; no
-            permission (the message names the udev rule); in use; or an invalid description.
+        Raises DeviceError where genicam is not installed, the choice of the camera is not clear, permission
+        is missing (the message names the udev rule), it is in use, or its description is invalid.
         """
         self.close()
         load_genapi()
         with self._lock:
-            found = find_camera(self._settings.serial, self._backend)
-            self._name = found.name
-            link = UsbLink(found.device, found.name)
+            camera = find_camera(self._settings.serial, self._backend)
+            self._name = camera.name
+            link = UsbLink(camera.device, camera.name)
             link.claim()
             try:
-                self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=_REPLY_S)
+                self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=_REPLY_TIMEOUT_S)
                 identity = read_identity(self._channel)
                 silence_events(self._channel, identity.event_address)
                 features = self._read_features(self._channel, identity)
@@ -141,7 +129,7 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             plan = registers.set_up(_MAX_FRAME_BYTES, _MAX_TRANSFER_BYTES)
             image_bytes = expected.image_bytes()
             if sum(plan.payload) < image_bytes:
-                size = f"{expected.width_px} x {expected.height_px} in {expected.pixel_format.name}"
+                size = f"{expected.width_px} x {expected.height_px} in {expected.format.name}"
                 raise DeviceError(
                     f"{self._name}: announces frames of {sum(plan.payload)} bytes, but {size} takes "
                     f"{image_bytes}; set its size again"
@@ -149,7 +137,7 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             _set_locked(features, True)
             registers.enable(True)
             numbers = self._begin(COUNTERS, has_clock=expected.has_clock)
-            ahead = frames_ahead(features.stated_rate(), image_bytes)
+            ahead = frames_ahead(features.expected_rate_hz(), image_bytes)
             transfers = self._transfers(link, ahead)
             self._stream = UsbFrameStream(transfers, plan, expected, link, numbers)
             self._run = CameraRun(self._stream.step, transfers.cancel)
@@ -178,18 +166,18 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
             return
         run.request_stop()
         if features is None or registers is None or not self._camera_is_running:
-            run.stop(_JOIN_S)
+            run.stop(_READ_END_TIMEOUT_S)
             return
         self._camera_is_running = False
         with suppress(CameraLost):
             self._try_each(
                 lambda: features.write("AcquisitionStop", True),
                 lambda: registers.enable(False),
-                limit_s=_COMMANDS_S / 2,
+                limit_s=_COMMANDS_TIMEOUT_S / 2,
             )
-        run.stop(_JOIN_S)
+        run.stop(_READ_END_TIMEOUT_S)
         with suppress(CameraLost):
-            self._try_each(lambda: _set_locked(features, False), limit_s=_COMMANDS_S / 2)
+            self._try_each(lambda: _set_locked(features, False), limit_s=_COMMANDS_TIMEOUT_S / 2)
 
     def _try_each(self, *steps: Callable[[], None], limit_s: float | None = None) -> None:
         """Call each step, even if earlier ones failed because the camera does not answer.
@@ -228,11 +216,11 @@ class Usb3VisionCamera(GenicamCamera[NodeMap]):
     @contextmanager
     def _lock_briefly(self) -> Iterator[bool]:
         """Yield whether the lock was acquired; a call that holds it for a silent camera is aborted."""
-        locked = self._lock.acquire(timeout=_LOCK_S)
+        locked = self._lock.acquire(timeout=_LOCK_TIMEOUT_S)
         channel = self._channel
         if not locked and channel is not None:
             channel.abort()
-            locked = self._lock.acquire(timeout=_LOCK_S)
+            locked = self._lock.acquire(timeout=_LOCK_TIMEOUT_S)
         try:
             yield locked
         finally:

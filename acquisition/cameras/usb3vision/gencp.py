@@ -23,11 +23,11 @@ _READ: Final = 0x0800
 _WRITE: Final = 0x0802
 _PENDING_ACK: Final = 0x0805
 
-_SMALLEST_PACKET: Final = 64
-"""Packet size in bytes that every camera supports, used until the camera's own limits have been read."""
-_LONGEST_WAIT_S: Final = 30.0
+_MIN_PACKET_BYTES: Final = 64
+"""Packet size that every camera supports, used until the camera's own limits have been read."""
+_MAX_WAIT_S: Final = 30.0
 """Longest wait for a camera that repeatedly requests more time."""
-_SLICE_S: Final = 0.1
+_POLL_S: Final = 0.1
 """Timeout of a single read of a reply, within which `abort` takes effect."""
 
 _BUSY: Final = 0x8007
@@ -97,28 +97,28 @@ class GenCpChannel:
         self._clock = clock
         self._lock = threading.RLock()
         self._last_id = 0
-        self._max_command = _SMALLEST_PACKET
-        self._max_reply = _SMALLEST_PACKET
-        self._give_up_at_s: float | None = None
+        self._max_command = _MIN_PACKET_BYTES
+        self._max_reply = _MIN_PACKET_BYTES
+        self._deadline_s: float | None = None
         self._aborted = threading.Event()
 
     def set_limits(self, max_command: int, max_reply: int, response_time_s: float) -> None:
         """Use the camera's own packet sizes in bytes and its longest response time."""
-        self._max_command = max(max_command, _SMALLEST_PACKET)
-        self._max_reply = max(max_reply, _SMALLEST_PACKET)
-        self._timeout_s = max(self._timeout_s, min(2.0 * response_time_s, _LONGEST_WAIT_S))
+        self._max_command = max(max_command, _MIN_PACKET_BYTES)
+        self._max_reply = max(max_reply, _MIN_PACKET_BYTES)
+        self._timeout_s = max(self._timeout_s, min(2.0 * response_time_s, _MAX_WAIT_S))
 
     @contextmanager
-    def time_limit(self, seconds: float) -> Iterator[None]:
+    def time_limit(self, limit_s: float) -> Iterator[None]:
         """Context whose accesses may together take at most this time, after which they raise `NoAnswer`."""
-        give_up_at_s = self._clock() + seconds
-        if not self._lock.acquire(timeout=seconds):
-            raise NoAnswer(f"{self._name}: still busy with another command after {seconds:.1f} s")
+        deadline_s = self._clock() + limit_s
+        if not self._lock.acquire(timeout=limit_s):
+            raise NoAnswer(f"{self._name}: still busy with another command after {limit_s:.1f} s")
         try:
-            self._give_up_at_s = give_up_at_s
+            self._deadline_s = deadline_s
             yield
         finally:
-            self._give_up_at_s = None
+            self._deadline_s = None
             self._lock.release()
 
     def abort(self) -> None:
@@ -131,23 +131,25 @@ class GenCpChannel:
         data = bytearray()
         while len(data) < length:
             size = min(length - len(data), largest)
-            data += self._read_part(address + len(data), size)
+            data += self._read_piece(address + len(data), size)
         return bytes(data)
 
     def write(self, address: int, data: bytes) -> None:
         """Write `data` at `address`, in as many commands as the camera's packets need."""
         largest = (self._max_command - _HEADER.size - _WRITE_ADDRESS.size) & ~3
         for start in range(0, len(data), largest):
-            part = data[start : start + largest]
-            where = f"writing {len(part)} bytes at 0x{address + start:X}"
-            reply = self._transact(_WRITE, _WRITE_ADDRESS.pack(address + start) + part, where, None)
+            piece = data[start : start + largest]
+            action = f"writing {len(piece)} bytes at 0x{address + start:X}"
+            reply = self._transact(_WRITE, _WRITE_ADDRESS.pack(address + start) + piece, action, None)
             # the written length is optional in GenCP; 0 means that it is omitted
             if len(reply) >= _TWO_WORDS.size:
                 written = _TWO_WORDS.unpack_from(reply)[1]
-                if written not in (0, len(part)):
-                    raise NoAnswer(f"{self._name}: {where}: the camera reports that it has written {written}")
+                if written not in (0, len(piece)):
+                    raise NoAnswer(
+                        f"{self._name}: {action}: the camera reports that it has written {written}"
+                    )
 
-    def _read_part(self, address: int, size: int) -> bytes:
+    def _read_piece(self, address: int, size: int) -> bytes:
         """Read by one command; where a camera reads only whole words of 4 bytes, the size is rounded up."""
         try:
             return self._read_once(address, size)
@@ -157,43 +159,40 @@ class GenCpChannel:
         return self._read_once(address, size + 3 & ~3)[:size]
 
     def _read_once(self, address: int, size: int) -> bytes:
-        where = f"reading {size} bytes at 0x{address:X}"
-        return self._transact(_READ, _READ_COMMAND.pack(address, 0, size), where, size)
+        action = f"reading {size} bytes at 0x{address:X}"
+        return self._transact(_READ, _READ_COMMAND.pack(address, 0, size), action, size)
 
-    def _next_id(self) -> int:
-        self._last_id = self._last_id % 0xFFFF + 1  # 0 is reserved
-        return self._last_id
-
-    def _transact(self, command: int, payload: bytes, where: str, reply_size: int | None) -> bytes:
+    def _transact(self, command: int, payload: bytes, action: str, reply_size: int | None) -> bytes:
+        """Data of the reply to a command; `action` names the command in messages."""
         problem = "no reply"
         with self._lock:
             for _ in range(self._retries + 1):
-                if self._patience_s(1.0) <= 0:
+                if self._limited_s(1.0) <= 0:
                     break
-                request_id = self._next_id()
-                header = _HEADER.pack(_PREFIX, _REQUEST_ACK, command, len(payload), request_id)
+                self._last_id = self._last_id % 0xFFFF + 1  # 0 is reserved
+                header = _HEADER.pack(_PREFIX, _REQUEST_ACK, command, len(payload), self._last_id)
                 try:
-                    self._send(header + payload, self._patience_s(self._timeout_s))
-                    reply = self._await(command + 1, request_id, reply_size)
-                except TimeoutError as silence:
-                    problem = str(silence) or "no reply"
+                    self._send(header + payload, self._limited_s(self._timeout_s))
+                    status, data = self._await(command + 1, self._last_id, reply_size)
+                except TimeoutError as error:
+                    problem = str(error) or "no reply"
                     continue
-                status, data = reply
                 if status == 0:
                     return data
                 meaning = _STATUS_MEANINGS.get(status, "unknown status")
                 problem = f"{meaning} (status 0x{status:04X})"
                 if status != _BUSY:
-                    raise RegisterRefused(f"{self._name}: {where}: {problem}")
-                time.sleep(min(0.01, max(self._patience_s(0.01), 0.0)))
-        raise NoAnswer(f"{self._name}: {where}: {problem}; unplug the camera and plug it in again")
+                    raise RegisterRefused(f"{self._name}: {action}: {problem}")
+                time.sleep(min(0.01, max(self._limited_s(0.01), 0.0)))
+        raise NoAnswer(f"{self._name}: {action}: {problem}; unplug the camera and plug it in again")
 
-    def _patience_s(self, wanted_s: float) -> float:
+    def _limited_s(self, timeout_s: float) -> float:
+        """The timeout, as far as `time_limit` and `abort` allow it."""
         if self._aborted.is_set():
             return 0.0
-        if self._give_up_at_s is None:
-            return wanted_s
-        return min(wanted_s, self._give_up_at_s - self._clock())
+        if self._deadline_s is None:
+            return timeout_s
+        return min(timeout_s, self._deadline_s - self._clock())
 
     def _await(self, command: int, request_id: int, reply_size: int | None) -> tuple[int, bytes]:
         """Status and data of the reply; other packets that arrive are logged and ignored."""
@@ -201,11 +200,11 @@ class GenCpChannel:
         deadline_s = start_s + self._timeout_s
         problem = "no reply"
         while True:
-            left_s = self._patience_s(min(deadline_s, start_s + _LONGEST_WAIT_S) - self._clock())
+            left_s = self._limited_s(min(deadline_s, start_s + _MAX_WAIT_S) - self._clock())
             if left_s <= 0:
                 raise TimeoutError(problem)
             try:
-                packet = self._receive(self._max_reply, min(left_s, _SLICE_S))
+                packet = self._receive(self._max_reply, min(left_s, _POLL_S))
             except TimeoutError:
                 continue
             if len(packet) < _HEADER.size:

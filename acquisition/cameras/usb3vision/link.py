@@ -50,15 +50,10 @@ class StreamHalted(DeviceError):
 
 
 def _no_access() -> str:
-    """Why a connected camera cannot be opened, and the remedy."""
+    """Why a connected camera cannot be opened, and the remedy: on Windows it lacks a driver."""
     if sys.platform == "win32":
         return WINUSB
     return "no permission to use it; run rig doctor --install-udev, and plug the camera in again"
-
-
-def no_permission(name: str) -> DeviceError:
-    """Error for a user without permission to open the camera, or on Windows without its driver."""
-    return DeviceError(f"{name}: {_no_access()}")
 
 
 def is_gone(error: usb.core.USBError) -> bool:
@@ -88,9 +83,9 @@ class UsbLink:
         self.stream_interface: int = stream.bInterfaceNumber
         self._control_in: int = self._endpoint(control, usb.util.ENDPOINT_IN).bEndpointAddress
         self._control_out: int = self._endpoint(control, usb.util.ENDPOINT_OUT).bEndpointAddress
-        read_from = self._endpoint(stream, usb.util.ENDPOINT_IN)
-        self.stream_in: int = read_from.bEndpointAddress
-        self.packet_size = int(read_from.wMaxPacketSize) & 0x7FF or 1024
+        stream_endpoint = self._endpoint(stream, usb.util.ENDPOINT_IN)
+        self.stream_in: int = stream_endpoint.bEndpointAddress
+        self.packet_size = int(stream_endpoint.wMaxPacketSize) & 0x7FF or 1024
 
     def _interface(self, protocol: int) -> Any:
         for configuration, interface in _interfaces(self.device):
@@ -199,7 +194,7 @@ class UsbLink:
         if is_gone(error):
             return self.unplugged(doing)
         if error.errno == errno.EACCES:
-            return no_permission(self.name)
+            return DeviceError(f"{self.name}: {_no_access()}")
         if error.errno == errno.EBUSY:
             return DeviceError(f"{self.name}: is in use by another program; close that program")
         return DeviceError(f"{self.name}: {doing}: {error}; unplug the camera and plug it in again")
@@ -226,18 +221,17 @@ _SPEED_NAMES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera on the bus; texts that cannot be read are empty.
-
-    `usb_speed` is libusb's number of the speed, 0 if it is unknown. `accessible` is False without permission
-    or driver; `device` is pyusb's object.
-    """
+    """A camera on the bus; texts that cannot be read are empty."""
 
     vendor: str
     model: str
     serial: str
     usb_speed: int
+    """libusb's number of the speed; 0 if it is unknown."""
     accessible: bool
+    """Whether there are permission and driver to open the camera."""
     device: Any
+    """pyusb's object of the device."""
 
     @property
     def speed_text(self) -> str:
@@ -247,58 +241,51 @@ class FoundCamera:
     @property
     def name(self) -> str:
         """Name of the camera in messages."""
-        who = (
-            f"{self.vendor} {self.model}".strip() or f"{self.device.idVendor:04x}:{self.device.idProduct:04x}"
-        )
-        serial = f"serial {self.serial}" if self.serial else "serial unreadable"
-        return f"USB3 Vision camera {who} ({serial})"
+        maker = f"{self.vendor} {self.model}".strip()
+        maker = maker or f"{self.device.idVendor:04x}:{self.device.idProduct:04x}"
+        return f"USB3 Vision camera {maker} (serial {self.serial or 'unreadable'})"
 
 
 def find_cameras(backend: usb.backend.IBackend | None = None) -> tuple[FoundCamera, ...]:
-    """All connected USB3 Vision cameras.
-
-    Raises DeviceError if libusb is missing.
-    """
+    """All connected USB3 Vision cameras. Raises DeviceError if libusb is missing."""
     devices = usb.core.find(find_all=True, backend=backend or _libusb(), custom_match=_is_vision)
     return tuple(_describe(device) for device in devices)
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """All connected USB3 Vision cameras for ``rig doctor``, with the USB speed as `place`."""
-    missing = ""
+    """All connected USB3 Vision cameras for ``rig doctor``, with the USB speed as `connection`."""
+    problem = ""
     try:
         load_genapi()
     except DeviceError as error:
-        missing = str(error)
+        problem = str(error)
     return [
         PluggedCamera(
             driver="usb3vision",
-            name=f"{found.vendor} {found.model}".strip(),
-            serial=found.serial,
-            place=found.speed_text,
-            problem=missing if found.accessible else _no_access(),
+            name=f"{camera.vendor} {camera.model}".strip(),
+            serial=camera.serial,
+            connection=camera.speed_text,
+            problem=problem if camera.accessible else _no_access(),
         )
-        for found in find_cameras()
+        for camera in find_cameras()
     ]
 
 
 def find_camera(serial: str | None, backend: usb.backend.IBackend | None = None) -> FoundCamera:
     """The camera with this serial number; None: the only one connected.
 
-    Raises
-    ------
-    DeviceError
-        No camera is connected; several are and no serial number is given; none has the serial number; or
-        there is no permission to open it.
+    Raises DeviceError as `only_camera`, and where there is no permission to open the camera.
     """
     cameras = find_cameras(backend)
-    if serial is not None and all(camera.serial != serial for camera in cameras):
-        for camera in cameras:
-            if not camera.accessible:
-                raise no_permission(camera.name)
-    chosen = only_camera("usb3vision", [(one.name, one.serial, one) for one in cameras], serial)
+    # the serial number of a camera without permission is unknown, so it may be the requested one
+    refused = [camera for camera in cameras if not camera.accessible]
+    if refused and serial is not None and all(camera.serial != serial for camera in cameras):
+        chosen = refused[0]
+    else:
+        named = [(camera.name, camera.serial, camera) for camera in cameras]
+        chosen = only_camera("usb3vision", named, serial)
     if not chosen.accessible:
-        raise no_permission(chosen.name)
+        raise DeviceError(f"{chosen.name}: {_no_access()}")
     return chosen
 
 
@@ -342,12 +329,10 @@ def _describe(device: Any) -> FoundCamera:
     try:
         vendor, model, serial = (_text(device, index) for index in indices)
         accessible = True
-    except usb.core.USBError as error:
+    except (usb.core.USBError, NotImplementedError) as error:
         vendor = model = serial = ""
-        accessible = error.errno != errno.EACCES
-    except NotImplementedError:  # Windows, for a device without the driver WinUSB
-        vendor = model = serial = ""
-        accessible = False
+        # on Windows, a device without the driver WinUSB raises NotImplementedError
+        accessible = isinstance(error, usb.core.USBError) and error.errno != errno.EACCES
     finally:
         usb.util.dispose_resources(device)
     return FoundCamera(vendor, model, serial, device.speed or 0, accessible, device)

@@ -35,7 +35,7 @@ _VALUES: Final = (*_NUMBERS, "Boolean", "Enumeration", "String")
 _NO_LIMIT: Final = 1e300
 """A limit beyond this means "no limit"."""
 _SWITCH: Final = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
-_SOURCE_PLACE: Final = re.compile(r"\s*: \w+Exception thrown.*", re.DOTALL)
+_SOURCE_LINE: Final = re.compile(r"\s*: \w+Exception thrown.*", re.DOTALL)
 """End of a GenApi message, which names the line of GenApi's source code."""
 
 
@@ -176,22 +176,22 @@ class NodeMap(GenicamFeatures):
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
         return {
-            one.name: one.value.hex() if isinstance(one.value, bytes) else one.value
-            for one in self.readings()
-            if one.value is not None and not one.problem and one.kind != "Command"
+            reading.name: reading.value.hex() if isinstance(reading.value, bytes) else reading.value
+            for reading in self.readings()
+            if reading.value is not None and not reading.problem and reading.kind != "Command"
         }
 
-    def free_rate(self) -> float | None:
-        return self.stated_rate() if self.number("frame_rate_hz") else None
+    def free_rate_hz(self) -> float | None:
+        return self.expected_rate_hz() if self.number("frame_rate_hz") else None
 
-    def possible_rate(self) -> float | None:
-        found = self.find("AcquisitionFrameRate")
-        return super().possible_rate() or (self.limits(found)[1] if self.has(found) else None)
+    def max_rate_hz(self) -> float | None:
+        feature = self.local_name("AcquisitionFrameRate")
+        return super().max_rate_hz() or (self.limits(feature)[1] if self.has(feature) else None)
 
-    def set_format(self, wanted: PixelFormat | None) -> None:
+    def set_format(self, depth: PixelFormat | None) -> None:
         # a mosaic that is set is not replaced by pixels that the camera computes from it, but refused
-        if wanted is not None or self.plane:
-            super().set_format(wanted)
+        if depth is not None or self.plane:
+            super().set_format(depth)
 
     def renew(self) -> None:
         with self._lock:
@@ -200,7 +200,7 @@ class NodeMap(GenicamFeatures):
     def readings(self) -> Iterator[FeatureReading]:
         """All implemented features of the camera and their present values; faulty ones have a `problem`."""
         self.renew()
-        for name in dict.fromkeys(self._listed("Root")):
+        for name in dict.fromkeys(self._names_in("Root")):
             try:
                 reading = self._reading(name)
             except CameraLost:
@@ -218,12 +218,12 @@ class NodeMap(GenicamFeatures):
         with self._lock:
             return self._nodes.get_node(name)
 
-    def _listed(self, category: str) -> list[str]:
+    def _names_in(self, category: str) -> list[str]:
         """Names of the features in a category and in those below it."""
         with self._lock:
             names = [feature.node.name for feature in self._node(category).features]
-        nested = (self._listed(name) if self.kind(name) == "Category" else [name] for name in names)
-        return [name for listed in nested for name in listed]
+        nested = (self._names_in(name) if self.kind(name) == "Category" else [name] for name in names)
+        return [name for names in nested for name in names]
 
     def _reading(self, name: str) -> FeatureReading:
         kind, access = self.kind(name), self.access(name)
@@ -234,13 +234,13 @@ class NodeMap(GenicamFeatures):
 
     def _allowed(self, name: str, value: Any) -> Any:
         """The value in the feature's type; DeviceError, with the allowed values, if it is not allowed."""
-        node, kind, stated = self._node(name), self.kind(name), f"{self.name}: {name} = {value}"
+        node, kind, assignment = self._node(name), self.kind(name), f"{self.name}: {name} = {value}"
         if kind == "Enumeration" and value not in node.symbolics:
             listed = ", ".join(node.symbolics)
             raise DeviceError(f"{self.name}: {name} cannot be {value!r} at present; choices: {listed}")
         if kind == "Boolean":
             if str(value).lower() not in _SWITCH:
-                raise DeviceError(f"{stated} must be true or false")
+                raise DeviceError(f"{assignment} must be true or false")
             return _SWITCH[str(value).lower()]
         if kind not in _NUMBERS:
             return str(value)
@@ -248,15 +248,15 @@ class NodeMap(GenicamFeatures):
             number = _number(value) if isinstance(value, str) else value
         except ValueError:
             raise DeviceError(f"{self.name}: {name} = {value!r} is not a number") from None
-        whole = kind == "Integer"
-        if whole and number % 1 != 0:
-            raise DeviceError(f"{stated} must be a whole number")
-        low, high, step = node.min, node.max, (node.inc if whole or node.has_inc() else 1) or 1
-        if not low <= number <= high or (whole and (number - low) % step):
+        is_integer = kind == "Integer"
+        if is_integer and number % 1 != 0:
+            raise DeviceError(f"{assignment} must be a whole number")
+        low, high, step = node.min, node.max, (node.inc if is_integer or node.has_inc() else 1) or 1
+        if not low <= number <= high or (is_integer and (number - low) % step):
             unit, steps = f" {node.unit}".rstrip(), f" in steps of {step:g}" if step != 1 else ""
             span = f"{low:.10g} to {high:.10g}{unit}{steps}"
-            raise DeviceError(f"{stated} is out of range; allowed is {span}")
-        return int(number) if whole else float(number)
+            raise DeviceError(f"{assignment} is out of range; allowed is {span}")
+        return int(number) if is_integer else float(number)
 
     @contextmanager
     def _locked(self, problem: str) -> Iterator[None]:
@@ -265,7 +265,7 @@ class NodeMap(GenicamFeatures):
             try:
                 yield
             except (self._genapi.GenericException, UnicodeDecodeError, RuntimeError) as failure:
-                reason = re.sub(r"\s+", " ", _SOURCE_PLACE.sub("", str(failure))).strip()
+                reason = re.sub(r"\s+", " ", _SOURCE_LINE.sub("", str(failure))).strip()
                 raise DeviceError(f"{self.name}: {problem}: {reason}") from failure
 
 
@@ -312,12 +312,10 @@ def read_manifest(channel: GenCpChannel, address: int, name: str) -> tuple[Manif
 def read_description(channel: GenCpChannel, address: int, name: str) -> str:
     """The newest description in the camera, as text that begins with its first tag.
 
-    Raises
-    ------
-    DeviceError
-        The manifest, the archive or the text is damaged.
+    Raises DeviceError where the manifest, the archive or the text is damaged.
     """
-    entries = [e for e in read_manifest(channel, address, name) if e.packing in (_PLAIN, _ZIPPED)]
+    manifest = read_manifest(channel, address, name)
+    entries = [entry for entry in manifest if entry.packing in (_PLAIN, _ZIPPED)]
     if not entries:
         raise DeviceError(f"{name}: its manifest has no description that is plain or zipped XML")
     newest = max(entries, key=lambda entry: entry.version)

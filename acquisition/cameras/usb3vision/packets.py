@@ -19,23 +19,27 @@ _IMAGE_TYPES: Final = {0x0001, 0x4001}
 
 @dataclass(frozen=True, slots=True)
 class Leader:
-    """Packet before a frame; `timestamp` is the camera's clock in ns, `x_padding` in bytes per line."""
+    """Packet before a frame."""
 
     block: int
     timestamp: int
+    """The camera's clock in ns."""
     pixel_format: int
     width_px: int
     height_px: int
     x_padding: int
+    """Bytes after each row."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trailer:
-    """Packet after a frame; `status` is 0 for a complete frame, `valid_bytes` the frame's size."""
+    """Packet after a frame."""
 
     block: int
     status: int
+    """Zero for a complete frame."""
     valid_bytes: int
+    """Size of the frame."""
 
 
 def parse_leader(raw: bytes) -> Leader | None:
@@ -97,11 +101,7 @@ _USUAL_PACKET: Final = 1024
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Contents of the bootstrap registers.
-
-    `timestamp_increment_ns` is the resolution of the timestamps, 0 for a camera without a clock; their unit
-    is always ns (GenCP 1.3.1, 5.4.16 and 5.4.18).
-    """
+    """Contents of the bootstrap registers."""
 
     vendor: str
     model: str
@@ -110,21 +110,21 @@ class Identity:
     stream_address: int
     event_address: int
     timestamp_increment_ns: int
+    """Resolution of the timestamps, 0 for a camera without a clock; their unit is always ns (GenCP 1.3.1,
+    5.4.16 and 5.4.18)."""
 
 
 @dataclass(frozen=True, slots=True)
 class TransferPlan:
-    """Sizes in bytes of the bulk transfers of one frame: leader, payload, trailer.
-
-    The payload consists of `payload_count` transfers of `payload_size`, then `final_1`, then `final_2`
-    (either may be 0). All are multiples of the camera's alignment.
-    """
+    """Sizes in bytes of the bulk transfers of one frame, multiples of the camera's alignment."""
 
     leader: int
     payload_size: int
     payload_count: int
+    """Number of transfers of `payload_size`, with which the payload begins."""
     final_1: int
     final_2: int
+    """Last two transfers of the payload; either may be 0."""
     trailer: int
 
     @property

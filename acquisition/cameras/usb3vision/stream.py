@@ -34,7 +34,7 @@ from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)
 
-_PATIENCE_S: Final = 0.3
+_MAX_HALTED_S: Final = 0.3
 """Bus errors for longer than this without a frame in between mean that the connection is lost."""
 COUNTERS: Final = (1 << 16, 1 << 32)
 """Sizes of block counters that are shorter than the standard's 64 bits."""
@@ -134,22 +134,22 @@ class UsbFrameStream:
         """Take the next transfer; returns the frame that it completes, or None."""
         try:
             self._fill()
-            part, planned, buffer = self._ring[0]
-            arrived = self._transfers.wait(timeout_s)
+            part, size, buffer = self._ring[0]
+            transfer = self._transfers.wait(timeout_s)
         except TimeoutError:
             return None
         except StreamHalted as halt:
             self._after_halt(halt)
             return None
         self._ring.popleft()
-        data = buffer[: arrived.byte_count]
+        data = buffer[: transfer.byte_count]
         if not data.size and self._leader is not None and part in (_Part.TRAILER, _Part.EMPTY):
             self._take_empty(part)
         elif part is _Part.PAYLOAD and self._leader is not None:
-            return self._take_payload(data, planned, arrived.host_time_ns)
+            return self._take_payload(data, size, transfer.host_time_ns)
         elif part in (_Part.TRAILER, _Part.EMPTY) and self._leader is not None:
-            frame = self._take_trailer(data, arrived.host_time_ns)
-            if part is _Part.EMPTY:  # which this camera sends, but not at this size
+            frame = self._take_trailer(data, transfer.host_time_ns)
+            if part is _Part.EMPTY:  # this camera sends empty packets, but not at this size
                 self._parts = self._planned_parts
                 self._disturbed = True
                 self._resume_at(0)
@@ -203,7 +203,7 @@ class UsbFrameStream:
         now_s = time.monotonic()
         if self._halted_since_s is None:
             self._halted_since_s = now_s
-        elif now_s - self._halted_since_s > _PATIENCE_S:
+        elif now_s - self._halted_since_s > _MAX_HALTED_S:
             raise CameraLost(f"{halt}, again and again; unplug it and plug it in again")
         self._lose_frame()
         self._disturbed = True
@@ -228,9 +228,9 @@ class UsbFrameStream:
         """Take an empty packet: some cameras end a payload of whole packets with one."""
         if part is _Part.EMPTY:
             return
-        *before, trailer = self._parts
+        *leading, trailer = self._parts
         if self._deviates():
-            self._parts = (*before, (_Part.EMPTY, trailer[1]), trailer)
+            self._parts = (*leading, (_Part.EMPTY, trailer[1]), trailer)
         self._disturbed = True
         self._resume_at(len(self._parts) - 1)
         if self._next_part < 0:
@@ -267,11 +267,11 @@ class UsbFrameStream:
                 "compression off (--set camera.features.ChunkModeActive=0)"
             )
 
-    def _take_payload(self, data: NDArray[np.uint8], planned: int, host_time_ns: int) -> Frame | None:
+    def _take_payload(self, data: NDArray[np.uint8], planned_bytes: int, host_time_ns: int) -> Frame | None:
         # Where a camera announced more than it sends, its trailer is in place of payload or right behind it.
         image_end = max(self._expected.image_bytes() - self._payload.byte_count, 0)
         limit = image_end + self._plan.trailer
-        if data.size < planned and self._leader is not None and image_end < data.size <= limit:
+        if data.size < planned_bytes and self._leader is not None and image_end < data.size <= limit:
             trailer = parse_trailer(data[image_end : image_end + 256].tobytes())
             if trailer is not None and trailer.block == self._leader.block:
                 payload = self._parts[1 : 1 + len(self._payload) + bool(image_end)]
@@ -289,7 +289,7 @@ class UsbFrameStream:
                 return frame
         # A short transfer may be a trailer (the camera ended the frame early) or a leader (the rest of the
         # frame was lost) in place of payload.
-        if data.size < planned and data.size <= max(self._plan.leader, self._plan.trailer):
+        if data.size < planned_bytes and data.size <= max(self._plan.leader, self._plan.trailer):
             head = data[:256].tobytes()
             trailer = parse_trailer(head)
             is_short = self._payload.byte_count + data.size < self._expected.image_bytes()
@@ -340,18 +340,19 @@ class UsbFrameStream:
         return Frame(image, number, leader.timestamp if expected.has_clock else -1, host_time_ns)
 
     def _fits(self, leader: Leader) -> bool:
+        """Whether a frame has the expected size and format; raises DeviceError where many have not."""
         expected = self._expected
         size = (leader.width_px, leader.height_px, leader.pixel_format)
-        if expected.may_have_padding(leader.x_padding) and size == (
+        if expected.can_strip_padding(leader.x_padding) and size == (
             expected.width_px,
             expected.height_px,
-            expected.pixel_format.code,
+            expected.format.code,
         ):
             return True
         self._mismatches += 1
         if self._mismatches >= _MAX_MISMATCHES:
             sent = f"{leader.width_px} x {leader.height_px}, format 0x{leader.pixel_format:08X}"
-            stated = f"{expected.width_px} x {expected.height_px} in {expected.pixel_format.name}"
+            stated = f"{expected.width_px} x {expected.height_px} in {expected.format.name}"
             raise DeviceError(
                 f"{self._link.name}: sends frames of {sent}, padding {leader.x_padding}; "
                 f"its features say {stated}. Stop it and set size and format again"

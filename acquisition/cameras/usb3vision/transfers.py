@@ -21,21 +21,19 @@ _READING: Final = "reading frames"
 
 
 class CompletedTransfer(NamedTuple):
-    """A completed transfer: number of bytes, and the host's monotonic clock at its end."""
+    """A transfer that has ended: its number of bytes, and the host's monotonic clock at its end."""
 
     byte_count: int
     host_time_ns: int
 
 
 class Transfers(Protocol):
-    """A queue of reads, used by one thread at a time.
-
-    `frames_ahead` is the number of frames for which reads should be queued. `under_way` is True if a queued
-    read may receive bytes before `wait` is called.
-    """
+    """A queue of reads, used by one thread at a time."""
 
     frames_ahead: int
+    """Number of frames for which reads should be queued."""
     under_way: bool
+    """Whether a queued read may receive bytes before `wait` is called."""
 
     @property
     def has_room(self) -> bool:
@@ -232,7 +230,7 @@ class LibusbTransfers:
             if error == _ERROR_NO_MEMORY:
                 raise DeviceError(
                     f"{self._link.name}: the system has no memory for {len(self._reads) + 1} transfers; "
-                    "lower camera.usb3vision.transfers "
+                    "lower camera.frame_rate_hz or the size of the frames, "
                     "or raise /sys/module/usbcore/parameters/usbfs_memory_mb"
                 )
             raise StreamHalted(f"{self._link.name}: a read could not be started (libusb error {error})")
@@ -287,6 +285,7 @@ class LibusbTransfers:
 
 
 _ABANDONED: list[_Read] = []
+"""Reads that could not be cancelled, whose memory must therefore stay."""
 
 
 def _usbfs_limit() -> float:

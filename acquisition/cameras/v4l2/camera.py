@@ -22,7 +22,7 @@ from acquisition.camera import (
     refuse_unsupported,
 )
 from acquisition.cameras.drivers import V4l2Settings, buffer_count
-from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px, preferred_name
+from acquisition.cameras.pixel_formats import preferred_name, region_to_plane_px, region_to_sensor_px
 from acquisition.cameras.reading import CameraRun, DeviceCamera, check_end, check_range
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import (
@@ -38,14 +38,13 @@ from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
 
 _MIN_BUFFERS, _MAX_BUFFERS = 4, 32
-_EXPOSURE_STEP_US = 100.0  # the kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE
+_EXPOSURE_STEP_US = 100.0
+"""The kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE."""
 
 
 class V4l2Camera(DeviceCamera["LinuxSource"]):
     """A UVC or other Video4Linux camera, on Linux.
 
-    Notes
-    -----
     The driver numbers frames. Gaps count as lost by the host if all buffers were full, else as lost on the
     bus; frames that the driver marks as damaged have an error status. `open` finds the same camera again,
     also under another device number.
@@ -67,7 +66,7 @@ class V4l2Camera(DeviceCamera["LinuxSource"]):
         with self._lock:
             source = LinuxSource(self._settings, self._last_device)
             info = source.open()
-            self._features, self._last_device = source, source.found
+            self._features, self._last_device = source, source.device
             return info
 
     def start(self) -> None:
@@ -99,16 +98,16 @@ class V4l2Camera(DeviceCamera["LinuxSource"]):
 
 
 class LinuxSource:
-    """A device, used by one thread at a time. Timestamps are the driver's, on the host's monotonic clock.
+    """A `device`, used by one thread at a time. Timestamps are the driver's, on the host's monotonic clock.
 
-    `found` is the device. A device that was `known` before is found again by its name and serial number, and
-    not by its device number.
+    A device that was `known` before is found again by its name and serial number, and not by its device
+    number.
     """
 
     def __init__(self, settings: V4l2Settings, known: VideoDevice | None = None) -> None:
         self._settings = settings
-        self.found = known
-        self._device = -1
+        self.device = known
+        self._descriptor = -1
         self._name = "video device"
         self._layout = kernel.PixelLayout(0, 0, "", 0, 0)
         self._maps: list[mmap.mmap] = []
@@ -121,41 +120,41 @@ class LinuxSource:
 
     def open(self) -> CameraInfo:
         """Find and open the device; if its format is not supported, set the preferred one that it offers."""
-        if self.found is None:
-            found = find_device(self._settings.device, self._settings.serial)
+        if self.device is None:
+            device = find_device(self._settings.device, self._settings.serial)
         else:
-            found = find_again(self.found)
-        self._name = f"{found.path} ({found.name})"
+            device = find_again(self.device)
+        self._name = f"{device.path} ({device.name})"
         try:
-            self._device = kernel.open_device(found.path)
-            offered = kernel.formats(self._device)
+            self._descriptor = kernel.open_device(device.path)
+            offered = kernel.formats(self._descriptor)
             fourcc = next((code for code in LAYOUTS if code in offered), None)
             if fourcc is None:
                 raise DeviceError(
-                    f"{self._name}: offers {', '.join(code.strip() for code in found.formats)}; none is grey "
+                    f"{self._name}: offers {', '.join(code.strip() for code in offered)}; none is grey "
                     f"or has its luminance uncompressed ({', '.join(code.strip() for code in LAYOUTS)})"
                 )
-            present = kernel.get_layout(self._device)
+            present = kernel.get_layout(self._descriptor)
             if present.fourcc not in LAYOUTS:
-                present = kernel.set_layout(self._device, present.width_px, present.height_px, fourcc)
-            driver = kernel.capabilities(self._device).driver
+                present = kernel.set_layout(self._descriptor, present.width_px, present.height_px, fourcc)
+            driver = kernel.capabilities(self._descriptor).driver
         except OSError as error:
             self.close()
             raise DeviceError(refusal(self._name, error)) from None
         except DeviceError:
             self.close()
             raise
-        self.found, self._layout = found, present
-        region = kernel.get_selection(self._device, kernel.CROP)
-        self._bounds = None if region is None else kernel.get_selection(self._device, kernel.CROP_BOUNDS)
+        self.device, self._layout = device, present
+        region = kernel.get_selection(self._descriptor, kernel.CROP)
+        self._bounds = None if region is None else kernel.get_selection(self._descriptor, kernel.CROP_BOUNDS)
         return CameraInfo(
             driver="v4l2",
-            vendor=found.bus,
-            model=found.name,
-            serial=found.serial,
+            vendor=device.bus,
+            model=device.name,
+            serial=device.serial,
             width_px=self._bounds.width if self._bounds else present.width_px,
             height_px=self._bounds.height if self._bounds else present.height_px,
-            full_scale_dn=2 ** BITS_OF_FORMAT[LAYOUTS[present.fourcc].pixel_format] - 1,
+            full_scale_dn=2 ** BITS_OF_FORMAT[LAYOUTS[present.fourcc].depth] - 1,
             has_clock=True,
             # UVC cameras state when an exposure began, all others when its last pixel has arrived
             stamped="start" if driver == "uvcvideo" else "end",
@@ -163,42 +162,42 @@ class LinuxSource:
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings, in an order in which no setting changes an earlier one."""
-        refuse_unsupported(settings.model_copy(update={"colour_plane": None}), self._name)
+        refuse_unsupported(settings, self._name, supported=("colour_plane", "features"))
         self._plane = settings.colour_plane or self._plane
-        settings = in_sensor_px(settings.model_copy(update={"colour_plane": self._plane}))
+        settings = region_to_sensor_px(settings.model_copy(update={"colour_plane": self._plane}))
         try:
             self._switch_off_processing()
             self._set_layout(settings)
             self._set_exposure(settings)
             self._set_gain(settings)
             if settings.frame_rate_hz is not None:
-                kernel.set_rate_hz(self._device, settings.frame_rate_hz)
+                kernel.set_rate_hz(self._descriptor, settings.frame_rate_hz)
             for name, value in settings.features.items():
                 self._set_feature(name, value)
-            return in_plane_px(self._readings(settings.features), self._plane)
+            return region_to_plane_px(self._readings(settings.features), self._plane)
         except OSError as error:
             raise self._failure(error) from None
 
     def start(self) -> None:
         """Map the buffers, give them all to the driver, start the stream."""
         try:
-            rate_hz = kernel.get_rate_hz(self._device)
+            rate_hz = kernel.get_rate_hz(self._descriptor)
             wanted = buffer_count(
                 rate_hz if math.isfinite(rate_hz) else None,
                 image_bytes(self._layout),
                 _MIN_BUFFERS,
                 _MAX_BUFFERS,
             )
-            count = kernel.request_buffers(self._device, wanted)
+            count = kernel.request_buffers(self._descriptor, wanted)
             for index in range(count):
-                offset, length = kernel.buffer_place(self._device, index)
+                offset, length = kernel.buffer_place(self._descriptor, index)
                 self._maps.append(
-                    mmap.mmap(self._device, length, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset)
+                    mmap.mmap(self._descriptor, length, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset)
                 )
-                kernel.queue(self._device, index)
+                kernel.queue(self._descriptor, index)
             self._started_ns = self._last_ns = time.monotonic_ns()
             self._last_sequence, self._queued_ns = None, [0] * count
-            kernel.stream(self._device, True)
+            kernel.stream(self._descriptor, True)
         except OSError as error:
             self.stop()
             raise self._failure(error) from None
@@ -211,30 +210,29 @@ class LinuxSource:
         """
         try:
             poll = select.poll()
-            poll.register(self._device, select.POLLIN)
+            poll.register(self._descriptor, select.POLLIN)
             if not poll.poll(math.ceil(timeout_s * 1000)):
                 return None
-            filled = kernel.dequeue(self._device)
+            filled = kernel.dequeue(self._descriptor)
             if filled is None:
                 return None
             host_time_ns = time.monotonic_ns()
             stale = filled.time_ns < self._started_ns
-            whole = not filled.flags & kernel.FLAG_ERROR and filled.bytes_used >= image_bytes(self._layout)
+            complete = not filled.flags & kernel.FLAG_ERROR and filled.bytes_used >= image_bytes(self._layout)
             image = None
-            if whole and not stale:
+            if complete and not stale:
                 with memoryview(self._maps[filled.buffer]) as data:
                     image = to_image(data, self._layout, self._plane)
             no_buffer = self._queued_ns[filled.buffer] > self._last_ns
             self._last_ns = filled.time_ns
-            kernel.queue(self._device, filled.buffer)
+            kernel.queue(self._descriptor, filled.buffer)
             self._queued_ns[filled.buffer] = time.monotonic_ns()
         except OSError as error:
             raise self._failure(error) from None
         if stale:
             return None
         if image is None:
-            numbers.lost_parts += 1
-            numbers.faulty += 1
+            numbers.lose_faulty()
             return None
         # a driver that gives all frames the same number does not count them
         block = None if filled.sequence == self._last_sequence else filled.sequence
@@ -245,31 +243,31 @@ class LinuxSource:
     def stop(self) -> None:
         """Stop the stream and free the buffers; errors of an unplugged device are ignored."""
         with contextlib.suppress(OSError):
-            kernel.stream(self._device, False)
+            kernel.stream(self._descriptor, False)
         with contextlib.suppress(OSError):
-            for part in self._maps:
-                part.close()
+            for mapped in self._maps:
+                mapped.close()
             self._maps = []
-            kernel.request_buffers(self._device, 0)
+            kernel.request_buffers(self._descriptor, 0)
 
     def close(self) -> None:
-        if self._device >= 0:
+        if self._descriptor >= 0:
             self.stop()
-            os.close(self._device)
-            self._device = -1
+            os.close(self._descriptor)
+            self._descriptor = -1
 
     def _controls(self) -> dict[int, kernel.Control]:
-        return {control.number: control for control in kernel.controls(self._device)}
+        return {control.number: control for control in kernel.controls(self._descriptor)}
 
     def _switch_off_processing(self) -> None:
         """Switch off the camera's automatic changes of images, whether or not settings replace them."""
         available = self._controls()
         for number, value in kernel.AUTOMATIC.items():
             if number in available and available[number].can_be_set:
-                kernel.set_control(self._device, number, value)
+                kernel.set_control(self._descriptor, number, value)
 
     def _set_feature(self, name: str, value: FeatureValue) -> None:
-        available = {_key(control.name): control for control in kernel.controls(self._device)}
+        available = {_key(control.name): control for control in kernel.controls(self._descriptor)}
         control = available.get(_key(name))
         if control is None:
             raise DeviceError(
@@ -278,21 +276,21 @@ class LinuxSource:
         if isinstance(value, str):
             raise DeviceError(f"{self._name}: {name} = {value!r} is not a number")
         check_range(self._name, name, value, control.lowest, control.highest)
-        kernel.set_control(self._device, control.number, int(value))
+        kernel.set_control(self._descriptor, control.number, int(value))
 
     def feature_values(self) -> dict[str, FeatureValue]:
         """All controls that can be read now, by name."""
-        found: dict[str, FeatureValue] = {}
-        for control in kernel.controls(self._device):
+        values: dict[str, FeatureValue] = {}
+        for control in kernel.controls(self._descriptor):
             with contextlib.suppress(OSError):
-                found[_key(control.name)] = kernel.get_control(self._device, control.number)
-        return found
+                values[_key(control.name)] = kernel.get_control(self._descriptor, control.number)
+        return values
 
     def _set_layout(self, settings: CameraSettings) -> None:
-        offered = kernel.formats(self._device)
+        offered = kernel.formats(self._descriptor)
         fourcc = self._layout.fourcc
         wanted, present = settings.pixel_format, LAYOUTS[fourcc]
-        if wanted not in (None, present.pixel_format) or bool(present.colours) != bool(self._plane):
+        if wanted not in (None, present.depth) or bool(present.colours) != bool(self._plane):
             fourcc = preferred_name(self._name, offered, wanted, self._plane, LAYOUTS)
         width_px = settings.width_px or self._layout.width_px
         height_px = settings.height_px or self._layout.height_px
@@ -303,9 +301,9 @@ class LinuxSource:
         elif settings.offset_x_px or settings.offset_y_px:
             raise DeviceError(
                 f"{self._name}: has no region of interest; leave the offsets out; its sizes: "
-                + ", ".join(f"{wide} x {high}" for wide, high in kernel.sizes(self._device, fourcc))
+                + ", ".join(f"{wide} x {high}" for wide, high in kernel.sizes(self._descriptor, fourcc))
             )
-        self._layout = kernel.set_layout(self._device, width_px, height_px, fourcc)
+        self._layout = kernel.set_layout(self._descriptor, width_px, height_px, fourcc)
         if self._layout.fourcc != fourcc:
             raise DeviceError(
                 f"{self._name}: format {fourcc} was requested, the camera set {self._layout.fourcc}; "
@@ -319,7 +317,7 @@ class LinuxSource:
             )
 
     def _set_region(self, bounds: kernel.Rectangle, settings: CameraSettings) -> kernel.Rectangle:
-        present = kernel.get_selection(self._device, kernel.CROP) or bounds
+        present = kernel.get_selection(self._descriptor, kernel.CROP) or bounds
         requested = kernel.Rectangle(
             present.left if settings.offset_x_px is None else settings.offset_x_px,
             present.top if settings.offset_y_px is None else settings.offset_y_px,
@@ -330,8 +328,8 @@ class LinuxSource:
         check_end(self._name, "height_px", requested.top, requested.height, bounds.height)
         if requested == present:
             return present
-        kernel.set_selection(self._device, requested)
-        return kernel.get_selection(self._device, kernel.CROP) or requested
+        kernel.set_selection(self._descriptor, requested)
+        return kernel.get_selection(self._descriptor, kernel.CROP) or requested
 
     def _set_exposure(self, settings: CameraSettings) -> None:
         if settings.exposure_us is None:
@@ -342,7 +340,7 @@ class LinuxSource:
         steps = round(settings.exposure_us / _EXPOSURE_STEP_US)
         low_us, high_us = exposure.lowest * _EXPOSURE_STEP_US, exposure.highest * _EXPOSURE_STEP_US
         check_range(self._name, "exposure_us", settings.exposure_us, low_us, high_us)
-        kernel.set_control(self._device, kernel.EXPOSURE_ABSOLUTE, steps)
+        kernel.set_control(self._descriptor, kernel.EXPOSURE_ABSOLUTE, steps)
 
     def _set_gain(self, settings: CameraSettings) -> None:
         if settings.gain_db is not None:
@@ -356,22 +354,22 @@ class LinuxSource:
         if gain is None:
             raise DeviceError(f"{self._name}: has no gain; leave camera.v4l2.gain out")
         check_range(self._name, "gain", wanted, gain.lowest, gain.highest)
-        kernel.set_control(self._device, kernel.GAIN, wanted)
-        applied = kernel.get_control(self._device, kernel.GAIN)
+        kernel.set_control(self._descriptor, kernel.GAIN, wanted)
+        applied = kernel.get_control(self._descriptor, kernel.GAIN)
         if applied != wanted:
             raise DeviceError(f"{self._name}: gain = {wanted} was requested, the camera set {applied}")
 
     def _readings(self, features: Iterable[str]) -> CameraSettings:
-        region = kernel.get_selection(self._device, kernel.CROP) if self._bounds else None
-        rate_hz = kernel.get_rate_hz(self._device)
+        region = kernel.get_selection(self._descriptor, kernel.CROP) if self._bounds else None
+        rate_hz = kernel.get_rate_hz(self._descriptor)
         exposure_us = None
         if kernel.EXPOSURE_ABSOLUTE in self._controls():
-            steps = kernel.get_control(self._device, kernel.EXPOSURE_ABSOLUTE)
+            steps = kernel.get_control(self._descriptor, kernel.EXPOSURE_ABSOLUTE)
             exposure_us = max(steps * _EXPOSURE_STEP_US, 1e-3)
         return CameraSettings(
             exposure_us=exposure_us,
             frame_rate_hz=None if math.isnan(rate_hz) else rate_hz,
-            pixel_format=LAYOUTS[self._layout.fourcc].pixel_format,
+            pixel_format=LAYOUTS[self._layout.fourcc].depth,
             width_px=self._layout.width_px,
             height_px=self._layout.height_px,
             offset_x_px=region.left if region else 0,

@@ -9,8 +9,8 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import ColourPlane, Image, PixelFormat, PluggedCamera
-from acquisition.cameras.pixel_formats import PITCH, place_in_mosaic
+from acquisition.camera import BAYER_PERIOD_PX, ColourPlane, Image, PixelFormat, PluggedCamera
+from acquisition.cameras.pixel_formats import place_in_mosaic
 from acquisition.cameras.reading import only_camera
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.kernel import PixelLayout
@@ -18,20 +18,19 @@ from processing.errors import DeviceError
 
 
 class Layout(NamedTuple):
-    """Layout of the grey values in a buffer.
+    """Layout of the grey values in a buffer."""
 
-    `step` is their distance in a row, `offset` the position of the first, both counted in values of `dtype`.
-    `packed` is the number of pixels in a MIPI group: a byte with the high bits of each, then one with the
-    low bits of all, least significant first; 0 if pixels are whole bytes. `colours` are those of the first
-    two pixels of the first row of a Bayer mosaic.
-    """
-
-    pixel_format: PixelFormat
+    depth: PixelFormat
     dtype: str
     step: int = 1
+    """Distance of neighbouring grey values in a row, in values of `dtype`."""
     offset: int = 0
+    """Position of the first grey value, in values of `dtype`."""
     packed: int = 0
+    """Pixels in a MIPI group, which has a byte with the high bits of each, then a byte with the low bits of
+    all, least significant first; 0: pixels are whole bytes."""
     colours: str = ""
+    """Colours of the first two pixels of the first row of a Bayer mosaic."""
 
 
 _MOSAICS: Final = {
@@ -72,20 +71,20 @@ def to_image(data: memoryview, layout: PixelLayout, plane: ColourPlane | None = 
 
     `data` holds at least `image_bytes`.
     """
-    kind = LAYOUTS[layout.fourcc]
+    values = LAYOUTS[layout.fourcc]
     rows = np.frombuffer(data, np.uint8, image_bytes(layout)).reshape(layout.height_px, layout.row_bytes)
-    row, column, pitch = (*place_in_mosaic(kind.colours, plane), PITCH) if plane else (0, 0, 1)
-    rows = rows[row::pitch]
-    if kind.packed:
-        return _read_only_copy(_unpacked(rows, layout.width_px, kind.packed)[:, column::pitch])
-    pixels = rows[:, : layout.width_px * kind.step * np.dtype(kind.dtype).itemsize]
-    if kind.dtype != "u1":
-        return _read_only_copy(pixels.view(kind.dtype)[:, column::pitch].astype(np.uint16))
-    return _read_only_copy(pixels[:, kind.offset :: kind.step][:, column::pitch])
-
-
-def _read_only_copy(part: NDArray[np.generic]) -> Image:
-    image: Any = np.array(part, order="C")
+    row, column, period = (*place_in_mosaic(values.colours, plane), BAYER_PERIOD_PX) if plane else (0, 0, 1)
+    rows = rows[row::period]
+    pixels: NDArray[Any]
+    if values.packed:
+        pixels = _unpacked(rows, layout.width_px, values.packed)
+    else:
+        pixels = rows[:, : layout.width_px * values.step * np.dtype(values.dtype).itemsize]
+        if values.dtype == "u1":
+            pixels = pixels[:, values.offset :: values.step]
+        else:
+            pixels = pixels.view(values.dtype).astype(np.uint16)
+    image: Any = np.array(pixels[:, column::period], order="C")
     image.flags.writeable = False
     return cast("Image", image)
 
@@ -104,19 +103,18 @@ _SYSFS = Path("/sys/class/video4linux")
 
 
 class VideoDevice(NamedTuple):
-    """One device that delivers images.
-
-    `formats` are four-character codes, `modes` the supported formats with size and highest rate as text.
-    `problem` is the reason why the device cannot be opened; empty if it can.
-    """
+    """One device that delivers images."""
 
     path: str
     name: str
     bus: str
     serial: str
     formats: tuple[str, ...]
+    """Four-character codes of the formats that the device offers."""
     modes: tuple[str, ...]
+    """Texts of the supported formats, each with an image size and its highest rate."""
     problem: str = ""
+    """Reason why the device cannot be opened; empty if it can."""
 
 
 def list_devices() -> list[VideoDevice]:
@@ -127,8 +125,8 @@ def list_devices() -> list[VideoDevice]:
         (entry.name for entry in _SYSFS.iterdir() if entry.name.startswith("video")),
         key=lambda name: int(name.removeprefix("video")),
     )
-    found = [_look_at(f"/dev/{node}", _serial(_SYSFS / node)) for node in nodes]
-    return [device for device in found if device is not None]
+    devices = [_query(f"/dev/{node}", _serial(_SYSFS / node)) for node in nodes]
+    return [device for device in devices if device is not None]
 
 
 def list_cameras() -> list[PluggedCamera]:
@@ -136,41 +134,38 @@ def list_cameras() -> list[PluggedCamera]:
     if sys.platform != "linux":
         raise DeviceError("v4l2: there are such cameras on Linux only")
     cameras = []
-    for found in list_devices():
-        problem = found.problem
-        if not problem and not found.modes:
-            problem = f"no grey or uncompressed format, only {', '.join(found.formats)}"
-        cameras.append(PluggedCamera("v4l2", found.name, found.serial, found.path, found.modes, problem))
+    for device in list_devices():
+        problem = device.problem
+        if not problem and not device.modes:
+            problem = f"no grey or uncompressed format, only {', '.join(device.formats)}"
+        cameras.append(PluggedCamera("v4l2", device.name, device.serial, device.path, device.modes, problem))
     return cameras
 
 
 def find_device(path: str | None, serial: str | None) -> VideoDevice:
     """The device with this path (or number) or this serial number; without either, the only one connected.
 
-    Raises
-    ------
-    DeviceError
-        No such device; several, of which none is selected (the message lists them); or no permission.
+    Raises DeviceError where the choice is not clear (the message lists the devices) or permission is missing.
     """
     devices = list_devices()
     if path is not None:
         path = f"/dev/video{path}" if path.isdigit() else path
-        fitting = [one for one in devices if one.path == os.path.realpath(path)]
-        if not fitting:
-            there = "; ".join(f"{device.path} {device.name}".strip() for device in devices)
-            raise DeviceError(f"{path}: is not a camera; there are: {there or 'none'}")
+        matching = [device for device in devices if device.path == os.path.realpath(path)]
+        if not matching:
+            listed = "; ".join(f"{device.path} {device.name}".strip() for device in devices)
+            raise DeviceError(f"{path}: is not a camera; there are: {listed or 'none'}")
         serial = None
     else:
-        fitting = [one for one in devices if serial in (None, one.serial)] or devices
-    readable = [device for device in fitting if not LAYOUTS.keys().isdisjoint(device.formats)]
+        matching = [device for device in devices if serial in (None, device.serial)] or devices
+    readable = [device for device in matching if not LAYOUTS.keys().isdisjoint(device.formats)]
     named = [
         (f"{device.path} {device.name} {device.serial}".strip(), device.serial, device)
-        for device in readable or fitting
+        for device in readable or matching
     ]
-    found = only_camera("v4l2", named, serial, "camera.v4l2.device")
-    if found.problem:
-        raise DeviceError(found.problem)
-    return found
+    chosen = only_camera("v4l2", named, serial, "camera.v4l2.device")
+    if chosen.problem:
+        raise DeviceError(chosen.problem)
+    return chosen
 
 
 def find_again(known: VideoDevice) -> VideoDevice:
@@ -178,17 +173,19 @@ def find_again(known: VideoDevice) -> VideoDevice:
 
     Raises DeviceError while it is not there, or cannot be opened.
     """
-    same = [one for one in list_devices() if (one.name, one.serial) == (known.name, known.serial)]
+    candidates = [
+        device for device in list_devices() if (device.name, device.serial) == (known.name, known.serial)
+    ]
     # two cameras of one model without serial numbers are told apart by their place on the bus
-    for attribute in ("bus", "path"):
-        if len(same) > 1:
-            same = [one for one in same if getattr(one, attribute) == getattr(known, attribute)]
-    if not same:
+    for field in ("bus", "path"):
+        if len(candidates) > 1:
+            candidates = [device for device in candidates if getattr(device, field) == getattr(known, field)]
+    if not candidates:
         identity = f"{known.name} {known.serial}".strip()
         raise DeviceError(f"{known.path}: {identity} is not connected any more; plug it in again")
-    if same[0].problem:
-        raise DeviceError(same[0].problem)
-    return same[0]
+    if candidates[0].problem:
+        raise DeviceError(candidates[0].problem)
+    return candidates[0]
 
 
 def refusal(path: str, error: OSError) -> str:
@@ -203,7 +200,8 @@ def refusal(path: str, error: OSError) -> str:
     return f"{path}: {error.strerror or error}"
 
 
-def _look_at(path: str, serial: str) -> VideoDevice | None:
+def _query(path: str, serial: str) -> VideoDevice | None:
+    """The device at a path, as it describes itself; None where none that delivers images answers."""
     try:
         device = kernel.open_device(path)
     except OSError as error:
@@ -216,7 +214,7 @@ def _look_at(path: str, serial: str) -> VideoDevice | None:
             return None
         formats = kernel.formats(device)
         modes = [
-            f"{LAYOUTS[fourcc].pixel_format} ({fourcc.strip()}) {width} x {height}"
+            f"{LAYOUTS[fourcc].depth} ({fourcc.strip()}) {width} x {height}"
             + (f" at {rate:g} Hz" if rate == rate else "")
             for fourcc in formats
             if fourcc in LAYOUTS
@@ -233,8 +231,8 @@ def _look_at(path: str, serial: str) -> VideoDevice | None:
 def _serial(entry: Path) -> str:
     """Serial number of the USB device to which this entry of sysfs belongs; empty if it has none."""
     try:
-        place = (entry / "device").resolve()
-        for folder in (place, *place.parents):
+        device = (entry / "device").resolve()
+        for folder in (device, *device.parents):
             if (folder / "serial").is_file():
                 return (folder / "serial").read_text(encoding="utf-8").strip()
     except OSError:

@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from nicegui import run, ui
 
-from acquisition.record import records_of
+from acquisition.record import records_in_folder
 from processing.errors import ConfigurationError, RigError
 from rig.archive import find_runs
 from rig.desk.desk import Desk
@@ -87,7 +87,7 @@ def _build_actions(desk: Desk, tab: Tab, listed: "SessionList") -> None:
         ui.notify("the report is being written; open it when it is finished")
 
     def view() -> None:
-        records = records_of(chosen().folder)
+        records = records_in_folder(chosen().folder)
         # of several runs the last
         shown = max(records, key=lambda path: path.stat().st_mtime, default=chosen().folder)
         desk.jobs.begin("view", str(shown), "--view", "web")

@@ -48,13 +48,12 @@ class Outcome:
     delivered: int = 0
 
 
-def flipped(seed: int, count: int = 1) -> Callable[[bytes], bytes]:
-    """Single bits changed, beyond the header and before the last eighth."""
+def flipped(seed: int) -> Callable[[bytes], bytes]:
+    """A single bit changed, beyond the header and before the last eighth."""
 
     def damage(data: bytes) -> bytes:
-        changed, places_of = bytearray(data), random.Random(seed)
-        for _ in range(count):
-            changed[places_of.randrange(len(data) // 4, 7 * len(data) // 8)] ^= 1 << places_of.randrange(8)
+        changed, generator = bytearray(data), random.Random(seed)
+        changed[generator.randrange(len(data) // 4, 7 * len(data) // 8)] ^= 1 << generator.randrange(8)
         return bytes(changed)
 
     return damage
@@ -75,9 +74,9 @@ def cut(share: float) -> Callable[[bytes], bytes]:
     return lambda data: data[: int(share * len(data))]
 
 
-def true_times_s(film: Film, count: int = FRAMES) -> NDArray[np.float64]:
-    """When the frames were taken."""
-    ticks = film.pts if film.pts is not None else range(count)
+def true_times_s(film: Film) -> NDArray[np.float64]:
+    """Times at which the frames were taken."""
+    ticks = film.pts if film.pts is not None else range(FRAMES)
     return np.array([float(tick * (film.tick_s or 1 / film.rate_hz)) for tick in ticks])
 
 
@@ -96,9 +95,7 @@ def judged(case: Case, folder: Path) -> Outcome:
         camera.open()
         camera.configure(CameraSettings())
         camera.start()
-        frames = []
-        while (frame := camera.read(1.0)) is not None:
-            frames.append(frame)
+        frames = list(iter(lambda: camera.read(1.0), None))
     except DeviceError as error:
         return Outcome("refused" if "\n" not in str(error) else "wrong", str(error))
     finally:

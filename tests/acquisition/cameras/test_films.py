@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from acquisition.cameras.files.film import FilmSource
 from acquisition.cameras.files.film_index import film_index
 from acquisition.cameras.files.sources import numbers_in
-from tests.acquisition.cameras.film_cases import FRAMES, Case, Outcome, judged, matrix
+from tests.acquisition.cameras.film_cases import FRAMES, Case, Outcome, cut, judged, matrix
 from tests.acquisition.cameras.made_films import Film, picture, places, write_film
 from tests.acquisition.cameras.test_files import frames_of, play, refusal, write_folder
 
@@ -91,6 +92,14 @@ def test_whole_milliseconds_of_a_constant_rate_are_not_taken_for_its_times(tmp_p
     assert (index.ticks[1], index.tick_s, index.rate_hz) == (33, Fraction(1, 1000), 30)
     assert index.time_ns[1] == 33_333_333
     assert index.time_ns[30] == 1_000_000_000
+
+
+def test_the_summary_of_a_cut_film_counts_frames_and_time_alike(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "film.mkv", [picture(np.array([80.0, 48.0]))] * 31, Film())
+    path.write_bytes(cut(0.6)(path.read_bytes()))
+    source, stored = FilmSource(path), len(film_index(path).ticks)
+    assert stored < source.count
+    assert source.summary.startswith(f"{stored} frames in {(stored - 1) / 30:.6g} s, ")
 
 
 def test_without_pyav_one_line_gives_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,12 +1,16 @@
 """A run that is read in the caller's thread: its timeout, its end from another thread, its errors."""
 
+import re
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from acquisition import cameras
 from acquisition.camera import CameraLost, Frame
+from acquisition.cameras.drivers import DRIVERS, settings_models
 from acquisition.cameras.reading import CameraRun
 
 FRAME = Frame(np.zeros((2, 2), np.uint8), 0, -1, 0)
@@ -90,3 +94,17 @@ def test_an_error_ends_the_run_and_is_said_again() -> None:
             reading.read(10.0)
     assert reading.stopped
     assert ends == ["end"]
+
+
+def test_settings_of_drivers_that_messages_name_exist() -> None:
+    fields = {name: fields_of(name) for name in DRIVERS}
+    named = set[tuple[str, str]]()
+    for source in Path(cameras.__path__[0]).rglob("*.py"):
+        named |= set(re.findall(r"\bcamera\.(\w+)\.(\w+)", source.read_text(encoding="utf-8")))
+    settings = {(driver, key) for driver, key in named if driver in fields}
+    assert len(settings) > 4
+    assert {(driver, key) for driver, key in settings if key not in fields[driver]} == set()
+
+
+def fields_of(driver: str) -> set[str]:
+    return {field for model in settings_models(driver) for field in model.model_fields}

@@ -33,12 +33,8 @@ class Carried(NamedTuple):
 def joined(device_ns: list[int], late_ms: list[float] | None = None) -> Carried:
     """Frames that a line lets through, of times at a steady rate."""
     rng = np.random.default_rng(5)
-    late = late_ms or [0.0] * len(device_ns)
-    host_ns = [
-        HOST_NS + n * INTERVAL_NS + round(1e6 * (abs(rng.normal(1.0, 0.5)) + late[n]))
-        for n in range(len(device_ns))
-    ]
-    return carried(device_ns, host_ns)
+    delays_ms = [abs(rng.normal(1.0, 0.5)) + late for late in late_ms or [0.0] * len(device_ns)]
+    return carried(device_ns, [HOST_NS + n * INTERVAL_NS + round(1e6 * ms) for n, ms in enumerate(delays_ms)])
 
 
 def carried(times: list[int], host_ns: list[int], numbers: Iterable[int] | None = None) -> Carried:
@@ -52,17 +48,17 @@ def carried(times: list[int], host_ns: list[int], numbers: Iterable[int] | None 
     return all_of
 
 
-def steady(count: int = 300, first_ns: int = 10**9) -> list[int]:
+def steady(count: int = 300) -> list[int]:
     rng = np.random.default_rng(4)
-    return [first_ns + n * INTERVAL_NS + round(2e3 * rng.normal()) for n in range(count)]
+    return [10**9 + n * INTERVAL_NS + round(2e3 * rng.normal()) for n in range(count)]
 
 
 def off_ns(frames: list[Frame]) -> float:
     """Largest distance of the times from those of a clock that never erred."""
     first = frames[0]
     return max(
-        abs(one.device_time_ns - first.device_time_ns - (one.sequence - first.sequence) * INTERVAL_NS)
-        for one in frames
+        abs(frame.device_time_ns - first.device_time_ns - (frame.sequence - first.sequence) * INTERVAL_NS)
+        for frame in frames
     )
 
 
@@ -71,7 +67,7 @@ def test_a_single_wrong_time_is_left_out_and_counted(wrong: int) -> None:
     times = steady()
     times[100] = wrong
     frames, clock, notes, _ = joined(times)
-    assert [one.sequence for one in frames] == [n for n in range(300) if n != 100]
+    assert [frame.sequence for frame in frames] == [n for n in range(300) if n != 100]
     assert clock.rejected == 1
     assert len(notes) == 1
     assert off_ns(frames) < 20e3
@@ -82,7 +78,7 @@ def test_a_step_is_found_named_and_taken_off(step_ms: float) -> None:
     step_ns = round(step_ms * 1e6)
     times = [t + step_ns * (n >= 120) for n, t in enumerate(steady())]
     frames, clock, notes, _ = joined(times)
-    assert [one.sequence for one in frames] == list(range(300))
+    assert [frame.sequence for frame in frames] == list(range(300))
     assert clock.rejected == 0
     assert len(notes) == 1
     told_s = float(notes[0].split("stepped by ")[1].split(" s")[0])
@@ -94,7 +90,7 @@ def test_a_step_is_found_named_and_taken_off(step_ms: float) -> None:
 def test_a_counter_of_32_bits_is_unwrapped_and_said_once_after_its_first() -> None:
     times = [t % 2**32 for t in steady(700)]
     frames, clock, notes, _ = joined(times)
-    assert [one.sequence for one in frames] == list(range(700))
+    assert [frame.sequence for frame in frames] == list(range(700))
     assert clock.wraps >= 4
     assert len(notes) == 2
     assert "begins again every 4.295 s" in notes[1]
@@ -103,7 +99,7 @@ def test_a_counter_of_32_bits_is_unwrapped_and_said_once_after_its_first() -> No
 
 def test_a_first_time_that_is_wrong_moves_the_others() -> None:
     frames, _, notes, _ = joined([0, *steady()[1:]])
-    assert [one.sequence for one in frames] == list(range(300))
+    assert [frame.sequence for frame in frames] == list(range(300))
     assert len(notes) == 1
     assert off_ns(frames) < 5e6
 
@@ -160,8 +156,8 @@ def test_where_frames_without_numbers_are_missing_the_computer_s_clock_says_the_
     shown = [t + 7 * 10**9 if n < reset else t - true[reset] for n, t in enumerate(true)]
     host = [ns + later_ns * (n >= 50) for n, ns in enumerate(arrivals(true))]
     frames, _, notes, _ = carried(shown, host)
-    assert [one.sequence for one in frames] == list(range(reset + 180))
-    assert max(abs(one.device_time_ns - 7 * 10**9 - true[one.sequence]) for one in frames) < 3e6
+    assert [frame.sequence for frame in frames] == list(range(reset + 180))
+    assert max(abs(frame.device_time_ns - 7 * 10**9 - true[frame.sequence]) for frame in frames) < 3e6
     assert len(notes) == 1
 
 
@@ -177,8 +173,8 @@ def test_what_is_missing_without_numbers_while_the_reader_hangs_for_long_is_no_s
     """No clock erred: until the reader is up, those that it takes late say nothing of when they came."""
     true = [n * INTERVAL_NS + 5 * INTERVAL_NS * (n >= 120) for n in range(400)]
     frames, _, notes, _ = carried([10**9 + t for t in true], hanging(true, 110, 260))
-    assert [one.sequence for one in frames] == list(range(400))
-    off = [one.device_time_ns - 10**9 - t for one, t in zip(frames, true, strict=True)]
+    assert [frame.sequence for frame in frames] == list(range(400))
+    off = [frame.device_time_ns - 10**9 - t for frame, t in zip(frames, true, strict=True)]
     assert max(map(abs, off)) < 3e6
     assert notes == []
 
@@ -191,11 +187,11 @@ def test_a_step_that_must_be_decided_before_the_reader_is_up_says_how_little_is_
     host = arrivals(true)
     for n in range(110, 200):
         host[n] = host[199] + 10_000 * (n - 199)
-    seen = [clock.take(Frame(image, n, t, host[n])) for n, t in enumerate(true)]
-    frames = [frame for one in seen for frame in one.frames]
-    (step,) = (step for one in seen for step in one.steps)
+    outputs = [clock.take(Frame(image, n, t, host[n])) for n, t in enumerate(true)]
+    frames = [frame for output in outputs for frame in output.frames]
+    (step,) = (step for output in outputs for step in output.steps)
     assert len(frames) > 190
-    assert all(abs(one.device_time_ns - true[one.sequence]) <= step.u_step_ns for one in frames[120:])
+    assert all(abs(frame.device_time_ns - true[frame.sequence]) <= step.u_step_ns for frame in frames[120:])
 
 
 @pytest.mark.parametrize("shows", ["frozen", "nothing", "anything"])
@@ -208,14 +204,14 @@ def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_car
     }[shows]
     times = [t if n < 120 else wrong[n] for n, t in enumerate(steady())]
     frames, clock, notes, _ = joined(times)
-    assert [one.sequence for one in frames] == list(range(300))
+    assert [frame.sequence for frame in frames] == list(range(300))
     assert clock.rejected == 0
     assert len(notes) == 1
     first = 121 if shows == "frozen" else 120
     assert f"is abandoned from frame {first} on" in notes[0]
     assert "restart the camera" in notes[0]
     assert off_ns(frames) < 5e6
-    intervals_ns = np.diff([one.device_time_ns for one in frames])
+    intervals_ns = np.diff([frame.device_time_ns for frame in frames])
     assert intervals_ns.min() > 0
     # the computer reads each frame to 0.5 ms; the camera's rate carries more than single readings
     assert np.std(intervals_ns[130:]) < 50e3
@@ -223,7 +219,7 @@ def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_car
 
 def test_a_clock_that_never_shows_a_time_is_given_up_at_the_start() -> None:
     frames, _, notes, _ = joined([2**64 - 1] * 50)
-    assert [one.sequence for one in frames] == list(range(50))
+    assert [frame.sequence for frame in frames] == list(range(50))
     assert len(notes) == 1
     assert off_ns(frames) < 5e6
 
@@ -243,7 +239,7 @@ def test_first_frames_that_waited_for_their_reader_are_no_step(rate_hz: float) -
     host_ns = [max(HOST_NS + t, HOST_NS + times[3] + 5_000_000 + n * 300_000) for n, t in enumerate(times)]
     frames, _, notes, _ = carried(times, host_ns)
     assert notes == []
-    assert [one.device_time_ns for one in frames] == times
+    assert [frame.device_time_ns for frame in frames] == times
 
 
 @settings(max_examples=200, deadline=None)
@@ -263,7 +259,7 @@ def test_times_never_run_backwards_however_irregularly_a_camera_without_numbers_
     read_ns = np.maximum.accumulate([t + round(1e6 * late[n]) + 1000 * n for n, t in enumerate(true)])
     times = [10**9 + t + round(1e6 * step_ms) * (n >= at) for n, t in enumerate(true)]
     frames = carried(times, [HOST_NS + int(ns) for ns in read_ns]).frames
-    found = [one.device_time_ns for one in frames]
+    found = [frame.device_time_ns for frame in frames]
     assert all(later > earlier for earlier, later in pairwise(found))
 
 
@@ -276,7 +272,7 @@ def test_a_rate_that_changes_while_the_reader_hangs_is_no_senseless_clock(rate_h
     """No clock erred: every time is the camera's own, none is made of when a frame was read."""
     true = rising_by([INTERVAL_NS] * 120 + [round(1e9 / rate_hz)] * 200)
     frames, clock, notes, _ = carried([10**9 + t for t in true], hanging(true, 110, 160))
-    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert [frame.device_time_ns - 10**9 for frame in frames] == true
     assert (clock.rejected, notes) == (0, [])
 
 
@@ -289,7 +285,7 @@ def test_several_gaps_without_numbers_in_one_hang_lose_no_frame_and_move_none(
     each = [INTERVAL_NS // (rate if n > 115 else 1) for n in range(1, 300)]
     true = rising_by([each_ns * (1 + gaps.get(n, 0)) for n, each_ns in enumerate(each, 1)])
     frames, clock, notes, _ = carried([10**9 + t for t in true], hanging(true, 110, 160))
-    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert [frame.device_time_ns - 10**9 for frame in frames] == true
     assert (clock.rejected, notes) == (0, [])
 
 
@@ -299,8 +295,8 @@ def test_a_step_behind_a_gap_in_one_hang_is_taken_off_from_where_it_was(step_ms:
     true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
     shown = [10**9 + t + round(1e6 * step_ms) * (n >= 135) for n, t in enumerate(true)]
     frames, clock, notes, _ = carried(shown, hanging(true, 110, 160))
-    assert [one.sequence for one in frames] == list(range(300))
-    assert max(abs(one.device_time_ns - 10**9 - t) for one, t in zip(frames, true, strict=True)) < 3e6
+    assert [frame.sequence for frame in frames] == list(range(300))
+    assert max(abs(frame.device_time_ns - 10**9 - t) for frame, t in zip(frames, true, strict=True)) < 3e6
     assert clock.rejected == 0
     assert len(notes) == 1
     assert "before frame 135" in notes[0]
@@ -313,7 +309,7 @@ def test_a_long_hang_teaches_nothing_of_how_late_frames_are() -> None:
     for n in range(690, 720):
         host[n] = host[720] - 10_000 * (720 - n)
     frames, clock, notes, _ = carried([10**9 + t for t in true], host)
-    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert [frame.device_time_ns - 10**9 for frame in frames] == true
     assert (clock.rejected, notes) == (0, [])
 
 
@@ -321,8 +317,8 @@ def test_a_wrong_time_among_frames_that_were_read_late_is_left_out_alone() -> No
     true = rising_by([INTERVAL_NS * (1 + 5 * (n == 120)) for n in range(1, 300)])
     shown = [10**9 + t + 27_000_000 * (n == 130) for n, t in enumerate(true)]
     frames, clock, notes, _ = carried(shown, hanging(true, 110, 160))
-    assert [one.sequence for one in frames] == [n for n in range(300) if n != 130]
-    assert max(abs(one.device_time_ns - 10**9 - true[one.sequence]) for one in frames) == 0
+    assert [frame.sequence for frame in frames] == [n for n in range(300) if n != 130]
+    assert max(abs(frame.device_time_ns - 10**9 - true[frame.sequence]) for frame in frames) == 0
     assert clock.rejected == 1
     assert len(notes) == 1
     assert "1 frame left out from frame 130 on" in notes[0]
@@ -334,7 +330,7 @@ def test_a_step_belongs_to_the_frame_after_it_however_many_waited_before(gap: in
     true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
     shown = [10**9 + t + 130_000_000 * (n >= 135) for n, t in enumerate(true)]
     frames, _, _, (step,) = carried(shown, hanging(true, 110, 160))
-    assert step.time_ns == {one.sequence: one.time_ns for one in frames}[135]
+    assert step.time_ns == {frame.sequence: frame.time_ns for frame in frames}[135]
 
 
 def after(count: int, first_ns: int = 10**12, in_real_time: bool = True) -> FrameLine:
@@ -380,16 +376,16 @@ def test_a_camera_that_comes_back_without_times_continues_its_numbers_all_the_sa
     """Some first frames, or all, show no time; then a clock that began again, or the computer's."""
     line = after(20)
     line.restart()
-    passed = [
+    outputs = [
         line.take(Frame(IMAGE, n, 2**62 if n < senseless else 500 + n * 10**7, HOST_NS + 10**9 + n * 10**7))
         for n in range(40)
     ]
-    frames = [frame for one in passed for frame in one.frames]
+    frames = [frame for output in outputs for frame in output.frames]
     for frame in frames:
         # 0.19 s was the last before it, which is 10**12 + 0.19 s by the camera
         assert frame.device_time_ns - 10**12 == pytest.approx((frame.sequence) * 10**7, abs=1000)
     assert (len(frames), line.rejected) == ((37, 3) if senseless == 3 else (40, 0))
-    assert any("opened again" in text for one in passed for _, text in one.notes)
+    assert any("opened again" in text for output in outputs for _, text in output.notes)
 
 
 def test_what_waits_when_a_camera_is_lost_is_counted() -> None:

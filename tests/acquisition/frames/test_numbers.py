@@ -75,7 +75,7 @@ def test_frames_that_found_no_buffer_are_ours_although_the_count_is_seen_early()
     numbers, underruns = short(), Underruns()
 
     def number(block: int, arrived_ns: int, fetched_ns: int, count: int) -> int | None:
-        was_full = underruns.before(arrived_ns, fetched_ns, count)
+        was_full = underruns.occurred(arrived_ns, fetched_ns, count)
         return numbers.number(block, "dropped_by_host" if was_full else "dropped_by_bus")
 
     # (block, arrived, fetched, underruns): fetched at 20, then nothing until 600; two buffers hold 2 and 4,

@@ -18,8 +18,8 @@ def sequences(frames: list[Frame]) -> list[int]:
     return [f.sequence for f in frames]
 
 
-def test_every_refuses_the_newest_and_counts() -> None:
-    queue = BoundedQueue[Frame](3, "every")
+def test_drop_refuses_the_newest_and_counts() -> None:
+    queue = BoundedQueue[Frame](3, "drop")
     taken = [queue.put(frame(i)) for i in range(5)]
     assert taken == [True, True, True, False, False]
     assert queue.dropped == 2
@@ -58,20 +58,16 @@ def test_close_releases_a_waiting_camera() -> None:
     assert queue.drained
 
 
-@pytest.mark.parametrize("policy", ["wait", "every"])
+@pytest.mark.parametrize("policy", ["wait", "drop"])
 def test_take_on_a_closed_empty_queue_returns_at_once(policy: Policy) -> None:
     queue = BoundedQueue[Frame](2, policy)
     queue.close()
     assert queue.take(5, 60.0) == []
 
 
-def sized(width_px: int, height_px: int, number: int = 0) -> Frame:
-    return Frame(np.zeros((height_px, width_px), np.uint8), number, number * 1000, number * 1000)
-
-
 @pytest.mark.parametrize("size_px", [(256, 256), (640, 480), (1280, 1024), (20_000, 20_000)])
 def test_memory_bounds_what_waits_whatever_the_size_of_a_frame(size_px: tuple[int, int]) -> None:
-    queue = BoundedQueue[Frame](math.inf, "every", MAX_QUEUE_BYTES, fewest=8)
+    queue = BoundedQueue[Frame](math.inf, "drop", MAX_QUEUE_BYTES, min_items=8)
     image = np.broadcast_to(np.zeros(1, np.uint8), size_px)
     count = 0
     while queue.put(Frame(image, count, count, count)):
@@ -87,11 +83,11 @@ def test_memory_bounds_what_waits_whatever_the_size_of_a_frame(size_px: tuple[in
 
 
 def test_a_backlog_is_said_once_and_so_is_its_end() -> None:
-    one = sized(640, 480)
-    queue = BoundedQueue[Frame](math.inf, "every", 100 * one.memory_bytes)
+    frame = Frame(np.zeros((480, 640), np.uint8), 0, 0, 0)
+    queue = BoundedQueue[Frame](math.inf, "drop", 100 * frame.memory_bytes)
     said = []
     for number in range(50):
-        queue.put(one._replace(sequence=number))
+        queue.put(frame._replace(sequence=number))
         said.append(queue.remark())
     while len(queue):
         queue.take(3, 0.0)
@@ -102,12 +98,12 @@ def test_a_backlog_is_said_once_and_so_is_its_end() -> None:
     assert ended == "caught up; at most 50 frames waited, 15 MB"
 
 
-@pytest.mark.parametrize(("policy", "count"), [("every", 12), ("wait", 50)])
+@pytest.mark.parametrize(("policy", "count"), [("drop", 12), ("wait", 50)])
 def test_a_few_frames_that_wait_and_those_on_demand_are_nothing_to_say(policy: Policy, count: int) -> None:
-    one = sized(640, 480)
-    queue = BoundedQueue[Frame](math.inf, policy, 100 * one.memory_bytes)
+    frame = Frame(np.zeros((480, 640), np.uint8), 0, 0, 0)
+    queue = BoundedQueue[Frame](math.inf, policy, 100 * frame.memory_bytes)
     for number in range(count):
-        queue.put(one._replace(sequence=number))
+        queue.put(frame._replace(sequence=number))
         assert not queue.remark()
     while queue.take(3, 0.0):
         assert not queue.remark()

@@ -159,5 +159,5 @@ class HangingDisk(Operations):
 
 
 if __name__ == "__main__":
-    of, at, until = map(Path, sys.argv[1:])
-    mfusepy.FUSE(HangingDisk(of, until), str(at), foreground=True)
+    source, folder, hangs = map(Path, sys.argv[1:])
+    mfusepy.FUSE(HangingDisk(source, hangs), str(folder), foreground=True)

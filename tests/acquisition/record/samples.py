@@ -43,20 +43,16 @@ def write_sample(
     unit: DeflectionUnit = DeflectionUnit.RAD,
     dtype: str = "u1",
     window_px: int = 24,
-    metadata: dict[str, dict[str, str]] | None = None,
     flush_interval_s: float = 1e9,
 ) -> Expected:
     """Write blocks of spots and windows with a swing and a balance each; every 16th spot is lost."""
     rng = np.random.default_rng(seed)
-    about = (
-        {"session": {"operator": "Ä. Tester", "notes": "line 1\nline 2"}} if metadata is None else metadata
-    )
     done = Expected([], rng.normal(0.0, 1e-4, (4, frames)), [], [], [], [])
     attachments = {"configuration.toml": b"[session]\n", "any.bin": bytes(range(256))}
     with RecordWriter(
         path,
         EPOCH_OFFSET_NS,
-        metadata=about,
+        metadata={"session": {"operator": "Ä. Tester", "notes": "line 1\nline 2"}},
         attachments=attachments,
         deflection_unit=unit,
         reserve_bytes=64 * 1024,
@@ -81,7 +77,7 @@ def write_sample(
             time_ns = int(times[-1])
             swing = HalfCycle(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
             done.swings.append(swing)
-            writer.write_swing(swing)
+            writer.write_half_cycle(swing)
             done.balances.append(sample_balance(rng, time_ns, unit))
             writer.write_balance(done.balances[-1])
             if first % (4 * BLOCK) == 0:

@@ -2,12 +2,15 @@
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import METADATA_COPY, SCHEMA_VERSION
@@ -16,40 +19,32 @@ from processing.errors import RecordError
 from tests.acquisition.record.samples import write_sample
 
 
-def foreign(path: Path) -> None:
+@contextmanager
+def mcap(path: Path) -> Iterator[Writer]:
+    """An MCAP file of another program, or of another version of this one."""
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
+        yield writer
+        writer.finish()
+
+
+def foreign(path: Path) -> None:
+    with mcap(path) as writer:
         schema = writer.register_schema("Pose", "jsonschema", b"{}")
         channel = writer.register_channel("/robot/pose", "json", schema)
         writer.add_message(channel, 1, b"{}", 1)
-        writer.finish()
 
 
 def empty_mcap(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        writer.finish()
+    with mcap(path):
+        pass
 
 
-def newer(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        head = {"schema_version": str(SCHEMA_VERSION + 1), "epoch_offset_ns": "0"}
-        writer.add_attachment(0, 0, METADATA_COPY, "application/json", json.dumps({"record": head}).encode())
-        writer.finish()
-
-
-def nameless(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        writer.add_attachment(
-            0, 0, METADATA_COPY, "application/json", b'{"record": {"schema_version": "one"}}'
-        )
-        writer.finish()
+def of_schema(version: str, path: Path) -> None:
+    identity = json.dumps({"record": {"schema_version": version, "epoch_offset_ns": "0"}}).encode()
+    with mcap(path) as writer:
+        writer.add_attachment(0, 0, METADATA_COPY, "application/json", identity)
 
 
 def cut_in_its_head(path: Path) -> None:
@@ -57,6 +52,7 @@ def cut_in_its_head(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:40])
 
 
+NEWER = str(SCHEMA_VERSION + 1)
 CASES = {
     "no such file": (lambda path: None, "no such record; .* has no record; give the path of one"),
     "folder": (Path.mkdir, "cannot be read"),
@@ -68,8 +64,11 @@ CASES = {
     ),
     "foreign": (foreign, r"another program \(topics: /robot/pose\)"),
     "empty MCAP": (empty_mcap, r"another program \(topics: none\)"),
-    "newer": (newer, f"is of schema {SCHEMA_VERSION + 1}; this version reads schema {SCHEMA_VERSION}"),
-    "own description damaged": (nameless, "its own description is damaged"),
+    "newer": (
+        partial(of_schema, NEWER),
+        f"is of schema {NEWER}; this version reads schema {SCHEMA_VERSION}",
+    ),
+    "own description damaged": (partial(of_schema, "one"), "its own description is damaged"),
     "cut in its head": (cut_in_its_head, "cut short before anything was recorded"),
 }
 if hasattr(os, "mkfifo"):
@@ -101,7 +100,7 @@ def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="never overwritten"):
         recover(path, path)
     assert path.read_bytes() == before
-    pixels_beside(path).rename(tmp_path / "other.pixels.mcap")
+    pixels_path(path).rename(tmp_path / "other.pixels.mcap")
     with pytest.raises(RecordError, match=r"other\.pixels\.mcap: exists already and is never overwritten"):
         RecordWriter(tmp_path / "other.mcap", 0)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["other.pixels.mcap", "run.mcap"]

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import Finding, check_record, recover
-from acquisition.record.chunk import ChunkPlace
+from acquisition.record.chunk import ChunkEntry
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
@@ -35,7 +35,7 @@ class Files(NamedTuple):
     def lay(self, path: Path) -> None:
         """Write them under a name."""
         path.write_bytes(self.numbers)
-        pixels_beside(path).write_bytes(self.pixels)
+        pixels_path(path).write_bytes(self.pixels)
 
     def flipped(self, place: int) -> "Files":
         """One bit changed; places count on from the numbers into the pixels."""
@@ -49,7 +49,7 @@ class Files(NamedTuple):
 def both(tmp_path_factory: pytest.TempPathFactory) -> Files:
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
     write_sample(path, FRAMES)
-    return Files(path.read_bytes(), pixels_beside(path).read_bytes())
+    return Files(path.read_bytes(), pixels_path(path).read_bytes())
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def whole(both: Files) -> bytes:
     return both.numbers
 
 
-def chunks_of(path: Path) -> list[ChunkPlace]:
+def chunks_of(path: Path) -> list[ChunkEntry]:
     file = ReadFile(path)
     file.close()
     return list(file.chunks)
@@ -79,9 +79,9 @@ def test_a_whole_record_has_no_findings_also_without_its_pixels(tmp_path: Path, 
     both.lay(path)
     assert check_record(path) == []
     with RecordReader(path) as reader:
-        assert reader.sound
+        assert reader.is_sound
         assert sum(1 for _ in reader.windows()) == FRAMES
-    pixels_beside(path).unlink()
+    pixels_path(path).unlink()
     assert check_record(path) == []
     with RecordReader(path) as reader:
         assert not reader.truncated
@@ -92,12 +92,12 @@ def test_a_whole_record_has_no_findings_also_without_its_pixels(tmp_path: Path, 
 def test_pixels_of_another_record_are_not_taken(tmp_path: Path, both: Files) -> None:
     path = tmp_path / "run.mcap"
     write_sample(path, FRAMES, seed=2)
-    pixels_beside(path).write_bytes(both.pixels)
+    pixels_path(path).write_bytes(both.pixels)
     with RecordReader(path) as reader:
         assert list(reader.windows()) == []
         assert "run.pixels.mcap: has not the pixels of this record" in " ".join(reader.doubts())
     with pytest.raises(RecordError, match=r"name the record beside it, run\.mcap"):
-        RecordReader(pixels_beside(path))
+        RecordReader(pixels_path(path))
 
 
 def test_a_flipped_byte_in_a_chunk_is_named_and_the_rest_is_recovered(tmp_path: Path, both: Files) -> None:
@@ -249,7 +249,7 @@ def test_a_cut_file_is_read_up_to_its_last_whole_chunk_and_recovered(tmp_path: P
             assert reader.counts.get("/window", 0) == len(windows)
         assert any("cut short" in text for text in errors(check_record(path)))
         found = recover(path, copy)
-        assert (path.read_bytes(), pixels_beside(path).read_bytes()) == cut
+        assert (path.read_bytes(), pixels_path(path).read_bytes()) == cut
         ends = found["lost"].split("; ") if found["lost"] else []
         assert all("bytes after the last complete entry" in end for end in ends)
         assert errors(check_record(copy)) == []
@@ -304,7 +304,7 @@ def test_a_record_whose_summary_is_damaged_is_read_by_walking_through_it(
 
 def overview(path: Path) -> dict[str, Any]:
     """What `rig record info` prints of a record."""
-    names = ("whole", "library", "start_ns", "end_ns", "attachments", "damages")
+    names = ("is_complete", "library", "start_ns", "end_ns", "attachments", "damages")
     with RecordReader(path) as reader:
         read = {"counts": reader.counts, "losses": reader.losses(), "chunks": len(reader.numbers.chunks)}
         return {name: getattr(reader.numbers, name) for name in names} | read
@@ -322,10 +322,10 @@ def test_info_reads_no_chunk(tmp_path: Path, whole: bytes) -> None:
     assert overview(path) == expected
     assert expected["counts"]["/spot"] == FRAMES
     assert expected["end_ns"] - expected["start_ns"] == pytest.approx(0.64e9)
-    assert expected["whole"]
+    assert expected["is_complete"]
     path.write_bytes(whole[: len(whole) - 9])
     cut = overview(path)
-    assert not cut["whole"]
+    assert not cut["is_complete"]
     assert (cut["counts"], cut["chunks"]) == (expected["counts"], expected["chunks"])
 
 

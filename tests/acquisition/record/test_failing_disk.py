@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import check_record, recover
 from acquisition.record.events import end_of
 from acquisition.record.mcap_file import McapFile, Reserve
@@ -106,7 +106,7 @@ def test_the_record_is_closed_and_whole(small_disk: Path) -> None:
     writer.flush()
     with pytest.raises(RecordError, match="is closed"):
         writer.write_event(0, "late", "")
-    assert sorted(small_disk.glob("*.mcap")) == [path, pixels_beside(path)]
+    assert sorted(small_disk.glob("*.mcap")) == [path, pixels_path(path)]
     with RecordReader(path) as reader:
         assert not reader.truncated
         assert len(reader.spots()) >= frames
@@ -149,7 +149,7 @@ def test_no_room_for_the_reserve_is_said_at_the_opening(small_disk: Path) -> Non
 def test_recovering_onto_a_full_disk_leaves_nothing_behind(small_disk: Path, tmp_path: Path) -> None:
     source, copy = tmp_path / "run.mcap", small_disk / "whole.mcap"
     write_sample(source, 1024, window_px=96)
-    assert pixels_beside(source).stat().st_size > DISK_BYTES
+    assert pixels_path(source).stat().st_size > DISK_BYTES
     with pytest.raises(RecordError, match="cannot be written: No space left on device"):
         recover(source, copy)
     assert list(small_disk.glob("*.mcap")) == []
@@ -241,7 +241,7 @@ def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> 
     path = folder / "run.mcap"
     writer = RecordWriter(path, EPOCH_OFFSET_NS, flush_interval_s=1e9)
     for index in range(100):
-        writer.write_swing(HalfCycle(index, index, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
+        writer.write_half_cycle(HalfCycle(index, index, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
         if index == 59:
             writer.flush()
     cut_power(folder)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import check_record, recover
 from acquisition.record.reader import RecordReader
 from tests.waiting import until
@@ -98,7 +98,7 @@ def assert_at_most_the_last_second_is_lost(writers: Writers, path: Path, after_s
     with RecordReader(copy) as reader:
         assert len(reader.spots()) == len(spots)
     assert not [finding for finding in check_record(copy) if finding.severity == "error"]
-    left = {path, copy, pixels_beside(path), pixels_beside(copy)}
+    left = {path, copy, pixels_path(path), pixels_path(copy)}
     assert set(path.parent.iterdir()) <= left, "nothing else is left behind"
     for file in path.parent.iterdir():
         file.unlink()

@@ -35,7 +35,7 @@ def record(first, last):
         sequences = range(start, start + block)
         noise = rng.normal(size=(4, block))
         writer.write_spots(sequences, times, times, table, Deflections(times, *noise, DeflectionUnit.RAD))
-        writer.write_swing(HalfCycle(start, start, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
+        writer.write_half_cycle(HalfCycle(start, start, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
         writer.write_window(start, int(times[0]), pixels, 0, 0)
         writer.flush()
 def resident():

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from rerun.chunk import RrdReader
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import (
     ENVIRONMENT,
@@ -93,7 +93,7 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
         assert found["metadata"] == reader.metadata
         assert found["attachments"].pop(METADATA_COPY) > 100
         assert found["attachments"] == {name: len(data) for name, data in reader.attachments.items()}
-    pictures = read_with_node(mcap_packages, pixels_beside(record), mode)
+    pictures = read_with_node(mcap_packages, pixels_path(record), mode)
     assert pictures["counts"] == {topic: counts[topic] for topic in PIXEL_TOPICS}
     for (form, data), image in zip(pictures["images"], previewed(record), strict=True):
         assert form == "jpeg"
@@ -169,7 +169,7 @@ def run_rerun(folder: Path, *arguments: str) -> str:
 
 def test_rerun_finds_nothing_wrong(record: Path, tmp_path: Path) -> None:
     rows: list[list[str]] = []
-    for path in (record, pixels_beside(record)):
+    for path in (record, pixels_path(record)):
         report = run_rerun(tmp_path, "mcap", "check", "--full", str(path))
         rows += [line.split() for line in report.splitlines() if " /" in line and not line.startswith("/")]
     with RecordReader(record) as reader:
@@ -202,7 +202,7 @@ def test_reruns_conversion_has_every_number_as_a_column_that_plots(record: Path,
     assert "TextLog:text" in components["/log"]
     assert "Pinhole:image_from_camera" in components["/camera_calibration"]
     assert "optical_pendulum.Swing:message" in components["/swing"]
-    run_rerun(tmp_path, "mcap", "convert", str(pixels_beside(record)), "-o", str(converted))
+    run_rerun(tmp_path, "mcap", "convert", str(pixels_path(record)), "-o", str(converted))
     shown = {
         name
         for chunk in RrdReader(converted).stream()
@@ -213,7 +213,7 @@ def test_reruns_conversion_has_every_number_as_a_column_that_plots(record: Path,
 
 
 def test_the_mcap_package_sees_the_same(record: Path) -> None:
-    with record.open("rb") as file, pixels_beside(record).open("rb") as pixels, RecordReader(record) as ours:
+    with record.open("rb") as file, pixels_path(record).open("rb") as pixels, RecordReader(record) as ours:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         spots = ours.spots()
         decoded = [item.decoded_message for item in reader.iter_decoded_messages(topics=["/spot"])]

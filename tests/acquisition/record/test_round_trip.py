@@ -220,7 +220,7 @@ def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
     swing = HalfCycle(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0)
     for write in (
         lambda: writer.write_event(0, "late", ""),
-        lambda: writer.write_swing(swing),
+        lambda: writer.write_half_cycle(swing),
         lambda: writer.write(Environment(5)),
     ):
         with pytest.raises(RecordError, match="closed"):

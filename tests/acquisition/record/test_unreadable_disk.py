@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.check import check_record, recover
-from acquisition.record.chunk import read_at
+from acquisition.record.chunk import read_bytes
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
@@ -43,10 +43,10 @@ def test_an_unreadable_end_as_of_a_broken_chain_of_clusters(disk: Mounted, tmp_p
     path, cut = disk.folder / "run.mcap", tmp_path / "cut.mcap"
     write_sample(path, FRAMES, flush_interval_s=0.0)
     cut.write_bytes(path.read_bytes())
-    pixels = pixels_beside(path)
+    pixels = pixels_path(path)
     size = pixels.stat().st_size
     first = (2 * size // 3) // BLOCK_BYTES * BLOCK_BYTES
-    pixels_beside(cut).write_bytes(pixels.read_bytes()[:first])
+    pixels_path(cut).write_bytes(pixels.read_bytes()[:first])
     disk.spoil(first, size, pixels.name)
     spots, windows, doubts = read(path)
     _, expected_windows, _ = read(cut)
@@ -94,7 +94,7 @@ class Failing(io.BytesIO):
 def test_a_disk_that_is_pulled_out_is_no_unreadable_block() -> None:
     """What was there is on the disk still: it would be taken for a damaged record."""
     file = Failing(bytes(8))
-    assert read_at(file, 0, 8) == b""
+    assert read_bytes(file, 0, 8) == b""
     file.number = errno.ENODEV
     with pytest.raises(OSError, match="failed"):
-        read_at(file, 0, 8)
+        read_bytes(file, 0, 8)

@@ -60,6 +60,17 @@ def test_every_row_sees_the_spot_at_its_own_time(first_row: str) -> None:
         assert plan.y_px[frame] - TOP == pytest.approx((weight.sum(1) * rows).sum(), abs=2e-3)
 
 
+@pytest.mark.parametrize("first_row", ["top", "bottom"])
+def test_a_region_of_one_row_is_exposed_at_one_time(first_row: str) -> None:
+    readings = SensorSettings(0, 330, 120, 1, 16, 100.0, 0.0, 100.0)
+    rolling, still = (
+        Scene(settings_of(row_time_s, first_row), FaultSettings(), readings, 0).plan(50)
+        for row_time_s in (30e-6, 0.0)
+    )
+    assert rolling.y_px == pytest.approx(still.y_px, abs=1e-9)
+    assert rolling.slope == pytest.approx(still.slope, abs=1e-9)
+
+
 @pytest.mark.parametrize("row_time_s", [0.0, 30e-6])
 def test_a_binned_image_is_the_mean_of_the_sensors_pixels(row_time_s: float) -> None:
     """In a region, too, and with each row of the sensor at its own time."""

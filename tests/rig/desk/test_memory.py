@@ -59,7 +59,7 @@ def tell_minute(news: SessionNews, record: RecordWriter, minute: int) -> None:
     record.write_spots(numbers, at, at, [Spot(*[0.0] * 10, SpotFlag(0))] * FRAMES, moved)
     for k in range(SWINGS):
         turn_ns = begin_ns + k * 1_200_000_000
-        record.write_swing(
+        record.write_half_cycle(
             HalfCycle(minute * SWINGS + k, turn_ns, 0.0, 100.0 - 0.01 * k, 0.1, 1.2, 1e-4, 0.0, 1, 0)
         )
     end_ns = begin_ns + 60_000_000_000

@@ -203,7 +203,7 @@ def test_a_camera_that_does_not_end_holds_nothing_up() -> None:
 
     assert not end_within(lambda: None, "own: close()")
     assert end_within(failing, "own: close()") == "own: close() failed: ValueError: no such handle"
-    said = end_within(let_go.wait, "own: close()", patience_s=0.01)
+    said = end_within(let_go.wait, "own: close()", timeout_s=0.01)
     let_go.set()
     assert said == "own: close() has not returned for 0.01 s, and is left to itself"
 
@@ -217,7 +217,7 @@ def test_what_a_driver_raises_is_one_line() -> None:
 
 
 def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame_stream, "ReadMonitor", partial(ReadMonitor, hangs_s=0.5))
+    monkeypatch.setattr(frame_stream, "ReadMonitor", partial(ReadMonitor, grace_s=0.5))
     let_go = Event()
 
     def make(number: int) -> object:

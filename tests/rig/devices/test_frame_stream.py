@@ -35,7 +35,7 @@ def stream_of(faults: FaultSettings, *, real_time: bool, timeout_s: float = 5.0)
     asked = CameraSettings(width_px=64, height_px=64, offset_x_px=128, offset_y_px=288, frame_rate_hz=RATE_HZ)
     camera.configure(asked)
     camera.start()
-    policy = "every" if real_time else "wait"
+    policy = "drop" if real_time else "wait"
     return FrameStream(camera, asked, policy=policy, timeout_s=timeout_s, reconnect_s=10.0)
 
 
@@ -77,7 +77,7 @@ class ScriptedCamera:
         pass
 
 
-def scripted(camera: ScriptedCamera, policy: Policy = "every") -> FrameStream:
+def scripted(camera: ScriptedCamera, policy: Policy = "drop") -> FrameStream:
     stream = FrameStream(cast(Camera, camera), CameraSettings(), policy=policy, timeout_s=5.0)
     assert stream.begin() is not None
     return stream
@@ -129,14 +129,14 @@ def hanging() -> Iterator[Hanging]:
 
 
 def test_a_first_read_that_never_returns_is_said(hanging: Hanging, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.devices.frame_stream.ReadMonitor", partial(ReadMonitor, hangs_s=0.2))
+    monkeypatch.setattr("rig.devices.frame_stream.ReadMonitor", partial(ReadMonitor, grace_s=0.2))
     stream = FrameStream(cast(Camera, hanging), CameraSettings(), timeout_s=0.3)
     with pytest.raises(DeviceError, match=r"read\(\) has not returned .* its driver hangs"):
         stream.begin()
     assert "its driver hangs" in stream.end_reason
 
 
-@pytest.mark.parametrize("policy", ["every", "wait"])
+@pytest.mark.parametrize("policy", ["drop", "wait"])
 def test_a_first_read_that_never_returns_can_be_stopped(hanging: Hanging, policy: Policy) -> None:
     stream = FrameStream(cast(Camera, hanging), CameraSettings(), policy=policy)
     with ThreadPoolExecutor(1) as beginning:

@@ -4,14 +4,14 @@ from typing import Any
 
 import pytest
 
-from acquisition.camera import CameraInfo, CameraSettings, Stamped
+from acquisition.camera import CameraInfo, CameraSettings, TimestampMoment
 from rig.instrument import pulse_faults, shift_to_light_ns, shutter_of
 from rig.settings import Configuration, validate_configuration
 
 APPLIED = CameraSettings(exposure_us=8000.0, width_px=640, height_px=401)
 
 
-def camera(stamped: Stamped = "start", has_clock: bool = True) -> CameraInfo:
+def camera(stamped: TimestampMoment = "start", has_clock: bool = True) -> CameraInfo:
     return CameraInfo("any", "", "", "", 640, 480, 255, has_clock=has_clock, stamped=stamped)
 
 
@@ -28,14 +28,14 @@ def configured(**laser: Any) -> Configuration:
 
 
 @pytest.mark.parametrize(("stamped", "expected_us"), [("start", 4000), ("middle", 0), ("end", -8000)])
-def test_without_pulses_it_is_the_middle_of_the_first_row(stamped: Stamped, expected_us: int) -> None:
+def test_without_pulses_it_is_the_middle_of_the_first_row(stamped: TimestampMoment, expected_us: int) -> None:
     config = configured()
     assert shift_to_light_ns(config, camera(stamped), APPLIED) == 1000 * expected_us
     assert shutter_of(config).row_time_s == 1e-5
 
 
 @pytest.mark.parametrize(("stamped", "expected_us"), [("start", 5025), ("middle", 1025), ("end", -6975)])
-def test_with_pulses_it_is_their_middle_for_all_rows(stamped: Stamped, expected_us: int) -> None:
+def test_with_pulses_it_is_their_middle_for_all_rows(stamped: TimestampMoment, expected_us: int) -> None:
     config = configured(pulse_us=50.0, pulse_delay_us=5000.0)
     assert shift_to_light_ns(config, camera(stamped), APPLIED) == 1000 * expected_us
     assert shutter_of(config).row_time_s == 0.0

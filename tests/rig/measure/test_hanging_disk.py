@@ -67,7 +67,7 @@ def test_frames_wait_in_memory_and_beyond_it_are_counted(
         r"the disk has not answered for \d+ s; [1-4] of 5 MB of memory wait for it", recorder.alarm
     )
     # what comes now finds no room in front of the processing either
-    frames = BoundedQueue[Frame](8, "every")
+    frames = BoundedQueue[Frame](8, "drop")
     thread = threading.Thread(target=lambda: put_all(frames, recorder))
     thread.start()
     later = range(FRAMES, 2 * FRAMES)

@@ -62,7 +62,7 @@ class Growing:
     def by(self, half_cycles: Sequence[HalfCycle]) -> Iterator[Posterior]:
         """What is known after each half-cycle."""
         for swing in half_cycles:
-            self._records[-1].write_swing(swing)
+            self._records[-1].write_half_cycle(swing)
             self.posterior.take([swing], self._records[-1].flush)
             yield self.posterior.latest
 
@@ -72,7 +72,7 @@ class Growing:
 
     def write(self, half_cycle: HalfCycle) -> None:
         """Write one and make it readable, of which the live fit is not told."""
-        self._records[-1].write_swing(half_cycle)
+        self._records[-1].write_half_cycle(half_cycle)
         self._records[-1].flush()
 
     def go_on(self) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.record import pixels_beside
+from acquisition.record import pixels_path
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
 from processing.errors import RecordError
@@ -31,7 +31,7 @@ def test_a_record_without_windows_is_smaller_and_replayed_but_not_tracked_again(
     assert {topic for topic, count in counts[True].items() if count} - {WINDOW.topic} == {
         topic for topic, count in counts[False].items() if count
     }
-    without, with_windows = (pixels_beside(records[kept]).stat().st_size for kept in (False, True))
+    without, with_windows = (pixels_path(records[kept]).stat().st_size for kept in (False, True))
     assert without < 0.5 * with_windows
     replay_record(records[False], None, retrack=False, overrides=[])
     assert "equal bit for bit" in capsys.readouterr().out

@@ -9,7 +9,7 @@ from typing import Self
 
 import pytest
 
-from acquisition.record import records_of
+from acquisition.record import records_in_folder
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.devices import Devices
@@ -67,7 +67,7 @@ def test_a_record_that_came_to_its_end_is_complete(ended: Path) -> None:
     assert "run-1.mcap is whole: time limit" in done.stderr
     assert "1 of 1 runs are complete" in done.stderr
     assert "rig init --example basement writes the same rig in an ordinary basement" in done.stderr
-    assert [path.name for path in records_of(ended)] == ["run-1.mcap"]
+    assert [path.name for path in records_in_folder(ended)] == ["run-1.mcap"]
     assert (ended / "run-1.mcap").read_bytes() == before
     assert json.loads((ended / "results-2.json").read_text())["runs"][0]["record"] == "run-1.mcap"
 

@@ -50,7 +50,7 @@ def session_in_pixels(folder: Path, *, lost: bool) -> Path:
         for index in range(0 if lost else 20):
             amplitude = 100 * math.exp(-0.02 * index)
             turn_ns = round(0.5 * PERIOD_S * index * 1e9)
-            writer.write_swing(
+            writer.write_half_cycle(
                 HalfCycle(index, turn_ns, 1e-4, amplitude, 0.01, 2.0, 1e-4, 0.0, 1 - 2 * (index % 2), 0)
             )
     write_results(folder / "results.json", session_results([analyse_record(record)], folder))

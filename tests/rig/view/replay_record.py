@@ -74,14 +74,14 @@ def make_record(
             listed = times_ns[part].tolist()
             writer.write_spots(sequences[part].tolist(), listed, listed, block.spots, block.deflections)
             for swing in block.half_cycles:
-                writer.write_swing(swing)
+                writer.write_half_cycle(swing)
             for balance in block.balances:
                 writer.write_balance(balance)
             if windows:
                 _write_windows(writer, sequences[part].tolist(), spots[part])
             writer.flush()
         for swing in pipeline.finish()[0]:
-            writer.write_swing(swing)
+            writer.write_half_cycle(swing)
         writer.write_event(int(times_ns[-1]), end, "time limit")
     return path
 

@@ -103,7 +103,7 @@ def test_a_view_that_is_stopped_costs_no_frame(tmp_path: Path) -> None:
     assert left == []
     with RecordReader(record) as reader:
         losses = reader.losses()
-        assert reader.sound
+        assert reader.is_sound
         assert losses is not None
         assert losses.total == 0
         sequence = reader.spots()["sequence"]

@@ -391,7 +391,7 @@ def test_a_camera_that_another_program_controls_is_refused(fake: FakeCamera, cam
 def test_rig_devices_lists_it(fake: FakeCamera) -> None:
     cameras, notes = drivers.find_cameras()
     found = [camera for camera in cameras if camera.driver == "aravis"]
-    assert [(camera.serial, camera.place) for camera in found] == [(SERIAL, "127.0.0.1")], notes
+    assert [(camera.serial, camera.connection) for camera in found] == [(SERIAL, "127.0.0.1")], notes
 
 
 def test_a_camera_that_is_closed_gives_no_frames_and_no_crash(camera: AravisCamera) -> None:

@@ -63,14 +63,12 @@ class VisionDevice(Registers):
         Its serial number.
     packing
         The description is stored ``"zip"`` or ``"plain"``; ``prefix`` precedes it.
-    picture
-        Image of a block, as the bytes that go over the bus; None draws a pattern from the block id.
     clock
         Seconds; frames fall due by it.
     frames_inside
         The camera's own memory: older frames are lost when the host is slow.
-    clock_step_ns, clock_rate
-        Resolution of its clock, and how fast it runs.
+    clock_step_ns
+        Resolution of its clock.
     """
 
     def __init__(
@@ -81,14 +79,11 @@ class VisionDevice(Registers):
         xml: str | None = None,
         prefix: bytes = b"",
         max_packet: int = 1024,
-        alignment_bits: int = 2,
-        picture: Callable[[int], bytes] | None = None,
         clock: Callable[[], float] = time.monotonic,
         first_block: int = 0,
         frame_rate_hz: float = 100.0,
         frames_inside: int = 8,
         clock_step_ns: int = 8,
-        clock_rate: float = 1.0,
     ) -> None:
         self.serial = serial
         self.faults = Faults()
@@ -97,11 +92,9 @@ class VisionDevice(Registers):
         self.configuration = 0
         self.owner: object | None = None
         self.commands = 0
-        self._picture = picture
         self._clock = clock
         self._t0 = clock()
         self._clock_step_ns = clock_step_ns
-        self._clock_rate = clock_rate
         self._first_block = first_block
         self._frames_inside = frames_inside
         self._replies: deque[tuple[float, bytes]] = deque()
@@ -115,9 +108,7 @@ class VisionDevice(Registers):
         self.frames_lost_inside = 0
         self._sawtooth: dict[tuple[int, int], np.ndarray] = {}
         text = (xml if xml is not None else layout.description()).encode()
-        super().__init__(
-            serial, prefix + text, packing, max_packet, alignment_bits, frame_rate_hz, clock_step_ns
-        )
+        super().__init__(serial, prefix + text, packing, max_packet, frame_rate_hz, clock_step_ns)
         self._update()
 
     # ---- registers
@@ -149,7 +140,7 @@ class VisionDevice(Registers):
     def clock_ns(self, at_s: float | None = None) -> int:
         """The camera's clock now or at a time: in ns whatever its resolution, in which it steps."""
         passed_s = (self._clock() if at_s is None else at_s) - self._t0
-        steps = int(passed_s * 1e9 * self._clock_rate) // self._clock_step_ns
+        steps = int(passed_s * 1e9) // self._clock_step_ns
         return (steps + 1000) * self._clock_step_ns
 
     def _update(self) -> None:
@@ -221,7 +212,7 @@ class VisionDevice(Registers):
         found = self.find(address, len(data))
         if refused or found is None:
             return refused or 0x8003
-        if address in (layout.PAYLOAD_SIZE,) or address >= XML:
+        if address == layout.PAYLOAD_SIZE or address >= XML:
             return 0x8004
         found[0][found[1] : found[1] + len(data)] = data
         return self._written(address)
@@ -348,8 +339,6 @@ class VisionDevice(Registers):
 
     def image_bytes(self, block: int) -> bytes:
         """The image of a block as it goes over the bus."""
-        if self._picture is not None:
-            return self._picture(block)
         return pack(self.pixels(block), self.pixel_format)
 
     def pixels(self, block: int) -> np.ndarray:

@@ -21,7 +21,6 @@ class Registers:
         description: bytes,
         packing: str,
         max_packet: int,
-        alignment: int,
         frame_rate_hz: float,
         clock_step_ns: int,
     ) -> None:
@@ -49,7 +48,7 @@ class Registers:
         put(sbrm, 0x20, "QIQI", SIRM, 0x30, EIRM, 0x10)
         put(sbrm, 0x40, "I", 8)
         sirm = bytearray(0x30)
-        put(sirm, 0x0, "I", alignment << 24)
+        put(sirm, 0x0, "I", 2 << 24)  # alignment to 4 bytes
         stored, schema = description, 0
         if packing == "zip":
             buffer = io.BytesIO()

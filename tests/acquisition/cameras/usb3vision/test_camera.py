@@ -220,7 +220,7 @@ def test_stop_returns_in_time_from_a_camera_that_has_fallen_silent(
 
 
 def test_stop_and_close_return_in_time_while_open_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(driver, "_REPLY_S", 5.0)
+    monkeypatch.setattr(driver, "_REPLY_TIMEOUT_S", 5.0)
     device = VisionDevice()
     device.faults.replies = lambda command, reply: []
     camera = camera_on(device)

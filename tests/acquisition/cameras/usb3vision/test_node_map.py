@@ -46,8 +46,8 @@ class Ram:
         self.data[address : address + len(data)] = data
 
 
-def node_map(body: str, ram: Ram | None = None, name: str = "camera") -> NodeMap:
-    return NodeMap(f"{HEAD}{body}</RegisterDescription>", ram or Ram(), name)  # type: ignore[arg-type]
+def node_map(body: str, ram: Ram | None = None) -> NodeMap:
+    return NodeMap(f"{HEAD}{body}</RegisterDescription>", ram or Ram(), "camera")  # type: ignore[arg-type]
 
 
 def register(name: str, address: int, more: str = "", kind: str = "IntReg", length: int = 4) -> str:

@@ -459,7 +459,7 @@ def test_fuzzed_control_never_hangs(edits: list[tuple[int, str, bytes]]) -> None
     message = ""
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(driver, "_REPLY_S", 0.02)
+            patch.setattr(driver, "_REPLY_TIMEOUT_S", 0.02)
             info = camera.open()
         camera.configure(CameraSettings(width_px=160, height_px=100))
         camera.start()
