@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
-from acquisition.frames.queue import taken_from
+from acquisition.frames.queue import take_all
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
@@ -103,7 +103,7 @@ class DeviceThread(ABC):
 
         Never blocks. Only one thread may call it.
         """
-        return tuple(taken_from(self._events))
+        return tuple(take_all(self._events))
 
     def _report(self, text: str) -> None:
         _log.info("%s: %s", self.name, text)

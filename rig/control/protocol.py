@@ -17,7 +17,7 @@ from collections import deque
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 
-from acquisition.frames.queue import taken_from
+from acquisition.frames.queue import take_all
 from processing.ambient import is_possible
 from processing.errors import DeviceError
 from rig.control.serial_port import LineReader, ReplyTimeout, SerialLine
@@ -304,7 +304,7 @@ class Link:
 
     def take_events(self) -> tuple[BoardEvent, ...]:
         """Unsolicited messages of the board since the last call."""
-        return tuple(taken_from(self._events))
+        return tuple(take_all(self._events))
 
     def _take_earlier_lines(self) -> None:
         """Take lines that came since the last command, so that an old NAK does not count as a new reply."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import NamedTuple
 
-from acquisition.frames.queue import taken_from
+from acquisition.frames.queue import take_all
 from processing.errors import DeviceError
 from processing.units import seconds
 from rig.control.device_thread import DeviceThread
@@ -197,7 +197,7 @@ class SeismometerReader(SensorReader):
 
     def take_samples(self) -> list[SeismometerSample]:
         """Samples since the last call, oldest first. Never blocks; only one thread may call it."""
-        return taken_from(self._samples)
+        return take_all(self._samples)
 
     def _take(self, text: str, now_ns: int) -> bool:
         sample = sample_of(text, self._settings.columns, now_ns)
