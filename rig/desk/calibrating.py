@@ -15,10 +15,6 @@ _UNKNOWN = "unknown"
 _SIDES = (_UNKNOWN, "+", "-")
 
 
-RECORD_ALONE: Final = "run --record-only"
-"""Command that records the spot as it is."""
-
-
 @dataclass(frozen=True)
 class CalibrationKind:
     """One kind of calibration as a form over ``rig calibrate KIND``; `title` says what it measures."""

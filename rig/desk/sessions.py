@@ -12,13 +12,13 @@ from typing import Any
 
 from processing.errors import RigError
 from processing.fit import FitMethod
+from rig.analysis import results_path
 from rig.instrument import BALANCE_CONDITIONS
 from rig.measure import STATE_NAME, RunState, SessionSummary, read_session, session_summary
 from rig.terminal import quantity, with_uncertainty
 
 SERVED = "/sessions"
 """Path on the desk's server below which the files of the sessions' folder are served."""
-RESULTS_NAME = "results.json"
 _SERVED_SUFFIXES = frozenset({".html", ".svg", ".png", ".csv", ".json"})
 
 
@@ -78,8 +78,7 @@ class SessionIndex:
         with suppress(OSError), os.scandir(self._output) as entries:
             for entry in entries:
                 with suppress(OSError):
-                    changed_ns = os.stat(f"{entry.path}/{STATE_NAME}").st_mtime_ns
-                    files.append(((changed_ns, _changed_ns(f"{entry.path}/{RESULTS_NAME}")), entry.path))
+                    files.append((_changed_ns(Path(entry.path)), entry.path))
         found = {}
         for changed, path in sorted(files, reverse=True):
             known = self._known.get(path)
@@ -89,12 +88,13 @@ class SessionIndex:
         self._known = found
 
 
-def _changed_ns(path: str) -> int:
-    """Time in ns of the last change of a file; 0 if there is no file."""
-    try:
-        return os.stat(path).st_mtime_ns
-    except OSError:
-        return 0
+def _changed_ns(folder: Path) -> tuple[int, int]:
+    """Times in ns of the last changes of a session's state and of the files in its folder.
+
+    Raises OSError for a folder without a session.
+    """
+    # every file is replaced whole, so that the folder shows new results and reports, whatever their number
+    return (folder / STATE_NAME).stat().st_mtime_ns, folder.stat().st_mtime_ns
 
 
 def session_row(folder: Path) -> SessionRow:
@@ -131,7 +131,7 @@ NUMBERS = {"sigma": "surface_energy_table2_j_per_m2", "b": "b", "c": "c"}
 def last_run(folder: Path) -> dict[str, str]:
     """Columns of the list that follow from a session's last run; empty without results."""
     try:
-        run = json.loads((folder / RESULTS_NAME).read_bytes())["runs"][-1]
+        run = json.loads(results_path(folder).read_bytes())["runs"][-1]
         rows = {row["quantity"]: row for row in run["table"] if row["fit"] == FitMethod.EXACT}
         conditions = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
         # a condition that is met and still has a remedy was not determined
@@ -156,20 +156,19 @@ def _number(row: Mapping[str, Any] | None) -> str:
 
 
 @lru_cache(maxsize=8)
-def _summary(folder: Path, *_changed_ns: int) -> SessionSummary | None:
-    try:
-        return session_summary(folder)
-    except RigError:
-        return None
+def _summary(folder: Path, _changed_ns: tuple[int, int]) -> SessionSummary:
+    return session_summary(folder)
 
 
 def last_summary(folder: Path) -> SessionSummary | None:
-    """What the last run of a session hands over to a person; None without one.
+    """The summary of the session in a folder; None without one.
 
     It is read again only when the files of the session have changed.
     """
-    names = (STATE_NAME, RESULTS_NAME, "report.html")
-    return _summary(folder, *(_changed_ns(f"{folder}/{name}") for name in names))
+    try:
+        return _summary(folder, _changed_ns(folder))
+    except (OSError, RigError):
+        return None
 
 
 def last_state(folder: Path) -> str:

@@ -68,7 +68,7 @@ class FrameCounts:
         """Text that says since when the spot is lost, once that lasts for `_MIN_LOST_S`; else empty."""
         if seconds(self.last_ns - self._last_spot_ns) < _MIN_LOST_S:
             return ""
-        minutes, rest_s = divmod(seconds(self._last_spot_ns - self.start_ns), 60)
+        minutes, rest_s = divmod(round(seconds(self._last_spot_ns - self.start_ns), 1), 60)
         return f"spot lost since {minutes:.0f}:{rest_s:04.1f}: laser on? beam on the sensor?"
 
     @property

@@ -326,12 +326,13 @@ class RunDisplay:
         return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{counted}{tail}".rstrip()
 
 
-def _clock(seconds: float) -> str:
-    if not math.isfinite(seconds):
+def _clock(duration_s: float) -> str:
+    if not math.isfinite(duration_s):
         return "?"
-    minutes, rest = divmod(max(seconds, 0.0), 60.0)
+    # rounded first, so that no minute has 60.0 s
+    minutes, rest_s = divmod(round(max(duration_s, 0.0), 1), 60.0)
     hours, minutes = divmod(int(minutes), 60)
-    return f"{hours}:{minutes:02d}:{int(rest):02d}" if hours else f"{minutes}:{rest:04.1f}"
+    return f"{hours}:{minutes:02d}:{int(rest_s):02d}" if hours else f"{minutes}:{rest_s:04.1f}"
 
 
 def _number(value: float, shape: str, unit: str) -> str:

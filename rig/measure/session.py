@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
 from rig.analysis import (
+    RESULTS_NAME,
     SessionResults,
     analyse_record,
     free_path,
@@ -377,7 +378,7 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
         folder = output
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"{folder}: is a file; name a folder for the session")
-    if folder.is_dir() and (any(folder.glob("run-*.mcap")) or (folder / "results.json").exists()):
+    if folder.is_dir() and (any(folder.glob("run-*.mcap")) or (folder / RESULTS_NAME).exists()):
         raise ConfigurationError(f"{folder}: holds a run already, which is never overwritten; name another")
     made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:

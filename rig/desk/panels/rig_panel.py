@@ -26,7 +26,7 @@ from rig.terminal import Verdict
 KEYS = (("z", "rig: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
 _BARS = 64
-_LEAST_REGION_PX = 8
+_MIN_REGION_PX = 8
 _SHORT = 24
 """Letters of a number that stands in a lamp."""
 
@@ -57,15 +57,16 @@ def _build_picture(desk: Desk, tab: Tab) -> None:
             pointed = event.image_x, event.image_y
             (left, right), (top, bottom) = (sorted(ends) for ends in zip(corner, pointed, strict=True))
             width, height = right - left, bottom - top
-            is_region = event.type != "pointerup" or min(width, height) > _LEAST_REGION_PX
+            is_region = event.type != "pointerup" or min(width, height) > _MIN_REGION_PX
             if event.type == "pointerup":
                 corner = None
-            drawn = (
+            rectangle = (
                 f"<rect x='{left}' y='{top}' width='{width}' height='{height}' fill='none' "
                 "stroke='white' stroke-width='2'/>"
             )
-            picture.element.content = drawn if is_region else ""
-            if corner is None and is_region and (region := _region(desk, left, top, width, height)):
+            picture.element.content = rectangle if is_region else ""
+            if corner is None and is_region and (look := look_now(desk)) is not None:
+                region = region_drawn(look, (left, right), (top, bottom))
                 order = f"set {region.model_dump_json(exclude_none=True)}"
                 await tab.act(partial(_order, desk, order))()
 
@@ -104,22 +105,28 @@ async def _order(desk: Desk, order: str) -> None:
     await run.io_bound(desk.following.order, order)
 
 
-def _region(desk: Desk, left: float, top: float, width: float, height: float) -> CameraSettings | None:
-    """The rectangle in px of the picture as a region of the sensor; the frame may be one already."""
-    if (look := look_now(desk)) is None:
-        return None
+def region_drawn(
+    look: AlignmentFrame, x_ends: tuple[float, float], y_ends: tuple[float, float]
+) -> CameraSettings:
+    """Region of the sensor inside a rectangle in px of the picture; the frame may itself be a region."""
     rows, columns = look.image.shape
     scale = min(_SIZE[0] / columns, _SIZE[1] / rows)
-    # the frame is in the middle of the picture
-    left -= 0.5 * (_SIZE[0] - columns * scale)
-    top -= 0.5 * (_SIZE[1] - rows * scale)
-    x_px, y_px, width_px, height_px = (round(one / scale) for one in (left, top, width, height))
+    x_px, width_px = _span_px(x_ends, _SIZE[0], columns, scale)
+    y_px, height_px = _span_px(y_ends, _SIZE[1], rows, scale)
     return CameraSettings(
-        width_px=max(_LEAST_REGION_PX, min(width_px, columns)),
-        height_px=max(_LEAST_REGION_PX, min(height_px, rows)),
-        offset_x_px=(look.applied.offset_x_px or 0) + max(0, x_px),
-        offset_y_px=(look.applied.offset_y_px or 0) + max(0, y_px),
+        width_px=width_px,
+        height_px=height_px,
+        offset_x_px=(look.applied.offset_x_px or 0) + x_px,
+        offset_y_px=(look.applied.offset_y_px or 0) + y_px,
     )
+
+
+def _span_px(ends: tuple[float, float], picture_px: int, frame_px: int, scale: float) -> tuple[int, int]:
+    """First pixel and number of pixels of the frame between two ends in the picture, whose middle it fills."""
+    margin = 0.5 * (picture_px - frame_px * scale)
+    first, last = (min(max(round((end - margin) / scale), 0), frame_px) for end in ends)
+    first = max(0, min(first, frame_px - _MIN_REGION_PX))
+    return first, max(last - first, min(_MIN_REGION_PX, frame_px))
 
 
 def _build_controls(desk: Desk, tab: Tab) -> None:

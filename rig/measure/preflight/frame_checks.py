@@ -147,7 +147,8 @@ def check_trial_frames(
     """All checks of some seconds of frames; `window_bytes` is the size of the window kept of each frame."""
     limits, deflections = config.preflight, look.deflections
     span_s = max(float(deflections.times_s[-1]), 1e-9) if len(deflections) else 1.0
-    rate_hz, longest_s = len(look.frames) / span_s, config.session.max_duration_s
+    # memory may hold fewer whole frames than there are deflections
+    rate_hz, longest_s = len(deflections) / span_s, config.session.max_duration_s
     bytes_per_frame = _RECORDED_SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
     bytes_per_frame += look.frames[0].image.nbytes / (config.record.full_frame_interval_s * rate_hz)
     return [

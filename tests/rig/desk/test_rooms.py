@@ -6,7 +6,9 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
@@ -21,7 +23,7 @@ from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
 from rig.desk.lighting import lamps, refusal
 from rig.desk.panels.balance import net_of
-from rig.desk.panels.rig_panel import checks
+from rig.desk.panels.rig_panel import checks, region_drawn
 from rig.interruption import start_python
 from rig.prepare import BalanceStage
 from tests.rig.command_line import CONFIGS, SMALL
@@ -49,6 +51,18 @@ def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(
     with pytest.raises(RigError, match="exposure_us"):
         desk.keep_camera()
     assert desk.kept == kept
+
+
+@pytest.mark.parametrize(("ends", "first_px", "size_px"), [((0, 400), 0, 320), ((500, 800), 409, 231)])
+def test_a_region_that_is_drawn_beyond_the_frame_ends_at_its_edge(
+    ends: tuple[float, float], first_px: int, size_px: int
+) -> None:
+    """The part beyond the left edge made it wider than was drawn, that beyond the right one than the sensor."""
+    # a frame of 640 × 480 has 40 px of margin at both sides of a picture of 800 × 540
+    look = SimpleNamespace(image=np.zeros((480, 640)), applied=CameraSettings(offset_x_px=16, offset_y_px=0))
+    region = region_drawn(look, ends, (54.0, 216.0))  # type: ignore[arg-type]
+    assert (region.offset_x_px, region.width_px) == (16 + first_px, size_px)
+    assert (region.offset_y_px, region.height_px) == (48, 144)
 
 
 def test_a_turn_is_stated_between_two_measurements_only(desk: Desk) -> None:

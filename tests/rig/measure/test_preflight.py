@@ -16,6 +16,7 @@ from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.control import ControlState, LaserReport, Light, SafetyNow
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
+from rig.settings import Configuration
 from rig.settings.sections import PreflightSettings
 from rig.terminal import failures
 from rig.terminal.verdict import Verdict, print_verdicts
@@ -58,6 +59,18 @@ def look(x: float, y: float, unit: DeflectionUnit) -> TrialFrames:
     ones = np.ones(100)
     deflections = Deflections(np.arange(100) * 10_000_000, x * ones, y * ones, ones, ones, unit)
     return TrialFrames(frames(100), spots(100), deflections, True)
+
+
+def test_the_disk_is_judged_by_the_rate_of_all_frames_not_of_the_whole_ones_that_memory_holds() -> None:
+    """Of a large sensor only the newest frames are held whole: a fifth of them asked for a fifth of the disk."""
+    stated = {"camera": {"driver": "simulated"}, "session": {"max_duration_s": 1e4}}
+    config = Configuration.model_validate(stated)
+    whole = look(0.0, 0.0, DeflectionUnit.RAD)
+    for frames_held in (100, 20):
+        held = replace(whole, frames=whole.frames[-frames_held:], resting=False)
+        verdicts = frame_checks.check_trial_frames(held, config, 255.0, 1000.0, 10**12)
+        (limit,) = [verdict.limit for verdict in verdicts if verdict.name == "disk space"]
+        assert limit == "1.3 GB for 10000 s", f"{frames_held} frames"
 
 
 def test_spot_that_is_mostly_there() -> None:

@@ -205,6 +205,12 @@ def test_screen_and_json_lines_name_each_loss_and_how_the_camera_s_clock_runs(
     assert state["clock"] == {"drift_ppm": 31.204, "u_drift_ppm": 0.052, "steps": 1, "largest_step_s": 0.13}
 
 
+def test_a_minute_has_no_sixty_seconds() -> None:
+    """It was 1:60.0: the seconds were rounded after the minutes had been taken from them."""
+    rows = dict(display(io.StringIO()).rows(replace(SEEN, elapsed_s=119.97)))
+    assert rows["elapsed"].startswith("2:00.0, ")
+
+
 def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:
     assert estimate_texts("c", Estimate(-0.9e-8, 2.2e-8)) == ("not yet seen", "")
     value, relative = estimate_texts("p", Estimate(0.932, 0.013))
