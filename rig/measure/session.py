@@ -273,7 +273,7 @@ def make_runs(
                 if options.waiting(outcome.failure.failed_checks):
                     continue
                 devices.lights_again = False
-            options.waiting.since = ""
+            options.waiting.first_no_go = ""
             reason, interrupt, stopped = outcome.last.reason, outcome.interrupt, outcome.stopped
             state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE
             # also if the user has ended the run before its record began

@@ -55,7 +55,7 @@ def measure_sessions(
                 config, source, target, force=force, json_lines=json_lines, waiting=waiting
             )
         worst = max(worst, status)
-        if (reason := _why_ended(target)) and not waiting.over:
+        if (reason := _why_ended(target)) and not waiting.is_used_up:
             say(f"session {target}: {reason}; the list ends here", error=True)
             return 1
     return worst

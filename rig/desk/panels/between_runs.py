@@ -131,7 +131,7 @@ def _result(desk: Desk, tab: Tab, over: SessionSummary, is_fitted_now: bool) -> 
                 f"<span role='status'>{tables.span(ended, f'advice {kind}')}</span> "
                 + tables.span(f"{over.folder.name}: {over.progress_text}", "dim")
                 + tables.span(over.headline or no_result, "advice", "div")
-                + tables.span(over.of and f"the uncertainty is of {over.of}", "dim", "div")
+                + tables.span(over.u_covers and f"the uncertainty is of {over.u_covers}", "dim", "div")
                 + ("" if is_fitted_now else _listed(steps))
             )
             with ui.row():
@@ -143,7 +143,8 @@ def _result(desk: Desk, tab: Tab, over: SessionSummary, is_fitted_now: bool) -> 
                     tab.button("Fit", fit, 'outline size="lg"')
                 to_next = f"document.getElementById('{NEXT_RUN}').scrollIntoView({{block: 'start'}})"
                 ui.button("Next run").props('outline size="lg"').on("click", js_handler=f"() => {to_next}")
-            _html((tables.table(over.others, "all parameters") if over.others else "") + _last_words(desk))
+            others = tables.table(over.other_results, "all parameters") if over.other_results else ""
+            _html(others + _last_words(desk))
         if over.limits:
             with box("what limits it"):
                 _html(tables.bars(bars, "sources of the uncertainty, by their share"))

@@ -122,7 +122,7 @@ def region_drawn(
 
 
 def _span_px(ends: tuple[float, float], picture_px: int, frame_px: int, scale: float) -> tuple[int, int]:
-    """First pixel and number of pixels of the frame between two ends in the picture, whose middle it fills."""
+    """First pixel and number of pixels of the frame, centred in the picture, between two ends of it."""
     margin = 0.5 * (picture_px - frame_px * scale)
     first, last = (min(max(round((end - margin) / scale), 0), frame_px) for end in ends)
     first = max(0, min(first, frame_px - _MIN_REGION_PX))

@@ -57,7 +57,7 @@ def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(
 def test_a_region_that_is_drawn_beyond_the_frame_ends_at_its_edge(
     ends: tuple[float, float], first_px: int, size_px: int
 ) -> None:
-    """The part beyond the left edge made it wider than was drawn, that beyond the right one than the sensor."""
+    """The part beyond the left edge made it too wide, that beyond the right one wider than the sensor."""
     # a frame of 640 × 480 has 40 px of margin at both sides of a picture of 800 × 540
     look = SimpleNamespace(image=np.zeros((480, 640)), applied=CameraSettings(offset_x_px=16, offset_y_px=0))
     region = region_drawn(look, ends, (54.0, 216.0))  # type: ignore[arg-type]
