@@ -13,7 +13,7 @@ from processing.errors import RigError
 from rig.control import STALE_S, ControlState, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey, AlarmList, RaisedAlarm
 from rig.instrument import Phase
-from rig.measure import LEAST_FREE_BYTES, read_session, state_of
+from rig.measure import MIN_FREE_BYTES, read_session, state_of
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
@@ -145,7 +145,7 @@ def _disk_alarms(state: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
         state.get(key) for key in ("remaining_s", "disk_free_bytes", "record_bytes_per_s")
     )
     if free_bytes is not None and rate:
-        lasts_s = max(float(free_bytes) - LEAST_FREE_BYTES, 0.0) / float(rate)
+        lasts_s = max(float(free_bytes) - MIN_FREE_BYTES, 0.0) / float(rate)
         needed_s = float(left_s) if left_s is not None else float(state.get("at_most_s") or 0.0)
         if lasts_s < needed_s and math.isfinite(needed_s):
             yield (

@@ -50,7 +50,7 @@ def frame(number: int) -> Frame:
 def test_frames_wait_in_memory_and_beyond_it_are_counted(
     disk: Mounted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "SLOW_S", 0.01)
+    monkeypatch.setattr(module, "MAX_WRITE_S", 0.01)
     path = disk.folder / "run.mcap"
     reach = entry_of(frame(0)).memory_bytes * FRAMES
     recorder = Recorder(RecordWriter(path, 0, flush_interval_s=0.01), reach)
@@ -93,7 +93,7 @@ def put_all(frames: BoundedQueue[Frame], recorder: Recorder) -> None:
 
 @pytest.mark.slow
 def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "SLOW_S", 0.05)
+    monkeypatch.setattr(module, "MAX_WRITE_S", 0.05)
     folder = disk.folder / "out"
     record = folder / "run-1.mcap"
 
