@@ -27,13 +27,13 @@ class _DeskFile(BaseModel, extra="ignore"):
 class DeskStore:
     """Stored key and port of the desk of one configuration.
 
-    If the folder of the file cannot be written, they are kept in memory until the desk ends.
+    If the folder of the file cannot be written, they are in memory only, until the desk ends.
     """
 
     def __init__(self, source: Path) -> None:
-        self._desks = state_folder() / "desks"
-        self._path = self._desks / f"{source.stem}-{_digest(source)}.json"
-        self._held: IO[str] | None = None
+        self._folder = state_folder() / "desks"
+        self._path = self._folder / f"{source.stem}-{_digest(source)}.json"
+        self._lock: IO[str] | None = None
         self._stored = _DeskFile()
 
     def hold(self, output: Path) -> None:
@@ -42,16 +42,16 @@ class DeskStore:
         Raises ConfigurationError if another desk holds it: both would act on one session.
         """
         try:
-            self._desks.mkdir(parents=True, exist_ok=True)
+            self._folder.mkdir(parents=True, exist_ok=True)
             # only this user may read the keys
-            self._desks.chmod(0o700)
-            self._held = (self._desks / f"sessions-{_digest(output)}.lock").open("a+", encoding="utf-8")
-            if (other := _holder(self._held)) is not None:
-                self._held.close()
-                self._held = None
+            self._folder.chmod(0o700)
+            self._lock = (self._folder / f"sessions-{_digest(output)}.lock").open("a+", encoding="utf-8")
+            if (address := _address_of_holder(self._lock)) is not None:
+                self._lock.close()
+                self._lock = None
                 raise ConfigurationError(
                     f"session.output = {output.resolve()}: it already has an open desk: use "
-                    f"{other or 'that'}, or end it, or state another folder"
+                    f"{address or 'that'}, or end it, or state another folder"
                 )
             self._stored = _DeskFile.model_validate_json(self._path.read_bytes())
         except (OSError, ValidationError):
@@ -60,19 +60,19 @@ class DeskStore:
     def opened_at(self, address: str, port: int) -> None:
         """Write the address into the lock, where a second desk reads it, and store the port."""
         self._stored.port = port
-        if self._held is not None:
+        if self._lock is not None:
             with contextlib.suppress(OSError):
                 atomic_write.replace(self._path, self._stored.model_dump_json(indent=1).encode())
-            self._held.truncate(0)
-            self._held.write(address)
-            self._held.flush()
+            self._lock.truncate(0)
+            self._lock.write(address)
+            self._lock.flush()
 
     def close(self) -> None:
         """Release the lock, so that another desk can start."""
-        if self._held is not None:
-            self._held.truncate(0)
-            self._held.close()
-            self._held = None
+        if self._lock is not None:
+            self._lock.truncate(0)
+            self._lock.close()
+            self._lock = None
 
     @property
     def key(self) -> str:
@@ -89,18 +89,18 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
 
 
-def _holder(held: IO[str]) -> str | None:
-    """Lock a file; if another program holds the lock, its content, the other desk's address.
+def _address_of_holder(lock: IO[str]) -> str | None:
+    """Lock a file; returns its content, the other desk's address, if another program holds the lock.
 
-    None if the lock is ours, or if the disk knows no locks.
+    None if the file is locked now, or if the disk knows no locks.
     """
     if fcntl is None:
         return None
     try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        held.seek(0)
-        return held.read().strip()
+        lock.seek(0)
+        return lock.read().strip()
     except OSError:
-        return None
+        pass
     return None

@@ -10,12 +10,7 @@ from acquisition.record.events import EventKind
 from processing.errors import RigError, in_one_line
 from processing.estimate import Estimate
 from processing.swing import HalfCycle
-from rig.analysis import (
-    Limit,
-    read_results,
-    results_path,
-    whole_result,
-)
+from rig.analysis import Limit, read_results, results_path, whole_result
 from rig.devices import FrameStream
 from rig.measure.session_file import RunState, SessionState, read_session
 from rig.settings import StopCondition

@@ -30,15 +30,7 @@ from rig.instrument import check_materials, complete
 from rig.measure.run import measure_run
 from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.settings import Configuration
-from rig.terminal import (
-    Verdict,
-    answer,
-    failures,
-    print_json_line,
-    print_line,
-    print_verdicts,
-    say,
-)
+from rig.terminal import Verdict, answer, failures, print_json_line, print_line, print_verdicts, say
 
 _TERMINAL = "a terminal"
 """Where LIGHT OFF was pressed, in the text of a trip."""

@@ -9,12 +9,7 @@ import numpy as np
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import (
-    ClockAnchor,
-    Environment,
-    RecordedLosses,
-    TimedMessage,
-)
+from acquisition.record.topics import ClockAnchor, Environment, RecordedLosses, TimedMessage
 from processing.deflections import DeflectionUnit
 from processing.slope_uncertainty import KickWatch, StepWatch
 from processing.spot import SpotFlag

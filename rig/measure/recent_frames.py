@@ -146,10 +146,7 @@ class PhaseWait:
     """
 
     def __init__(
-        self,
-        frames: RecentFrames,
-        report: Callable[[RecordedPhase], None],
-        stop: StopRequest,
+        self, frames: RecentFrames, report: Callable[[RecordedPhase], None], stop: StopRequest
     ) -> None:
         self.frames = frames
         self._report = report

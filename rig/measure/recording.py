@@ -142,11 +142,7 @@ class Recording:
     """
 
     def __init__(
-        self,
-        run: "MeasurementRun",
-        recorder: Recorder,
-        judge: StartJudge | None,
-        first: Frame,
+        self, run: "MeasurementRun", recorder: Recorder, judge: StartJudge | None, first: Frame
     ) -> None:
         self._run, self._stream = run, run.stream
         self._stop, self._status, self._guard = run.stop, run.status, run.guard
