@@ -141,7 +141,6 @@ class AlarmRow:
 
     @property
     def state(self) -> AlarmState:
-        """State of the alarm."""
         if self.acknowledged_s is not None:
             return AlarmState.ACKNOWLEDGED
         return AlarmState.ACTIVE if self.cleared_s is None else AlarmState.CLEARED
@@ -189,7 +188,8 @@ class AlarmList:
     def rows(self) -> list[AlarmRow]:
         """All alarms, in the order of the list."""
         with self._lock:
-            return sorted(self._rows.values(), key=_order)
+            states, keys = list(AlarmState), list(AlarmKey)
+            return sorted(self._rows.values(), key=lambda row: (states.index(row.state), keys.index(row.key)))
 
     def acknowledge(self, key: AlarmKey) -> None:
         """Acknowledge an alarm for a person; if its cause is gone, it leaves the list.
@@ -214,7 +214,3 @@ class AlarmList:
             self._rows[key] = AlarmRow(key, cause, now_s, count=1 if row is None else row.count + 1)
         elif row.cause != cause:
             self._rows[key] = replace(row, cause=cause)
-
-
-def _order(row: AlarmRow) -> tuple[int, int]:
-    return list(AlarmState).index(row.state), list(AlarmKey).index(row.key)

@@ -53,23 +53,10 @@ def conditions(
 ) -> dict[AlarmKey, str]:
     """The alarms whose conditions hold, each with its cause.
 
-    Parameters
-    ----------
-    news, news_age_s
-        What the running `session` said, and how long ago; empty without a session.
-    beat_age_s
-        How long ago the session gave any sign of life.
-    lit_by
-        Name of the program that has the laser; empty without one.
-    sensor_configured
-        Whether a sensor of the environment is configured.
-    picture_age_s
-        For how long the live picture has stood still.
-
-    Notes
-    -----
-    A press of LIGHT OFF is no alarm. Consequences of a trip are none while the trip is latched, nor until a
-    person who has acknowledged it has asked for light.
+    `news` is what the running `session` said `news_age_s` ago, empty without a session; `beat_age_s` is the
+    age of its last sign of life. `lit_by` names the program that has the laser. The live picture has stood
+    still for `picture_age_s`. A press of LIGHT OFF is no alarm. Nor are consequences of a trip while the
+    trip is latched, and until a person who has acknowledged it has asked for light.
     """
     alarms = dict(_light_alarms(safety, lit_by))
     state = news.get("state") or {}
@@ -180,11 +167,9 @@ class Alarming:
         self._judged_start: StartedSession | None = None
 
     def start(self) -> None:
-        """Start the thread that updates the list."""
         threading.Thread(target=self._look_repeatedly, name="alarms", daemon=True).start()
 
     def stop(self) -> None:
-        """End the thread."""
         self._stop.set()
 
     def _look_repeatedly(self) -> None:

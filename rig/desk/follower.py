@@ -94,7 +94,6 @@ class RigFollower:
 
     @property
     def running(self) -> bool:
-        """Whether a session runs."""
         return self.folder is not None
 
     @property
@@ -211,10 +210,7 @@ class RigFollower:
             self._connection.close()
 
     def _beat(self) -> None:
-        """Ask a session whose news are late for a sign of life.
-
-        News wait for the threads that measure, and come late from a busy machine; a beat waits for nothing.
-        """
+        """Ask a session whose news are late, because its threads are busy, for a sign of life."""
         while not self._stop.wait(_LOOK_INTERVAL_S):
             folder = self.folder
             if folder is not None and time.monotonic() - self.news_s > _SEARCH_INTERVAL_S:

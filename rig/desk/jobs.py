@@ -90,7 +90,6 @@ class Job:
 
     @property
     def problem(self) -> str:
-        """The reason of its failure."""
         return failure_reason(self.output, self.status)
 
     def wait(self, limit_s: float | None = None) -> bool:
@@ -193,7 +192,6 @@ class Balancing:
 
     @property
     def dialogue(self) -> BalanceDialogue:
-        """State of the dialogue."""
         job = self._desk.jobs.get(_NAME)
         if job is None:
             return BalanceDialogue(BalanceStage.IDLE, "Measure: let the pendulum swing, not too far")

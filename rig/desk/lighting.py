@@ -66,15 +66,9 @@ class Lighting:
         desk, follower = self._desk, self._desk.follower
         start = desk.last_start if desk.start_runs else None
         picture = None if follower.command_folder is None else desk.live_picture
-        folders = {
-            folder
-            for folder, is_lit in (
-                (follower.folder, True),
-                (start and start.folder, True),
-                (desk.config.session.output, picture is not None),
-            )
-            if folder is not None and is_lit
-        }
+        folders = [] if follower.folder is None else [follower.folder]
+        folders += [] if start is None else [start.folder]
+        folders += [] if picture is None else [desk.config.session.output]
         light_off = LightOff(desk.config, desk.rig_state, _DESK, folders)
         # a live picture that answers goes on in the dark
         jobs = [job for _, job in desk.jobs.running(uses_camera=True) if job is not picture]
@@ -151,11 +145,9 @@ class Safety:
         self._stop = threading.Event()
 
     def start(self) -> None:
-        """Start the thread that reads the rig's state."""
         threading.Thread(target=self._read, name="rig's state", daemon=True).start()
 
     def stop(self) -> None:
-        """Stop the thread."""
         self._stop.set()
 
     @property

@@ -39,7 +39,6 @@ class RecordFollower:
         threading.Thread(target=self._follow, name="record", daemon=True).start()
 
     def close(self) -> None:
-        """Stop reading."""
         self._stop.set()
 
     def _begin(self, config: Configuration | None) -> None:

@@ -260,10 +260,7 @@ def _application(desk: Desk, off_port: int) -> FastAPI:
 
 
 def _bound_socket(stated_port: int, last_port: int) -> socket.socket:
-    """A socket that listens at the stated port; if that is 0, at the last port, the default port, or any.
-
-    Raises ConfigurationError if the stated port is taken.
-    """
+    """A socket that listens at the stated port; if that is 0, at the last port, the default port, or any."""
     candidates = (
         (stated_port,) if stated_port else dict.fromkeys((last_port or _DEFAULT_PORT, _DEFAULT_PORT, 0))
     )

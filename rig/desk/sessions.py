@@ -49,7 +49,6 @@ class SessionRow:
 
     @property
     def name(self) -> str:
-        """Name of its folder."""
         return self.folder.name
 
 
@@ -90,10 +89,7 @@ class SessionIndex:
 
 
 def _changed_ns(folder: Path) -> tuple[int, int]:
-    """Times in ns of the last changes of a session's state and of the files in its folder.
-
-    Raises OSError for a folder without a session.
-    """
+    """Times in ns of the last changes of a session's state and of its folder; OSError without a session."""
     # every file is replaced whole, so that the folder shows new results and reports, whatever their number
     return (folder / STATE_NAME).stat().st_mtime_ns, folder.stat().st_mtime_ns
 

@@ -19,13 +19,13 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 
-class _DeskFile(BaseModel, extra="ignore"):
+class _Stored(BaseModel, extra="ignore"):
     key: str = Field(default_factory=lambda: secrets.token_urlsafe(24))
     port: int = 0
 
 
 class DeskStore:
-    """Stored key and port of the desk of one configuration.
+    """Stored `key` of the address and `port` of the desk of one configuration; 0 before the first desk.
 
     If the folder of the file cannot be written, they are in memory only, until the desk ends.
     """
@@ -34,7 +34,7 @@ class DeskStore:
         self._folder = state_folder() / "desks"
         self._path = self._folder / f"{source.stem}-{_digest(source)}.json"
         self._lock: IO[str] | None = None
-        self._stored = _DeskFile()
+        self.key, self.port = _Stored().key, 0
 
     def hold(self, output: Path) -> None:
         """Lock the folder of the sessions, so that this is their only desk, and read what is stored.
@@ -53,16 +53,18 @@ class DeskStore:
                     f"session.output = {output.resolve()}: it already has an open desk: use "
                     f"{address or 'that'}, or end it, or state another folder"
                 )
-            self._stored = _DeskFile.model_validate_json(self._path.read_bytes())
+            stored = _Stored.model_validate_json(self._path.read_bytes())
+            self.key, self.port = stored.key, stored.port
         except (OSError, ValidationError):
             return
 
     def opened_at(self, address: str, port: int) -> None:
         """Write the address into the lock, where a second desk reads it, and store the port."""
-        self._stored.port = port
+        self.port = port
         if self._lock is not None:
+            stored = _Stored(key=self.key, port=port)
             with contextlib.suppress(OSError):
-                atomic_write.replace(self._path, self._stored.model_dump_json(indent=1).encode())
+                atomic_write.replace(self._path, stored.model_dump_json(indent=1).encode())
             self._lock.truncate(0)
             self._lock.write(address)
             self._lock.flush()
@@ -74,26 +76,13 @@ class DeskStore:
             self._lock.close()
             self._lock = None
 
-    @property
-    def key(self) -> str:
-        """The key in the desk's address."""
-        return self._stored.key
-
-    @property
-    def port(self) -> int:
-        """The port of the last desk; 0 if there was none."""
-        return self._stored.port
-
 
 def _digest(path: Path) -> str:
     return hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
 
 
 def _address_of_holder(lock: IO[str]) -> str | None:
-    """Lock a file; returns its content, the other desk's address, if another program holds the lock.
-
-    None if the file is locked now, or if the disk knows no locks.
-    """
+    """Lock a file; returns its content, the address, if another desk holds the lock, else None."""
     if fcntl is None:
         return None
     try:
@@ -102,5 +91,6 @@ def _address_of_holder(lock: IO[str]) -> str | None:
         lock.seek(0)
         return lock.read().strip()
     except OSError:
+        # the disk knows no locks
         pass
     return None

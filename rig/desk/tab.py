@@ -79,10 +79,8 @@ class Tab:
         ui.timer(_REFRESH_INTERVAL_S, refresh_all)
 
     def _guarded(self, action: Action) -> Callable[[], Awaitable[None]]:
-        """An action that is done only while the panel is visible, and whose error is shown.
-
-        Each error is reported once: a full log that is not read would block the desk.
-        """
+        """An action that is done only while the panel is visible, and whose error is shown."""
+        # each error is reported once: a full log that is not read would block the desk
         panel, reported = self.building, ""
 
         async def guarded() -> None:
@@ -135,11 +133,9 @@ class Tab:
 
         return handle
 
-    def column(
-        self, value: Callable[[], T], draw: Callable[[T], None], classes: str = "full-width"
-    ) -> ui.column:
+    def column(self, value: Callable[[], T], draw: Callable[[T], None]) -> ui.column:
         """A column that `draw` fills anew with each new value."""
-        column = ui.column().classes(classes)
+        column = ui.column().classes("full-width")
         last: list[T] = []
 
         def update() -> None:

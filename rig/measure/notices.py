@@ -102,17 +102,7 @@ class Notices:
 
 
 class PreflightWait:
-    """Waits after a no-go of the preflight, as `[preflight]` states.
-
-    Parameters
-    ----------
-    name
-        What waits, as messages call it.
-    preflight
-        States the interval between two tries and the longest wait of the session in all.
-    now_s, sleep
-        Clock in s, and how to wait.
-    """
+    """Waits after a no-go of the preflight, as `[preflight]` states; `name` says what waits, in messages."""
 
     def __init__(
         self,
@@ -121,9 +111,8 @@ class PreflightWait:
         now_s: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._name, self._now_s, self._sleep = name, now_s, sleep
+        self._name, self._now_s, self._sleep, self._waited_s = name, now_s, sleep, 0.0
         self._interval_s, self._max_s = preflight.try_every_s, preflight.wait_max_s
-        self._waited_s = 0.0
         self.first_no_go = ""
         """Time of day of the first no-go of the present run; the session empties it after the run."""
         self.is_used_up = False

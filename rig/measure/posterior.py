@@ -46,7 +46,6 @@ class LivePosterior:
 
     @property
     def latest(self) -> Posterior:
-        """The newest fit."""
         while not self._answers.empty():
             self._take_answer(self._answers.get())
         return self._latest

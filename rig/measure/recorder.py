@@ -77,8 +77,9 @@ class Recorder:
     ) -> None:
         self._writer = writer
         self._permit = permit or LightPermit()
-        self._entries = BoundedQueue[RecordEntry](math.inf, "wait", max_waiting_bytes)
-        self.put = self._entries.put
+        self.entries = BoundedQueue[RecordEntry](math.inf, "wait", max_waiting_bytes)
+        """The entries that are not yet written."""
+        self.put = self.entries.put
         self._write_began_s = math.inf
         self._pauses_s: deque[float] = deque()
         self._free_space_read_s = -math.inf
@@ -86,11 +87,6 @@ class Recorder:
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self.error: Exception | None = None
         self._thread.start()
-
-    @property
-    def waiting_bytes(self) -> int:
-        """Memory of the entries that are not yet written."""
-        return self._entries.waiting_bytes
 
     @property
     def disk_silent_s(self) -> float:
@@ -103,7 +99,7 @@ class Recorder:
         """Text that says that the disk hangs; empty while it does not."""
         if not (paused_s := self.disk_silent_s):
             return ""
-        waiting = f"{self.waiting_bytes / 1e6:.0f} of {self._entries.most_bytes / 1e6:.0f} MB"
+        waiting = f"{self.entries.waiting_bytes / 1e6:.0f} of {self.entries.most_bytes / 1e6:.0f} MB"
         return f"the disk has not answered for {paused_s:.0f} s; {waiting} of memory wait for it"
 
     def take_pauses(self) -> list[float]:
@@ -112,7 +108,6 @@ class Recorder:
 
     @property
     def bytes_written(self) -> int:
-        """Size of the record so far."""
         return self._writer.bytes_written
 
     def flush(self) -> None:
@@ -123,15 +118,15 @@ class Recorder:
 
     def close(self) -> None:
         """Write the queued entries and close the file; see `error` afterwards."""
-        self._entries.close()
+        self.entries.close()
         self._thread.join()
 
     def _work(self) -> None:
         try:
-            while not self._entries.drained:
+            while not self.entries.drained:
                 self._permit.note_progress(Stage.RECORDER)
                 # an empty entry is written, too, because a flush of earlier entries may be due
-                (entry,) = self._entries.take(1, _IDLE_S) or [RecordEntry()]
+                (entry,) = self.entries.take(1, _IDLE_S) or [RecordEntry()]
                 if self.error is None:
                     with self._keeping_error():
                         self._write(entry)

@@ -187,10 +187,7 @@ class Recording:
         self._record(RecordEntry(events=[*earlier, start]))
 
     def _take_all(self, waiting: list[Frame]) -> str:
-        """Take the `waiting` frames, then those of the stream, until the run ends.
-
-        Returns why the start was rejected, else an empty text.
-        """
+        """Take the `waiting` frames, then those of the stream; returns why the start was rejected, or ''."""
         stream = self._stream
         # all frames from a source on demand are processed, frames of a live camera only until the stop
         while waiting or not (stream.drained or (self._stop and not self._on_demand)):

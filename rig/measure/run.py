@@ -140,11 +140,6 @@ class MeasurementRun:
             writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
         return writer
 
-    @property
-    def now(self) -> RunNow:
-        """State of the run; may be read from any thread."""
-        return self.status.now
-
     def execute(self, show: Callable[[RunNow], None] = lambda _: None) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
 
@@ -166,7 +161,7 @@ class MeasurementRun:
             # also after an interrupt or an error, so that the record is complete
             self.stop.request("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
-        return RunOutcome(self.now, self.stop.failure, interrupt, stopped, hangs)
+        return RunOutcome(self.status.now, self.stop.failure, interrupt, stopped, hangs)
 
     def _darken(self, why: str) -> None:
         """Refuse light from now on and ask for the laser to be switched off; nothing here can block."""
@@ -208,7 +203,7 @@ class MeasurementRun:
     def _now_with_stall(self) -> RunNow:
         """The state of the run; a stalled thread cannot say by itself that it has stalled."""
         stalled = self.stream.permit.stalled
-        return replace(self.now, alarm=stalled) if stalled else self.now
+        return replace(self.status.now, alarm=stalled) if stalled else self.status.now
 
     def _process(self) -> None:
         """The processing thread, from the first frame to the closed record."""
@@ -219,9 +214,9 @@ class MeasurementRun:
             if self.plan.checked is not None:
                 self._check()
                 return
-            first_offset_ns = utc_offset_ns(first)
+            first_utc_offset_ns = utc_offset_ns(first)
             number = 1
-            while not self._attempt(number, first_offset_ns):
+            while not self._attempt(number, first_utc_offset_ns):
                 number += 1
         except Exception as error:
             self.stop.failed(error)
@@ -243,16 +238,13 @@ class MeasurementRun:
             self.devices.darken()
         self.stop.request("the checks are made")
 
-    def _attempt(self, number: int, first_offset_ns: int) -> bool:
-        """Make one attempt at a start and record it; False if it was rejected and is to be repeated.
-
-        `first_offset_ns` is UTC minus the frames' clock at the first frame of the run.
-        """
+    def _attempt(self, number: int, first_utc_offset_ns: int) -> bool:
+        """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
         config = self.plan.config
         frames, events = self._first_frames()
         # computed now, because the computer's clock may be set during an hour of rest and warm-up; frames
         # made on demand are timed by their first frame
-        epoch_offset_ns = first_offset_ns if self.stream.policy == "wait" else utc_offset_ns(frames[-1])
+        epoch_offset_ns = first_utc_offset_ns if self.stream.policy == "wait" else utc_offset_ns(frames[-1])
         if self.phases is not None:
             self.stream.count_losses_anew()
         preflight = () if self.phases is None else self.phases.verdicts
@@ -303,7 +295,7 @@ class MeasurementRun:
 
     def _shut_down(self) -> None:
         self.stop.close_stream()
-        done = RecordedPhase(0, self.now.elapsed_s, Phase.DONE.value, reason=self.stop.reason)
+        done = RecordedPhase(0, self.status.now.elapsed_s, Phase.DONE.value, reason=self.stop.reason)
         self.status.tell(RecordContents(messages=[RecordedLosses(0, *self.stream.losses.counts), done]))
 
 

@@ -44,18 +44,8 @@ class Watcher(Protocol):
 class RunStatus:
     """The state of a run, written by the processing thread and passed to its watchers.
 
-    `now` and `take_instructions` may be read from any thread.
-
-    Parameters
-    ----------
-    watchers
-        Receive all that is recorded, in the processing thread.
-    devices
-        Controller, laser and environment sensor.
-    unit
-        Unit of the half-cycles' amplitudes.
-    guard
-        Catches the errors of watchers.
+    `unit` is that of the half-cycles' amplitudes; `guard` catches the errors of watchers. `now` and
+    `take_instructions` may be read from any thread.
     """
 
     def __init__(

@@ -17,7 +17,6 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 from acquisition.record.events import EventKind
-from processing.balance import Balance
 from processing.decay_summary import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from processing.units import seconds
@@ -90,8 +89,6 @@ class RunDisplay:
             with suppress(OSError):
                 self._live.stop()
 
-    # -- as a watcher, in the run's thread -----------------------------------
-
     def take(self, recorded: RecordContents) -> None:
         """Store turning points for the forecast, and the lines of events."""
         for swing in recorded.swings:
@@ -114,8 +111,6 @@ class RunDisplay:
             self._to_print.append(lambda: self.line("preflight", {"table": rows}))
         else:
             self._to_print.append(lambda: print_verdicts(self.console, rows))
-
-    # -- in the main thread --------------------------------------------------
 
     def line(self, kind: str, values: dict[str, Any]) -> None:
         """Print one line of JSON on stdout; a closed stdout is ignored, so that the measurement continues."""
@@ -181,21 +176,36 @@ class RunDisplay:
     def values(self, now: RunNow) -> dict[str, Any]:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
         remaining_s, u_s = self._forecast_of_end(now)
-        derived = {
+        frames_hz, bytes_per_s = self._rates(now)
+        values = asdict(replace(now, balance=None))
+        del values["balance"]
+        values |= {
             "done": self._done_fraction(now),
             "remaining_s": remaining_s,
             "u_remaining_s": u_s,
             "at_most_s": self._time_to_limit_s(now),
             "no_swing_s": now.no_swing_s,
-            **self._numbers(now),
+            "amplitude_unit": self.unit.shown,
+            "frames_hz": frames_hz,
+            "record_bytes_per_s": bytes_per_s,
         }
-        fields = asdict(replace(now, balance=None))
-        del fields["balance"]
-        return {**fields, **derived}
+        if (balance := now.balance) is not None:
+            values["transverse_ratio"] = balance.transverse_ratio
+            values["line_angle_rad"] = balance.line_angle_rad
+            values["rest_x"] = balance.rest_x / balance.unit.shown_size
+            values["rest_y"] = balance.rest_y / balance.unit.shown_size
+        return values
 
     def rows(self, now: RunNow) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""
-        unit, balance = self.unit.shown, now.balance
+        unit = self.unit.shown
+        transverse = rest = "-"
+        if (balance := now.balance) is not None:
+            size, ratio, angle_rad = balance.unit.shown_size, balance.transverse_ratio, balance.line_angle_rad
+            transverse = f"{balance.transverse / size:.3f} {balance.unit.shown} ({100 * ratio:.2f} %), "
+            transverse += f"line {math.degrees(angle_rad):+.3f}°"
+            x, y = (decimals(value / size, 3, sign=True) for value in (balance.rest_x, balance.rest_y))
+            rest = f"X {x}, Y {y} {balance.unit.shown}"
         reasons = f" ({now.losses})" if now.losses.total else ""
         losses = f"{now.dropped_frames} frames dropped{reasons}, {now.lost_spots} spots lost"
         frames_hz, bytes_per_s = self._rates(now)
@@ -209,8 +219,8 @@ class RunDisplay:
             ("amplitude", _number(now.amplitude, ".3f", unit) + _age_of_amplitude(now)),
             ("period", _number(now.period_s, ".5f", "s")),
             *estimate_rows(now, self.stop_when),
-            ("transverse", self._transverse(balance)),
-            ("rest position", self._rest(balance)),
+            ("transverse", transverse),
+            ("rest position", rest),
             ("camera", camera),
             ("clock", now.clock.text or "-"),
             ("beam", now.beam or "-"),
@@ -228,20 +238,6 @@ class RunDisplay:
         hidden = {"amplitude", self._prediction(now)[0]}
         hidden |= {name for name, _ in estimate_rows(now, ())}
         return [row for row in self.rows(now) if row[0] not in hidden]
-
-    def _transverse(self, balance: Balance | None) -> str:
-        if balance is None:
-            return "-"
-        return (
-            f"{balance.transverse / balance.unit.shown_size:.3f} {balance.unit.shown} "
-            f"({100 * balance.transverse_ratio:.2f} %), line {math.degrees(balance.line_angle_rad):+.3f}°"
-        )
-
-    def _rest(self, balance: Balance | None) -> str:
-        if balance is None:
-            return "-"
-        x, y = balance.rest_x / balance.unit.shown_size, balance.rest_y / balance.unit.shown_size
-        return f"X {decimals(x, 3, sign=True)}, Y {decimals(y, 3, sign=True)} {balance.unit.shown}"
 
     def _time_to_limit_s(self, now: RunNow) -> float:
         """Time in s until the longest duration of the run, which counts from the start of the record."""
@@ -297,20 +293,6 @@ class RunDisplay:
         if span_s <= 0.0:
             return 0.0, 0.0
         return (now.frames - counts[0][1]) / span_s, (now.record_bytes - counts[0][2]) / span_s
-
-    def _numbers(self, now: RunNow) -> dict[str, Any]:
-        frames_hz, bytes_per_s = self._rates(now)
-        numbers: dict[str, Any] = {
-            "amplitude_unit": self.unit.shown,
-            "frames_hz": frames_hz,
-            "record_bytes_per_s": bytes_per_s,
-        }
-        if (balance := now.balance) is not None:
-            numbers["transverse_ratio"] = balance.transverse_ratio
-            numbers["line_angle_rad"] = balance.line_angle_rad
-            numbers["rest_x"] = balance.rest_x / balance.unit.shown_size
-            numbers["rest_y"] = balance.rest_y / balance.unit.shown_size
-        return numbers
 
     def _done_fraction(self, now: RunNow) -> float:
         if now.before_record:

@@ -72,12 +72,10 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
 
     @property
     def complete(self) -> list[RunEntry]:
-        """Complete runs."""
         return [entry for entry in self.entries if entry.state is RunState.COMPLETE]
 
     @property
     def next_number(self) -> int:
-        """The next unused run number."""
         return 1 + max((entry.number for entry in self.entries), default=0)
 
     def with_entry(self, entry: RunEntry) -> Self:
@@ -201,7 +199,6 @@ class SessionFile:
         self.state = state
 
     def close(self) -> None:
-        """Release the lock."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None

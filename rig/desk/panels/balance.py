@@ -17,7 +17,6 @@ _VERDICTS = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 
 
 def build(desk: Desk, tab: Tab) -> None:
-    """Build the panel."""
     balancing = desk.balancing
     dialogue = balancing.dialogue
     advised: Mapping[str, Any] | None = None

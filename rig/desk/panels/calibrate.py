@@ -15,8 +15,6 @@ _VALID_DAYS = "90"
 
 
 def build(desk: Desk, tab: Tab) -> None:
-    """Build the panel."""
-
     def choose(choice: str) -> None:
         for name, form in forms.items():
             form.set_visibility(name == choice)

@@ -33,7 +33,6 @@ _MAX_LAMP_CHARACTERS = 24
 
 
 def build(desk: Desk, tab: Tab) -> None:
-    """Build the panel."""
     with ui.element("div").classes("grid align"):
         with ui.column().classes("box"):
             _build_picture(desk, tab)
@@ -182,10 +181,7 @@ def _build_controls(desk: Desk, tab: Tab) -> None:
 
 
 def _build_setting(desk: Desk, tab: Tab, name: str, label: str, align_keys: str) -> None:
-    """Build a row for one setting: field, Set, Auto for the exposure, steps down and up.
-
-    `align_keys` are the keys of `rig camera align` for these steps.
-    """
+    """Build the row of a setting: field, Set, Auto, steps by the `align_keys` of `rig camera align`."""
     noun, key = label.partition(" ")[0], f"camera.{name}"
 
     async def order(text: str) -> None:

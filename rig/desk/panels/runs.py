@@ -39,7 +39,6 @@ _MARK_CELL = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${pr
 
 
 def build(desk: Desk, tab: Tab) -> None:
-    """Build the panel."""
     with ui.row().classes("items-center"):
         find = ui.input("find").props('dense outlined clearable type="search" data-key="find"')
         find.classes("find")

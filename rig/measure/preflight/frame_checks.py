@@ -53,8 +53,9 @@ def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSetti
     low, high = limits.min_peak_fraction, limits.max_peak_fraction
     limit = f"{100 * low:g} to {100 * high:g} % of full scale"
     if not peaks:
-        fault = "there is nothing to measure", "find the spot first"
-        return judged("exposure", False, fault, "no spot", limit)
+        return judged(
+            "exposure", False, ("there is nothing to measure", "find the spot first"), "no spot", limit
+        )
     peak = float(np.median(peaks)) / full_scale_dn
     fault = "too dark: noisy", "raise the exposure (exposure_us) or the laser"
     if peak > high:
@@ -65,8 +66,10 @@ def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSetti
 def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
     """Check how many frames have pixels at full scale."""
     fraction, limit = _flagged_fraction(SpotFlag.SATURATED, spots, empty=0.0), limits.max_saturated_fraction
-    remedy = "lower the exposure (exposure_us) or the laser's power"
-    fault = "pixels at full scale are lost to the fit", remedy
+    fault = (
+        "pixels at full scale are lost to the fit",
+        "lower the exposure (exposure_us) or the laser's power",
+    )
     measured = f"{100 * fraction:.1f} % of frames"
     return judged("saturation", fraction <= limit, fault, measured, f"{100 * limit:g} %")
 

@@ -120,9 +120,8 @@ def ground(trial: TrialFrames, limits: PreflightSettings) -> Verdict:
 
 def longer_preflight(deflections: Deflections) -> str:
     """The remedy for a preflight that was too short, in words; empty if it was long."""
-    if deflections.times_s[-1] >= _MIN_LONG_PREFLIGHT_S:
-        return ""
-    return f"; preflight.duration_s = {MIN_GROUND_S:g} would measure it"
+    is_long = deflections.times_s[-1] >= _MIN_LONG_PREFLIGHT_S
+    return "" if is_long else f"; preflight.duration_s = {MIN_GROUND_S:g} would measure it"
 
 
 def rest_position(trial: TrialFrames, limits: PreflightSettings) -> Verdict:
@@ -132,8 +131,7 @@ def rest_position(trial: TrialFrames, limits: PreflightSettings) -> Verdict:
     if not trial.resting:
         return not_at_rest("rest position", limit)
     if not deflections.found.any():
-        fault = "nothing to measure", "find the spot first"
-        return judged("rest position", False, fault, "no spot", limit)
+        return judged("rest position", False, ("nothing to measure", "find the spot first"), "no spot", limit)
     x, y = np.nanmedian(deflections.shown_x), np.nanmedian(deflections.shown_y)
     remedy = "rig balance says which weight to turn; or move the camera"
     fault = "the swing will not be centred on the sensor", remedy

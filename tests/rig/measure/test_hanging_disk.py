@@ -55,13 +55,13 @@ def test_frames_wait_in_memory_and_beyond_it_are_counted(
     reach = entry_of(frame(0)).memory_bytes * FRAMES
     recorder = Recorder(RecordWriter(path, 0, flush_interval_s=0.01), reach)
     recorder.put(entry_of(frame(0)))
-    until(lambda: recorder.waiting_bytes == 0)
+    until(lambda: recorder.entries.waiting_bytes == 0)
     disk.hang()
     recorder.put(entry_of(frame(1)))
     disk.wait_for_hanging()
     for number in range(2, FRAMES):
         recorder.put(entry_of(frame(number)))
-    assert recorder.waiting_bytes > reach // 2
+    assert recorder.entries.waiting_bytes > reach // 2
     until(lambda: recorder.alarm)
     assert re.search(
         r"the disk has not answered for \d+ s; [1-4] of 5 MB of memory wait for it", recorder.alarm
