@@ -63,7 +63,7 @@ class EndOfRun:
             holds = all(condition.relative(estimates) < condition.limit for condition in self._stop_when)
             self._fits_in_a_row = self._fits_in_a_row + 1 if holds else 0
         if self._fits_in_a_row >= CONSECUTIVE_FITS:
-            return f"known well enough: {', '.join(one.text(estimates) for one in self._stop_when)}"
+            return f"known well enough: {', '.join(when.text(estimates) for when in self._stop_when)}"
         return None
 
 
@@ -183,7 +183,11 @@ def session_summary(folder: Path) -> SessionSummary:
     run = next((run for run in reversed(results.runs) if not run.problem), results.runs[-1])
     whole = whole_result(run, results.series)
     rows = results.contact if results.series is not None and results.series.table else run.contact
-    unmet = [f"{one.name}: {one.judgement_text}" for one in run.conditions if not one.ok or one.remedy]
+    unmet = [
+        f"{verdict.name}: {verdict.judgement_text}"
+        for verdict in run.conditions
+        if not verdict.ok or verdict.remedy
+    ]
     no_fit = [f"no fit of {run.record}: {run.problem}" for run in results.runs if run.problem]
     return replace(
         summary,

@@ -14,7 +14,7 @@ from acquisition.record.topics import RecordedPhase
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError, RecordError
 from processing.noise_models import robust_scatter
-from processing.units import ARCSEC_RAD, NS_PER_S, nanoseconds
+from processing.units import ARCSEC_RAD, nanoseconds
 from rig.control import Controller
 from rig.devices import AuditEntry, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
 from rig.instrument import Optics, Phase
@@ -68,19 +68,13 @@ class PhasesBeforeRecord:
         show_table: Callable[[Sequence[Verdict]], None] = lambda _: None,
         watch: FrameWatch | None = None,
     ) -> None:
-        self._config = config
-        self._devices = devices
-        self._camera = camera
-        self._optics = optics
-        self._folder = folder
-        self._force = force
-        self._show_table = show_table
-        self._watch = watch
+        self._config, self._devices, self._camera, self._optics = config, devices, camera, optics
+        self._folder, self._force, self._show_table, self._watch = folder, force, show_table, watch
         self._unit = optics.unit
         self.verdicts: list[Verdict] = []
         self.starter_pulse_s = config.start.starter_pulse_s
-        self._attempt = 0
-        self._warm = False
+        self._attempts = 0
+        self._is_warm = False
         if config.start.by_controller:
             # before hours of warm-up and rest, which would be in vain without a controller
             devices.required_control(f"start.way = {config.start.way!r}")
@@ -99,14 +93,14 @@ class PhasesBeforeRecord:
         frames_s = max(config.start.pretrigger_s, _preflight_s(config))
         frames = RecentFrames(stream, self._optics, frames_s, window_s, self._watch)
         self._wait = PhaseWait(frames, report, stop)
-        self._attempt += 1
+        self._attempts += 1
         try:
             if config.start.way == "at once":
                 self._preflight_at_once()
                 return frames.frames, self._wait.events
             self._come_to_rest()
             self._warm_up()
-            if self._attempt == 1:
+            if self._attempts == 1:
                 self._preflight_at_rest()
             self._release()
         except WaitStopped:
@@ -143,17 +137,14 @@ class PhasesBeforeRecord:
         """
         phases, frames = self._config.phases, self._wait.frames
         window_ns = nanoseconds(phases.rest_window_s)
-        braked_ns = -_MIN_BRAKE_INTERVAL_NS
-        began_ns = 0
+        brake_due_ns = 0
 
-        def at_rest() -> bool:
-            nonlocal braked_ns, began_ns
-            began_ns = began_ns or frames.now_ns
+        def at_rest(elapsed_s: float) -> bool:
+            nonlocal brake_due_ns
             recent = frames.since(frames.now_ns - window_ns)
             recent = recent[recent.found]
-            if frames.now_ns - began_ns < window_ns or len(recent) < 2:
-                watched_s = (frames.now_ns - began_ns) / NS_PER_S
-                self._wait.progress = f"{watched_s:.0f} of {phases.rest_window_s:g} s"
+            if elapsed_s < phases.rest_window_s or len(recent) < 2:
+                self._wait.progress = f"{elapsed_s:.0f} of {phases.rest_window_s:g} s"
                 return False
             spread = 0.5 * max(np.ptp(recent.shown_x), np.ptp(recent.shown_y))
             limit = phases.rest_limit_arcsec
@@ -162,8 +153,8 @@ class PhasesBeforeRecord:
             self._wait.progress = f"spread {spread:.2f} {self._unit.shown} (limit {limit:.3g})"
             if spread <= limit:
                 return True
-            if frames.now_ns - braked_ns >= _MIN_BRAKE_INTERVAL_NS and spread > 2 * limit:
-                braked_ns = frames.now_ns
+            if frames.now_ns >= brake_due_ns and spread > 2 * limit:
+                brake_due_ns = frames.now_ns + _MIN_BRAKE_INTERVAL_NS
                 self._brake(True)
             elif spread <= 2 * limit:
                 self._brake(False)
@@ -175,17 +166,16 @@ class PhasesBeforeRecord:
     def _warm_up(self) -> None:
         """Wait until the drift of the resting spot is small, if this program switches the laser on."""
         laser, phases, frames = self._config.laser, self._config.phases, self._wait.frames
-        if laser.kind == "none" or self._warm:
+        if laser.kind == "none" or self._is_warm:
             return
-        window_ns = nanoseconds(phases.warm_up_window_s)
-        began_ns, min_ns = frames.now_ns, max(window_ns, laser.warm_up_min_s * NS_PER_S)
+        window_s = phases.warm_up_window_s
+        min_s = max(window_s, laser.warm_up_min_s)
 
-        def warm() -> bool:
-            warmed_ns = frames.now_ns - began_ns
-            if warmed_ns < min_ns:
-                self._wait.progress = f"{warmed_ns / NS_PER_S:.0f} of {min_ns / NS_PER_S:g} s"
+        def warm(elapsed_s: float) -> bool:
+            if elapsed_s < min_s:
+                self._wait.progress = f"{elapsed_s:.0f} of {min_s:g} s"
                 return False
-            recent = frames.since(frames.now_ns - window_ns)
+            recent = frames.since(frames.now_ns - nanoseconds(window_s))
             drift = max(
                 _drift_per_min(recent.times_s, recent.shown_x), _drift_per_min(recent.times_s, recent.shown_y)
             )
@@ -198,29 +188,23 @@ class PhasesBeforeRecord:
             return drift <= limit
 
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)
-        self._warm = True
+        self._is_warm = True
 
     def _preflight_at_once(self) -> None:
         frames = self._wait.frames
         self._wait.until_reached(
-            Phase.PREFLIGHT, math.inf, lambda: frames.frames_taken >= _MIN_FRAMES_AT_ONCE
+            Phase.PREFLIGHT, math.inf, lambda _: frames.frames_taken >= _MIN_FRAMES_AT_ONCE
         )
         self._check(resting=False)
 
     def _preflight_at_rest(self) -> None:
         if not preflight_wanted(self._config):
             return
-        frames = self._wait.frames
-        began_ns = frames.now_ns
-        duration_ns = nanoseconds(_preflight_s(self._config))
+        duration_s = _preflight_s(self._config)
 
-        def long_enough() -> bool:
-            nonlocal began_ns
-            # `now_ns` is 0 before the first frame
-            began_ns = began_ns or frames.now_ns
-            watched_ns = frames.now_ns - began_ns
-            self._wait.progress = f"{watched_ns / NS_PER_S:.0f} of {duration_ns / NS_PER_S:g} s"
-            return watched_ns >= duration_ns
+        def long_enough(elapsed_s: float) -> bool:
+            self._wait.progress = f"{elapsed_s:.0f} of {duration_s:g} s"
+            return elapsed_s >= duration_s
 
         self._wait.until_reached(Phase.PREFLIGHT, math.inf, long_enough)
         self._check(resting=True)
@@ -313,7 +297,7 @@ class PhasesBeforeRecord:
             instruction = "release by hand now"
         frames_moved = 0
 
-        def moved() -> bool:
+        def moved(_: float) -> bool:
             nonlocal frames_moved
             frames_moved = frames_moved + 1 if math.dist(wait.frames.newest, rest) > threshold else 0
             return frames_moved >= _FRAMES_MOVED

@@ -40,16 +40,12 @@ class RecentFrames:
         window_s: float,
         watch: FrameWatch | None = None,
     ) -> None:
-        self._stream = stream
-        self._watch = watch
-        self._optics = optics
+        self._stream, self._optics, self._watch = stream, optics, watch
         self._pipeline: Pipeline | None = None
         self._frames: deque[Frame] = deque()
         self._blocks: deque[Block] = deque()
-        self._frames_ns = nanoseconds(frames_s)
-        self._window_ns = nanoseconds(window_s)
-        self._last_spot_ns = 0
-        self.frames_taken = 0
+        self._frames_ns, self._window_ns = nanoseconds(frames_s), nanoseconds(window_s)
+        self._last_spot_ns = self.frames_taken = 0
 
     def advance(self) -> bool:
         """Take some frames; False if the stream has ended."""
@@ -162,11 +158,11 @@ class PhaseWait:
         self,
         phase: Phase,
         limit_s: float,
-        reached: Callable[[], bool],
+        reached: Callable[[float], bool],
         instruction: str = "",
         every_s: float = 0.0,
     ) -> None:
-        """Take frames until `reached` returns True; it is called every `every_s` seconds.
+        """Take frames until `reached` is True; it is called every `every_s` with the phase's duration in s.
 
         Raises DataError after `limit_s`, and `WaitStopped` if the run is stopped or the frames end.
         """
@@ -188,7 +184,7 @@ class PhaseWait:
             self._report(RecordedPhase(now_ns, elapsed_s, phase.value, self.progress, message))
             if now_ns and now_ns >= check_due_ns:
                 check_due_ns = now_ns + nanoseconds(every_s)
-                if reached():
+                if reached(elapsed_s):
                     progress = f", {self.progress}" if self.progress else ""
                     self.note(
                         EventKind(phase), f"{_VERB.get(phase, 'finished')} after {elapsed_s:.1f} s{progress}"
