@@ -268,14 +268,9 @@ def checks(desk: Desk) -> str:
             output = job.output[-1] if job.output else "the camera is opened"
             return tables.span(phase_text(job.newest.get("state", {})) or output)
         return tables.span("" if job.end_requested else job.problem, "no")
-    failed, remarkable, passed = (
-        list[Mapping[str, Any]](),
-        list[Mapping[str, Any]](),
-        list[Mapping[str, Any]](),
-    )
-    for verdict in verdicts:
-        is_remarkable = verdict["remedy"] or not verdict["made"]
-        (failed if not verdict["ok"] else remarkable if is_remarkable else passed).append(verdict)
+    failed = [verdict for verdict in verdicts if not verdict["ok"]]
+    passed = [verdict for verdict in verdicts if verdict["ok"] and verdict["made"] and not verdict["remedy"]]
+    remarkable = [verdict for verdict in verdicts if verdict["ok"] and verdict not in passed]
     result, kind, next_step = "GO", "go", "Nothing prevents a run: start it in Measure."
     if failed:
         subject = "This stands" if len(failed) == 1 else f"These {len(failed)} stand"
