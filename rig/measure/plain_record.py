@@ -210,9 +210,9 @@ def _acknowledge(config: Configuration, number: int, command: str) -> str:
 
 def _sessions(config: Configuration) -> Iterator[Path]:
     """Folders in which a session may run: the folder of the program that holds the rig first."""
-    held = SafetyState(rig_state_path(config.laser, config.controller)).folder_of_holder
-    if held is not None:
-        yield held
+    holder_folder = SafetyState(rig_state_path(config.laser, config.controller)).folder_of_holder
+    if holder_folder is not None:
+        yield holder_folder
     yield from running_sessions(config.session.output)
 
 

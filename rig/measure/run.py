@@ -172,13 +172,13 @@ class MeasurementRun:
         """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
         max_pause_s = _MAX_PAUSE_S
         # the thread is not joined: an interrupted join takes a running thread for one that has ended
-        done = False
-        while not done:
+        is_done = False
+        while not is_done:
             try:
                 paused_s = self.stream.permit.paused_s
                 if paused_s > max_pause_s and not self._done.is_set():
                     return f"nothing was processed or recorded for {paused_s:.0f} s"
-                done = self._done.wait(_DONE_INTERVAL_S)
+                is_done = self._done.wait(_DONE_INTERVAL_S)
                 self._show(show, self._now_with_stall())
             except KeyboardInterrupt:
                 max_pause_s = _MAX_PAUSE_AFTER_INTERRUPT_S
@@ -186,9 +186,9 @@ class MeasurementRun:
 
     def _watch(self, show: Callable[[RunNow], None]) -> None:
         """Show the run until it ends or stalls."""
-        done = False
-        while not done:
-            done = self._done.wait(_DONE_INTERVAL_S) or self.stream.permit.paused_s > _MAX_PAUSE_S
+        is_done = False
+        while not is_done:
+            is_done = self._done.wait(_DONE_INTERVAL_S) or self.stream.permit.paused_s > _MAX_PAUSE_S
             for state in self.status.take_instructions():
                 self._show(show, state)
             self._show(show, self._now_with_stall())
@@ -295,8 +295,8 @@ class MeasurementRun:
 
     def _shut_down(self) -> None:
         self.stop.close_stream()
-        done = RecordedPhase(0, self.status.now.elapsed_s, Phase.DONE.value, reason=self.stop.reason)
-        self.status.tell(RecordContents(messages=[RecordedLosses(0, *self.stream.losses.counts), done]))
+        end = RecordedPhase(0, self.status.now.elapsed_s, Phase.DONE.value, reason=self.stop.reason)
+        self.status.tell(RecordContents(messages=[RecordedLosses(0, *self.stream.losses.counts), end]))
 
 
 def utc_offset_ns(frame: Frame) -> int:

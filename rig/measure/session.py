@@ -68,13 +68,13 @@ def measure_session(
     config = complete_checked(config)
     if output is not None:
         withdraw_unrecorded(output)
-    folder, made = session_folder(config, source, output)
+    folder, created = session_folder(config, source, output)
     try:
         stored = stored_configuration(config)
         with closing(SessionFile.create(folder, source, config.session.runs, stored)) as file:
             return finish_session(file, config, "rig run", waiting, force=force, json_lines=json_lines)
     finally:
-        withdraw_unrecorded(folder, made)
+        withdraw_unrecorded(folder, created)
 
 
 def resume_session(
@@ -380,12 +380,12 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
         raise ConfigurationError(f"{folder}: is a file; name a folder for the session")
     if folder.is_dir() and (any(folder.glob("run-*.mcap")) or (folder / RESULTS_NAME).exists()):
         raise ConfigurationError(f"{folder}: holds a run already, which is never overwritten; name another")
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    created = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigurationError(f"{folder}: cannot be made: {error.strerror or error}") from None
-    return folder, made
+    return folder, created
 
 
 def with_other_seed(config: Configuration, more: int) -> Configuration:

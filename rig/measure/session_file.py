@@ -114,10 +114,10 @@ def is_in_use(folder: Path) -> bool:
     return False
 
 
-def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:
+def withdraw_unrecorded(folder: Path, created: Sequence[Path] = ()) -> None:
     """Remove the files of a session that has ended without a record, which would block the next session.
 
-    The folders `made` for it are removed, too, if they are empty. A session with a record stays.
+    The folders `created` for it are removed, too, if they are empty. A session with a record stays.
     """
     with suppress(RigError), closing(SessionFile.opened(folder)) as file:
         records = [folder / entry.record for entry in file.state.entries]
@@ -126,8 +126,8 @@ def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:
         for name in (STATE_NAME, LOCK_NAME):
             (folder / name).unlink(missing_ok=True)
     with suppress(OSError):
-        for created in made:
-            created.rmdir()
+        for path in created:
+            path.rmdir()
 
 
 class SessionFile:
