@@ -1,4 +1,4 @@
-"""Every alarm with its remedy, and their list: active, cleared, acknowledged, with times."""
+"""The alarms with their remedies, and their list: active, cleared, acknowledged, with times."""
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
@@ -9,20 +9,20 @@ from typing import Final, Self
 
 from processing.errors import RigError
 
-_SEEN_ONLY: Final = False
-"""Remedy of an alarm without a sound: data that have to be inspected later."""
+_SILENT: Final = False
+"""Sound of an alarm that only concerns data, which have to be inspected later."""
 
 
 class AlarmKey(StrEnum):
-    """The alarms, the gravest first: each with its title, its remedy, and whether it is heard."""
+    """The alarms, the gravest first: each with its title, its remedy, and whether it sounds."""
 
     remedy: str
-    is_heard: bool
+    has_sound: bool
 
-    def __new__(cls, title: str, remedy: str, is_heard: bool = True) -> Self:
+    def __new__(cls, title: str, remedy: str, has_sound: bool = True) -> Self:
         alarm = str.__new__(cls, title)
         alarm._value_ = title
-        alarm.remedy, alarm.is_heard = remedy, is_heard
+        alarm.remedy, alarm.has_sound = remedy, has_sound
         return alarm
 
     LIGHT_DISAGREES = (
@@ -85,17 +85,17 @@ class AlarmKey(StrEnum):
     DISTURBED = (
         "data disturbed",
         "keep away, keep the room dark, close other programs; the run's events name every disturbance",
-        _SEEN_ONLY,
+        _SILENT,
     )
     ENVIRONMENT = (
         "environment not measured",
         "check its cable and port; without it the run has no temperature, humidity or pressure",
-        _SEEN_ONLY,
+        _SILENT,
     )
     BALANCE = (
         "out of balance",
         "the run is recorded; before the next one balance the pendulum and let it settle (rig balance)",
-        _SEEN_ONLY,
+        _SILENT,
     )
 
 
@@ -104,77 +104,71 @@ RaisedAlarm = tuple[AlarmKey, str]
 _LATCHED: Final = frozenset(
     {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED, AlarmKey.DISTURBED, AlarmKey.WATCHER}
 )
-"""What has happened, and is active until somebody acknowledges it, or the next session begins."""
-AFTER_S: Final[Mapping[AlarmKey, float]] = {
+"""Alarms by events, which are active until a person acknowledges them, or the next session begins."""
+ALARM_DELAY_S: Final[Mapping[AlarmKey, float]] = {
     AlarmKey.CONTROLLER: 1.5,
-    # a desk that was held up itself finds everything late at its first look
+    # a desk that was itself delayed finds all news late at its first look
     AlarmKey.SESSION_FROZEN: 0.4,
     AlarmKey.DISK_FORECAST: 1.0,
     AlarmKey.ENVIRONMENT: 1.0,
     AlarmKey.BALANCE: 5.0,
 }
-"""Time in s for which a condition must hold before it raises an alarm; 0 for all others."""
+"""Time in s for which a condition must hold before it raises an alarm; 0 for all other alarms."""
 
 
 class AlarmState(StrEnum):
     """States of an alarm, in the order of the list."""
 
     ACTIVE = "active"
-    """Nobody has acknowledged it."""
+    """Its cause is present, and it is not acknowledged."""
     CLEARED = "cleared"
-    """Its cause is gone, and nobody has acknowledged it."""
+    """Its cause is gone, and it is not acknowledged."""
     ACKNOWLEDGED = "acknowledged"
-    """Somebody has seen it, and its cause is still there."""
+    """A person has acknowledged it, and its cause is still present."""
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmRow:
-    """One alarm of the list; times are the computer's clock of the day in s, None for what has not happened.
-
-    `times` is how often it was raised since it came into the list.
-    """
+    """One alarm of the list; times are those of the day in s, None if it has not come to that."""
 
     key: AlarmKey
     cause: str
     raised_s: float
     cleared_s: float | None = None
     acknowledged_s: float | None = None
-    times: int = 1
+    count: int = 1
+    """How often the alarm was raised since it came into the list."""
 
     @property
     def state(self) -> AlarmState:
-        """State of the alarm."""
         if self.acknowledged_s is not None:
             return AlarmState.ACKNOWLEDGED
         return AlarmState.ACTIVE if self.cleared_s is None else AlarmState.CLEARED
 
     @property
-    def cries(self) -> bool:
-        """Whether the alarm sounds: it is active, and of a kind that sounds."""
-        return self.key.is_heard and self.state is AlarmState.ACTIVE
+    def is_loud(self) -> bool:
+        """Whether the alarm sounds now."""
+        return self.key.has_sound and self.state is AlarmState.ACTIVE
 
 
 class AlarmList:
-    """The list of a rig; may be used from any thread.
-
-    `clock` gives the time of the day in s.
-    """
+    """The alarms of a rig; may be used from any thread. `clock` gives the time of the day in s."""
 
     def __init__(self, clock: Callable[[], float] = time) -> None:
         self._clock = clock
         self._rows: dict[AlarmKey, AlarmRow] = {}
-        self._since_s: dict[AlarmKey, float] = {}
+        self._condition_began_s: dict[AlarmKey, float] = {}
         self._lock = threading.Lock()
 
-    def see(self, conditions: Mapping[AlarmKey, str], happened: Iterable[RaisedAlarm] = ()) -> None:
+    def update(self, conditions: Mapping[AlarmKey, str], events: Iterable[RaisedAlarm] = ()) -> None:
         """Update the list by the conditions that hold now, with causes, and by events since the last call."""
         now_s = self._clock()
         with self._lock:
-            self._since_s = {key: self._since_s.get(key, now_s) for key in conditions}
-            for key, cause in happened:
+            self._condition_began_s = {key: self._condition_began_s.get(key, now_s) for key in conditions}
+            for key, cause in events:
                 self._raise(key, cause, now_s, again=True)
             for key, cause in conditions.items():
-                if now_s - self._since_s[key] >= AFTER_S.get(key, 0.0):
+                if now_s - self._condition_began_s[key] >= ALARM_DELAY_S.get(key, 0.0):
                     self._raise(key, cause, now_s, again=False)
             for key, row in list(self._rows.items()):
                 if key in conditions or key in _LATCHED or row.cleared_s is not None:
@@ -186,7 +180,7 @@ class AlarmList:
                     self._rows[key] = replace(row, cleared_s=now_s)
 
     def session_begins(self) -> None:
-        """What has happened before is over: it stays in the list until somebody has seen it, in silence."""
+        """Clear the alarms by events of earlier sessions; they are listed until they are acknowledged."""
         with self._lock:
             for key in _LATCHED & self._rows.keys():
                 self._rows[key] = replace(self._rows[key], cleared_s=self._clock())
@@ -194,10 +188,11 @@ class AlarmList:
     def rows(self) -> list[AlarmRow]:
         """All alarms, in the order of the list."""
         with self._lock:
-            return sorted(self._rows.values(), key=_order)
+            states, keys = list(AlarmState), list(AlarmKey)
+            return sorted(self._rows.values(), key=lambda row: (states.index(row.state), keys.index(row.key)))
 
     def acknowledge(self, key: AlarmKey) -> None:
-        """Note that a person has seen the alarm; if its cause is gone, it leaves the list.
+        """Acknowledge an alarm for a person; if its cause is gone, it leaves the list.
 
         Raises RigError for a trip, which is acknowledged at the devices.
         """
@@ -215,11 +210,7 @@ class AlarmList:
     def _raise(self, key: AlarmKey, cause: str, now_s: float, *, again: bool) -> None:
         row = self._rows.get(key)
         if row is None or again or row.cleared_s is not None:
-            # an alarm that is raised again is a new one, which nobody has seen
-            self._rows[key] = AlarmRow(key, cause, now_s, times=1 if row is None else row.times + 1)
+            # an alarm that is raised again is not acknowledged
+            self._rows[key] = AlarmRow(key, cause, now_s, count=1 if row is None else row.count + 1)
         elif row.cause != cause:
             self._rows[key] = replace(row, cause=cause)
-
-
-def _order(row: AlarmRow) -> tuple[int, int]:
-    return list(AlarmState).index(row.state), list(AlarmKey).index(row.key)

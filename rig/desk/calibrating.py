@@ -1,4 +1,4 @@
-"""Calibrations at the desk: what each kind needs, and what was filed."""
+"""Calibrations at the desk: the form of each kind, making a calibration file, and using it."""
 
 import tomllib
 from collections.abc import Mapping
@@ -10,26 +10,22 @@ from processing.errors import ConfigurationError, RigError
 from rig.desk.desk import Desk
 from rig.prepare import CalibrationReport, read_calibration_report
 
-FOLDER = Path("calibrations")
+_FOLDER = Path("calibrations")
 _UNKNOWN = "unknown"
 _SIDES = (_UNKNOWN, "+", "-")
 
 
-RECORD_ALONE: Final = "run --record-only"
-"""Command that records the spot as it is."""
-
-
 @dataclass(frozen=True)
 class CalibrationKind:
-    """One kind of calibration as a form over ``rig calibrate KIND``; `title` says what it measures."""
+    """One kind of calibration as a form over ``rig calibrate KIND``."""
 
     title: str
-    do: str
-    """Instruction for a person at the rig."""
+    instruction: str
+    """What a person has to do at the rig."""
     is_list: bool = False
     """Whether its input is a list of measured values (TOML file); else it is one record."""
     fields: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
-    """Further options of the command by name: what is asked for, and the choices, if there are any."""
+    """Further options of the command by name: label of the field, and the choices, if there are any."""
 
 
 KINDS: Final[Mapping[str, CalibrationKind]] = {
@@ -85,37 +81,36 @@ KINDS: Final[Mapping[str, CalibrationKind]] = {
 """All kinds by the word after ``rig calibrate``, in the order in which a rig is calibrated."""
 
 
-def file_calibration(desk: Desk, name: str, given: str, stated: Mapping[str, str]) -> CalibrationReport:
-    """Make a calibration by `rig calibrate` and file it; takes seconds.
+def file_calibration(desk: Desk, name: str, source: str, options: Mapping[str, str]) -> CalibrationReport:
+    """Make a calibration file by `rig calibrate` from `source`, a file or record; takes seconds.
 
-    The command judges `given`, its file or record, and what was `stated`, by the names of its options.
-    Raises RigError where the measurement does not serve.
+    Raises RigError, with the command's reason, if the source or an option is refused.
     """
-    if not given.strip():
+    if not source.strip():
         raise ConfigurationError(f"rig calibrate {name}: name its file or record")
-    words = [
+    arguments = [
         f"--{option}={text.strip()}"
-        for option, text in {"output": str(FOLDER), **stated}.items()
+        for option, text in {"output": str(_FOLDER), **options}.items()
         if text.strip() not in ("", _UNKNOWN)
     ]
-    job = desk.jobs.begin(f"calibrate {name}", *words, "--json", "--", given.strip())
+    job = desk.jobs.begin(f"calibrate {name}", *arguments, "--json", "--", source.strip())
     job.wait()
     if job.status:
         raise RigError(job.problem)
     return read_calibration_report(Path(job.lines[-1]["written"][0]))
 
 
-def use_calibration(desk: Desk, made: CalibrationReport) -> str:
-    """Let a calibration hold for all that this desk starts; returns what to state for good."""
-    (table, keys), *_ = tomllib.loads(made.configuration).items()
-    own = {f"{table}.{key}": _from_anywhere(stated) for key, stated in keys.items()}
+def use_calibration(desk: Desk, report: CalibrationReport) -> str:
+    """Use a calibration for all that this desk starts; returns its lines for the configuration file."""
+    (table, keys), *_ = tomllib.loads(report.configuration).items()
+    own = {f"{table}.{key}": _absolute(paths) for key, paths in keys.items()}
     desk.checked(own)
-    desk.kept.update(own)
-    return made.configuration.replace("\n", "  ")
+    desk.own_settings.update(own)
+    return report.configuration.replace("\n", "  ")
 
 
-def _from_anywhere(stated: object) -> object:
-    """Paths of this folder as they are found from any other."""
-    if isinstance(stated, list):
-        return [_from_anywhere(one) for one in stated]
-    return Path(str(stated)).absolute().as_posix()
+def _absolute(paths: object) -> object:
+    """A path, or a list of paths, made absolute."""
+    if isinstance(paths, list):
+        return [_absolute(path) for path in paths]
+    return Path(str(paths)).absolute().as_posix()

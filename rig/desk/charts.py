@@ -1,7 +1,7 @@
 """Charts of the desk: each curve is declared by its quantity of the catalogue, which names axis and unit.
 
-They are drawn by ECharts, which NiceGUI brings along, as SVG; its theme is `static/charts.json`, whose
-colours are those of the page. Zoom is by wheel or fingers; what is pointed at is shown with its unit.
+They are drawn by ECharts, which is a part of NiceGUI, as SVG; its theme is `static/charts.json`, whose
+colours are those of the page. Wheel or fingers zoom; the point under the pointer is shown with its unit.
 """
 
 import json
@@ -17,21 +17,21 @@ from rig.desk.tables import static
 from rig.terminal import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
-_STEPS = 3
+_LABELS_TO_END = 3
 """Labels from the middle of an axis that is to scale to its end."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChartCurve:
-    """A curve: the key of its quantity, its name where several have one quantity, how it is drawn.
-
-    `colour` is a name of the theme.
-    """
+    """A curve of a chart."""
 
     key: str
+    """Key of its quantity."""
     name: str = ""
+    """Name in the legend, if several curves have one quantity."""
     style: Literal["line", "scatter", "bar"] = "line"
     colour: str = "line"
+    """Name of the colour in the theme."""
 
 
 def chart_options(
@@ -44,51 +44,50 @@ def chart_options(
     kind: Literal["wide", "square", "small"] = "wide",
     empty: str = "",
 ) -> dict[str, Any]:
-    """Options of a chart over `x`; `Chart` says what the rest is.
+    """Options for ECharts of a chart over `x`; the other parameters are those of `Chart` and its `show`.
 
-    The browser merges them with those before: what is no longer named would stay.
+    All options are always named, because the browser merges them with those it has.
     """
     is_square, is_empty = kind == "square", not any(map(len, points))
-    step = None if reach is None else reach / _STEPS
+    step = None if reach is None else reach / _LABELS_TO_END
     to_scale = {"scale": True, "min": None if reach is None else -reach, "max": reach, "interval": step}
-    across = {
+    x_axis = {
         "name": x.label,
         "nameLocation": "middle",
         "nameGap": 24,
         "axisLine": {"onZero": False},
         **(to_scale if is_square else {"min": "dataMin", "max": "dataMax"}),
     }
-    shown = quantity(curves[0].key, unit)
-    up = {
-        "name": shown.label,
+    y = quantity(curves[0].key, unit)
+    y_axis = {
+        "name": y.label,
         "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -50]},
         "nameGap": 8,
         "splitNumber": 2 if kind == "small" else 5,
         **(to_scale if is_square else {"scale": True}),
     }
-    series = [_series(curve, one, unit) for curve, one in zip(curves, points, strict=True)]
     names = list(dict.fromkeys(curve.name for curve in curves if curve.name))
     # a square has no room beside its axis's name
-    is_named = not is_square and len(names) > 1 and not is_empty
-    words = {"text": empty if is_empty else "", "fill": "var(--dim)", "fontSize": 15}
+    has_legend = not is_square and len(names) > 1 and not is_empty
+    text = {"text": empty if is_empty else "", "fill": "var(--dim)", "fontSize": 15}
     return {
         "animation": False,
         "grid": {"left": 58, "right": 18, "top": 22, "bottom": 42},
-        "xAxis": _axis(x.unit, has_ends=reach is not None) | across,
-        "yAxis": _axis(shown.unit, has_top=kind == "square") | up,
-        "series": series,
-        "legend": {"show": is_named, "data": names, "right": 8, "top": 0},
+        "xAxis": _axis(x.unit, has_ends=reach is not None) | x_axis,
+        "yAxis": _axis(y.unit, has_top=is_square) | y_axis,
+        "series": [_series(curve, data, unit) for curve, data in zip(curves, points, strict=True)],
+        "legend": {"show": has_legend, "data": names, "right": 8, "top": 0},
         "tooltip": {},
         "dataZoom": [
             {"type": "inside", "xAxisIndex": 0, "filterMode": "none"},
             {"type": "inside", "yAxisIndex": 0, "filterMode": "none", "zoomOnMouseWheel": "shift"},
         ],
-        "graphic": {"type": "text", "left": "center", "top": "middle", "silent": True, "style": words},
+        "graphic": {"type": "text", "left": "center", "top": "middle", "silent": True, "style": text},
     }
 
 
 def _axis(unit: str, *, has_ends: bool = True, has_top: bool = True) -> dict[str, Any]:
-    """Options common to both axes; labels stand at both ends, at the lower one only, or at none."""
+    """Options common to both axes; labels stand at both ends, at the lower end only, or at none."""
     return {
         "type": "value",
         "axisLabel": {
@@ -101,14 +100,13 @@ def _axis(unit: str, *, has_ends: bool = True, has_top: bool = True) -> dict[str
 
 
 def _series(curve: ChartCurve, points: Points, unit: str) -> dict[str, Any]:
-    """One curve for ECharts."""
-    shown, colour = quantity(curve.key, unit), {"color": f"var(--{curve.colour})"}
+    y, colour = quantity(curve.key, unit), {"color": f"var(--{curve.colour})"}
     return {
         "type": curve.style,
-        "name": curve.name or shown.symbol,
+        "name": curve.name or y.symbol,
         "lineStyle": colour,
         "itemStyle": colour,
-        "tooltip": {":valueFormatter": _number(shown.unit)},
+        "tooltip": {":valueFormatter": _number(y.unit)},
         "data": list(points),
     }
 
@@ -119,10 +117,10 @@ def _number(unit: str) -> str:
 
 
 class Chart:
-    """A chart on a panel; `show` draws what is given, and leaves a zoom as it is.
+    """A chart on a panel, whose zoom stays when it is drawn again.
 
-    `title` is its name for those who do not see it. Both axes of a square one are as long, so that curves in
-    one unit are to scale where both reach as far.
+    `title` is its name for screen readers. Both axes of a square chart are equally long, so that curves in
+    one unit are to scale if both axes have the same range.
     """
 
     def __init__(
@@ -147,14 +145,14 @@ class Chart:
         reach: float | None = None,
         empty: str = "nothing to draw yet",
     ) -> None:
-        """Draw the points of each curve, in the units shown.
+        """Draw the points of each curve, in the units shown; without points the text `empty`.
 
-        `reach` is how far both axes go from zero; None: as far as there is anything.
+        `reach` is the half-length of both axes about zero; None: the axes end with the points.
         """
-        now = (tuple(map(tuple, points)), unit, reach)
-        if now == self._shown:
+        content = (tuple(map(tuple, points)), unit, reach)
+        if content == self._shown:
             return
-        self._shown = now
+        self._shown = content
         x, kind = quantity(self._x, unit), self._kind
         options = chart_options(x, self._curves, points, unit, reach=reach, kind=kind, empty=empty)
         self.element.options.clear()
@@ -171,15 +169,17 @@ class TrajectoryChart:
         with ui.row().classes("items-center"):
             ui.label("trajectory").classes("title")
             self._button = ui.button("stretch X", on_click=self._stretch).props("dense outline no-caps")
-        self.chart = Chart("trajectory", "deflection_x", WAY, "square")
+        self.chart = Chart("trajectory", "deflection_x", TRAJECTORY_CURVES, "square")
 
     def show(self, x: Sequence[float | None], y: Sequence[float | None], unit: str) -> None:
-        """Show it; gaps stay open."""
+        """Draw the path; the curve is interrupted where a coordinate is None."""
         self._last = x, y, unit
-        way = [(a, b) if a is not None and b is not None else (None, None) for a, b in zip(x, y, strict=True)]
-        known = [(a, b) for a, b in way if a is not None and b is not None]
+        path = [
+            (None, None) if x_k is None or y_k is None else (x_k, y_k) for x_k, y_k in zip(x, y, strict=True)
+        ]
+        known = [(x_k, y_k) for x_k, y_k in path if x_k is not None and y_k is not None]
         reach = trajectory_reach(known) if known and not self._stretched else None
-        self.chart.show([way if known else [], known[-1:]], unit, reach=reach, empty="no trajectory")
+        self.chart.show([path if known else [], known[-1:]], unit, reach=reach, empty="no trajectory")
 
     def _stretch(self) -> None:
         self._stretched = not self._stretched
@@ -187,7 +187,7 @@ class TrajectoryChart:
         self.show(*self._last)
 
 
-WAY = (
+TRAJECTORY_CURVES = (
     ChartCurve("deflection_y", "way of the spot"),
     ChartCurve("deflection_y", "now", style="scatter", colour="second"),
 )
@@ -195,7 +195,8 @@ WAY = (
 
 
 def trajectory_reach(known: Sequence[tuple[float, float]]) -> float:
-    """Half-length of the axes of a trajectory to scale, in steps, so that few samples change it."""
-    least = 1.02 / _STEPS * max(max(abs(a), abs(b)) for a, b in known)
-    tens = 10.0 ** math.floor(math.log10(least or 1.0))
-    return _STEPS * tens * next(one for one in (1, 2, 3, 4, 5, 6, 8, 10) if one * tens >= least * (1 - 1e-9))
+    """Half-length of the axes of a trajectory to scale, rounded up, so that few samples change it."""
+    min_step = 1.02 / _LABELS_TO_END * max(max(abs(x), abs(y)) for x, y in known)
+    decade = 10.0 ** math.floor(math.log10(min_step or 1.0))
+    steps = (digit * decade for digit in (1, 2, 3, 4, 5, 6, 8, 10))
+    return _LABELS_TO_END * next(step for step in steps if step >= min_step * (1 - 1e-9))

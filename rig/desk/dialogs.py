@@ -1,4 +1,4 @@
-"""Dialogs of a page: questions before anything is lit or allowed light, and the list of keys."""
+"""Dialogs of the page: questions before anything is lit or allowed light, and the list of keys."""
 
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
@@ -13,10 +13,10 @@ _LIT = "The laser will be lit. Check that nobody is in the beam path."
 
 
 class Question:
-    """A dialog that asks before something is done; built where it is made.
+    """A dialog that asks before something is done.
 
-    `label` is its name for those who do not see it, `warning` what is to be checked before `yes`, and
-    `properties` are those of this button; `options` holds what a caller adds above the buttons.
+    `label` is its name for screen readers, `warning` tells what to check before the button `yes` is pressed,
+    `properties` are those of this button; `options` holds elements that a caller adds above the buttons.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Question:
                 ui.button(no, on_click=self._dialog.close).props("outline")
 
     async def ask(self, text: str, yes: str = "") -> bool:
-        """Open it, and wait for the answer; `yes` takes the place of the button's words."""
+        """Open it, and wait for the answer; `yes` replaces the text of the button."""
         self._text.set_text(text)
         if yes:
             self._yes.set_text(yes)
@@ -46,7 +46,7 @@ class Question:
 
 
 def trip_dialog(desk: Desk, tab: Tab) -> Callable[[], Awaitable[None]]:
-    """Build it; returns what asks before the trip that is read is acknowledged, also if another one comes."""
+    """Build the dialog; returns the action that asks, and acknowledges the trip that was shown."""
     warning = "Check that nobody is in the beam path. Acknowledging lights nothing."
     properties = f'color="negative" {DELIBERATE}'
     question = Question(tab, "acknowledge a trip", "Acknowledge", warning, properties=properties)
@@ -60,7 +60,7 @@ def trip_dialog(desk: Desk, tab: Tab) -> Callable[[], Awaitable[None]]:
 
 
 def resume_dialog(desk: Desk, tab: Tab) -> Callable[[Path], Awaitable[None]]:
-    """Build it; returns what asks before a session's missing runs are measured."""
+    """Build the dialog; returns the action that asks, and measures a session's missing runs."""
     question = Question(tab, "go on with a session", "Go on with it")
 
     async def resume(folder: Path) -> None:

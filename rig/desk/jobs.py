@@ -1,4 +1,4 @@
-"""The commands that the desk starts: processes that speak JSON lines, or go on without it; the balance's."""
+"""The processes that the desk starts: sessions, commands that end with the desk, `rig balance`."""
 
 import json
 import subprocess
@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from processing.errors import ConfigurationError
 from rig.interruption import start_python
@@ -17,36 +17,45 @@ if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
 
-_LAST_LINES = 200
-_OBJECTS = 2000
+_MAX_OUTPUT_LINES = 200
+_MAX_OBJECTS = 2000
 """Number of JSON objects that are kept: a measurement of the balance with its whole path."""
 _READ_WITHIN_S = 2.0
 MESSAGES_NAME = "messages.txt"
 
 
-def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
-    """Start a command that goes on when the desk ends; what it prints goes into a file in `folder`.
+class StartedSession(NamedTuple):
+    """A session that the desk has started, and that goes on when the desk ends."""
 
-    The file is added to, never written over.
-    """
+    process: "subprocess.Popen[bytes]"
+    folder: Path
+
+    @property
+    def status(self) -> int | None:
+        """Exit status of its process; None while it runs."""
+        return self.process.poll()
+
+
+def start_session(words: list[str], folder: Path) -> StartedSession:
+    """Start a session; what it prints is added to a file in `folder`."""
+    null = subprocess.DEVNULL
     with (folder / MESSAGES_NAME).open("ab") as messages:
-        return start_python("-m", "rig", *words, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages)
+        process = start_python("-m", "rig", *words, stdin=null, stdout=messages, stderr=messages)
+    return StartedSession(process, folder)
 
 
-def reason_in(printed: Iterable[str], status: int | None) -> str:
-    """Why a command has ended with an error, by what it has printed; empty lines are none."""
-    words = [line for line in printed if line.strip()]
-    # after its error it says what became of the light
-    named = [line.removeprefix("rig: ") for line in words if line.startswith("rig: ")]
-    return (named or words or [f"ended with status {status}"])[-1]
+def failure_reason(printed: Iterable[str], status: int | None) -> str:
+    """Why a command has ended with an error, by the lines that it has printed and its exit status."""
+    lines = [line for line in printed if line.strip()]
+    # lines on the light follow that of the error
+    errors = [line.removeprefix("rig: ") for line in lines if line.startswith("rig: ")]
+    return (errors or lines or [f"ended with status {status}"])[-1]
 
 
 class Job:
     """A command that ends with the desk, because its pipes do; it answers in JSON lines.
 
-    `lines` are the last JSON objects that it printed, and among them the answers that it was given; `output`
-    its other lines. `ending` is True once it was asked to end. While a command that `uses_camera` runs, no
-    other has the camera, and LIGHT OFF ends it.
+    While a command that `uses_camera` runs, no other has the camera, and LIGHT OFF ends it.
     """
 
     def __init__(self, words: list[str], *, uses_camera: bool = False) -> None:
@@ -55,14 +64,17 @@ class Job:
             "-m", "rig", *words, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8"
         )
         self.uses_camera = uses_camera
-        self.ending = False
-        self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
+        self.end_requested = False
+        self.lines: deque[dict[str, Any]] = deque(maxlen=_MAX_OBJECTS)
+        """The last JSON objects that it printed, and the answers that it was given."""
         self.newest: dict[str, dict[str, Any]] = {}
-        self.output: deque[str] = deque(maxlen=_LAST_LINES)
-        self._answering = threading.Lock()
+        """The last JSON object of each kind."""
+        self.output: deque[str] = deque(maxlen=_MAX_OUTPUT_LINES)
+        """The other lines that it printed."""
+        self._answer_lock = threading.Lock()
         self._readers = [
             threading.Thread(target=target, name=f"job-{words[0]}", daemon=True)
-            for target in (self._read, self._listen)
+            for target in (self._read_stdout, self._read_stderr)
         ]
         for reader in self._readers:
             reader.start()
@@ -78,11 +90,10 @@ class Job:
 
     @property
     def problem(self) -> str:
-        """The reason of its failure."""
-        return reason_in(self.output, self.status)
+        return failure_reason(self.output, self.status)
 
     def wait(self, limit_s: float | None = None) -> bool:
-        """Whether it ends within the limit; what it has printed is read by then."""
+        """Wait for its end; returns whether it ended within the limit, with all that it printed read."""
         try:
             self._process.wait(limit_s)
         except subprocess.TimeoutExpired:
@@ -93,7 +104,7 @@ class Job:
 
     @property
     def asks(self) -> bool:
-        """Whether it waits for an answer that it has not been given yet."""
+        """Whether it waits for an answer."""
         return bool(self.lines) and self.lines[-1].get("kind") == "ask"
 
     def answer(self, text: str) -> None:
@@ -101,7 +112,7 @@ class Job:
 
         A second answer to one question, by a double click or from another tab, would answer the next one.
         """
-        with self._answering, suppress(OSError, ValueError):
+        with self._answer_lock, suppress(OSError, ValueError):
             if self.asks and self._process.stdin is not None:
                 self.lines.append({"kind": "answer", "text": text})
                 self._process.stdin.write(f"{text}\n")
@@ -109,32 +120,32 @@ class Job:
 
     def end(self) -> None:
         """Interrupt it as Ctrl-C does: it switches off what it has switched on."""
-        self.ending = True
+        self.end_requested = True
         with suppress(OSError):
             self._process.terminate()
 
     def kill(self) -> None:
-        """Kill it, where it hears nothing; what it has lit must be dark."""
+        """Kill it, if it cannot be interrupted; the caller must have switched off its light."""
         self._process.kill()
         self._process.wait()
 
-    def _read(self) -> None:
+    def _read_stdout(self) -> None:
         assert self._process.stdout is not None
         with self._process.stdout as lines:
             for line in lines:
                 try:
-                    found = json.loads(line)
+                    content = json.loads(line)
                 except ValueError:
                     self.output.append(line.rstrip())
                     continue
-                if isinstance(found, dict):
-                    self.lines.append(found)
-                    self.newest[str(found.get("kind"))] = found
+                if isinstance(content, dict):
+                    self.lines.append(content)
+                    self.newest[str(content.get("kind"))] = content
         with suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.close()
 
-    def _listen(self) -> None:
+    def _read_stderr(self) -> None:
         assert self._process.stderr is not None
         with self._process.stderr as lines:
             for line in lines:
@@ -145,15 +156,19 @@ class Jobs(dict[str, Job]):
     """The commands that a desk has started, the last one of each name."""
 
     def begin(self, name: str, *words: str, uses_camera: bool = False) -> Job:
-        """Start `rig NAME`; raises ConfigurationError while the last one of this name runs."""
-        before = self.get(name)
-        if before is not None and before.running:
+        """Start `rig NAME`; raises ConfigurationError while an earlier command of this name runs."""
+        if self.running_job(name) is not None:
             raise ConfigurationError(f"rig {name} still runs; wait, or end it first")
         self[name] = Job([*name.split(), *words], uses_camera=uses_camera)
         return self[name]
 
+    def running_job(self, name: str) -> Job | None:
+        """The command of this name that runs now; None without one."""
+        job = self.get(name)
+        return job if job is not None and job.running else None
+
     def running(self, *, uses_camera: bool) -> list[tuple[str, Job]]:
-        """Names and commands that run now, with or without the camera as `uses_camera` says."""
+        """Names and commands that run now and use the camera, or do not use it."""
         return [
             (name, job) for name, job in tuple(self.items()) if job.uses_camera is uses_camera and job.running
         ]
@@ -176,12 +191,11 @@ class Balancing:
         return self._job is not None
 
     @property
-    def shown(self) -> BalanceDialogue:
-        """State of the dialogue."""
+    def dialogue(self) -> BalanceDialogue:
         job = self._desk.jobs.get(_NAME)
         if job is None:
-            return BalanceDialogue(BalanceStage.IDLE, "Measure: let it swing, not too far")
-        failed = bool(job.status) and not job.ending
+            return BalanceDialogue(BalanceStage.IDLE, "Measure: let the pendulum swing, not too far")
+        failed = bool(job.status) and not job.end_requested
         return balance_dialogue(list(job.lines), list(job.output), running=job.running, failed=failed)
 
     def measure(self) -> None:
@@ -193,8 +207,8 @@ class Balancing:
         elif job.asks:
             job.answer(_MEASURE)
 
-    def turned(self, weight: str, turns: str) -> None:
-        """State the turns of a weight, whose effect is measured next."""
+    def state_turn(self, weight: str, turns: str) -> None:
+        """State the turns of a weight; their effect is measured next."""
         job = self._job
         if job is None or not job.asks:
             raise ConfigurationError("first measure: a turn is stated between two measurements")
@@ -217,11 +231,10 @@ class Balancing:
             return
         if job.asks:
             job.answer(_END)
-            job.ending = True
+            job.end_requested = True
         else:
             job.end()
 
     @property
     def _job(self) -> Job | None:
-        found = self._desk.jobs.get(_NAME)
-        return found if found is not None and found.running else None
+        return self._desk.jobs.running_job(_NAME)

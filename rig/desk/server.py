@@ -1,6 +1,6 @@
 """Serves the desk on the loopback interface until Ctrl-C, to a browser that has its key.
 
-LIGHT OFF is heard by a second server, too, in a thread of its own: it answers while the page's is busy.
+A second server for LIGHT OFF runs in a thread of its own: it answers while the page's server is busy.
 """
 
 import asyncio
@@ -47,18 +47,20 @@ _POLICY = (
 class Guard:
     """ASGI middleware around the whole desk, which listens on the loopback interface at `port`.
 
-    Without the key (in the address at first, then in a cookie) nothing is answered: other users of this
+    Requests without the key (in the address at first, then in a cookie) are refused: other users of this
     machine do not have it. The name of the host is checked so that no foreign page can ask under a name of
     its own (DNS rebinding), the origin so that none can use the browser's cookie, least of all for the web
-    socket, which browsers open for anyone. `off_port` is where LIGHT OFF is heard beside the page's server;
-    its guard, which `hears_off`, admits the same pages.
+    socket, which browsers open for any page. `off_port` is that of the separate server of LIGHT OFF; the
+    guard of that server, with `is_off_server`, admits the same pages.
     """
 
-    def __init__(self, app: ASGIApp, key: str, port: int, off_port: int, *, hears_off: bool = False) -> None:
+    def __init__(
+        self, app: ASGIApp, key: str, port: int, off_port: int, *, is_off_server: bool = False
+    ) -> None:
         self._app, self._key = app, key
-        self._refused = static("refused.html")
-        hosts, off_hosts = ([f"{name}:{one}" for name in _NAMES] for one in (port, off_port))
-        self._hosts = off_hosts if hears_off else hosts
+        self._refused_page = static("refused.html")
+        hosts, off_hosts = ([f"{name}:{number}" for name in _NAMES] for number in (port, off_port))
+        self._hosts = off_hosts if is_off_server else hosts
         self.origins = [f"http://{host}" for host in hosts]
         self._policy = _POLICY.replace("OFF_SWITCH", " ".join(f"http://{host}" for host in off_hosts))
         # browsers keep one set of cookies for all ports of a host
@@ -68,17 +70,17 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        refused = self._refusal(scope)
-        if refused is None:
+        response = self._own_response(scope)
+        if response is None:
             await self._app(scope, receive, self._with_policy(send))
         elif scope["type"] == "websocket":
             # closed before it was accepted, which the browser sees as 403
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await refused(scope, receive, send)
+            await response(scope, receive, send)
 
-    def _refusal(self, scope: Scope) -> Response | None:
-        """The answer to who may not enter, or has just come with the key; None for who may."""
+    def _own_response(self, scope: Scope) -> Response | None:
+        """A refusal, or the cookie for a request with the key; None for a request that is admitted."""
         headers = Headers(scope=scope)
         origin = headers.get("origin")
         if headers.get("host", "") not in self._hosts:
@@ -96,20 +98,20 @@ class Guard:
                 return answer
         if self._has_key(headers.get("cookie", "")):
             return None
-        return HTMLResponse(self._refused, http.HTTPStatus.FORBIDDEN)
+        return HTMLResponse(self._refused_page, http.HTTPStatus.FORBIDDEN)
 
     def _has_key(self, cookies: str) -> bool:
-        # Python's own parser gives up at the first cookie, of whatever program, that is not well formed
-        parts = (part.strip().partition("=") for part in cookies.split(";"))
-        return any(self._is_key(value) for name, _, value in parts if name == self._cookie)
+        # Python's own parser stops at the first cookie, of any program, that is not well formed
+        pairs = (cookie.strip().partition("=") for cookie in cookies.split(";"))
+        return any(self._is_key(value) for name, _, value in pairs if name == self._cookie)
 
-    def _is_key(self, stated: str) -> bool:
-        return hmac.compare_digest(stated.encode(), self._key.encode())
+    def _is_key(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode(), self._key.encode())
 
     def _with_policy(self, send: Send) -> Send:
         policy = self._policy
 
-        async def passed(message: dict[str, object]) -> None:
+        async def send_with_policy(message: dict[str, object]) -> None:
             if message["type"] == "http.response.start":
                 headers = message.setdefault("headers", [])
                 assert isinstance(headers, list)
@@ -119,13 +121,13 @@ class Guard:
                 ]
             await send(message)
 
-        return passed  # type: ignore[return-value]
+        return send_with_policy  # type: ignore[return-value]
 
 
 _log = logging.getLogger(__name__)
-_PORT = 8642
-_MOST_PX = 2000
-_GOODBYE_S = 3
+_DEFAULT_PORT = 8642
+_MIN_PX, _MAX_PX, _MAX_ZOOM = 16, 2000, 64.0
+_SHUTDOWN_S = 3
 
 
 def open_desk(
@@ -138,12 +140,12 @@ def open_desk(
 ) -> int:
     """Serve the desk of a configuration until Ctrl-C; a session that it has started goes on.
 
-    `port` 0 is the last one, the usual one, or any. The runs of an `archive` that is there are listed, too.
-    The address with its key is printed on stdout. Raises ConfigurationError where a desk of this
-    configuration is open already.
+    `port` 0 stands for the last port, else the default one, else any. The runs of an `archive`, if it exists,
+    are listed as well. The address with its key is printed on stdout. Raises ConfigurationError if a desk of
+    this configuration is open already.
     """
     desk = Desk(source, overrides, archive)
-    desk.place.hold(desk.config.session.output)
+    desk.store.hold(desk.config.session.output)
     try:
         check_wiring(desk.config.laser, desk.config.controller)
         return _serve(desk, port, browser=browser)
@@ -152,36 +154,35 @@ def open_desk(
 
 
 def _serve(desk: Desk, port: int, *, browser: bool) -> int:
-    listening, hearing_off = _listening(port, desk.place.port), socket.create_server((LOOPBACK, 0))
-    number, off_port = (int(one.getsockname()[1]) for one in (listening, hearing_off))
+    page_socket, off_socket = _bound_socket(port, desk.store.port), socket.create_server((LOOPBACK, 0))
+    page_port, off_port = (int(bound.getsockname()[1]) for bound in (page_socket, off_socket))
     app = _application(desk, off_port)
-    title = f"rig desk {desk.source.name}"
     ui.run_with(
         app,
-        title=title,
+        title=f"rig desk {desk.source.name}",
         dark=None,
         language="en-US",
         show_welcome_message=False,
         tailwind=False,
-        # on a loaded machine a browser answers late: what is pressed on a page given up by then is lost
+        # a browser on a busy machine answers late; presses on a page that was deleted by then would be lost
         reconnect_timeout=DEAD_S,
     )
-    guard = Guard(app, desk.place.key, number, off_port)
-    of_off = CORSMiddleware(_light_off(desk), guard.origins, allow_credentials=True)
-    off_guard = Guard(of_off, desk.place.key, number, off_port, hears_off=True)
-    # it logs as the page's server does
+    guard = Guard(app, desk.store.key, page_port, off_port)
+    off_app = CORSMiddleware(_off_application(desk), guard.origins, allow_credentials=True)
+    off_guard = Guard(off_app, desk.store.key, page_port, off_port, is_off_server=True)
+    # without a log configuration it logs as the page's server does
     off_settings = uvicorn.Config(off_guard, log_config=None, access_log=False, lifespan="off")
-    # when the page's server starts, NiceGUI looks through all servers there are, and fails at one not loaded
+    # when the page's server starts, NiceGUI inspects all servers, and fails at one that is not loaded
     off_settings.load()
-    switch = uvicorn.Server(off_settings)
+    off_server = uvicorn.Server(off_settings)
     threading.Thread(
-        target=switch.run, kwargs={"sockets": [hearing_off]}, name="off switch", daemon=True
+        target=off_server.run, kwargs={"sockets": [off_socket]}, name="off switch", daemon=True
     ).start()
     desk.safety.start()
-    desk.following.start()
+    desk.follower.start()
     desk.alarming.start()
-    address = f"http://{LOOPBACK}:{number}/?key={desk.place.key}"
-    desk.place.opened_at(address, number)
+    address = f"http://{LOOPBACK}:{page_port}/?key={desk.store.key}"
+    desk.store.opened_at(address, page_port)
     print(address, flush=True)
     say("the desk is at this address, in a browser on this machine; Ctrl-C ends it, sessions go on")
     if browser:
@@ -192,34 +193,34 @@ def _serve(desk: Desk, port: int, *, browser: bool) -> int:
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",
-        # on one machine that would cost more than it saves
+        # on one machine compression costs more than it saves
         ws_per_message_deflate=False,
-        # who reads slowly holds nothing up
-        timeout_graceful_shutdown=_GOODBYE_S,
+        # a slow reader does not delay the end
+        timeout_graceful_shutdown=_SHUTDOWN_S,
     )
     server = uvicorn.Server(settings)
 
-    def hung_up() -> None:
+    def end() -> None:
         server.should_exit = True
 
     try:
-        with contextlib.suppress(KeyboardInterrupt), call_on_hang_up(hung_up):
-            server.run(sockets=[listening])
+        with contextlib.suppress(KeyboardInterrupt), call_on_hang_up(end):
+            server.run(sockets=[page_socket])
     finally:
-        switch.should_exit = True
+        off_server.should_exit = True
     return 0
 
 
-def _light_off(desk: Desk) -> FastAPI:
-    """An application that hears LIGHT OFF."""
+def _off_application(desk: Desk) -> FastAPI:
+    """An application that answers LIGHT OFF alone."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
 
     @app.post(DARK)
     async def dark(request: Request) -> Response:
         try:
-            # a thread of its own: those of a pool may all be waiting
-            off = run_in_thread(desk.lighting.off, urllib.parse.unquote(request.url.query))
-            problems = await asyncio.wrap_future(off)
+            # a thread of its own: all threads of a pool may be waiting
+            problems_future = run_in_thread(desk.lighting.off, urllib.parse.unquote(request.url.query))
+            problems = await asyncio.wrap_future(problems_future)
         except Exception:
             _log.exception("LIGHT OFF has failed")
             problems = ["the desk has failed: turn the key switch"]
@@ -229,18 +230,19 @@ def _light_off(desk: Desk) -> FastAPI:
 
 
 def _application(desk: Desk, off_port: int) -> FastAPI:
-    app = _light_off(desk)
+    app = _off_application(desk)
 
     @app.get("/picture")
     async def picture(width: int = 900, height: int = 600, zoom: float = 1.0) -> Response:
-        size = (max(16, min(width, _MOST_PX)), max(16, min(height, _MOST_PX)))
-        data = await run_in_threadpool(picture_now, desk, *size, max(1.0, min(zoom, 64.0)))
-        return Response(data, media_type="image/png", headers={"Cache-Control": "no-store"})
+        width_px, height_px = (max(_MIN_PX, min(size, _MAX_PX)) for size in (width, height))
+        zoom = max(1.0, min(zoom, _MAX_ZOOM))
+        png = await run_in_threadpool(picture_now, desk, width_px, height_px, zoom)
+        return Response(png, media_type="image/png", headers={"Cache-Control": "no-store"})
 
     @app.get(SERVED + "/{name:path}")
     async def session_file(name: str) -> Response:
         path = served_file(desk.config.session.output, name)
-        # a session may come from anywhere: its page runs no script, and is no part of the desk's
+        # a session may be anybody's: its page runs no script, and has no access to the desk's
         sandbox = {"Content-Security-Policy": "sandbox allow-popups allow-downloads"}
         if path is None:
             return Response(status_code=404)
@@ -257,21 +259,23 @@ def _application(desk: Desk, off_port: int) -> FastAPI:
     return app
 
 
-def _listening(asked: int, last: int) -> socket.socket:
-    """A socket that is bound; raises ConfigurationError if the port asked for is taken."""
-    why: OSError | None = None
-    for number in (asked,) if asked else dict.fromkeys((last or _PORT, _PORT, 0)):
-        listening = socket.socket()
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listening.bind((LOOPBACK, number))
-            # from now on a browser waits instead of being refused
-            listening.listen(64)
-        except OSError as error:
-            listening.close()
-            why = error
-            continue
-        return listening
-    raise ConfigurationError(
-        f"--port {asked}: {getattr(why, 'strerror', None) or why}; name another, or leave it out"
+def _bound_socket(stated_port: int, last_port: int) -> socket.socket:
+    """A socket that listens at the stated port; if that is 0, at the last port, the default port, or any."""
+    candidates = (
+        (stated_port,) if stated_port else dict.fromkeys((last_port or _DEFAULT_PORT, _DEFAULT_PORT, 0))
     )
+    problem: OSError | None = None
+    for port in candidates:
+        bound = socket.socket()
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind((LOOPBACK, port))
+            # from now on a browser waits instead of being refused
+            bound.listen(64)
+        except OSError as error:
+            bound.close()
+            problem = error
+            continue
+        return bound
+    reason = getattr(problem, "strerror", None) or problem
+    raise ConfigurationError(f"--port {stated_port}: {reason}; name another, or leave it out")

@@ -1,4 +1,4 @@
-"""Tables of the desk, lists, and bars against limits, as HTML text; files of the page that are not Python."""
+"""HTML of the desk: texts, tables, bars against limits, and the static files of the page."""
 
 import html
 import math
@@ -33,38 +33,38 @@ def table(rows: Sequence[Sequence[str]], label: str) -> str:
 
 
 class LimitBar(NamedTuple):
-    """A number beside its limit, as a bar.
-
-    `part` and `limit_part` are the number and its limit as parts of the full bar; `part` is None for an
-    unknown number. `kind` is the class of its colour: go, no, caution or dim. `shown` is the number as text,
-    `note` a remark below it.
-    """
+    """A number beside its limit, as a bar."""
 
     name: str
-    shown: str
-    part: float | None
-    limit_part: float | None
+    text: str
+    """The number as text."""
+    fraction: float | None
+    """The number as a fraction of the full bar; None if it is unknown."""
+    limit_fraction: float | None
+    """The limit as a fraction of the full bar; None without a limit."""
     kind: str
+    """Class of its colour: go, no, caution or dim."""
     note: str = ""
+    """A remark below it."""
 
 
 def bars(rows: Sequence[LimitBar], label: str) -> str:
     """Bars one below the other; a screen reader reads name, number and note of each."""
     lines = []
     for row in rows:
-        filled = 0.0 if row.part is None else 100 * min(max(abs(row.part), 0.0), 1.0)
-        limit = "" if row.limit_part is None else f"<b style='left: {100 * row.limit_part:.1f}%'></b>"
+        width = 0.0 if row.fraction is None else 100 * min(abs(row.fraction), 1.0)
+        limit = "" if row.limit_fraction is None else f"<b style='left: {100 * row.limit_fraction:.1f}%'></b>"
         lines.append(
             f"<span>{html.escape(row.name)}</span><span class='track {row.kind}'>"
-            f"<i style='width: {filled:.1f}%'></i>{limit}</span>"
-            f"<span class='{row.kind}'>{html.escape(row.shown)}</span>"
+            f"<i style='width: {width:.1f}%'></i>{limit}</span>"
+            f"<span class='{row.kind}'>{html.escape(row.text)}</span>"
             + (f"<span class='note'>{html.escape(row.note)}</span>" if row.note else "")
         )
     return f"<div class='against' role='group' aria-label='{html.escape(label)}'>{''.join(lines)}</div>"
 
 
 def against_limit(value: float | None, limit: float) -> tuple[float | None, float]:
-    """A number and its limit as parts of a bar whose end is three times the limit, or the number."""
+    """A number and its limit as fractions of a bar that ends at three times the limit, or at the number."""
     if value is None or not math.isfinite(value):
         return None, 1 / 3
     end = max(3 * limit, abs(value)) or 1.0

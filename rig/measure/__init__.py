@@ -10,7 +10,7 @@ from rig.measure.plain_record import (
     take_frames,
 )
 from rig.measure.posterior_worker import FIRST_HALF_CYCLES
-from rig.measure.run import LEAST_FREE_BYTES
+from rig.measure.run import MIN_FREE_BYTES
 from rig.measure.run_status import estimate_texts
 from rig.measure.session import measure_session, resume_session, session_folder
 from rig.measure.session_file import STATE_NAME, RunState, is_in_use, read_session

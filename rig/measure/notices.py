@@ -1,4 +1,4 @@
-"""Notifies absent people of an alarm, the end or the failure of a session, by calling a command."""
+"""Notices to absent people by a command, and the wait for better conditions after a no-go."""
 
 import datetime
 import shutil
@@ -13,21 +13,22 @@ from acquisition.record.events import Severity
 from processing.errors import ConfigurationError
 from rig.instrument import RecordContents
 from rig.interruption import reason_of
+from rig.measure.preflight import rest_checks
 from rig.settings import Configuration, PreflightSettings, SessionSettings
 from rig.terminal import say
 
 _MAX_CALL_S = 20.0
-_LAST_WAIT_S = 10.0
+_MAX_LAST_WAIT_S = 10.0
 _MAX_ALARMS = 20
-"""Alarms that one session sends at most: a contact that bounces must not call somebody a thousand times."""
+"""Most alarms that one session sends: a contact that bounces must not call somebody a thousand times."""
 
 
 class Notices:
     """Sends notices: calls `session.notify_command` with kind, text and folder as its last arguments.
 
-    Each call has a thread of its own, so that one that hangs delays nothing. As a watcher of runs it sends
-    events at the level of an alarm or a trip. `failures` holds the causes that a notice of failure states. As
-    a context manager it sends the error that ends the context, and waits until all notices are sent.
+    Each call has a thread of its own, so that one that hangs delays nothing. `failures` holds the causes that
+    a notice of failure states. As a context manager it sends the error that ends the context, and waits until
+    all notices are sent.
     """
 
     def __init__(self, settings: SessionSettings, folder: Path) -> None:
@@ -49,9 +50,9 @@ class Notices:
     def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
         """Send a notice; returns at once."""
         if self._command:
-            words = (kind, text, str(self._folder.absolute()))
+            arguments = (kind, text, str(self._folder.absolute()))
             name = f"session.notify_command: {self._command[0]}"
-            thread = threading.Thread(target=self._run, args=words, name=name, daemon=True)
+            thread = threading.Thread(target=self._run, args=arguments, name=name, daemon=True)
             thread.start()
             self.calls.append(thread)
 
@@ -65,52 +66,43 @@ class Notices:
             self.tell("end", "every run was measured and fitted")
 
     def wait(self) -> None:
-        """Wait until all notices are sent, at most `_LAST_WAIT_S`: the program is about to end."""
-        end_s = time.monotonic() + _LAST_WAIT_S
+        """Wait until all notices are sent, at most `_MAX_LAST_WAIT_S`: the program is about to end."""
+        deadline_s = time.monotonic() + _MAX_LAST_WAIT_S
         for thread in self.calls:
-            thread.join(max(0.0, end_s - time.monotonic()))
-        for who in {thread.name for thread in self.calls if thread.is_alive()}:
-            say(
-                f"{who} did not answer within {_LAST_WAIT_S:g} s: it is unknown whether the message arrived",
-                error=True,
-            )
+            thread.join(max(0.0, deadline_s - time.monotonic()))
+        for command in {thread.name for thread in self.calls if thread.is_alive()}:
+            silence = f"did not answer within {_MAX_LAST_WAIT_S:g} s"
+            say(f"{command} {silence}: it is unknown whether the message arrived", error=True)
 
     def take(self, recorded: RecordContents) -> None:
-        """Send the events of a run whose level is an alarm or a trip."""
+        """Send the events of a run, which this object watches, whose level is an alarm or a trip."""
         for event in recorded.events:
             if event.level in (Severity.TRIP, Severity.ALARM) and self._alarms < _MAX_ALARMS:
                 self._alarms += 1
                 self.tell("alarm", event.line)
 
-    def _run(self, *words: str) -> None:
-        quiet = subprocess.DEVNULL
+    def _run(self, *arguments: str) -> None:
+        null = subprocess.DEVNULL
         try:
-            done = subprocess.run(
-                [*self._command, *words],
-                stdin=quiet,
-                stdout=quiet,
-                stderr=quiet,
+            status = subprocess.run(
+                [*self._command, *arguments],
+                stdin=null,
+                stdout=null,
+                stderr=null,
                 timeout=_MAX_CALL_S,
                 check=False,
-            )
+            ).returncode
         except subprocess.TimeoutExpired:
             say(f"session.notify_command: {self._command[0]} was ended after {_MAX_CALL_S:g} s", error=True)
         except (OSError, ValueError) as error:
             say(f"session.notify_command: {error}", error=True)
         else:
-            if done.returncode:
-                say(f"session.notify_command: {self._command[0]} ended with {done.returncode}", error=True)
-
-
-_MIN_GROUND_S = 60.0
-"""Shortest look at the resting pendulum that holds the eight periods which the ground's drive needs."""
+            if status:
+                say(f"session.notify_command: {self._command[0]} ended with {status}", error=True)
 
 
 class PreflightWait:
-    """Waits after a no-go of the preflight as `[preflight]` states; `over` once `wait_max_s` is used up.
-
-    `since` is the time of the day of the first no-go of a run; the session empties it after the run.
-    """
+    """Waits after a no-go of the preflight, as `[preflight]` states; `name` says what waits, in messages."""
 
     def __init__(
         self,
@@ -119,28 +111,31 @@ class PreflightWait:
         now_s: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._name, self._now_s, self._sleep = name, now_s, sleep
+        self._name, self._now_s, self._sleep, self._waited_s = name, now_s, sleep, 0.0
         self._interval_s, self._max_s = preflight.try_every_s, preflight.wait_max_s
-        self._waited_s, self.since, self.over = 0.0, "", False
+        self.first_no_go = ""
+        """Time of day of the first no-go of the present run; the session empties it after the run."""
+        self.is_used_up = False
+        """Whether a run was given up because the longest wait is over."""
 
     def __call__(self, why: str) -> bool:
         """Wait before the next try of a run refused for the reason `why`; returns whether to try again."""
         left_s = self._max_s - self._waited_s
         if left_s <= 0:
-            self.over = True
+            self.is_used_up = True
             if self._max_s:
                 say(f"{self._name}: not ready within {self._max_s:g} s: {why}", error=True)
             return False
-        self.since = self.since or f"{datetime.datetime.now().astimezone():%H:%M}"
-        say(f"{self._name}: waiting since {self.since}: {why}")
-        begun_s = self._now_s()
+        self.first_no_go = self.first_no_go or f"{datetime.datetime.now().astimezone():%H:%M}"
+        say(f"{self._name}: waiting since {self.first_no_go}: {why}")
+        began_s = self._now_s()
         self._sleep(min(self._interval_s, left_s))
-        self._waited_s += self._now_s() - begun_s
+        self._waited_s += self._now_s() - began_s
         return True
 
 
 def check_notices(config: Configuration) -> None:
-    """Raise ConfigurationError if there is no such program: its first notice would be that of an alarm."""
+    """Raise ConfigurationError for a notice command that is no program, before an alarm needs it."""
     command = config.session.notify_command
     if command and shutil.which(command[0]) is None:
         raise ConfigurationError(
@@ -155,25 +150,27 @@ def check_waiting(config: Configuration) -> None:
     if not preflight.wait_max_s:
         return
 
-    def stated(*names: str) -> str:
-        return next((name for name in names if getattr(preflight, name) != getattr(defaults, name)), "")
+    def first_changed(*keys: str) -> str:
+        return next((key for key in keys if getattr(preflight, key) != getattr(defaults, key)), "")
 
-    who = f"preflight.wait_max_s = {preflight.wait_max_s:g}"
+    stated = f"preflight.wait_max_s = {preflight.wait_max_s:g}"
     if preflight.when == "never":
-        raise ConfigurationError(f'{who}: has no effect with preflight.when = "never"')
-    air_key = stated("min_humidity_percent", "max_humidity_percent", "min_temperature_c", "max_temperature_c")
+        raise ConfigurationError(f'{stated}: has no effect with preflight.when = "never"')
+    air_key = first_changed(
+        "min_humidity_percent", "max_humidity_percent", "min_temperature_c", "max_temperature_c"
+    )
     if air_key and config.environment_sensor.kind == "none":
         raise ConfigurationError(
-            f"{who}: preflight.{air_key} needs a sensor of the air: see [environment_sensor]"
+            f"{stated}: preflight.{air_key} needs a sensor of the air: see [environment_sensor]"
         )
-    rest_key = stated("max_ground_rad_per_s2_rthz", "max_vibration_arcsec")
+    rest_key = first_changed("max_ground_rad_per_s2_rthz", "max_vibration_arcsec")
     if rest_key and (config.start.way == "at once" or config.lever is None):
         raise ConfigurationError(
-            f"{who}: preflight.{rest_key} needs a pendulum at rest and [lever]:"
+            f"{stated}: preflight.{rest_key} needs a pendulum at rest and [lever]:"
             " set start.way to 'by hand', 'magnet' or 'starter'"
         )
-    if preflight.max_ground_rad_per_s2_rthz is not None and preflight.duration_s < _MIN_GROUND_S:
+    if preflight.max_ground_rad_per_s2_rthz is not None and preflight.duration_s < rest_checks.MIN_GROUND_S:
         raise ConfigurationError(
-            f"{who}: preflight.max_ground_rad_per_s2_rthz needs eight periods at rest: set "
-            f"preflight.duration_s to {_MIN_GROUND_S:g} or more, it is {preflight.duration_s:g}"
+            f"{stated}: preflight.max_ground_rad_per_s2_rthz needs eight periods at rest: set "
+            f"preflight.duration_s to {rest_checks.MIN_GROUND_S:g} or more, it is {preflight.duration_s:g}"
         )

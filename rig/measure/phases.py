@@ -14,23 +14,30 @@ from acquisition.record.topics import RecordedPhase
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError, RecordError
 from processing.noise_models import robust_scatter
-from processing.units import ARCSEC_RAD, NS_PER_S, nanoseconds
+from processing.units import ARCSEC_RAD, nanoseconds
+from rig.control import Controller
 from rig.devices import AuditEntry, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
 from rig.instrument import Optics, Phase
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
-from rig.measure.recent_frames import PhaseWait, RecentFrames, WaitStopped, Watch
+from rig.measure.recent_frames import FrameWatch, PhaseWait, RecentFrames, WaitStopped
 from rig.settings import Configuration
 from rig.terminal import Verdict, failures
 
-_PREFLIGHT_FRAMES = 100
-"""Number of frames that the preflight of a run without a rest phase looks at."""
-_RESTING_FRAMES = 110
-"""Number of frames that the preflight at rest looks at, at least; a few more than noise and spectrum need."""
-_BRAKE_AGAIN_NS = 2_000_000_000
+_MIN_FRAMES_AT_ONCE = 100
+"""Fewest frames of the preflight of a run without a rest phase."""
+_MIN_FRAMES_AT_REST = 110
+"""Fewest frames of the preflight at rest; a few more than noise and spectrum need."""
+_MIN_BRAKE_INTERVAL_NS = 2_000_000_000
 """Shortest time between two commands that close the brake."""
-_RESTING_NOISES = 6.0
+_MAX_REST_SPREAD_SIGMA = 6.0
 """Limit of half the range at rest, in standard deviations of one frame; noise alone stays below it."""
+_MIN_RELEASE_SIGMA = 8.0
+"""Smallest motion that is taken for a release, in standard uncertainties of one deflection."""
+_REST_POSITION_NS = 1_000_000_000
+"""Time span of which the rest position before a release is the median."""
+_FRAMES_MOVED = 2
+"""Frames in a row, away from the rest position, that show the release."""
 
 
 class NoGo(DataError):
@@ -45,8 +52,8 @@ class PhasesBeforeRecord:
     """Runs the phases before the record of a run; `run` is called for every attempt at a start.
 
     `verdicts` is the preflight table, `starter_pulse_s` the pulse of the next attempt. With `force` a failed
-    preflight is recorded and the run continues. `folder` is the folder of the record, whose free disk space
-    is checked. `watch` receives the frames meanwhile.
+    preflight is recorded and the run continues. The free disk space of `folder`, that of the record, is
+    checked. `watch` receives the frames meanwhile.
     """
 
     def __init__(
@@ -59,23 +66,17 @@ class PhasesBeforeRecord:
         *,
         force: bool = False,
         show_table: Callable[[Sequence[Verdict]], None] = lambda _: None,
-        watch: Watch | None = None,
+        watch: FrameWatch | None = None,
     ) -> None:
-        self._config = config
-        self._devices = devices
-        self._camera = camera
-        self._optics = optics
-        self._folder = folder
-        self._force = force
-        self._show_table = show_table
-        self._watch = watch
+        self._config, self._devices, self._camera, self._optics = config, devices, camera, optics
+        self._folder, self._force, self._show_table, self._watch = folder, force, show_table, watch
         self._unit = optics.unit
         self.verdicts: list[Verdict] = []
         self.starter_pulse_s = config.start.starter_pulse_s
-        self._attempt = 0
-        self._warm = False
+        self._attempts = 0
+        self._is_warm = False
         if config.start.by_controller:
-            # checked now: hours of warm-up and rest would be in vain without a controller
+            # before hours of warm-up and rest, which would be in vain without a controller
             devices.required_control(f"start.way = {config.start.way!r}")
 
     def run(
@@ -89,33 +90,32 @@ class PhasesBeforeRecord:
         config = self._config
         window_s = max(config.phases.rest_window_s, config.phases.warm_up_window_s, _preflight_s(config))
         # the preflight needs whole frames, not deflections alone
-        kept_s = max(config.start.pretrigger_s, _preflight_s(config))
-        frames = RecentFrames(stream, self._optics, kept_s, window_s, self._watch)
+        frames_s = max(config.start.pretrigger_s, _preflight_s(config))
+        frames = RecentFrames(stream, self._optics, frames_s, window_s, self._watch)
         self._wait = PhaseWait(frames, report, stop)
-        self._attempt += 1
+        self._attempts += 1
         try:
             if config.start.way == "at once":
                 self._preflight_at_once()
                 return frames.frames, self._wait.events
             self._come_to_rest()
             self._warm_up()
-            if self._attempt == 1:
+            if self._attempts == 1:
                 self._preflight_at_rest()
             self._release()
         except WaitStopped:
             return [], self._wait.events
         finally:
             self._brake(False)
-        kept_from_ns = frames.now_ns - nanoseconds(config.start.pretrigger_s)
-        return [frame for frame in frames.frames if frame.time_ns >= kept_from_ns], self._wait.events
+        first_ns = frames.now_ns - nanoseconds(config.start.pretrigger_s)
+        return [frame for frame in frames.frames if frame.time_ns >= first_ns], self._wait.events
 
     def check_alone(
         self, stream: FrameStream, report: Callable[[RecordedPhase], None], stop: StopRequest
     ) -> None:
         """Make the preflight table of the pendulum as it hangs or swings, without a run; none if stopped."""
-        seconds = _preflight_s(self._config)
-        frames = RecentFrames(stream, self._optics, seconds, seconds)
-        self._wait = PhaseWait(frames, report, stop)
+        duration_s = _preflight_s(self._config)
+        self._wait = PhaseWait(RecentFrames(stream, self._optics, duration_s, duration_s), report, stop)
         with suppress(NoGo, WaitStopped):
             if self._config.start.way == "at once":
                 self._preflight_at_once()
@@ -123,11 +123,11 @@ class PhasesBeforeRecord:
                 self._preflight_at_rest()
 
     def correct_starter(self, first_amplitude: float) -> None:
-        """Scale the next starter pulse by the amplitude that the last gave; unchanged if that is in px."""
-        wanted_rad = self._config.session.initial_amplitude_arcsec * ARCSEC_RAD
-        wanted_rad *= 0.5 * (self._config.start.lowest_amplitude + self._config.start.highest_amplitude)
+        """Scale the next starter pulse by the `first_amplitude` of the last; unchanged if that is in px."""
+        target_rad = self._config.session.initial_amplitude_arcsec * ARCSEC_RAD
+        target_rad *= 0.5 * (self._config.start.lowest_amplitude + self._config.start.highest_amplitude)
         if first_amplitude > 0 and self._unit is DeflectionUnit.RAD:
-            factor = min(2.0, max(0.5, wanted_rad / first_amplitude))
+            factor = min(2.0, max(0.5, target_rad / first_amplitude))
             self.starter_pulse_s = min(self.starter_pulse_s * factor, self._config.controller.starter_max_s)
 
     def _come_to_rest(self) -> None:
@@ -135,30 +135,26 @@ class PhasesBeforeRecord:
 
         Without a lever the limit follows from the noise between successive frames.
         """
-        phases, shown = self._config.phases, self._unit.shown
+        phases, frames = self._config.phases, self._wait.frames
         window_ns = nanoseconds(phases.rest_window_s)
-        braked_ns = -_BRAKE_AGAIN_NS
-        begun_ns = 0
+        brake_due_ns = 0
 
-        def at_rest() -> bool:
-            nonlocal braked_ns, begun_ns
-            frames = self._wait.frames
-            begun_ns = begun_ns or frames.now_ns
+        def at_rest(elapsed_s: float) -> bool:
+            nonlocal brake_due_ns
             recent = frames.since(frames.now_ns - window_ns)
             recent = recent[recent.found]
-            if frames.now_ns - begun_ns < window_ns or len(recent) < 2:
-                watched_s = (frames.now_ns - begun_ns) / NS_PER_S
-                self._wait.progress = f"{watched_s:.0f} of {phases.rest_window_s:g} s"
+            if elapsed_s < phases.rest_window_s or len(recent) < 2:
+                self._wait.progress = f"{elapsed_s:.0f} of {phases.rest_window_s:g} s"
                 return False
             spread = 0.5 * max(np.ptp(recent.shown_x), np.ptp(recent.shown_y))
             limit = phases.rest_limit_arcsec
             if self._unit is DeflectionUnit.PX:
-                limit = _RESTING_NOISES * max(_frame_noise(recent.x), _frame_noise(recent.y))
-            self._wait.progress = f"spread {spread:.2f} {shown} (limit {limit:.3g})"
+                limit = _MAX_REST_SPREAD_SIGMA * max(_frame_noise(recent.x), _frame_noise(recent.y))
+            self._wait.progress = f"spread {spread:.2f} {self._unit.shown} (limit {limit:.3g})"
             if spread <= limit:
                 return True
-            if frames.now_ns - braked_ns >= _BRAKE_AGAIN_NS and spread > 2 * limit:
-                braked_ns = frames.now_ns
+            if frames.now_ns >= brake_due_ns and spread > 2 * limit:
+                brake_due_ns = frames.now_ns + _MIN_BRAKE_INTERVAL_NS
                 self._brake(True)
             elif spread <= 2 * limit:
                 self._brake(False)
@@ -169,19 +165,17 @@ class PhasesBeforeRecord:
 
     def _warm_up(self) -> None:
         """Wait until the drift of the resting spot is small, if this program switches the laser on."""
-        laser, phases = self._config.laser, self._config.phases
-        if laser.kind == "none" or self._warm:
+        laser, phases, frames = self._config.laser, self._config.phases, self._wait.frames
+        if laser.kind == "none" or self._is_warm:
             return
-        window_ns = nanoseconds(phases.warm_up_window_s)
-        begun_ns = self._wait.frames.now_ns
+        window_s = phases.warm_up_window_s
+        min_s = max(window_s, laser.warm_up_min_s)
 
-        def warm() -> bool:
-            frames = self._wait.frames
-            since_ns, least_ns = frames.now_ns - begun_ns, max(window_ns, laser.warm_up_min_s * NS_PER_S)
-            if since_ns < least_ns:
-                self._wait.progress = f"{since_ns / NS_PER_S:.0f} of {least_ns / NS_PER_S:g} s"
+        def warm(elapsed_s: float) -> bool:
+            if elapsed_s < min_s:
+                self._wait.progress = f"{elapsed_s:.0f} of {min_s:g} s"
                 return False
-            recent = frames.since(frames.now_ns - window_ns)
+            recent = frames.since(frames.now_ns - nanoseconds(window_s))
             drift = max(
                 _drift_per_min(recent.times_s, recent.shown_x), _drift_per_min(recent.times_s, recent.shown_y)
             )
@@ -194,27 +188,23 @@ class PhasesBeforeRecord:
             return drift <= limit
 
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)
-        self._warm = True
+        self._is_warm = True
 
     def _preflight_at_once(self) -> None:
         frames = self._wait.frames
-        self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _PREFLIGHT_FRAMES)
+        self._wait.until_reached(
+            Phase.PREFLIGHT, math.inf, lambda _: frames.frames_taken >= _MIN_FRAMES_AT_ONCE
+        )
         self._check(resting=False)
 
     def _preflight_at_rest(self) -> None:
         if not preflight_wanted(self._config):
             return
-        frames = self._wait.frames
-        begun_ns = frames.now_ns
-        duration_ns = nanoseconds(_preflight_s(self._config))
+        duration_s = _preflight_s(self._config)
 
-        def long_enough() -> bool:
-            nonlocal begun_ns
-            # `now_ns` is 0 before the first frame
-            begun_ns = begun_ns or frames.now_ns
-            looked_ns = frames.now_ns - begun_ns
-            self._wait.progress = f"{looked_ns / NS_PER_S:.0f} of {duration_ns / NS_PER_S:g} s"
-            return looked_ns >= duration_ns
+        def long_enough(elapsed_s: float) -> bool:
+            self._wait.progress = f"{elapsed_s:.0f} of {duration_s:g} s"
+            return elapsed_s >= duration_s
 
         self._wait.until_reached(Phase.PREFLIGHT, math.inf, long_enough)
         self._check(resting=True)
@@ -222,20 +212,20 @@ class PhasesBeforeRecord:
     def _check(self, resting: bool) -> None:
         """Make the preflight table; raises NoGo if a check fails, unless forced.
 
-        Raises DeviceError instead if the laser has gone dark, whose frames show neither exposure nor beam.
+        Raises DeviceError instead if the laser has gone dark: then every check of its light fails.
         """
         if not preflight_wanted(self._config):
             return
         config, frames = self._config, self._wait.frames
         limits = config.preflight
-        look = frames.look(resting, _preflight_s(config))
+        trial = frames.trial(resting, _preflight_s(config))
         self.verdicts = [
             frame_checks.camera(self._camera.info.driver, self._camera.notes),
             frame_checks.shutter(
                 self._camera.info.shutter, config.shutter, config.axes, pulsed=config.laser.pulse_us > 0
             ),
             *frame_checks.check_trial_frames(
-                look,
+                trial,
                 config,
                 self._camera.info.full_scale_dn,
                 frames.window_bytes(),
@@ -243,8 +233,8 @@ class PhasesBeforeRecord:
             ),
             frame_checks.controller(self._devices.safety(), config.controller.kind != "none"),
             frame_checks.laser(self._devices.laser_report(), through_controller(config.laser)),
-            self._seismometer_verdict(look),
-            rest_checks.reference(look, config.reference, limits),
+            self._seismometer_verdict(trial),
+            rest_checks.reference(trial, config.reference, limits),
             frame_checks.air(
                 self._devices.environment(),
                 config.environment_sensor.kind != "none",
@@ -263,68 +253,66 @@ class PhasesBeforeRecord:
             self._devices.audit(AuditEntry.FORCE, f"preflight said no-go: {failed_checks}")
 
     def _raise_if_dark(self) -> None:
-        """Raise DeviceError if the laser that this program has lit is dark: the cause of a failed check."""
-        if self._devices.permit.expects_light and (why := self._devices.reported_darkness()):
+        """Raise DeviceError if the laser that this program has lit is dark, which is then the cause."""
+        if self._devices.permit.begun and (why := self._devices.reported_darkness()):
             raise DeviceError(f"the laser is dark: {why}; nothing was recorded")
 
-    def _seismometer_verdict(self, look: TrialFrames) -> Verdict:
+    def _seismometer_verdict(self, trial: TrialFrames) -> Verdict:
         """The verdict on the auxiliary seismometer during these frames."""
-        seismometer, stated = self._devices.seismometer, self._config.seismometer
+        seismometer, config = self._devices.seismometer, self._config
         samples = []
-        if seismometer is not None and look.frames:
-            samples = seismometer.recent(look.frames[-1], _preflight_s(self._config))
+        if seismometer is not None and trial.frames:
+            samples = seismometer.recent(trial.frames[-1], _preflight_s(config))
         problem = None if seismometer is None else seismometer.problem
-        return rest_checks.seismometer(look, problem, stated, samples, self._config.reference)
+        return rest_checks.seismometer(trial, problem, config.seismometer, samples, config.reference)
 
     def _release(self) -> None:
         """Release the pendulum or ask the operator to, and wait until it moves."""
         start = self._config.start
-        who = f"start.way = {start.way!r}"
         wait = self._wait
         instruction = ""
         rest, threshold = self._rest_position()
+
+        def command(call: Callable[[Controller], object]) -> None:
+            wait_for_command(self._devices.required_control(f"start.way = {start.way!r}").submit(call))
+
         if start.way == "magnet":
-            wait_for_command(self._devices.required_control(who).submit(lambda c: c.hold()))
+            command(lambda controller: controller.hold())
             self._come_to_rest()
-            free = rest
+            free_rest = rest
             rest, threshold = self._rest_position()
-            held = math.hypot(rest[0] - free[0], rest[1] - free[1])
-            distance = f"{held / self._unit.shown_size:.1f} {self._unit.shown}"
-            if not held > threshold:
+            offset = math.dist(rest, free_rest)
+            distance = f"{offset / self._unit.shown_size:.1f} {self._unit.shown}"
+            if not offset > threshold:
                 raise DataError(
                     f"the magnet does not hold the pendulum: the spot is {distance} "
                     "from its free rest position; check the magnet, its current and its distance"
                 )
             wait.note(EventKind.MAGNET, f"holds the pendulum at {distance}")
-            wait_for_command(self._devices.required_control(who).submit(lambda c: c.release()))
+            command(lambda controller: controller.release())
         elif start.way == "starter":
-            wait_for_command(
-                self._devices.required_control(who).submit(lambda c: c.starter_pulse(self.starter_pulse_s))
-            )
+            command(lambda controller: controller.starter_pulse(self.starter_pulse_s))
             wait.note(EventKind.STARTER, f"pulse of {self.starter_pulse_s:.3f} s")
         else:
             instruction = "release by hand now"
-        in_a_row = 0
+        frames_moved = 0
 
-        def moved() -> bool:
-            nonlocal in_a_row
-            x_now, y_now = wait.frames.newest
-            far = math.hypot(x_now - rest[0], y_now - rest[1]) > threshold
-            in_a_row = in_a_row + 1 if far else 0
-            return in_a_row >= 2
+        def moved(_: float) -> bool:
+            nonlocal frames_moved
+            frames_moved = frames_moved + 1 if math.dist(wait.frames.newest, rest) > threshold else 0
+            return frames_moved >= _FRAMES_MOVED
 
         wait.until_reached(Phase.RELEASE, self._config.phases.release_max_s, moved, instruction)
 
     def _rest_position(self) -> tuple[tuple[float, float], float]:
         """Median deflection (x, y) of the last second, and the smallest distance from it above noise."""
-        recent = self._wait.frames.since(self._wait.frames.now_ns - 1_000_000_000)
+        recent = self._wait.frames.since(self._wait.frames.now_ns - _REST_POSITION_NS)
         recent = recent[recent.found]
         if not len(recent):
             self._raise_if_dark()
             raise DataError("release: no spot was found for a second; check the laser and the beam path")
-        threshold = 8.0 * max(
-            robust_scatter(recent.x), robust_scatter(recent.y), float(np.median(recent.u_y))
-        )
+        noise = max(robust_scatter(recent.x), robust_scatter(recent.y), float(np.median(recent.u_y)))
+        threshold = _MIN_RELEASE_SIGMA * noise
         if self._unit is DeflectionUnit.RAD:
             threshold = max(self._config.start.trigger_arcsec * ARCSEC_RAD, threshold)
         return (float(np.median(recent.x)), float(np.median(recent.y))), threshold
@@ -334,18 +322,18 @@ class PhasesBeforeRecord:
         if control is None or self._config.start.way == "at once":
             return
         try:
-            wait_for_command(control.submit(lambda c: c.brake(on)))
+            wait_for_command(control.submit(lambda controller: controller.brake(on)))
         except DeviceError as error:
             self._wait.note(EventKind.BRAKE, str(error))
 
 
 def phases_wanted(config: Configuration) -> tuple[Phase, ...]:
     """The phases before the record of a run."""
-    look = (Phase.PREFLIGHT,) if preflight_wanted(config) else ()
+    preflight = (Phase.PREFLIGHT,) if preflight_wanted(config) else ()
     if config.start.way == "at once":
-        return look
+        return preflight
     warm_up = () if config.laser.kind == "none" else (Phase.WARM_UP,)
-    return Phase.REST, *warm_up, *look, Phase.RELEASE
+    return Phase.REST, *warm_up, *preflight, Phase.RELEASE
 
 
 def preflight_wanted(config: Configuration) -> bool:
@@ -357,8 +345,8 @@ def preflight_wanted(config: Configuration) -> bool:
 
 
 def _preflight_s(config: Configuration) -> float:
-    """Duration of watching the resting spot: longer with a slow camera, so that its frames suffice."""
-    return max(config.preflight.duration_s, _RESTING_FRAMES / (config.camera.frame_rate_hz or math.inf))
+    """Duration of the preflight at rest: longer with a slow camera, so that its frames suffice."""
+    return max(config.preflight.duration_s, _MIN_FRAMES_AT_REST / (config.camera.frame_rate_hz or math.inf))
 
 
 def _drift_per_min(times_s: np.ndarray, values: np.ndarray) -> float:

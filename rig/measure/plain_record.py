@@ -30,20 +30,13 @@ from rig.instrument import check_materials, complete
 from rig.measure.run import measure_run
 from rig.measure.run_parts import RunPlan, ready_for_frames
 from rig.settings import Configuration
-from rig.terminal import (
-    Verdict,
-    answer,
-    failures,
-    print_json_line,
-    print_line,
-    print_verdicts,
-    say,
-)
+from rig.terminal import Verdict, answer, failures, print_json_line, print_line, print_verdicts, say
 
 _TERMINAL = "a terminal"
-"""Place of the press, in the text of a trip."""
-_CONFIRMED_WITHIN_S, _LOOK_S = 3.0, 0.05
-"""Longest wait until a session has heard from its devices that they are dark, and between two looks at it."""
+"""Where LIGHT OFF was pressed, in the text of a trip."""
+_MAX_CONFIRMATION_S = 3.0
+"""Longest wait until a session has heard from its devices that they are dark."""
+_LOOK_INTERVAL_S = 0.05
 _DARK = (Light.OFF, Light.INTERLOCK_OPEN)
 _UNREACHED_ARCSEC = 1e-9
 """Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""
@@ -52,16 +45,16 @@ _UNREACHED_ARCSEC = 1e-9
 def record_plainly(config: Configuration, source: Path, record: Path, seconds: float | None = None) -> int:
     """Record one run without viewer and fits; returns the exit status 0.
 
-    With `seconds` the spot is recorded for that time as it is, moving or not: no preflight, no start.
+    With `seconds` the spot is recorded for that time, moving or not: no preflight, no start.
     The order socket of the folder shows the picture meanwhile. The record ends if the laser goes dark.
 
     Raises RigError if the recording fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
     """
     updates: dict[str, BaseModel] = {"view": config.view.model_copy(update={"mode": "none"})}
     if seconds is not None:
-        as_it_is = {"max_duration_s": seconds, "final_amplitude_arcsec": _UNREACHED_ARCSEC, "stop_when": ()}
+        limits = {"max_duration_s": seconds, "final_amplitude_arcsec": _UNREACHED_ARCSEC, "stop_when": ()}
         updates |= {
-            "session": config.session.model_copy(update=as_it_is),
+            "session": config.session.model_copy(update=limits),
             "preflight": config.preflight.model_copy(update={"when": "never"}),
             "start": config.start.model_copy(update={"way": "at once"}),
             # a person who only looks at the picture acknowledges no trip
@@ -96,10 +89,10 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
         frames = read_frames(opened.camera, count, config.camera.patience_s)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write.atomic_folder(folder) as beside:
+        with atomic_write.atomic_folder(folder) as unfinished:
             for number, frame in enumerate(frames):
                 name = f"{number:03d}.png"
-                (beside / name).write_bytes(png_of(frame.image, folder / name))
+                (unfinished / name).write_bytes(png_of(frame.image, folder / name))
     except OSError as error:
         raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return folder
@@ -137,18 +130,15 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
         print_json_line("preflight", {"table": verdicts})
     else:
         print_verdicts(Console(), verdicts)
-    against = failures(verdicts)
-    if against:
-        say(f"no-go: {against}")
-    return 1 if against or not verdicts else 0
+    if failed_checks := failures(verdicts):
+        say(f"no-go: {failed_checks}")
+    return 1 if failed_checks or not verdicts else 0
 
 
 def _existing_output_folder(config: Configuration) -> Path:
     """The nearest existing folder on the path to which a record would be written."""
-    place = config.session.output.absolute()
-    while not place.exists():
-        place = place.parent
-    return place
+    folder = config.session.output.absolute()
+    return next(path for path in (folder, *folder.parents) if path.exists())
 
 
 def show_light(config: Configuration) -> int:
@@ -161,14 +151,14 @@ def show_light(config: Configuration) -> int:
 def _print_state(config: Configuration, now: SafetyNow) -> None:
     answer(laser=str(now.light), interlock=str(now.interlock), trip=now.trip, refusal=now.refusal)
     answer(laser_age_s=now.light_age_s, interlock_age_s=now.interlock_age_s)
-    dark = config.laser.kind == "none"
-    deaf = dark and config.controller.kind == "none"
-    for name, absent, text, age_s in (
-        ("laser", "not controlled by this program" if dark else "", str(now.light), now.light_age_s),
-        ("interlock", "not read by this program" if deaf else "", str(now.interlock), now.interlock_age_s),
+    has_laser = config.laser.kind != "none"
+    reads_interlock = has_laser or config.controller.kind != "none"
+    for name, is_read, text, age_s, absence in (
+        ("laser", has_laser, str(now.light), now.light_age_s, "not controlled by this program"),
+        ("interlock", reads_interlock, str(now.interlock), now.interlock_age_s, "not read by this program"),
     ):
         age = f", {age_s:.1f} s ago" if math.isfinite(age_s) else ""
-        print_line(f"{name:<10} {absent or text + age}")
+        print_line(f"{name:<10} {text + age if is_read else absence}")
     trip = now.trip
     print_line(f"{'trip':<10} {'none is latched' if trip is None else trip.text}")
     if trip is not None:
@@ -192,9 +182,9 @@ def light_off(config: Configuration) -> int:
         problems.append(f"no session of this simulated rig runs in {config.session.output}")
     for problem in problems:
         say(problem, error=True)
-    now, end_s = _session_state(config), time.monotonic() + _CONFIRMED_WITHIN_S
-    while now is not None and now.light not in _DARK and time.monotonic() < end_s:
-        time.sleep(_LOOK_S)
+    now, deadline_s = _session_state(config), time.monotonic() + _MAX_CONFIRMATION_S
+    while now is not None and now.light not in _DARK and time.monotonic() < deadline_s:
+        time.sleep(_LOOK_INTERVAL_S)
         now = _session_state(config)
     now = now or _device_state(config)
     _print_state(config, now)
@@ -203,32 +193,33 @@ def light_off(config: Configuration) -> int:
 
 def acknowledge_trip(config: Configuration, number: int) -> int:
     """Acknowledge a trip, in the session that runs or with the devices opened here; lights nothing."""
-    for folder in _sessions(config):
-        with suppress(NoSession), OrderConnection(folder) as line:
-            reply = line.order(f"acknowledge {number} rig light acknowledge")
-            answer(acknowledged=number, said=reply)
-            say(reply)
-            return 0
-    with Devices(config, config.session.output, "rig light acknowledge") as devices:
-        devices.wait_for_reports()
-        reply = devices.acknowledge(number, "rig light acknowledge")
-        answer(acknowledged=number, said=reply)
-        say(reply)
+    reply = _acknowledge(config, number, "rig light acknowledge")
+    answer(acknowledged=number, said=reply)
+    say(reply)
     return 0
 
 
+def _acknowledge(config: Configuration, number: int, command: str) -> str:
+    for folder in _sessions(config):
+        with suppress(NoSession), OrderConnection(folder) as connection:
+            return connection.order(f"acknowledge {number} {command}")
+    with Devices(config, config.session.output, command) as devices:
+        devices.wait_until_heard()
+        return devices.acknowledge(number, command)
+
+
 def _sessions(config: Configuration) -> Iterator[Path]:
-    """Folders where a session may run: that of the program that holds the rig, then those in the output."""
-    held = SafetyState(rig_state_path(config.laser, config.controller)).holder_folder
-    if held is not None:
-        yield held
+    """Folders in which a session may run: the folder of the program that holds the rig first."""
+    holder_folder = SafetyState(rig_state_path(config.laser, config.controller)).holder_folder
+    if holder_folder is not None:
+        yield holder_folder
     yield from running_sessions(config.session.output)
 
 
 def _session_state(config: Configuration) -> SafetyNow | None:
     for folder in _sessions(config):
-        with suppress(NoSession, KeyError, ValueError), OrderConnection(folder) as line:
-            return SafetyNow.from_news(line.news()["safety"])
+        with suppress(NoSession, KeyError, ValueError), OrderConnection(folder) as connection:
+            return SafetyNow.from_news(connection.news()["safety"])
     return None
 
 

@@ -24,7 +24,7 @@ _CALL_INTERVAL_S = 1.0
 class LivePosterior:
     """Fits of a run while it is measured, by a process that reads its record.
 
-    The process starts once there are enough half-cycles for a fit. A fit in a thread of this process would
+    The process starts once there are enough half-cycles for a fit. A fit in a thread of this program would
     hold the interpreter's lock and delay frames. A thread reads the answers from a pipe, so that a process
     that is stopped in the middle of an answer delays nothing else. All methods are called by the thread that
     processes the frames, `close` by any thread. If the process dies, fits end and `take_remark` says so.
@@ -46,7 +46,6 @@ class LivePosterior:
 
     @property
     def latest(self) -> Posterior:
-        """The newest fit."""
         while not self._answers.empty():
             self._take_answer(self._answers.get())
         return self._latest
@@ -75,7 +74,7 @@ class LivePosterior:
 
         `keep_alive` is called every second while frames wait for a fit, so that the wait is no stall.
         """
-        self._half_cycles += sum(not swing.flags for swing in half_cycles)
+        self._half_cycles += sum(not half_cycle.flags for half_cycle in half_cycles)
         if self._ended or self._half_cycles < self._due_half_cycles:
             return
         if self._process is None:
@@ -101,7 +100,7 @@ class LivePosterior:
             keep_alive()
 
     def take_remark(self) -> str:
-        """The reason for which fits have ended, told once; else an empty text."""
+        """Why fits have ended, the first time that it is asked for; else an empty text."""
         remark, self._remark = self._remark, ""
         return remark
 

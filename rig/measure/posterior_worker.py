@@ -3,6 +3,7 @@
 It ends with the record, or with the process that writes the record.
 """
 
+import math
 import os
 import pickle
 import sys
@@ -42,10 +43,7 @@ from rig.analysis import (
     loss_of,
     stated_ambient,
 )
-from rig.instrument import (
-    pendulum_on_ball,
-    recorded_configuration,
-)
+from rig.instrument import pendulum_on_ball, recorded_configuration
 
 FIRST_HALF_CYCLES = 40
 """Half-cycles before the first fit. With fewer, b and c are less than their u for every pair of the paper."""
@@ -54,8 +52,8 @@ _HALF_CYCLE_GROWTH = 1.04
 _MAX_CORE_FRACTION = 0.02
 """Largest fraction of the time of a core that fits may take."""
 _LOOK_INTERVAL_S = 0.5
-_EARLY_NS = 120_000_000_000
-"""Time span of the deflections that are kept before the first half-cycles are found."""
+_MAX_EARLY_NS = 120_000_000_000
+"""Longest time span of deflections that are kept before the first half-cycle."""
 
 
 def next_fit_half_cycles(half_cycles: int) -> int:
@@ -65,15 +63,14 @@ def next_fit_half_cycles(half_cycles: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Parameters by key, fitted to the first `half_cycles` unflagged half-cycles; empty if no fit was
-    possible.
-
-    `points` compare the measured half-cycles with the fit.
-    """
+    """Parameters fitted to the half-cycles so far."""
 
     half_cycles: int = 0
+    """Number of unflagged half-cycles to which they were fitted."""
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    """Parameters by key; empty if no fit was possible."""
     points: Sequence[RecordedFittedPoint] = ()
+    """Comparison of the measured half-cycles with the fit."""
 
 
 _MAX_POINTS = 300
@@ -85,28 +82,27 @@ def fitted_points(
 ) -> list[RecordedFittedPoint]:
     """Comparison of the exact fit with its data; `points` are the unflagged `half_cycles` in true time.
 
-    The time of the fit itself is left 0; the recorder sets it.
+    The time of the fit itself is 0 until it is recorded.
     """
-    times_ns = [swing.turn_time_ns for swing in half_cycles if not swing.flags]
+    times_ns = [half_cycle.turn_time_ns for half_cycle in half_cycles if not half_cycle.flags]
     index = points.index - points.index[0]
     start = fit.estimate(AMPLITUDE.key).value
     amplitude, time_s = turning_points_of(fit.parameters, pendulum, start, int(index[-1]))
     fitted, time_s = amplitude[index], time_s[index] + fit.estimate(TIME.key).value
     residual = (points.amplitude - fitted) / points.u_amplitude
     periods = full_periods(points)
-    turning = periods.where
+    middle = periods.where
     period_s, period_residual = np.full((2, len(index)), np.nan)
-    period_s[turning] = time_s[turning + 1] - time_s[turning - 1]
-    period_residual[turning] = (periods.period_s - period_s[turning]) / periods.u_period_s
+    period_s[middle] = time_s[middle + 1] - time_s[middle - 1]
+    period_residual[middle] = (periods.period_s - period_s[middle]) / periods.u_period_s
     # NaN where the fitted law says that friction stops the pendulum: there is no amplitude to compare
-    known = np.flatnonzero(np.isfinite(residual))
+    comparable = np.flatnonzero(np.isfinite(residual))
+    step = max(1, math.ceil(len(comparable) / _MAX_POINTS))
     table = np.column_stack((fitted, residual, period_s, period_residual)).tolist()
-    return [
-        RecordedFittedPoint(0, times_ns[k], *table[k]) for k in known[:: -(-len(known) // _MAX_POINTS) or 1]
-    ]
+    return [RecordedFittedPoint(0, times_ns[k], *table[k]) for k in comparable[::step]]
 
 
-MOST_SAMPLES = 1 << 22
+MAX_SAMPLES = 1 << 22
 """Largest number of deflections that are kept, 160 MB: 2.3 hours of 500 frames/s."""
 _EARLIER_HALF_CYCLES = 4
 """Half-cycles kept before the first one that is refined: neighbours are fitted together."""
@@ -115,12 +111,12 @@ _EARLIER_HALF_CYCLES = 4
 class MeasuredRun:
     """All half-cycles of a run so far; fitted, refined and fitted again as the final analysis does.
 
-    Once there are more than `most` deflections, the older half of the half-cycles is not refined any more:
-    the motion is then known from thousands of them.
+    Once there are more than `max_samples` deflections, the older half of the half-cycles is not refined any
+    more: the motion is then known from thousands of them.
     """
 
-    def __init__(self, most: int = MOST_SAMPLES, axes: Axes | None = None) -> None:
-        self._most = most
+    def __init__(self, max_samples: int = MAX_SAMPLES, axes: Axes | None = None) -> None:
+        self._max_samples = max_samples
         self._axes = axes
         self._plane_balances: PlaneBalances | None = None
         self._balances: list[Balance] = []
@@ -142,7 +138,8 @@ class MeasuredRun:
         self._blocks.append(deflections)
         if self._plane_balances is None and len(self._refinable) > 1:
             self._plane_balances = PlaneBalances(self._axes, mean_period(turning_points(self._refinable)))
-            self._balances = [one for block in self._blocks[:-1] for one in self._plane_balances.of(block)]
+            for earlier in self._blocks[:-1]:
+                self._balances += self._plane_balances.of(earlier)
         if self._plane_balances is not None:
             self._balances += self._plane_balances.of(deflections)
 
@@ -153,7 +150,7 @@ class MeasuredRun:
         """
         half_cycles, blocks = self._half_cycles_in_plane()
         refined, self._last_fit = fitted_twice(half_cycles, blocks, fit, self._last_fit, self._fixed)
-        if refined.exact is not None and self.samples > self._most:
+        if refined.exact is not None and self.samples > self._max_samples:
             self._fix_older_half(refined.swings)
         return refined.swings, with_discrepancy(
             LinearisedFit.of(fit.points(refined.swings), fit.pendulum, self._last_fit)
@@ -169,10 +166,10 @@ class MeasuredRun:
             return self._refinable, self._blocks
         # the plane's half-cycles are numbered from the first deflection kept
         first = self._refinable[0]
-        nearest = min(plane.swings, key=lambda one: abs(one.turn_time_ns - first.turn_time_ns))
-        known, shift = {one.index for one in self._refinable}, first.index - nearest.index
-        numbered = [replace(one, index=one.index + shift) for one in plane.swings if not one.flags]
-        return [one for one in numbered if one.index in known], plane.deflections
+        nearest = min(plane.swings, key=lambda swing: abs(swing.turn_time_ns - first.turn_time_ns))
+        shift, indices = first.index - nearest.index, {swing.index for swing in self._refinable}
+        numbered = [replace(swing, index=swing.index + shift) for swing in plane.swings if not swing.flags]
+        return [swing for swing in numbered if swing.index in indices], plane.deflections
 
     def _fix_older_half(self, half_cycles: Sequence[HalfCycle]) -> None:
         half = len(self._refinable) // 2
@@ -180,8 +177,9 @@ class MeasuredRun:
             return
         from_ns = self._refinable[half - _EARLIER_HALF_CYCLES].turn_time_ns
         self._refinable = self._refinable[half:]
-        self._fixed = [one for one in half_cycles if one.index < self._refinable[0].index]
-        self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
+        first_index = self._refinable[0].index
+        self._fixed = [half_cycle for half_cycle in half_cycles if half_cycle.index < first_index]
+        self._blocks = [later for block in self._blocks if len(later := block.since(from_ns))]
 
 
 class FollowedRun:
@@ -199,14 +197,14 @@ class FollowedRun:
         self._reader = reader
         self._run = MeasuredRun(axes=config.axes)
         self._waveform = HarmonicsMeasurement()
-        self._swings: list[HalfCycle] = []
-        self._taken = 0
+        self._half_cycles: list[HalfCycle] = []
+        self._fitted_half_cycles = 0
         self._new_deflections: list[Deflections] = []
 
     @property
     def half_cycles(self) -> int:
         """Number of unflagged half-cycles so far."""
-        return len(self._swings)
+        return len(self._half_cycles)
 
     def read(self) -> None:
         """Read what was flushed since the last call."""
@@ -217,20 +215,21 @@ class FollowedRun:
             self._waveform.add(half_cycles)
             if len(deflections):
                 self._new_deflections.append(deflections)
-                if not self._swings:
+                if not self._half_cycles:
                     # the pendulum may not swing yet: only deflections that a first half-cycle needs are kept
-                    early_ns = int(deflections.times_ns[-1]) - _EARLY_NS
+                    early_ns = int(deflections.times_ns[-1]) - _MAX_EARLY_NS
                     while int(self._new_deflections[0].times_ns[-1]) < early_ns:
                         self._new_deflections.pop(0)
-            self._swings += [swing for swing in half_cycles if not swing.flags]
+            self._half_cycles += [half_cycle for half_cycle in half_cycles if not half_cycle.flags]
 
     def fitted(self) -> Posterior:
         """The fit that the final analysis would make of these half-cycles; no estimates without a fit."""
         config, pendulum = self._config, self._pendulum
-        self._run.take(self._swings[self._taken :], joined(self._new_deflections, DeflectionUnit.RAD))
-        self._taken, self._new_deflections = len(self._swings), []
+        new_half_cycles = self._half_cycles[self._fitted_half_cycles :]
+        self._run.take(new_half_cycles, joined(self._new_deflections, DeflectionUnit.RAD))
+        self._fitted_half_cycles, self._new_deflections = self.half_cycles, []
         with suppress(DataError):
-            period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
+            period_s = mean_period(points_in_true_time(self._half_cycles, self._clock_rate))
             drag, _ = drag_of_fit(config, stated_ambient(config), pendulum, period_s)
             evidence = evidence_of(drag, self._waveform.harmonics())
             decay_fit = DecayFit(
@@ -238,8 +237,9 @@ class FollowedRun:
             )
             half_cycles, fit = self._run.fitted(decay_fit)
             points = fitted_points(half_cycles, decay_fit.points(half_cycles), fit, pendulum)
-            return Posterior(self._taken, {name: fit.estimate(name) for name in fit.contact_names}, points)
-        return Posterior(self._taken)
+            estimates = {name: fit.estimate(name) for name in fit.contact_names}
+            return Posterior(self.half_cycles, estimates, points)
+        return Posterior(self.half_cycles)
 
 
 def fits(reader: RecordReader, *, synchronous: bool) -> Iterator[Posterior]:

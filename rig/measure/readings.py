@@ -1,4 +1,4 @@
-"""Recorded in addition to the frames: air, ground, clocks, losses, steps."""
+"""Readings and events that are recorded in addition to the frames: air, ground, clocks, losses, steps."""
 
 import math
 from collections.abc import Sequence
@@ -9,13 +9,7 @@ import numpy as np
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import (
-    ClockAnchor,
-    Environment,
-    RecordedLosses,
-    RecordedSeismometer,
-    TimedMessage,
-)
+from acquisition.record.topics import ClockAnchor, Environment, RecordedLosses, TimedMessage
 from processing.deflections import DeflectionUnit
 from processing.slope_uncertainty import KickWatch, StepWatch
 from processing.spot import SpotFlag
@@ -34,7 +28,7 @@ class SideReadings:
     """Collects the readings that are recorded in addition to the frames.
 
     `clock` is the rate of the camera's clock against the computer's; unknown for frames made on demand, whose
-    clock is not related to any other.
+    clock is not related to any other. `start_ns` is the time of the record's first frame.
     """
 
     def __init__(self, run: "MeasurementRun", start_ns: int) -> None:
@@ -43,31 +37,32 @@ class SideReadings:
         self._anchors = None if on_demand else ClockAnchors()
         self._rate = None if on_demand else ClockRate()
         self._environment_due_ns = self._losses_due_ns = 0
-        self._losses_written = FrameLosses()
+        self._recorded_losses = FrameLosses()
         self._has_air = False
         self.clock = CameraClock()
 
     def take(self, frames: Sequence[Frame]) -> tuple[list[TimedMessage], list[Event]]:
         """Messages and events to be recorded with these frames."""
-        last, guard = frames[-1], self._guard
+        last, guard, seismometer = frames[-1], self._guard, self._run.devices.seismometer
         nothing: tuple[ClockAnchor | None, list[Event]] = (None, [])
         anchor, events = nothing
         if self._anchors is not None:
             anchor, events = guard.call(
                 "the reading of the computer's clocks", nothing, self._anchors.take, last.time_ns
             )
-        steps = [one for one in self._run.stream.take_clock_steps() if one.time_ns > self._start_ns]
+        steps = [step for step in self._run.stream.take_clock_steps() if step.time_ns > self._start_ns]
         if self._rate is not None:
             self.clock = guard.call(
                 "the reading of the camera's clock", self.clock, self._rate.take, frames, steps
             )
         readings = (self._environment(last.time_ns), self._losses(last.time_ns), anchor)
-        found: list[TimedMessage] = [
-            *(value for value in readings if value is not None),
+        samples = [] if seismometer is None else seismometer.take(last)
+        messages: list[TimedMessage] = [
+            *(reading for reading in readings if reading is not None),
             *steps,
-            *(one for one in self._seismometer_samples(last) if one.time_ns >= self._start_ns),
+            *(sample for sample in samples if sample.time_ns >= self._start_ns),
         ]
-        return found, events
+        return messages, events
 
     def end_attachments(self) -> dict[str, bytes]:
         """The attachments for the end of the record, by name."""
@@ -77,11 +72,11 @@ class SideReadings:
 
     def _losses(self, time_ns: int) -> RecordedLosses | None:
         """The losses since the record began, if they have changed; at most once per second of frame time."""
-        now = self._run.stream.losses
-        if now == self._losses_written or time_ns < self._losses_due_ns:
+        losses = self._run.stream.losses
+        if losses == self._recorded_losses or time_ns < self._losses_due_ns:
             return None
-        self._losses_due_ns, self._losses_written = time_ns + _LOSSES_INTERVAL_NS, now
-        return RecordedLosses(time_ns, *now.counts)
+        self._losses_due_ns, self._recorded_losses = time_ns + _LOSSES_INTERVAL_NS, losses
+        return RecordedLosses(time_ns, *losses.counts)
 
     def _environment(self, time_ns: int) -> Environment | None:
         """A reading of the environment, once per period; None in between and without a sensor.
@@ -93,19 +88,15 @@ class SideReadings:
             return None
         self._environment_due_ns = time_ns + nanoseconds(self._run.plan.config.environment_sensor.period_s)
         reading = devices.environment()
-        before, self._has_air = self._has_air, not all(map(math.isnan, reading))
-        return Environment(time_ns, *reading) if before or self._has_air else None
-
-    def _seismometer_samples(self, frame: Frame) -> list[RecordedSeismometer]:
-        """Samples of the auxiliary seismometer since the last call, up to a frame; empty without one."""
-        seismometer = self._run.devices.seismometer
-        return [] if seismometer is None else seismometer.take(frame)
+        had_air, self._has_air = self._has_air, not all(map(math.isnan, reading))
+        return Environment(time_ns, *reading) if had_air or self._has_air else None
 
 
 _MIN_REST_STEP = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}
 """Smallest step of the rest position that is an event, in arcsec, or in px without a lever: far above the
 drift within some half-cycles."""
 _MIN_PUSH = {DeflectionUnit.RAD: 1.0, DeflectionUnit.PX: 2.0}
+"""Smallest sudden change of the amplitude that is an event, in arcsec, or in px without a lever."""
 _MIN_LIGHT_STEP_DN = 1.0
 
 
@@ -117,31 +108,30 @@ class StepEvents:
 
     def __init__(self, unit: DeflectionUnit) -> None:
         self._unit = unit
-        self._rest = StepWatch(_MIN_REST_STEP[unit])
-        self._push = KickWatch(_MIN_PUSH[unit])
-        self._light = StepWatch(_MIN_LIGHT_STEP_DN)
+        self._rest_watch = StepWatch(_MIN_REST_STEP[unit])
+        self._push_watch = KickWatch(_MIN_PUSH[unit])
+        self._light_watch = StepWatch(_MIN_LIGHT_STEP_DN)
         self._background_dn: list[float] = []
 
     def take(self, block: Block) -> list[Event]:
         """Events of the steps detected with this block."""
-        found: list[Event] = []
+        events: list[Event] = []
         lost = SpotFlag.LOST
         self._background_dn += [spot.background_dn for spot in block.spots if not spot.flags & lost]
-        for swing in block.half_cycles:
-            rest = math.nan if swing.flags else swing.centre / self._unit.shown_size
-            step = self._rest.take(swing.turn_time_ns, rest)
-            if step is not None:
+        for half_cycle in block.swings:
+            time_ns, rest, amplitude = half_cycle.turn_time_ns, math.nan, math.nan
+            if not half_cycle.flags:
+                rest = half_cycle.centre / self._unit.shown_size
+                amplitude = half_cycle.amplitude / self._unit.shown_size
+            if (step := self._rest_watch.take(time_ns, rest)) is not None:
                 text = f"the rest position moved by {step.size:+.1f} {self._unit.shown}"
-                found.append(Event(step.time_ns, EventKind.REST_STEP, text))
-            amplitude = math.nan if swing.flags else swing.amplitude / self._unit.shown_size
-            kick = self._push.take(swing.index, swing.turn_time_ns, amplitude)
-            if kick is not None:
+                events.append(Event(step.time_ns, EventKind.REST_STEP, text))
+            if (kick := self._push_watch.take(half_cycle.index, time_ns, amplitude)) is not None:
                 text = f"the swing was pushed by {kick.size:.1f} {self._unit.shown}: a draught, or a knock"
-                found.append(Event(kick.time_ns, EventKind.PUSH, text))
+                events.append(Event(kick.time_ns, EventKind.PUSH, text))
             light_dn = float(np.median(self._background_dn)) if self._background_dn else math.nan
             self._background_dn.clear()
-            step = self._light.take(swing.turn_time_ns, light_dn)
-            if step is not None:
+            if (step := self._light_watch.take(time_ns, light_dn)) is not None:
                 text = f"the background moved by {step.size:+.1f} DN"
-                found.append(Event(step.time_ns, EventKind.LIGHT_STEP, text))
-        return found
+                events.append(Event(step.time_ns, EventKind.LIGHT_STEP, text))
+        return events

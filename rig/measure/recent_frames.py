@@ -10,7 +10,7 @@ from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedPhase
 from processing.deflections import Deflections, joined
 from processing.errors import DataError
-from processing.units import NS_PER_S, nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 from rig.devices import FrameStream
 from rig.instrument import Block, Optics, Phase, Pipeline
 from rig.measure.end_of_run import StopRequest
@@ -18,16 +18,18 @@ from rig.measure.preflight import TrialFrames
 
 _BLOCK_FRAMES = 16
 _MAX_FRAMES_BYTES = 256 * 1024 * 1024
-Watch = Callable[[Sequence[Frame], Block], None]
+_MIN_FRAMES = 8
+"""Frames that are kept whatever their size."""
+_TAKE_WITHIN_S = 0.1
+FrameWatch = Callable[[Sequence[Frame], Block], None]
 """Receives some frames, and the spots and deflections measured in them."""
 
 
 class RecentFrames:
     """Takes frames, tracks the spot, and keeps the deflections of the last `window_s` seconds.
 
-    The frames themselves are kept for `frames_s` seconds (fewer if they would need more than 256 MiB),
-    because a release is detected only afterwards, and the record must begin before it. `watch` receives every
-    block of frames.
+    The frames themselves are kept for `frames_s` seconds, or as many as `_MAX_FRAMES_BYTES` hold, because a
+    release is detected only afterwards, and the record must begin before it. `watch` receives every block.
     """
 
     def __init__(
@@ -36,22 +38,18 @@ class RecentFrames:
         optics: Optics,
         frames_s: float,
         window_s: float,
-        watch: Watch | None = None,
+        watch: FrameWatch | None = None,
     ) -> None:
-        self._stream = stream
-        self._watch = watch
-        self._optics = optics
+        self._stream, self._optics, self._watch = stream, optics, watch
         self._pipeline: Pipeline | None = None
         self._frames: deque[Frame] = deque()
         self._blocks: deque[Block] = deque()
-        self._frames_ns = nanoseconds(frames_s)
-        self._window_ns = nanoseconds(window_s)
-        self._last_spot_ns = 0
-        self.count = 0
+        self._frames_ns, self._window_ns = nanoseconds(frames_s), nanoseconds(window_s)
+        self._last_spot_ns = self.frames_taken = 0
 
     def advance(self) -> bool:
         """Take some frames; False if the stream has ended."""
-        frames = self._stream.take(_BLOCK_FRAMES, 0.1)
+        frames = self._stream.take(_BLOCK_FRAMES, _TAKE_WITHIN_S)
         if not frames:
             return not self._stream.drained
         if self._pipeline is None:
@@ -64,10 +62,10 @@ class RecentFrames:
         self._frames.extend(frames)
         if self._watch is not None:
             self._watch(frames, block)
-        self.count += len(frames)
+        self.frames_taken += len(frames)
         newest_ns = frames[-1].time_ns
-        most = max(8, _MAX_FRAMES_BYTES // max(frames[0].image.nbytes, 1))
-        while newest_ns - self._frames[0].time_ns > self._frames_ns or len(self._frames) > most:
+        max_frames = max(_MIN_FRAMES, _MAX_FRAMES_BYTES // max(frames[0].image.nbytes, 1))
+        while newest_ns - self._frames[0].time_ns > self._frames_ns or len(self._frames) > max_frames:
             self._frames.popleft()
         while newest_ns - self._blocks[0].deflections.times_ns[-1] > self._window_ns:
             self._blocks.popleft()
@@ -98,22 +96,22 @@ class RecentFrames:
 
     def since(self, time_ns: int) -> Deflections:
         """Deflections from a time on, in the frames' clock."""
-        return joined((count.deflections for count in self._blocks), self._optics.unit).since(time_ns)
+        return joined((block.deflections for block in self._blocks), self._optics.unit).since(time_ns)
 
-    def look(self, resting: bool, duration_s: float) -> TrialFrames:
+    def trial(self, resting: bool, duration_s: float) -> TrialFrames:
         """Frames, spots and deflections of the last `duration_s` seconds."""
         from_ns = self.now_ns - nanoseconds(duration_s)
         deflections = self.since(from_ns)
-        spots = [spot for count in self._blocks for spot in count.spots]
-        references = [spot for count in self._blocks for spot in count.references]
-        frames = [frame for frame in self._frames if frame.time_ns >= from_ns]
+        spots = [spot for block in self._blocks for spot in block.spots]
+        references = [spot for block in self._blocks for spot in block.references]
+        earlier_spots = len(spots) - len(deflections)
         return TrialFrames(
-            frames,
-            spots[len(spots) - len(deflections) :],
+            [frame for frame in self._frames if frame.time_ns >= from_ns],
+            spots[earlier_spots:],
             deflections,
             resting,
             None if self._pipeline is None else self._pipeline.tracker.model,
-            references[len(spots) - len(deflections) :],
+            references[earlier_spots:],
         )
 
     def window_bytes(self) -> float:
@@ -125,7 +123,7 @@ class RecentFrames:
         return float((x1 - x0) * (y1 - y0) * image.itemsize)
 
 
-NO_SPOT = "no spot is seen: check the laser, the beam path and the camera's region"
+_NO_SPOT = "no spot is seen: check the laser, the beam path and the camera's region"
 _MAX_SPOTLESS_S = 3.0
 
 
@@ -134,6 +132,7 @@ class WaitStopped(Exception):
 
 
 _VERB = {Phase.REST: "reached", Phase.RELEASE: "seen"}
+"""What is said of a phase that has ended; "finished" of all others."""
 
 
 class PhaseWait:
@@ -143,10 +142,7 @@ class PhaseWait:
     """
 
     def __init__(
-        self,
-        frames: RecentFrames,
-        report: Callable[[RecordedPhase], None],
-        stop: StopRequest,
+        self, frames: RecentFrames, report: Callable[[RecordedPhase], None], stop: StopRequest
     ) -> None:
         self.frames = frames
         self._report = report
@@ -162,34 +158,38 @@ class PhaseWait:
         self,
         phase: Phase,
         limit_s: float,
-        reached: Callable[[], bool],
+        reached: Callable[[float], bool],
         instruction: str = "",
         every_s: float = 0.0,
     ) -> None:
-        """Take frames until `reached` returns True; it is called every `every_s` seconds.
+        """Take frames until `reached` is True; it is called every `every_s` with the phase's duration in s.
 
         Raises DataError after `limit_s`, and `WaitStopped` if the run is stopped or the frames end.
         """
         frames = self.frames
-        begun_ns = frames.now_ns
-        last_check_ns = -(10**18)
+        began_ns = frames.now_ns
+        check_due_ns = 0
         self.progress = ""
         while True:
             if self._stop or not frames.advance():
                 self.note(EventKind(phase), "stopped")
                 raise WaitStopped
-            begun_ns = begun_ns or frames.now_ns
-            elapsed_s = seconds(frames.now_ns - begun_ns)
+            now_ns = frames.now_ns
+            began_ns = began_ns or now_ns
+            elapsed_s = seconds(now_ns - began_ns)
+            message = instruction
             if frames.spotless_s > _MAX_SPOTLESS_S:
                 self.progress = f"no spot is seen for {frames.spotless_s:.0f} s"
-            message = NO_SPOT if frames.spotless_s > _MAX_SPOTLESS_S else instruction
-            self._report(RecordedPhase(frames.now_ns, elapsed_s, phase.value, self.progress, message))
-            due = frames.now_ns - last_check_ns >= every_s * NS_PER_S
-            last_check_ns = frames.now_ns if due else last_check_ns
-            if due and frames.now_ns and reached():
-                so_far = f", {self.progress}" if self.progress else ""
-                self.note(EventKind(phase), f"{_VERB.get(phase, 'finished')} after {elapsed_s:.1f} s{so_far}")
-                return
+                message = _NO_SPOT
+            self._report(RecordedPhase(now_ns, elapsed_s, phase.value, self.progress, message))
+            if now_ns and now_ns >= check_due_ns:
+                check_due_ns = now_ns + nanoseconds(every_s)
+                if reached(elapsed_s):
+                    progress = f", {self.progress}" if self.progress else ""
+                    self.note(
+                        EventKind(phase), f"{_VERB.get(phase, 'finished')} after {elapsed_s:.1f} s{progress}"
+                    )
+                    return
             if elapsed_s > limit_s:
                 raise DataError(
                     f"{phase}: not reached within {limit_s:g} s ({self.progress or 'nothing happened'}); "

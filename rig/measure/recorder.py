@@ -22,46 +22,49 @@ _log = logging.getLogger(__name__)
 _IDLE_S = 0.2
 """Interval between checks whether a flush is due, while no entries arrive."""
 _FRAME_BYTES = 1024
+"""Approximate memory of the numbers of one frame."""
 _FREE_SPACE_INTERVAL_S = 1.0
-SLOW_S = 2.0
-"""A write that takes longer is recorded as an event; disks usually pause for less."""
+MAX_WRITE_S = 2.0
+"""Longest write that is no event; disks usually pause for less."""
 
 
 @dataclass(slots=True)
 class RecordEntry:
-    """Data to be recorded for some consecutive frames.
-
-    `windows` are copies of the pixels around the spots, each with (x0, y0), the position of its first pixel
-    on the sensor in px; None for a frame without a spot. Each value of `messages` is one message.
-    """
+    """Data to be recorded for some consecutive frames."""
 
     sequences: Sequence[int] = ()
+    """Numbers of the frames in the record."""
     device_times_ns: Sequence[int] = ()
     host_times_ns: Sequence[int] = ()
     block: Block | None = None
+    """What was measured in the frames; None if there are none."""
     windows: Sequence[tuple[Image, int, int] | None] = ()
+    """Copies of the pixels around the spots, each with the position (x0, y0) of its first pixel on the sensor
+    in px; None for a frame without a spot."""
     images: Sequence[Frame] = ()
+    """Frames that are recorded whole."""
     preview: Frame | None = None
     events: Sequence[Event] = ()
     messages: Sequence[TimedMessage] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
-    flushed: threading.Event | None = None
+    """Attachments of the record by name."""
+    is_flushed: threading.Event | None = None
     """Set once every entry so far can be read in the file, or cannot be written."""
 
     @property
     def memory_bytes(self) -> int:
         """Approximate memory that the entry takes while it waits; never 0."""
-        windows = sum(window[0].nbytes for window in self.windows if window is not None)
+        window_bytes = sum(window[0].nbytes for window in self.windows if window is not None)
         frames = self.images if self.preview is None else [*self.images, self.preview]
-        images = sum(frame.image.nbytes for frame in frames)
-        return _FRAME_BYTES * (1 + len(self.sequences)) + windows + images
+        image_bytes = sum(frame.image.nbytes for frame in frames)
+        return _FRAME_BYTES * (1 + len(self.sequences)) + window_bytes + image_bytes
 
 
 class Recorder:
     """Writes entries in order, flushes regularly, keeps the first error.
 
     `put` queues an entry. Entries wait in memory while the disk is slow or hangs; once they take
-    `most_waiting_bytes`, `put` waits, so that frames are lost, and counted as lost, before they are
+    `max_waiting_bytes`, `put` waits, so that frames are lost, and counted as lost, before they are
     processed. After an error (a full disk, a removed drive) further entries are discarded; the session has to
     check `error`. `permit` is notified while the thread runs: the laser may be lit only as long as it does.
     """
@@ -69,71 +72,66 @@ class Recorder:
     def __init__(
         self,
         writer: RecordWriter,
-        most_waiting_bytes: int = MAX_QUEUE_BYTES,
+        max_waiting_bytes: int = MAX_QUEUE_BYTES,
         permit: LightPermit | None = None,
     ) -> None:
         self._writer = writer
         self._permit = permit or LightPermit()
-        self._entries = BoundedQueue[RecordEntry](math.inf, "wait", most_waiting_bytes)
-        self.put = self._entries.put
-        self._writing_since_s = math.inf
+        self.entries = BoundedQueue[RecordEntry](math.inf, "wait", max_waiting_bytes)
+        """The entries that are not yet written."""
+        self.put = self.entries.put
+        self._write_began_s = math.inf
         self._pauses_s: deque[float] = deque()
-        self._looked_s = -math.inf
+        self._free_space_read_s = -math.inf
         self.disk_free_bytes = math.nan
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self.error: Exception | None = None
         self._thread.start()
 
     @property
-    def waiting_bytes(self) -> int:
-        """Memory of the entries that are not yet written."""
-        return self._entries.waiting_bytes
-
-    @property
     def disk_silent_s(self) -> float:
-        """Time for which the present write has hung, once it exceeds `SLOW_S`; else 0."""
-        paused_s = time.monotonic() - self._writing_since_s
-        return paused_s if paused_s >= SLOW_S else 0.0
+        """Time for which the present write has hung, once it exceeds `MAX_WRITE_S`; else 0."""
+        paused_s = time.monotonic() - self._write_began_s
+        return paused_s if paused_s >= MAX_WRITE_S else 0.0
 
     @property
     def alarm(self) -> str:
         """Text that says that the disk hangs; empty while it does not."""
         if not (paused_s := self.disk_silent_s):
             return ""
-        waiting = f"{self.waiting_bytes / 1e6:.0f} of {self._entries.max_bytes / 1e6:.0f} MB"
+        waiting = f"{self.entries.waiting_bytes / 1e6:.0f} of {self.entries.most_bytes / 1e6:.0f} MB"
         return f"the disk has not answered for {paused_s:.0f} s; {waiting} of memory wait for it"
 
     def take_pauses(self) -> list[float]:
-        """Durations in s of the writes since the last call that took longer than `SLOW_S`."""
+        """Durations in s of the writes since the last call that took longer than `MAX_WRITE_S`."""
         return take_all(self._pauses_s)
 
     @property
     def bytes_written(self) -> int:
-        """Size of the record so far."""
         return self._writer.bytes_written
 
     def flush(self) -> None:
         """Wait until every entry so far can be read in the file; see `error` afterwards."""
-        flushed = threading.Event()
-        self.put(RecordEntry(flushed=flushed))
-        flushed.wait()
+        is_flushed = threading.Event()
+        self.put(RecordEntry(is_flushed=is_flushed))
+        is_flushed.wait()
 
     def close(self) -> None:
         """Write the queued entries and close the file; see `error` afterwards."""
-        self._entries.close()
+        self.entries.close()
         self._thread.join()
 
     def _work(self) -> None:
         try:
-            while not self._entries.drained:
+            while not self.entries.drained:
                 self._permit.note_progress(Stage.RECORDER)
                 # an empty entry is written, too, because a flush of earlier entries may be due
-                (entry,) = self._entries.take(1, _IDLE_S) or [RecordEntry()]
+                (entry,) = self.entries.take(1, _IDLE_S) or [RecordEntry()]
                 if self.error is None:
                     with self._keeping_error():
                         self._write(entry)
-                if entry.flushed is not None:
-                    entry.flushed.set()
+                if entry.is_flushed is not None:
+                    entry.is_flushed.set()
             with self._keeping_error():
                 self._writer.close()
         finally:
@@ -150,7 +148,7 @@ class Recorder:
 
     def _write(self, entry: RecordEntry) -> None:
         """Write an entry, and flush the file if that is due."""
-        began_s = self._writing_since_s = time.monotonic()
+        began_s = self._write_began_s = time.monotonic()
         writer, block = self._writer, entry.block
         try:
             if block is not None:
@@ -165,22 +163,22 @@ class Recorder:
                 writer.write_image(frame)
             if entry.preview is not None:
                 writer.write_preview(entry.preview)
-            for value in entry.messages:
-                writer.write(value)
+            for message in entry.messages:
+                writer.write(message)
             for name, data in entry.attachments.items():
                 writer.attach(name, data)
             for event in entry.events:
                 writer.write_event(*event)
             writer.flush_if_due()
-            if entry.flushed is not None:
+            if entry.is_flushed is not None:
                 writer.flush()
-            # asked in this thread, because a disk that hangs does not answer this question either
-            if began_s - self._looked_s > _FREE_SPACE_INTERVAL_S:
-                self._looked_s = began_s
+            # read in this thread, because a disk that hangs does not answer this question either
+            if began_s - self._free_space_read_s > _FREE_SPACE_INTERVAL_S:
+                self._free_space_read_s = began_s
                 with contextlib.suppress(OSError):
                     self.disk_free_bytes = shutil.disk_usage(writer.path.parent).free
         finally:
-            self._writing_since_s = math.inf
-            took_s = time.monotonic() - began_s
-            if took_s > SLOW_S:
-                self._pauses_s.append(took_s)
+            self._write_began_s = math.inf
+            write_s = time.monotonic() - began_s
+            if write_s > MAX_WRITE_S:
+                self._pauses_s.append(write_s)

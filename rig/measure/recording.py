@@ -1,4 +1,4 @@
-"""One record in the making: processes frames and hands the results to the recorder until the run ends."""
+"""Makes one record: processes frames and hands the results to the recorder until the run ends."""
 
 import math
 import time
@@ -39,6 +39,7 @@ _PUBLISH_INTERVAL_NS = 10_000_000
 """Shortest time between two published states of the run; a screen cannot show more of them."""
 
 _LOST_IMAGE_INTERVAL_NS, _PREVIEW_INTERVAL_NS = 1_000_000_000, 300_000_000
+_TAKE_WITHIN_S = 0.1
 _MIN_LOST_S = 5.0
 """Shortest loss of the spot that is reported to the operator."""
 
@@ -54,9 +55,9 @@ class FrameCounts:
         self._first_number = first.sequence
         self._interval_ns = full_frame_interval_ns
         self._keep_windows = keep_windows
-        self._next_image_ns = self._next_lost_image_ns = self._next_preview_ns = first.time_ns
-        self._next_number = self._first_number
-        self._lost = False
+        self._image_due_ns = self._lost_image_due_ns = self._preview_due_ns = first.time_ns
+        self._next_sequence = first.sequence
+        self._was_lost = False
 
     @property
     def elapsed_s(self) -> float:
@@ -68,7 +69,7 @@ class FrameCounts:
         """Text that says since when the spot is lost, once that lasts for `_MIN_LOST_S`; else empty."""
         if seconds(self.last_ns - self._last_spot_ns) < _MIN_LOST_S:
             return ""
-        minutes, rest_s = divmod(seconds(self._last_spot_ns - self.start_ns), 60)
+        minutes, rest_s = divmod(round(seconds(self._last_spot_ns - self.start_ns), 1), 60)
         return f"spot lost since {minutes:.0f}:{rest_s:04.1f}: laser on? beam on the sensor?"
 
     @property
@@ -84,36 +85,36 @@ class FrameCounts:
         windows: list[tuple[Image, int, int] | None] = []
         for number, frame, spot in zip(numbers, frames, block.spots, strict=True):
             time_ns = frame.time_ns
-            missing = frame.sequence - self._next_number
+            missing = frame.sequence - self._next_sequence
             if missing > 0:
                 self.missing += missing
                 text = f"frames missing before frame {number}: {missing}"
                 events.append(Event(time_ns, EventKind.GAP, text))
-            self._next_number = frame.sequence + 1
-            lost = bool(spot.flags & SpotFlag.LOST)
-            if lost != self._lost:
-                kind = EventKind.SPOT_LOST if lost else EventKind.SPOT_FOUND
+            self._next_sequence = frame.sequence + 1
+            is_lost = bool(spot.flags & SpotFlag.LOST)
+            if is_lost != self._was_lost:
+                kind = EventKind.SPOT_LOST if is_lost else EventKind.SPOT_FOUND
                 events.append(Event(time_ns, kind, f"at frame {number}"))
-            self._lost = lost
-            self._last_spot_ns = self._last_spot_ns if lost else time_ns
-            self.lost_spots += lost
-            is_due = time_ns >= self._next_image_ns
+            self._was_lost = is_lost
+            self._last_spot_ns = self._last_spot_ns if is_lost else time_ns
+            self.lost_spots += is_lost
+            is_due = time_ns >= self._image_due_ns
             if is_due:
-                self._next_image_ns = time_ns + self._interval_ns
-            elif lost and time_ns >= self._next_lost_image_ns:
+                self._image_due_ns = time_ns + self._interval_ns
+            elif is_lost and time_ns >= self._lost_image_due_ns:
                 is_due = True
-                self._next_lost_image_ns = time_ns + _LOST_IMAGE_INTERVAL_NS
+                self._lost_image_due_ns = time_ns + _LOST_IMAGE_INTERVAL_NS
             if is_due:
                 images.append(frame._replace(sequence=number))
             windows.append(None)
-            if not lost and self._keep_windows:
+            if not is_lost and self._keep_windows:
                 x0, y0, x1, y1 = pipeline.tracker.record_window(spot, frame.image.shape)
                 # a copy, so that the memory of the frame can be freed
                 windows[-1] = (frame.image[y0:y1, x0:x1].copy(), x0, y0)
         preview = None
-        if frames[-1].time_ns >= self._next_preview_ns:
+        if frames[-1].time_ns >= self._preview_due_ns:
             preview = frames[-1]._replace(sequence=numbers[-1])
-            self._next_preview_ns = preview.time_ns + _PREVIEW_INTERVAL_NS
+            self._preview_due_ns = preview.time_ns + _PREVIEW_INTERVAL_NS
         # an event when the tracker has chosen its model of the beam, or has begun to choose again
         self.beam.take(numbers, [spot.flags for spot in block.spots])
         old_model, self._model = self._model, pipeline.tracker.model
@@ -141,11 +142,7 @@ class Recording:
     """
 
     def __init__(
-        self,
-        run: "MeasurementRun",
-        recorder: Recorder,
-        judge: StartJudge | None,
-        first: Frame,
+        self, run: "MeasurementRun", recorder: Recorder, judge: StartJudge | None, first: Frame
     ) -> None:
         self._run, self._stream = run, run.stream
         self._stop, self._status, self._guard = run.stop, run.status, run.guard
@@ -153,8 +150,9 @@ class Recording:
         self._first = self._last = first
         # frames made on demand wait for all other threads, so that a run of the simulated rig repeats exactly
         self._on_demand = run.stream.policy == "wait"
-        keep = run.plan.config.record
-        self._counts = FrameCounts(first, nanoseconds(keep.full_frame_interval_s), keep_windows=keep.windows)
+        settings = run.plan.config.record
+        interval_ns = nanoseconds(settings.full_frame_interval_s)
+        self._counts = FrameCounts(first, interval_ns, keep_windows=settings.windows)
         shape = first.image.shape[0], first.image.shape[1]
         self._pipeline = Pipeline(run.optics, shape, threaded=not self._on_demand, guard=run.guard)
         self._end = run.end
@@ -188,20 +186,20 @@ class Recording:
         start = Event(self._first.time_ns, EventKind.START, "first frame")
         self._record(RecordEntry(events=[*earlier, start]))
 
-    def _take_all(self, early: list[Frame]) -> str:
-        """Take frames until the run ends; returns why the start was rejected, else an empty text."""
+    def _take_all(self, waiting: list[Frame]) -> str:
+        """Take the `waiting` frames, then those of the stream; returns why the start was rejected, or ''."""
         stream = self._stream
         # all frames from a source on demand are processed, frames of a live camera only until the stop
-        while early or not (stream.drained or (self._stop and not self._on_demand)):
-            frames = early or stream.take(_BLOCK_FRAMES, 0.1)
+        while waiting or not (stream.drained or (self._stop and not self._on_demand)):
+            frames = waiting or stream.take(_BLOCK_FRAMES, _TAKE_WITHIN_S)
             # blocks on demand are full, so that a run ends at the same frame however frames arrive
             while self._on_demand and len(frames) < _BLOCK_FRAMES and not stream.drained:
-                frames += stream.take(_BLOCK_FRAMES - len(frames), 0.1)
+                frames += stream.take(_BLOCK_FRAMES - len(frames), _TAKE_WITHIN_S)
             taken_ns = time.monotonic_ns()
             end_ns = frames[0].time_ns + _MAX_BLOCK_NS if frames else 0
-            late = (n for n, frame in enumerate(frames) if frame.time_ns > end_ns)
+            late = (k for k, frame in enumerate(frames) if frame.time_ns > end_ns)
             count = min(_BLOCK_FRAMES, next(late, len(frames)))
-            block_frames, early = frames[:count], frames[count:]
+            block_frames, waiting = frames[:count], frames[count:]
             block = None
             if block_frames:
                 block = self._take(block_frames, taken_ns)
@@ -245,9 +243,9 @@ class Recording:
         self._record(entry)
         if run.posterior is not None:
             callbacks = self._recorder.flush, self._stream.note_deliberate_wait
-            self._guard.call(_LIVE_FIT, None, run.posterior.take, block.half_cycles, *callbacks)
-        overdue = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
-        if block.half_cycles or self._on_demand or overdue:
+            self._guard.call(_LIVE_FIT, None, run.posterior.take, block.swings, *callbacks)
+        is_due = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
+        if block.swings or self._on_demand or is_due:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - frames[0].host_time_ns)
@@ -258,9 +256,8 @@ class Recording:
 
     def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
-        counts, (half_cycles, balances) = self._counts, self._pipeline.finish()
-        rest = self._pipeline.measure(np.empty(0, np.int64), [])
-        rest = rest._replace(half_cycles=half_cycles, balances=balances)
+        counts, (swings, balances) = self._counts, self._pipeline.finish()
+        no_frames = self._pipeline.measure(np.empty(0, np.int64), [])
         attachments = self._readings.end_attachments()
         if not rejection:
             # the stream is closed first, so that the record names a camera that cannot be stopped
@@ -272,23 +269,25 @@ class Recording:
             text = f"in all: {self._guard.text}"
             self._recorder.put(RecordEntry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
         early = [] if rejection or self._stop.early is None else [end._replace(kind=self._stop.early)]
-        self._half_cycles += len(half_cycles)
-        last = [*self._device_events(), *early, end]
+        self._half_cycles += len(swings)
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
-        messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
-        self._record(RecordEntry(block=rest, events=last, messages=messages, attachments=attachments))
+        self._record(
+            RecordEntry(
+                block=no_frames._replace(swings=swings, balances=balances),
+                events=[*self._device_events(), *early, end],
+                messages=[losses, *self._state(Phase.CLOSING, math.nan), *self._notes()],
+                attachments=attachments,
+            )
+        )
 
     def _record(self, entry: RecordEntry) -> None:
-        """Record an entry, unless it is empty, and pass what it tells to the watchers.
-
-        For them notes are events, too.
-        """
+        """Record an entry, unless it is empty, and inform the watchers, for whom notes are events, too."""
         block, counts = entry.block, self._counts
         swings, balances = ([], []) if block is None else (block.half_cycles, block.balances)
         if block is not None or entry.events or entry.messages:
             self._recorder.put(entry)
         if swings or balances or entry.events or entry.messages:
-            notes = [one.event for one in entry.messages if isinstance(one, RecordedNote)]
+            notes = [message.event for message in entry.messages if isinstance(message, RecordedNote)]
             events = [*entry.events, *notes]
             self._status.tell(
                 RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, entry.messages)
@@ -300,19 +299,15 @@ class Recording:
         notes = list[TimedMessage]()
         for host_time_ns, author, text in self._run.plan.take_notes():
             time_ns = last.time_ns + host_time_ns - last.host_time_ns
-            # clipped: notes typed before the record begins belong to it, and frames on demand have another
-            # clock
+            # notes typed before the record begins belong to it, and frames on demand have another clock
             time_ns = min(max(time_ns, counts.start_ns), counts.last_ns)
             notes.append(RecordedNote(time_ns, host_time_ns, author, text))
         return notes
 
     def _end_in_darkness(self) -> None:
         """End the run if the laser is dark, unless it may wait for light and an operator is present."""
-        alarm = self._status.light.alarm
-        if not alarm or self._stop:
-            return
-        run = self._run
-        if run.waits_when_dark and run.operator_present:
+        alarm, run = self._status.light.alarm, self._run
+        if not alarm or self._stop or (run.waits_when_dark and run.operator_present):
             return
         why = "nobody is at the terminal or a desk" if run.waits_when_dark else "laser.when_dark = 'end'"
         self._stop.failed(DeviceError(f"{alarm}; the run ends: {why}"))
@@ -339,10 +334,10 @@ class Recording:
         """Messages on the state of the session that have changed since the last call."""
         counts, recorder, clock = self._counts, self._recorder, self._readings.clock
         now_ns = counts.last_ns
-        # where the laser is dark nobody needs to look for the spot
-        lost = "" if phase is not Phase.MEASURING or self._status.light.alarm else counts.lost_text
-        if lost:
-            lost += f" rig camera align {self._run.plan.config.command_words}"
+        # while the laser is dark nobody needs to look for the spot
+        instruction = "" if phase is not Phase.MEASURING or self._status.light.alarm else counts.lost_text
+        if instruction:
+            instruction += f" rig camera align {self._run.plan.config.command_words}"
         health = RecordedHealth(
             now_ns,
             counts.frames,
@@ -359,5 +354,5 @@ class Recording:
             self._status.light.alarm or recorder.alarm,
             counts.beam_text,
         )
-        recorded_phase = RecordedPhase(now_ns, counts.elapsed_s, phase.value, "", lost, self._stop.reason)
-        return self._status.messages(recorded_phase, health, self._posterior, on_demand=self._on_demand)
+        recorded = RecordedPhase(now_ns, counts.elapsed_s, phase.value, "", instruction, self._stop.reason)
+        return self._status.messages(recorded, health, self._posterior, on_demand=self._on_demand)

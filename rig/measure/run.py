@@ -45,7 +45,9 @@ from rig.view import RunningView
 _MAX_PAUSE_S = 60.0
 """Longest time without progress before a thread that hangs is abandoned; it allows for a slow disk."""
 _MAX_PAUSE_AFTER_INTERRUPT_S = 2.0
-"""The same after a second interrupt."""
+"""Longest time without progress after a second interrupt."""
+_DONE_INTERVAL_S = 0.1
+"""Interval between two looks at whether the processing thread has ended."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -138,23 +140,18 @@ class MeasurementRun:
             writer.write_camera_calibration(first.time_ns, shape, distance_px, reference_px)
         return writer
 
-    @property
-    def now(self) -> RunNow:
-        """State of the run; may be read from any thread."""
-        return self.status.now
-
-    def execute(self, show: Callable[[RunNow], None] = lambda _: None, interval_s: float = 0.1) -> RunOutcome:
+    def execute(self, show: Callable[[RunNow], None] = lambda _: None) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
 
-        Ctrl-C and `Terminated` switch the laser off and end the run early, immediately if
-        frames come on demand. A thread that hangs at the end is abandoned, sooner after a second interrupt.
+        Ctrl-C and `Terminated` switch the laser off and end the run early, at once if frames come on demand.
+        A thread that hangs at the end is abandoned, sooner after a second interrupt.
         """
         self.stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()
         interrupt: KeyboardInterrupt | None = None
         stopped, hangs = False, ""
         try:
-            self._watch(show, interval_s)
+            self._watch(show)
         except KeyboardInterrupt as error:
             interrupt = error
             self.stop.skip_waiting = True
@@ -164,7 +161,7 @@ class MeasurementRun:
             # also after an interrupt or an error, so that the record is complete
             self.stop.request("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
-        return RunOutcome(self.now, self.stop.failure, interrupt, stopped, hangs)
+        return RunOutcome(self.status.now, self.stop.failure, interrupt, stopped, hangs)
 
     def _darken(self, why: str) -> None:
         """Refuse light from now on and ask for the laser to be switched off; nothing here can block."""
@@ -175,23 +172,23 @@ class MeasurementRun:
         """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
         max_pause_s = _MAX_PAUSE_S
         # the thread is not joined: an interrupted join takes a running thread for one that has ended
-        done = False
-        while not done:
+        is_done = False
+        while not is_done:
             try:
                 paused_s = self.stream.permit.paused_s
                 if paused_s > max_pause_s and not self._done.is_set():
                     return f"nothing was processed or recorded for {paused_s:.0f} s"
-                done = self._done.wait(0.1)
+                is_done = self._done.wait(_DONE_INTERVAL_S)
                 self._show(show, self._now_with_stall())
             except KeyboardInterrupt:
                 max_pause_s = _MAX_PAUSE_AFTER_INTERRUPT_S
         return ""
 
-    def _watch(self, show: Callable[[RunNow], None], interval_s: float) -> None:
+    def _watch(self, show: Callable[[RunNow], None]) -> None:
         """Show the run until it ends or stalls."""
-        done = False
-        while not done:
-            done = self._done.wait(interval_s) or self.stream.permit.paused_s > _MAX_PAUSE_S
+        is_done = False
+        while not is_done:
+            is_done = self._done.wait(_DONE_INTERVAL_S) or self.stream.permit.paused_s > _MAX_PAUSE_S
             for state in self.status.take_instructions():
                 self._show(show, state)
             self._show(show, self._now_with_stall())
@@ -206,7 +203,7 @@ class MeasurementRun:
     def _now_with_stall(self) -> RunNow:
         """The state of the run; a stalled thread cannot say by itself that it has stalled."""
         stalled = self.stream.permit.stalled
-        return replace(self.now, alarm=stalled) if stalled else self.now
+        return replace(self.status.now, alarm=stalled) if stalled else self.status.now
 
     def _process(self) -> None:
         """The processing thread, from the first frame to the closed record."""
@@ -217,9 +214,9 @@ class MeasurementRun:
             if self.plan.checked is not None:
                 self._check()
                 return
-            at_first_ns = utc_offset_ns(first)
+            first_utc_offset_ns = utc_offset_ns(first)
             number = 1
-            while not self._attempt(number, at_first_ns):
+            while not self._attempt(number, first_utc_offset_ns):
                 number += 1
         except Exception as error:
             self.stop.failed(error)
@@ -241,13 +238,13 @@ class MeasurementRun:
             self.devices.darken()
         self.stop.request("the checks are made")
 
-    def _attempt(self, number: int, at_first_ns: int) -> bool:
+    def _attempt(self, number: int, first_utc_offset_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
         config = self.plan.config
         frames, events = self._first_frames()
         # computed now, because the computer's clock may be set during an hour of rest and warm-up; frames
         # made on demand are timed by their first frame
-        epoch_offset_ns = at_first_ns if self.stream.policy == "wait" else utc_offset_ns(frames[-1])
+        epoch_offset_ns = first_utc_offset_ns if self.stream.policy == "wait" else utc_offset_ns(frames[-1])
         if self.phases is not None:
             self.stream.restart_losses()
         preflight = () if self.phases is None else self.phases.verdicts
@@ -259,21 +256,20 @@ class MeasurementRun:
         )
         # a run that is recorded at once accepts any start
         judge = None if config.start.way == "at once" else StartJudge(config, self.optics.unit)
-        rejected = ""
         try:
-            rejected = Recording(self, recorder, judge, frames[0]).record(frames, events)
+            rejection = Recording(self, recorder, judge, frames[0]).record(frames, events)
         finally:
             recorder.close()
             if recorder.error is not None:
                 self.stop.failed(recorder.error)
-        if not rejected or judge is None or recorder.error is not None:
+        if not rejection or judge is None or recorder.error is not None:
             return True
-        aside = set_aside(self.plan.record, number)
+        rejected_record = set_aside(self.plan.record, number)
         if self.phases is not None:
             self.phases.correct_starter(judge.first_amplitude)
-        self.plan.start_rejected(aside, rejected)
+        self.plan.start_rejected(rejected_record, rejection)
         if number >= judge.attempts:
-            raise DataError(f"no start of {number} was accepted; the last: {rejected}")
+            raise DataError(f"no start of {number} was accepted; the last: {rejection}")
         return False
 
     def _first_frames(self) -> tuple[list[Frame], list[Event]]:
@@ -299,8 +295,8 @@ class MeasurementRun:
 
     def _shut_down(self) -> None:
         self.stop.close_stream()
-        done = RecordedPhase(0, self.now.elapsed_s, Phase.DONE.value, reason=self.stop.reason)
-        self.status.tell(RecordContents(messages=[RecordedLosses(0, *self.stream.losses.counts), done]))
+        end = RecordedPhase(0, self.status.now.elapsed_s, Phase.DONE.value, reason=self.stop.reason)
+        self.status.tell(RecordContents(messages=[RecordedLosses(0, *self.stream.losses.counts), end]))
 
 
 def utc_offset_ns(frame: Frame) -> int:
@@ -314,18 +310,18 @@ def utc_offset_ns(frame: Frame) -> int:
     return now_ns - frame.time_ns - (time.monotonic_ns() - frame.host_time_ns)
 
 
-LEAST_FREE_BYTES = 50 * 1024 * 1024
+MIN_FREE_BYTES = 50 * 1024 * 1024
 """Free disk space below which no run begins."""
 
 
-def _check_place(record: Path) -> None:
+def _check_path(record: Path) -> None:
     """Raise ConfigurationError for a record that exists, RecordError where too little disk is free."""
     if record.exists():
         raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
     free = free_bytes(record.parent)
-    if free < LEAST_FREE_BYTES:
+    if free < MIN_FREE_BYTES:
         raise RecordError(
-            f"{record.parent}: {free // 2**20} MiB of disk are free, {LEAST_FREE_BYTES // 2**20} MiB "
+            f"{record.parent}: {free // 2**20} MiB of disk are free, {MIN_FREE_BYTES // 2**20} MiB "
             "are needed to begin; nothing was started: free some, or name another folder"
         )
 
@@ -334,7 +330,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
     """Measure one run into one record; camera and view are closed at the end in any case."""
     record = plan.record
     if plan.checked is None:
-        _check_place(record)
+        _check_path(record)
     if plan.config.simulated:
         _say_if_open(f"{plan.title}: SIMULATED (no camera is read; every number is the simulated rig's)")
     with devices.camera(plan.config) as camera:
@@ -344,10 +340,10 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         view = RunningView(record, plan.config.view.mode, plan.config.view.layout)
         try:
             outcome = _execute(plan, devices, camera, posterior)
-            ends = plan.is_last or outcome.failure is not None or outcome.stopped
-            # after a run that hangs the light is not asked for again
-            devices.lights_again = not ends
-            if ends and not outcome.hangs:
+            no_run_follows = plan.is_last or outcome.failure is not None or outcome.stopped
+            devices.lights_again = not no_run_follows
+            # while a run hangs its light is off already
+            if no_run_follows and not outcome.hangs:
                 devices.darken(outcome.last.reason or "the run has ended")
             return outcome
         finally:
@@ -365,7 +361,7 @@ def _execute(
         plan.title,
         config.session.final_amplitude_arcsec,
         optics.unit,
-        longest_s=config.session.max_duration_s,
+        max_duration_s=config.session.max_duration_s,
         stop_when=config.stop_conditions if posterior is not None else (),
         json_lines=plan.json_lines,
         simulated=config.simulated,
@@ -410,8 +406,8 @@ def _execute(
     prepare_kernels(optics.sensor, say)
     decay_summary.prepare()
     # after compiling and importing, which take time: a laser may be lit only while frames are processed
-    if lit := devices.light():
-        say(lit)
+    if light_text := devices.light():
+        say(light_text)
     with display:
         return run.execute(show)
 

@@ -75,33 +75,33 @@ def features_json(camera: Camera) -> bytes:
         return b""
     try:
         return json.dumps(camera.feature_values(), indent=1).encode()
-    except DeviceError as refused:
-        _log.warning("the camera's features cannot be read for the record: %s", refused)
+    except DeviceError as error:
+        _log.warning("the camera's features cannot be read for the record: %s", error)
         return b""
 
 
 def set_aside(record: Path, attempt: int) -> Path:
     """Rename the record of a rejected start; returns its new path."""
-    aside = record.with_name(f"{record.stem}-start-{attempt}{record.suffix}")
-    record.rename(aside)
+    new_path = record.with_name(f"{record.stem}-start-{attempt}{record.suffix}")
+    record.rename(new_path)
     if pixels_path(record).exists():
-        pixels_path(record).rename(pixels_path(aside))
-    return aside
+        pixels_path(record).rename(pixels_path(new_path))
+    return new_path
 
 
 _SWITCH_INTERVAL_S = 0.0005
-"""Time after which a thread must pass Python's interpreter lock on. Each numerical kernel releases the lock,
+"""Time after which a thread must pass on Python's interpreter lock. Each numerical kernel releases the lock,
 and would wait Python's default of 5 ms to get it back from a busy thread: a loop over many small kernels
 would delay frames by seconds."""
 
 
 @contextmanager
 def ready_for_frames(*, live: bool) -> Iterator[None]:
-    """A context in which threads wait for one another only shortly.
+    """A context in which threads wait for one another only briefly.
 
     For a `live` camera the garbage collector leaves out all objects that exist now: those of the libraries
     are so many that one collection stops all threads for some tenths of a second, in which the buffers of a
-    camera overflow. Frames made on demand would wait. Enter the context before the devices are opened: it
+    camera overflow. Frames made on demand simply wait. Enter the context before the devices are opened: it
     collects once itself, on a busy machine for longer than a controller's watchdog waits.
     """
     default_interval_s = sys.getswitchinterval()

@@ -44,18 +44,8 @@ class Watcher(Protocol):
 class RunStatus:
     """The state of a run, written by the processing thread and passed to its watchers.
 
-    `now` and `take_instructions` may be read from any thread.
-
-    Parameters
-    ----------
-    watchers
-        Receive all that is recorded, in the processing thread.
-    devices
-        Controller, laser and environment sensor.
-    unit
-        Unit of the half-cycles' amplitudes.
-    guard
-        Catches the errors of watchers.
+    `unit` is that of the half-cycles' amplitudes; `guard` catches the errors of watchers. `now` and
+    `take_instructions` may be read from any thread.
     """
 
     def __init__(
@@ -66,7 +56,7 @@ class RunStatus:
         self._devices = devices
         self._unit = unit
         self.light = LightWatch(devices)
-        self._noticed: list[tuple[EventKind, str]] = []
+        self._light_events: list[tuple[EventKind, str]] = []
         self._instructions: deque[RunNow] = deque()
         self.now = RunNow()
         self.begin_record()
@@ -83,21 +73,21 @@ class RunStatus:
     def take_instructions(self) -> Iterable[RunNow]:
         """States with an instruction to the operator since the last call, oldest first.
 
-        They include short-lived instructions that a caller would miss who reads only `now`.
+        Short-lived ones are among them, which `now` may never show to a caller.
         """
         while self._instructions:
             yield self._instructions.popleft()
 
     def prepare(self, phase: RecordedPhase) -> None:
         """Publish a state before the record begins, which is not recorded; looks at the laser."""
-        self._noticed += self.light.look()
-        instruction_before = self.now.instruction
+        self._light_events += self.light.look()
+        last_instruction = self.now.instruction
         air = Environment(phase.time_ns, *self._devices.environment())
-        messages: list[TimedMessage] = [phase, _light(self._devices), air]
+        messages: list[TimedMessage] = [phase, _recorded_light(self._devices), air]
         self.now = replace(
             self.now.with_contents(RecordContents(messages=messages), self._unit), alarm=self.light.alarm
         )
-        if phase.instruction and phase.instruction != instruction_before:
+        if phase.instruction and phase.instruction != last_instruction:
             self._instructions.append(self.now)
 
     def tell(self, recorded: RecordContents) -> None:
@@ -109,42 +99,45 @@ class RunStatus:
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
-        happened = self._devices.take_events()
-        happened += [(EventKind.WATCHER_FAILED, text) for text in self._guard.take_news()]
-        noticed, self._noticed = self._noticed, []
-        return happened + noticed + self.light.look()
+        events = self._devices.take_events()
+        events += [(EventKind.WATCHER_FAILED, text) for text in self._guard.take_news()]
+        events += self._light_events + self.light.look()
+        self._light_events = []
+        return events
 
     def messages(
-        self, phase: RecordedPhase, health: RecordedHealth, known: Posterior, *, on_demand: bool
+        self, phase: RecordedPhase, health: RecordedHealth, posterior: Posterior, *, on_demand: bool
     ) -> list[TimedMessage]:
         """Messages on the session that the record is due to get now.
 
         These are phase and light if they have changed, each new fit, and the health of the session once a
         second and whenever phase or alarm have changed.
         """
-        time_ns, found = phase.time_ns, list[TimedMessage]()
-        changed = self._phase is None or phase[2:] != self._phase[2:] or health.alarm != self._alarm
-        if self._phase is None or phase[2:] != self._phase[2:]:
-            found.append(phase)
+        time_ns, messages = phase.time_ns, list[TimedMessage]()
+        # the first two fields are times
+        is_new_phase = self._phase is None or phase[2:] != self._phase[2:]
+        is_health_due = is_new_phase or health.alarm != self._alarm
+        if is_new_phase:
+            messages.append(phase)
         self._phase, self._alarm = phase, health.alarm
-        if (light := _light(self._devices)) != self._light:
+        if (light := _recorded_light(self._devices)) != self._light:
             self._light = light
-            found.append(light._replace(time_ns=time_ns))
-        if known.half_cycles and known.estimates is not self._estimates:
-            self._estimates = known.estimates
-            found += [
-                RecordedEstimate(time_ns, known.half_cycles, value, u, name)
-                for name, (value, u) in known.estimates.items()
+            messages.append(light._replace(time_ns=time_ns))
+        if posterior.half_cycles and posterior.estimates is not self._estimates:
+            self._estimates = posterior.estimates
+            messages += [
+                RecordedEstimate(time_ns, posterior.half_cycles, value, u, name)
+                for name, (value, u) in posterior.estimates.items()
             ]
-            found += [point._replace(time_ns=time_ns) for point in known.points]
+            messages += [point._replace(time_ns=time_ns) for point in posterior.points]
         now_ns = time_ns if on_demand else time.monotonic_ns()
-        if changed or now_ns >= self._health_due_ns:
+        if is_health_due or now_ns >= self._health_due_ns:
             self._health_due_ns = now_ns + _HEALTH_INTERVAL_NS
-            found.append(health)
-        return found
+            messages.append(health)
+        return messages
 
 
-def _light(devices: Devices) -> RecordedLight:
+def _recorded_light(devices: Devices) -> RecordedLight:
     """The state of the light without ages, so that two are equal if nothing has changed."""
     safety = devices.safety()
     return RecordedLight(
@@ -161,105 +154,94 @@ def _light(devices: Devices) -> RecordedLight:
 
 
 _MIN_WIDTH_OF_TWO_COLUMNS = 120
-_MAX_NOTES = 10
+_MAX_EVENTS = 10
 
 
 def run_panel(
     title: str,
     now: RunNow,
-    done: float,
+    done_fraction: float,
     rows: Sequence[tuple[str, str]],
-    notes: Sequence[str],
+    events: Sequence[str],
     size: ConsoleDimensions,
     phases: Sequence[Phase] = (),
 ) -> Panel:
     """The panel that shows a run, cut to the `size` of the terminal.
 
-    `done` is the fraction of the run that is over, for the bar; `phases` are the phases before the record.
-    The last of the `notes` are shown, as many as fit.
+    `done_fraction` is the part of the run that is over, for the bar; `phases` are the phases before the
+    record. The newest of the `events` are shown, as many as fit.
     """
     width, height = size
     table = Table.grid(padding=(0, 1))
-    wide = width >= _MIN_WIDTH_OF_TWO_COLUMNS
-    for _ in range(4 if wide else 2):
+    columns = 2 if width >= _MIN_WIDTH_OF_TWO_COLUMNS else 1
+    for _ in range(2 * columns):
         table.add_column(style="dim", no_wrap=True)
         table.add_column(no_wrap=True, overflow="ellipsis")
-    if wide:
-        half = (len(rows) + 1) // 2
-        left, right = rows[:half], [*rows[half:], ("", "")]
-        for k in range(half):
-            table.add_row(*left[k], *right[k])
-    else:
-        for row in rows:
-            table.add_row(*row)
+    height_of_rows = -(-len(rows) // columns)
+    for k in range(height_of_rows):
+        table.add_row(*(cell for row in rows[k::height_of_rows] for cell in row))
     parts: list[RenderableType] = [
         Text.assemble((f"{title}  ", "bold"), (now.phase_text, "bold cyan"), no_wrap=True),
         *([_phase_line(phases, now.phase)] if phases else []),
-        _progress_bar(done, width - 4),
+        _progress_bar(done_fraction, width - 4),
         table,
     ]
     if now.alarm:
         parts.insert(0, Text(f"!!! {now.alarm.upper()} !!!", style="bold white on red"))
     if now.instruction:
         parts.append(Text(f">>> {loud(now.instruction)} <<<", style="bold reverse"))
-    used = 4 + (len(rows) + 1) // 2 if wide else 4 + len(rows)
-    used += bool(phases) + bool(now.instruction) + bool(now.alarm)
-    room = max(1, min(_MAX_NOTES, height - used - 3))
-    parts += [Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes[-room:]]
+    used_lines = 4 + height_of_rows + bool(phases) + bool(now.instruction) + bool(now.alarm)
+    max_events = max(1, min(_MAX_EVENTS, height - used_lines - 3))
+    parts += [Text(event, style="dim", no_wrap=True, overflow="ellipsis") for event in events[-max_events:]]
     return Panel(Group(*parts), width=width - 1, padding=(0, 1))
 
 
 def _phase_line(phases: Sequence[Phase], now: Phase) -> Text:
     """All phases in order, the present one marked."""
-    shown = Text(no_wrap=True, overflow="ellipsis")
-    for place, phase in enumerate((*phases, Phase.MEASURING)):
-        shown.append(" > " if place else "", "dim")
+    line = Text(no_wrap=True, overflow="ellipsis")
+    for number, phase in enumerate((*phases, Phase.MEASURING)):
+        line.append(" > " if number else "", "dim")
         name = "recording" if phase is Phase.MEASURING else phase.value
-        shown.append(name, "bold cyan" if phase is now else "dim")
-    return shown
+        line.append(name, "bold cyan" if phase is now else "dim")
+    return line
 
 
-def _progress_bar(part: float, width: int) -> Text:
-    room = max(width - 8, 10)
-    full = round(part * room)
-    rest = ("━" * (room - full), "bright_black")
-    return Text.assemble(("━" * full, "green"), rest, f" {100 * part:3.0f} %")
-
-
-_MAX_SHOWN_U_RELATIVE = 1.0
-"""Minimum relative uncertainty of a value that is not shown."""
+def _progress_bar(done_fraction: float, width: int) -> Text:
+    length = max(width - 8, 10)
+    done = round(done_fraction * length)
+    rest = ("━" * (length - done), "bright_black")
+    return Text.assemble(("━" * done, "green"), rest, f" {100 * done_fraction:3.0f} %")
 
 
 def estimate_rows(now: RunNow, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:
     """Rows of the panel for the parameters, two in each, and for the conditions that end the run.
 
-    No parameters before the first fit.
+    There are no parameters before the first fit.
     """
-    found, keys = now.estimates, list(now.estimates)
+    estimates, keys = now.estimates, list(now.estimates)
     rows = [
         (
             ", ".join(quantity(key).symbol for key in pair),
-            ",  ".join(_text(key, found[key]) for key in pair),
+            ",  ".join(_text(key, estimates[key]) for key in pair),
         )
         for pair in (keys[first : first + 2] for first in range(0, len(keys), 2))
     ]
     if stop_when:
-        rows.append(("ends when", ", ".join(condition.text(found) for condition in stop_when)))
+        rows.append(("ends when", ", ".join(condition.text(estimates) for condition in stop_when)))
     return rows
 
 
-def estimate_texts(key: str, one: Estimate) -> tuple[str, str]:
-    """Texts of a parameter: value with uncertainty in its shown unit, and the relative uncertainty in per
-    cent.
+def estimate_texts(key: str, estimate: Estimate) -> tuple[str, str]:
+    """Texts of a parameter: value with uncertainty in its shown unit, and relative uncertainty in per cent.
 
     A value smaller than its uncertainty is not shown.
     """
-    relative = one.standard_uncertainty / abs(one.value) if one.value else float("inf")
-    if not relative < _MAX_SHOWN_U_RELATIVE:
+    value, u = estimate
+    if not u < abs(value):
         return "not yet seen", ""
-    return quantity(key).text(one.value, one.standard_uncertainty), percent(relative)
+    return quantity(key).text(value, u), percent(u / abs(value))
 
 
-def _text(key: str, one: Estimate) -> str:
-    value, relative = estimate_texts(key, one)
+def _text(key: str, estimate: Estimate) -> str:
+    value, relative = estimate_texts(key, estimate)
     return f"{value} {quantity(key).unit}".rstrip() + f" ({relative})" if relative else value

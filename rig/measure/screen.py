@@ -1,4 +1,4 @@
-"""Displays a run: a live screen on a terminal, otherwise a line every few seconds, or JSON lines."""
+"""Displays a run: a live screen on a terminal, otherwise a line every few seconds, or lines of JSON."""
 
 import logging
 import math
@@ -17,7 +17,6 @@ from rich.console import Console, RenderableType
 from rich.live import Live
 
 from acquisition.record.events import EventKind
-from processing.balance import Balance
 from processing.decay_summary import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from processing.units import seconds
@@ -31,9 +30,11 @@ _log = logging.getLogger(__name__)
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
 _FORECAST_INTERVAL_S = 2.0
-_RATES_SPAN_S = 5.0
+_MIN_FORECAST_HALF_CYCLES = 8
+_MIN_RATES_SPAN_S = 5.0
 """Shortest span of the record over which rates are shown."""
-_MAX_SWINGS = 20_000
+_MAX_HALF_CYCLES = 20_000
+_MAX_EVENTS = 12
 _NO_FORECAST = Forecast(math.nan, math.nan)
 
 
@@ -48,12 +49,17 @@ class RunDisplay:
     title: str
     final_amplitude_arcsec: float
     unit: DeflectionUnit
+    """Unit of amplitudes and positions."""
     _: KW_ONLY
-    longest_s: float = math.inf
+    max_duration_s: float = math.inf
+    """Longest duration of the record."""
     stop_when: Sequence[StopCondition] = ()
+    """Conditions on the live fit that end the run."""
     json_lines: bool = False
+    """Whether stdout gets lines of JSON."""
     simulated: bool = False
     phases: Sequence[Phase] = ()
+    """Phases before the record."""
     console: Console = field(default_factory=partial(Console, stderr=True))
 
     def __post_init__(self) -> None:
@@ -65,12 +71,12 @@ class RunDisplay:
         self._printed_s = 0.0
         self._phase: Phase | None = None
         self._demands = ("", "")
-        self._swings: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SWINGS)
-        self._notes: deque[str] = deque(maxlen=12)
+        self._turning_points: deque[tuple[float, float, float]] = deque(maxlen=_MAX_HALF_CYCLES)
+        self._events: deque[str] = deque(maxlen=_MAX_EVENTS)
         self._to_print: deque[Callable[[], None]] = deque()
         self._counts: deque[tuple[float, int, int]] = deque()
         self._forecast = _NO_FORECAST
-        self._forecast_s = 0.0
+        self._forecast_due_s = 0.0
 
     def __enter__(self) -> Self:
         if self.console.is_terminal and not self.json_lines:
@@ -83,16 +89,15 @@ class RunDisplay:
             with suppress(OSError):
                 self._live.stop()
 
-    # -- as a watcher, in the run's thread -----------------------------------
-
-    def take(self, contents: RecordContents) -> None:
-        """Keep half-cycles for the forecast, and lines of the log."""
-        for swing in contents.half_cycles:
+    def take(self, recorded: RecordContents) -> None:
+        """Store turning points for the forecast, and the lines of events."""
+        for swing in recorded.swings:
             if not swing.flags:
-                self._swings.append((seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude))
-        for event in contents.events:
-            elapsed_s = seconds(event.time_ns - contents.start_ns)
-            self._notes.append(f"{elapsed_s:8.1f} s  {event.line}")
+                point = seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude
+                self._turning_points.append(point)
+        for event in recorded.events:
+            elapsed_s = seconds(event.time_ns - recorded.start_ns)
+            self._events.append(f"{elapsed_s:8.1f} s  {event.line}")
             if self.json_lines:
                 line = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
                 self._to_print.append(partial(self.line, "event", line))
@@ -106,8 +111,6 @@ class RunDisplay:
             self._to_print.append(lambda: self.line("preflight", {"table": rows}))
         else:
             self._to_print.append(lambda: print_verdicts(self.console, rows))
-
-    # -- in the main thread --------------------------------------------------
 
     def line(self, kind: str, values: dict[str, Any]) -> None:
         """Print one line of JSON on stdout; a closed stdout is ignored, so that the measurement continues."""
@@ -127,9 +130,9 @@ class RunDisplay:
         if math.isnan(self._initial) and not math.isnan(now.amplitude):
             self._initial = now.amplitude
         now_s = time.monotonic()
-        is_due = now_s - self._forecast_s >= _FORECAST_INTERVAL_S
-        if is_due and len(self._swings) >= 8 and not math.isnan(self._final):
-            self._forecast_s = now_s
+        has_points = len(self._turning_points) >= _MIN_FORECAST_HALF_CYCLES
+        if has_points and now_s >= self._forecast_due_s and not math.isnan(self._final):
+            self._forecast_due_s = now_s + _FORECAST_INTERVAL_S
             self._forecast = self._predict_end()
         if self._closed:
             return
@@ -144,11 +147,10 @@ class RunDisplay:
             self._to_print.popleft()()
         demands = now.alarm, now.instruction
         changed = now.phase is not self._phase or demands != self._demands
+        interval_s = _JSON_INTERVAL_S if self.json_lines else _PLAIN_INTERVAL_S
         if self._live is not None:
             self._live.update(self.screen(now), refresh=True)
-        elif changed or now_s - self._printed_s >= (
-            _JSON_INTERVAL_S if self.json_lines else _PLAIN_INTERVAL_S
-        ):
+        elif changed or now_s - self._printed_s >= interval_s:
             self._printed_s = now_s
             if self.json_lines:
                 self.line("state", self.values(now))
@@ -166,43 +168,59 @@ class RunDisplay:
             now,
             self._done_fraction(now),
             self.rows(now),
-            list(self._notes),
+            list(self._events),
             self.console.size,
             self.phases,
         )
 
     def values(self, now: RunNow) -> dict[str, Any]:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
-        left_s, u_s = self._forecast_of_end(now)
-        derived = {
+        remaining_s, u_s = self._forecast_of_end(now)
+        frames_hz, bytes_per_s = self._rates(now)
+        values = asdict(replace(now, balance=None))
+        del values["balance"]
+        values |= {
             "done": self._done_fraction(now),
-            "remaining_s": left_s,
+            "remaining_s": remaining_s,
             "u_remaining_s": u_s,
             "at_most_s": self._time_to_limit_s(now),
             "no_swing_s": now.no_swing_s,
-            **self._numbers(now),
+            "amplitude_unit": self.unit.shown,
+            "frames_hz": frames_hz,
+            "record_bytes_per_s": bytes_per_s,
         }
-        fields = asdict(replace(now, balance=None))
-        del fields["balance"]
-        return {**fields, **derived}
+        if (balance := now.balance) is not None:
+            values["transverse_ratio"] = balance.transverse_ratio
+            values["line_angle_rad"] = balance.line_angle_rad
+            values["rest_x"] = balance.rest_x / balance.unit.shown_size
+            values["rest_y"] = balance.rest_y / balance.unit.shown_size
+        return values
 
     def rows(self, now: RunNow) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""
-        unit, balance = self.unit.shown, now.balance
+        unit = self.unit.shown
+        transverse = rest = "-"
+        if (balance := now.balance) is not None:
+            size, ratio, angle_rad = balance.unit.shown_size, balance.transverse_ratio, balance.line_angle_rad
+            transverse = f"{balance.transverse / size:.3f} {balance.unit.shown} ({100 * ratio:.2f} %), "
+            transverse += f"line {math.degrees(angle_rad):+.3f}°"
+            x, y = (decimals(value / size, 3, sign=True) for value in (balance.rest_x, balance.rest_y))
+            rest = f"X {x}, Y {y} {balance.unit.shown}"
         reasons = f" ({now.losses})" if now.losses.total else ""
         losses = f"{now.dropped_frames} frames dropped{reasons}, {now.lost_spots} spots lost"
         frames_hz, bytes_per_s = self._rates(now)
-        camera = f"{frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"
+        age = "-" if math.isnan(now.frame_age_s) else f"{now.frame_age_s * 1e3:.0f} ms"
+        camera = f"{frames_hz:.1f} frames/s, {now.frames} in all, age {age}"
         if now.precedes_record:
             losses = camera = "counted from the record on"
         rows = [
             ("elapsed", f"{_clock(now.elapsed_s)}, {now.half_cycles} half-cycles"),
             self._prediction(now),
-            ("amplitude", _number(now.amplitude, ".3f", unit) + _old(now)),
+            ("amplitude", _number(now.amplitude, ".3f", unit) + _age_of_amplitude(now)),
             ("period", _number(now.period_s, ".5f", "s")),
             *estimate_rows(now, self.stop_when),
-            ("transverse", self._transverse(balance)),
-            ("rest position", self._rest(balance)),
+            ("transverse", transverse),
+            ("rest position", rest),
             ("camera", camera),
             ("clock", now.clock.text or "-"),
             ("beam", now.beam or "-"),
@@ -221,25 +239,11 @@ class RunDisplay:
         hidden |= {name for name, _ in estimate_rows(now, ())}
         return [row for row in self.rows(now) if row[0] not in hidden]
 
-    def _transverse(self, balance: Balance | None) -> str:
-        if balance is None:
-            return "-"
-        return (
-            f"{balance.transverse / balance.unit.shown_size:.3f} {balance.unit.shown} "
-            f"({100 * balance.transverse_ratio:.2f} %), line {math.degrees(balance.line_angle_rad):+.3f}°"
-        )
-
-    def _rest(self, balance: Balance | None) -> str:
-        if balance is None:
-            return "-"
-        x, y = balance.rest_x / balance.unit.shown_size, balance.rest_y / balance.unit.shown_size
-        return f"X {decimals(x, 3, sign=True)}, Y {decimals(y, 3, sign=True)} {balance.unit.shown}"
-
     def _time_to_limit_s(self, now: RunNow) -> float:
         """Time in s until the longest duration of the run, which counts from the start of the record."""
         if now.precedes_record:
-            return self.longest_s
-        return max(self.longest_s - now.elapsed_s, 0.0)
+            return self.max_duration_s
+        return max(self.max_duration_s - now.elapsed_s, 0.0)
 
     def _forecast_of_end(self, now: RunNow) -> Forecast:
         """Time to the end of the run, by amplitude or time limit, whichever is first; NaN if unknown."""
@@ -252,20 +256,20 @@ class RunDisplay:
 
     def _prediction(self, now: RunNow) -> tuple[str, str]:
         """The row on the end of the run: which limit will end it, and the time left."""
-        left_s, u_s = self._forecast_of_end(now)
-        unit = self.unit.shown
-        goal = "to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}"
-        if math.isnan(left_s):
+        remaining_s, u_s = self._forecast_of_end(now)
+        has_lever = not math.isnan(self._final)
+        goal = f"to {self._final:g} {self.unit.shown}" if has_lever else "to the end"
+        if math.isnan(remaining_s):
             limit_s = self._time_to_limit_s(now)
             limit = f", at most {_clock(limit_s)}" if math.isfinite(limit_s) else ""
-            return goal, f"{'unknown: no lever' if math.isnan(self._final) else 'too early to say'}{limit}"
-        end = time.strftime("%H:%M", time.localtime(time.time() + left_s))
+            return goal, f"{'too early to say' if has_lever else 'unknown: no lever'}{limit}"
+        end = time.strftime("%H:%M", time.localtime(time.time() + remaining_s))
         if u_s == 0:
-            return "to the time limit", f"{_clock(left_s)}, at {end}"
-        return goal, f"{_clock(left_s)} ± {_clock(u_s)}, at {end}"
+            return "to the time limit", f"{_clock(remaining_s)}, at {end}"
+        return goal, f"{_clock(remaining_s)} ± {_clock(u_s)}, at {end}"
 
     def _predict_end(self) -> Forecast:
-        table = np.array(list(self._swings))
+        table = np.array(list(self._turning_points))
         final = self._final * self.unit.shown_size
         crossing = forecast(table[:, 0], table[:, 1], table[:, 2], final)
         # the run ends at the last of `CONSECUTIVE_BELOW` turning points below the limit, the first of which
@@ -283,68 +287,50 @@ class RunDisplay:
             counts.clear()
         if not now.precedes_record:
             counts.append((now.elapsed_s, now.frames, now.record_bytes))
-        while len(counts) > 2 and now.elapsed_s - counts[1][0] >= _RATES_SPAN_S:
+        while len(counts) > 2 and now.elapsed_s - counts[1][0] >= _MIN_RATES_SPAN_S:
             counts.popleft()
         span_s = now.elapsed_s - counts[0][0] if counts else 0.0
         if span_s <= 0.0:
             return 0.0, 0.0
         return (now.frames - counts[0][1]) / span_s, (now.record_bytes - counts[0][2]) / span_s
 
-    def _numbers(self, now: RunNow) -> dict[str, Any]:
-        frames_hz, bytes_per_s = self._rates(now)
-        numbers: dict[str, Any] = {
-            "amplitude_unit": self.unit.shown,
-            "frames_hz": frames_hz,
-            "record_bytes_per_s": bytes_per_s,
-        }
-        if (balance := now.balance) is not None:
-            numbers["transverse_ratio"] = balance.transverse_ratio
-            numbers["line_angle_rad"] = balance.line_angle_rad
-            numbers["rest_x"] = balance.rest_x / balance.unit.shown_size
-            numbers["rest_y"] = balance.rest_y / balance.unit.shown_size
-        return numbers
-
     def _done_fraction(self, now: RunNow) -> float:
         if now.precedes_record:
             return 0.0
-        time_fraction = min(now.elapsed_s / self.longest_s, 1.0)
+        time_fraction = min(now.elapsed_s / self.max_duration_s, 1.0)
         if not self._initial > self._final or math.isnan(now.amplitude):
             return time_fraction
-        fall = math.log(self._initial / max(now.amplitude, self._final))
-        return max(time_fraction, min(1.0, fall / math.log(self._initial / self._final)))
+        decay = math.log(self._initial / max(now.amplitude, self._final))
+        return max(time_fraction, min(1.0, decay / math.log(self._initial / self._final)))
 
     def _plain_line(self, now: RunNow) -> str:
-        amplitude = (
-            "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self.unit.shown}{_old(now)}  "
-        )
-        counted = f"{now.frames} frames ({now.dropped_frames} dropped, {now.lost_spots} lost)"
-        if now.precedes_record:
-            # frames are counted from the record on
-            counted = ""
-        tail = f"  {now.reason}" if now.reason else ""
-        phase = "" if now.phase is Phase.MEASURING else f"{now.phase_text}  "
-        return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{counted}{tail}".rstrip()
+        amplitude = frames = ""
+        if not math.isnan(now.amplitude):
+            amplitude = f"{now.amplitude:7.2f} {self.unit.shown}{_age_of_amplitude(now)}  "
+        # frames are counted from the record on
+        if not now.precedes_record:
+            frames = f"{now.frames} frames ({now.dropped_frames} dropped, {now.lost_spots} lost)"
+        reason = f"  {now.reason}" if now.reason else ""
+        phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
+        return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{frames}{reason}".rstrip()
 
 
-def _clock(seconds: float) -> str:
-    if not math.isfinite(seconds):
+def _clock(duration_s: float) -> str:
+    if not math.isfinite(duration_s):
         return "?"
-    minutes, rest = divmod(max(seconds, 0.0), 60.0)
+    # rounded first, so that no minute has 60.0 s
+    minutes, rest_s = divmod(round(max(duration_s, 0.0), 1), 60.0)
     hours, minutes = divmod(int(minutes), 60)
-    return f"{hours}:{minutes:02d}:{int(rest):02d}" if hours else f"{minutes}:{rest:04.1f}"
+    return f"{hours}:{minutes:02d}:{int(rest_s):02d}" if hours else f"{minutes}:{rest_s:04.1f}"
 
 
-def _number(value: float, shape: str, unit: str) -> str:
-    return "-" if math.isnan(value) else f"{value:{shape}} {unit}"
+def _number(value: float, format_spec: str, unit: str) -> str:
+    return "-" if math.isnan(value) else f"{value:{format_spec}} {unit}"
 
 
-def _old(now: RunNow) -> str:
-    """How old the amplitude is, where it is older than it should be."""
+def _age_of_amplitude(now: RunNow) -> str:
+    """How old the amplitude is, if it is older than it should be."""
     return f" (no swing for {now.no_swing_s:.0f} s)" if now.no_swing_s else ""
-
-
-def _age(now: RunNow) -> str:
-    return "age -" if math.isnan(now.frame_age_s) else f"age {now.frame_age_s * 1e3:.0f} ms"
 
 
 def _air(now: RunNow) -> str:

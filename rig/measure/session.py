@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
 from rig.analysis import (
+    RESULTS_NAME,
     SessionResults,
     analyse_record,
     free_path,
@@ -31,7 +32,7 @@ from rig.measure.session_file import (
     RunState,
     SessionFile,
     close_earlier_runs,
-    end_noted,
+    note_recorded_end,
     withdraw_unrecorded,
 )
 from rig.measure.session_orders import Notes, await_acknowledgement, orders
@@ -64,16 +65,16 @@ def measure_session(
     Returns the exit status: 0 if every run ended regularly and was fitted, else 1. Raises ConfigurationError
     for an output folder that already contains a run.
     """
-    config = checked(config)
+    config = complete_checked(config)
     if output is not None:
         withdraw_unrecorded(output)
-    folder, made = session_folder(config, source, output)
+    folder, created = session_folder(config, source, output)
     try:
         stored = stored_configuration(config)
         with closing(SessionFile.create(folder, source, config.session.runs, stored)) as file:
             return finish_session(file, config, "rig run", waiting, force=force, json_lines=json_lines)
     finally:
-        withdraw_unrecorded(folder, made)
+        withdraw_unrecorded(folder, created)
 
 
 def resume_session(
@@ -103,15 +104,15 @@ def resume_session(
         if replacement is None and not overrides:
             say(f"{folder}: continues as begun, with {source} (--set changes it, --config takes another)")
         else:
-            config = checked(config)
-            changed = file.reconfigure(source, stored_configuration(config))
-            if any(text.partition("=")[0].strip() == "session.runs" for text in overrides):
+            config = complete_checked(config)
+            changes = file.reconfigure(source, stored_configuration(config))
+            if any(override.partition("=")[0].strip() == "session.runs" for override in overrides):
                 file.save(file.state.model_copy(update={"runs_wanted": config.session.runs}))
-            say(f"{folder}: continues with {source}, which states {changed}")
+            say(f"{folder}: continues with {source}, which states {changes}")
         return finish_session(file, config, "rig run --resume", force=force, json_lines=json_lines)
 
 
-def checked(config: Configuration) -> Configuration:
+def complete_checked(config: Configuration) -> Configuration:
     """The complete configuration of a session; raises ConfigurationError if it cannot be used."""
     config = complete(config)
     check_materials(config)
@@ -131,7 +132,7 @@ class SessionOptions(NamedTuple):
     json_lines: bool
     """Whether stdout gets JSON lines instead of a table."""
     waiting: PreflightWait
-    """Called with the reason of a no-go while the laser is dark; True: the run is tried again."""
+    """Waits after a no-go, while the laser is dark."""
 
 
 def finish_session(
@@ -190,10 +191,10 @@ def _interrupts_noted(file: SessionFile) -> Iterator[None]:
         reason = reason_of(interrupt)
         for entry in file.state.entries:
             if entry.state is RunState.RECORDING:
-                # the interrupt came before the record; a run with a record holds by itself how it ended
+                # a record states by itself how its run ended; this interrupt came before the record
                 if not (file.folder / entry.record).exists():
                     file.note(entry.number, entry.record, RunState.STOPPED, reason)
-                end_noted(file, entry)
+                note_recorded_end(file, entry)
         if isinstance(interrupt, Terminated):
             remedy = f"rig run --resume {file.folder} continues, rig fit fits the runs so far"
             # an OSError comes from a terminal that was closed
@@ -212,11 +213,11 @@ def make_runs(
     """
     folder, session_news = file.folder, SessionNews()
     notes = Notes(folder, config.session.operator)
-    told = orders(devices, notes, session_news)
-    socket = OrderSocket(folder, session_news, told, lambda: safety_values(devices))
-    with socket as watched, _interrupts_noted(file):
-        if watched.problem:
-            say(watched.problem)
+    by_name = orders(devices, notes, session_news)
+    socket = OrderSocket(folder, session_news, by_name, lambda: safety_values(devices))
+    with socket, _interrupts_noted(file):
+        if socket.problem:
+            say(socket.problem)
         records = [folder / entry.record for entry in file.state.complete]
         failed = stopped = False
 
@@ -258,9 +259,9 @@ def make_runs(
                 break
             if outcome.hangs:
                 # the entry stays: the record can be repaired only when no thread writes to it any more
-                off = "" if config.laser.kind == "none" else "the laser was told off, "
+                laser = "" if config.laser.kind == "none" else "the laser was ordered off, "
                 raise DeviceError(
-                    f"{outcome.hangs}: {off}{record} stays as it is; "
+                    f"{outcome.hangs}: {laser}{record} stays as it is; "
                     f"remove the cause (a disk that hangs?), then rig run --resume {folder}"
                 )
             if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
@@ -272,7 +273,7 @@ def make_runs(
                 if options.waiting(outcome.failure.failed_checks):
                     continue
                 devices.lights_again = False
-            options.waiting.since = ""
+            options.waiting.first_no_go = ""
             reason, interrupt, stopped = outcome.last.reason, outcome.interrupt, outcome.stopped
             state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE
             # also if the user has ended the run before its record began
@@ -331,16 +332,16 @@ def report(config: Configuration, folder: Path, outcome: SessionOutcome, options
 
 def result_faults(results: SessionResults, config: Configuration) -> list[str]:
     """Faults of runs, each with the name of its record: no fit, or conditions that were not met."""
-    found = []
+    faults = []
     for run in results.runs:
         # a run without a calibrated lever cannot be fitted, which is not a failure
         problem = run.problem if config.lever is not None else ""
-        found += [f"{run.record}: {why}" for why in (problem, failures(run.conditions)) if why]
-    return found
+        faults += [f"{run.record}: {why}" for why in (problem, failures(run.conditions)) if why]
+    return faults
 
 
 def _whole_results(file: SessionFile) -> SessionResults | None:
-    """The results if they can be read and contain every complete run, else None; makes a missing report."""
+    """The results, and their report is made if it is missing; None unless they contain every complete run."""
     from rig.report import make_report
 
     path = results_path(file.folder)
@@ -377,14 +378,14 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
         folder = output
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"{folder}: is a file; name a folder for the session")
-    if folder.is_dir() and (any(folder.glob("run-*.mcap")) or (folder / "results.json").exists()):
+    if folder.is_dir() and (any(folder.glob("run-*.mcap")) or (folder / RESULTS_NAME).exists()):
         raise ConfigurationError(f"{folder}: holds a run already, which is never overwritten; name another")
-    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    created = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigurationError(f"{folder}: cannot be made: {error.strerror or error}") from None
-    return folder, made
+    return folder, created
 
 
 def with_other_seed(config: Configuration, more: int) -> Configuration:

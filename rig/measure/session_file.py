@@ -45,15 +45,19 @@ class RunState(StrEnum):
 
 
 class RunEntry(BaseModel, frozen=True, extra="forbid"):
-    """One run or attempt: the name of its record, its state, and why it ended."""
+    """One run or attempt."""
 
     number: int
     record: str
+    """File name of its record."""
     state: RunState
     reason: str = ""
+    """Why it ended."""
     begun_utc: str = ""
     ended_utc: str = ""
+    """Empty while it is being recorded."""
     recovered: str = ""
+    """File name of the recovered copy of a truncated record; empty without one."""
 
 
 class SessionState(BaseModel, frozen=True, extra="forbid"):
@@ -68,18 +72,16 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
 
     @property
     def complete(self) -> list[RunEntry]:
-        """Complete runs."""
         return [entry for entry in self.entries if entry.state is RunState.COMPLETE]
 
     @property
     def next_number(self) -> int:
-        """The next unused run number."""
         return 1 + max((entry.number for entry in self.entries), default=0)
 
     def with_entry(self, entry: RunEntry) -> Self:
-        """A copy in which this entry replaces the one of the same record, or is added."""
-        kept = [old for old in self.entries if old.record != entry.record]
-        return self.model_copy(update={"entries": (*kept, entry)})
+        """A copy in which this entry replaces that of the same record, or is added."""
+        others = [other for other in self.entries if other.record != entry.record]
+        return self.model_copy(update={"entries": (*others, entry)})
 
 
 def read_session(folder: Path) -> SessionState:
@@ -112,10 +114,10 @@ def is_in_use(folder: Path) -> bool:
     return False
 
 
-def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:
+def withdraw_unrecorded(folder: Path, created: Sequence[Path] = ()) -> None:
     """Remove the files of a session that has ended without a record, which would block the next session.
 
-    The folders `made` for it are removed, too, if they are empty. A session with a record stays.
+    The folders `created` for it are removed, too, if they are empty. A session with a record stays.
     """
     with suppress(RigError), closing(SessionFile.opened(folder)) as file:
         records = [folder / entry.record for entry in file.state.entries]
@@ -124,8 +126,8 @@ def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:
         for name in (STATE_NAME, LOCK_NAME):
             (folder / name).unlink(missing_ok=True)
     with suppress(OSError):
-        for place in made:
-            place.rmdir()
+        for path in created:
+            path.rmdir()
 
 
 class SessionFile:
@@ -159,28 +161,24 @@ class SessionFile:
     def note(self, number: int, record: str, state: RunState, reason: str = "", recovered: str = "") -> None:
         """Save the state of a run."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        before = next((entry for entry in self.state.entries if entry.record == record), None)
-        begun = before.begun_utc if before is not None else now
+        begun = next((entry.begun_utc for entry in self.state.entries if entry.record == record), now)
         # the time of day may have been set back meanwhile
         ended = "" if state == RunState.RECORDING else max(now, begun)
-        self.save(
-            self.state.with_entry(
-                RunEntry(
-                    number=number,
-                    record=record,
-                    state=state,
-                    reason=reason,
-                    begun_utc=begun,
-                    ended_utc=ended,
-                    recovered=recovered,
-                )
-            )
+        entry = RunEntry(
+            number=number,
+            record=record,
+            state=state,
+            reason=reason,
+            begun_utc=begun,
+            ended_utc=ended,
+            recovered=recovered,
         )
+        self.save(self.state.with_entry(entry))
 
     def forget(self, record: str) -> None:
         """Remove the entry of a run that did not begin."""
-        kept = tuple(entry for entry in self.state.entries if entry.record != record)
-        self.save(self.state.model_copy(update={"entries": kept}))
+        others = tuple(entry for entry in self.state.entries if entry.record != record)
+        self.save(self.state.model_copy(update={"entries": others}))
 
     def reconfigure(self, source: Path, configuration: dict[str, Any]) -> str:
         """Give the missing runs another configuration; returns what it changes, in words.
@@ -201,7 +199,6 @@ class SessionFile:
         self.state = state
 
     def close(self) -> None:
-        """Release the lock."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
@@ -211,7 +208,7 @@ class SessionFile:
             return
         path = self.folder / LOCK_NAME
         try:
-            # never through a symbolic link, which could name any file
+            # not through a symbolic link, which could name any file
             lock = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), "r+b")
         except OSError as error:
             raise ConfigurationError(f"{path}: cannot be opened: {error.strerror or error}") from None
@@ -231,14 +228,14 @@ class SessionFile:
         self._lock = lock
 
 
-def _changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+def _changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """Each changed key of a configuration tree with its new and old value, in words."""
-    for key in sorted(before.keys() | after.keys()):
-        old, new = before.get(key), after.get(key)
-        if isinstance(old, Mapping) and isinstance(new, Mapping):
-            yield from _changes(old, new, f"{prefix}{key}.")
-        elif old != new:
-            yield f"{prefix}{key} = {json.dumps(new)} (was {json.dumps(old)})"
+    for key in sorted(old.keys() | new.keys()):
+        old_value, new_value = old.get(key), new.get(key)
+        if isinstance(old_value, Mapping) and isinstance(new_value, Mapping):
+            yield from _changes(old_value, new_value, f"{prefix}{key}.")
+        elif old_value != new_value:
+            yield f"{prefix}{key} = {json.dumps(new_value)} (was {json.dumps(old_value)})"
 
 
 _STATE_OF_END: dict[str, RunState] = {
@@ -248,10 +245,10 @@ _STATE_OF_END: dict[str, RunState] = {
 }
 
 
-def end_noted(file: SessionFile, entry: RunEntry) -> str:
-    """Save how a run has ended whose entry still says that it is being recorded; returns the end in words.
+def note_recorded_end(file: SessionFile, entry: RunEntry) -> str:
+    """Save how a run has ended, by its record, if its entry says that it is being recorded.
 
-    If the run has no record, or a truncated one, nothing is saved and the text is empty.
+    Returns the end in words; empty, and nothing is saved, if the run has no record or a truncated one.
     """
     record = file.folder / entry.record
     if not record.exists():
@@ -261,13 +258,13 @@ def end_noted(file: SessionFile, entry: RunEntry) -> str:
         if end is not None and not reader.truncated:
             state = _STATE_OF_END.get(end.kind, RunState.COMPLETE)
             file.note(entry.number, entry.record, state, end.text)
-            how = "whole" if state is RunState.COMPLETE else f"{state}, its run is made again"
-            return f"{entry.record} is {how}: {end.text}"
+            condition = "whole" if state is RunState.COMPLETE else f"{state}, its run is made again"
+            return f"{entry.record} is {condition}: {end.text}"
     return ""
 
 
 def close_earlier_runs(file: SessionFile) -> None:
-    """Save how runs have ended that a killed program made, and report truncated records."""
+    """Save how the runs of a killed program have ended, and report truncated records."""
     for entry in file.state.entries:
         if entry.state is RunState.RECORDING:
             _close_interrupted(file, entry)
@@ -283,17 +280,17 @@ def close_earlier_runs(file: SessionFile) -> None:
 def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
     """Save how a run that was being recorded has ended; make a recovered copy of a truncated record."""
     record = file.folder / entry.record
-    if end_text := end_noted(file, entry):
+    if end_text := note_recorded_end(file, entry):
         say(end_text)
         return
-    name, reason = "", "the session was interrupted"
+    recovered, reason = "", "the session was interrupted"
     if record.exists():
         try:
-            whole = recovery_path(record)
-            if not whole.exists():
-                recover(record, whole)
-            name = whole.name
-            say(f"{entry.record} was cut short and stays as it is; {whole.name} is a whole copy")
+            copy = recovery_path(record)
+            if not copy.exists():
+                recover(record, copy)
+            recovered = copy.name
+            say(f"{entry.record} was cut short and stays as it is; {copy.name} is a whole copy")
         except RecordError as error:
             reason = f"{reason}; {error}"
-    file.note(entry.number, entry.record, RunState.INTERRUPTED, reason, name)
+    file.note(entry.number, entry.record, RunState.INTERRUPTED, reason, recovered)

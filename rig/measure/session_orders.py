@@ -33,7 +33,7 @@ from rig.instrument import Phase
 from rig.settings import Configuration
 
 NOTES_NAME = "notes.jsonl"
-_MOST_CHARACTERS = 2000
+_MAX_CHARACTERS = 2000
 
 
 class OperatorNote(NamedTuple):
@@ -53,20 +53,20 @@ class Notes:
 
     def __init__(self, folder: Path, author: str) -> None:
         self._path, self._author = folder / NOTES_NAME, author
-        self._typed: deque[OperatorNote] = deque()
-        self._writing = threading.Lock()
+        self._new_notes: deque[OperatorNote] = deque()
+        self._write_lock = threading.Lock()
 
     def write(self, text: str) -> str:
         """Save a note; returns a confirmation. Raises RigError if it is empty, too long or not saved."""
         text, author = " ".join(text.split()), self._author
         if not text:
             raise RigError("an empty note: type some text")
-        if len(text) > _MOST_CHARACTERS:
-            raise RigError(f"a note of {len(text)} characters: at most {_MOST_CHARACTERS}; split it in two")
-        typed = OperatorNote(time.monotonic_ns(), author, text)
+        if len(text) > _MAX_CHARACTERS:
+            raise RigError(f"a note of {len(text)} characters: at most {_MAX_CHARACTERS}; split it in two")
+        note = OperatorNote(time.monotonic_ns(), author, text)
         utc = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = json.dumps({"utc": utc, "author": author, "text": text}, ensure_ascii=False)
-        with self._writing:
+        with self._write_lock:
             try:
                 with self._path.open("a", encoding="utf-8") as file:
                     file.write(f"{line}\n")
@@ -74,12 +74,12 @@ class Notes:
                     os.fsync(file.fileno())
             except OSError as error:
                 raise RigError(f"{self._path}: the note cannot be kept: {error.strerror or error}") from None
-            self._typed.append(typed)
+            self._new_notes.append(note)
         return f"noted: {text}"
 
     def take(self) -> list[OperatorNote]:
         """The notes since the last call, oldest first."""
-        return take_all(self._typed)
+        return take_all(self._new_notes)
 
 
 _CHECK_INTERVAL_S = 0.1
@@ -88,7 +88,8 @@ _CHECK_INTERVAL_S = 0.1
 def orders(devices: Devices, notes: Notes, session_news: SessionNews) -> Orders:
     """The orders by name; `stop` acts like Ctrl-C.
 
-    `brake on` is refused while a decay is recorded, because a brake would end it unseen.
+    `brake on` is refused while a decay is recorded, because the brake would end it without a trace in the
+    record.
     """
 
     def stop(_: str) -> str:
@@ -98,10 +99,13 @@ def orders(devices: Devices, notes: Notes, session_news: SessionNews) -> Orders:
     def brake(value: str) -> str:
         if value not in ("on", "off"):
             raise RigError(f"brake {value!r}: should be on or off")
-        if value == "on" and session_news.phase == Phase.MEASURING:
+        on = value == "on"
+        if on and session_news.phase == Phase.MEASURING:
             raise RigError("the brake would spoil the decay that is being recorded: stop the run first")
-        wait_for_command(devices.required_control("the brake").submit(lambda c: c.brake(value == "on")))
-        devices.audit(AuditEntry.BRAKE, "ordered", on=value == "on")
+        wait_for_command(
+            devices.required_control("the brake").submit(lambda controller: controller.brake(on))
+        )
+        devices.audit(AuditEntry.BRAKE, "ordered", on=on)
         return f"brake {value}"
 
     return {
@@ -131,26 +135,30 @@ def relight(devices: Devices) -> str:
 def await_acknowledgement(devices: Devices, session_news: SessionNews, *, resumable: bool = True) -> None:
     """Wait after a trip until a person at the terminal or a desk has acknowledged it and asked for light.
 
-    Raises LightRefused, with the remedy, if nobody does. A session that is not `resumable` has no record yet.
+    Raises LightRefused, with the remedy, if there is no such person. A session that is not `resumable` has no
+    record yet.
     """
     ask_acknowledgement(devices)
-    trip = devices.permit.latched
-    if (trip or devices.permit.needs_request) and session_news.is_watched and not at_terminal():
-        what = "light is to be asked for" if trip is None else trip.text
-        session_news.waits(f"{what}: the next run waits for a person")
-        while session_news.is_watched and (devices.permit.latched or devices.permit.needs_request):
+    permit, trip = devices.permit, devices.permit.latched
+    if (trip or permit.needs_request) and session_news.watched and not at_terminal():
+        cause = "light is to be asked for" if trip is None else trip.text
+        session_news.waits(f"{cause}: the next run waits for a person")
+        while session_news.watched and (permit.latched or permit.needs_request):
             time.sleep(_CHECK_INTERVAL_S)
-    if devices.permit.latched or devices.permit.needs_request:
-        what = "nobody has asked for light since the trip" if trip is None else f"{trip.text}, and nobody has"
-        what += "" if trip is None else " acknowledged it"
+    if permit.latched or permit.needs_request:
+        cause = "nobody has asked for light since the trip"
         remedy = "rig run --resume measures the missing runs" if resumable else "start the session again"
-        if devices.state.path is not None and trip is not None:
-            remedy = f"{devices.remedy}, then {remedy}"
-        raise LightRefused(f"{what}; {remedy}")
+        if trip is not None:
+            cause = f"{trip.text}, and nobody has acknowledged it"
+            if devices.state.path is not None:
+                remedy = f"{devices.remedy}, then {remedy}"
+        raise LightRefused(f"{cause}; {remedy}")
 
 
-_MIN_EXCESS_U = 2.0
+_MIN_EXCESS_SIGMA = 2.0
 """Minimum excess of a rejected start's rotation over its limit, in standard uncertainties."""
+_MIN_HALF_CYCLES = 2
+"""Unflagged half-cycles by which the first amplitude is judged."""
 
 
 class StartJudge:
@@ -164,14 +172,14 @@ class StartJudge:
     def __init__(self, config: Configuration, unit: DeflectionUnit) -> None:
         self._start, self._unit = config.start, unit
         self.attempts = config.start.attempts
-        self._highest_spin_deg_per_min = config.balance.spin_deg_per_min
-        wanted_rad = config.session.initial_amplitude_arcsec * ARCSEC_RAD
-        self._lowest = config.start.lowest_amplitude * wanted_rad if unit is DeflectionUnit.RAD else 0.0
-        self._highest = (
-            config.start.highest_amplitude * wanted_rad if unit is DeflectionUnit.RAD else math.inf
-        )
-        self._accepted = self._balance_seen = self._rotation_judged = False
-        self._good = 0
+        self._max_spin_deg_per_min = config.balance.spin_deg_per_min
+        self._min_amplitude, self._max_amplitude = 0.0, math.inf
+        if unit is DeflectionUnit.RAD:
+            target_rad = config.session.initial_amplitude_arcsec * ARCSEC_RAD
+            self._min_amplitude = config.start.lowest_amplitude * target_rad
+            self._max_amplitude = config.start.highest_amplitude * target_rad
+        self._is_accepted = self._is_balance_judged = self._is_rotation_judged = False
+        self._half_cycles = 0
         self.first_amplitude = 0.0
 
     def rejection(self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float) -> str:
@@ -184,13 +192,13 @@ class StartJudge:
                 math.degrees(value) * 60.0
                 for value in (balance.rotation_rad_per_s, balance.u_rotation_rad_per_s)
             )
-            if self._rotation_judged or not math.isfinite(rate):
+            if self._is_rotation_judged or not math.isfinite(rate):
                 continue
-            self._rotation_judged = True
-            highest = self._highest_spin_deg_per_min
-            if abs(rate) - _MIN_EXCESS_U * u > highest:
+            self._is_rotation_judged = True
+            limit = self._max_spin_deg_per_min
+            if abs(rate) - _MIN_EXCESS_SIGMA * u > limit:
                 return (
-                    f"the plane of swing turns by {rate:+.2f} deg/min, at most {highest:g} deg/min is "
+                    f"the plane of swing turns by {rate:+.2f} deg/min, at most {limit:g} deg/min is "
                     "allowed: let the pendulum settle before the release"
                 )
         return ""
@@ -198,31 +206,32 @@ class StartJudge:
     def _first_half_cycles_fault(
         self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float
     ) -> str:
-        if self._accepted:
+        if self._is_accepted:
             return ""
         for swing in swings:
             if not swing.flags:
-                self._good += 1
+                self._half_cycles += 1
                 self.first_amplitude = max(self.first_amplitude, swing.amplitude)
-        if self._good >= 2 and not self._lowest <= self.first_amplitude <= self._highest:
+        has_amplitude = self._half_cycles >= _MIN_HALF_CYCLES
+        if has_amplitude and not self._min_amplitude <= self.first_amplitude <= self._max_amplitude:
             first, lowest, highest = (
                 amplitude / self._unit.shown_size
-                for amplitude in (self.first_amplitude, self._lowest, self._highest)
+                for amplitude in (self.first_amplitude, self._min_amplitude, self._max_amplitude)
             )
             return (
                 f"first amplitude {first:.1f} {self._unit.shown}, {lowest:.1f} to {highest:.1f} are required"
             )
-        allowed, patience_s = self._start.max_transverse_ratio, self._start.patience_s
+        limit, patience_s = self._start.max_transverse_ratio, self._start.patience_s
         for balance in balances:
-            if balance.amplitude < 0.5 * self._lowest:
+            if balance.amplitude < 0.5 * self._min_amplitude:
                 continue
-            self._balance_seen = True
-            if balance.transverse_ratio > allowed:
+            self._is_balance_judged = True
+            if balance.transverse_ratio > limit:
                 return (
                     f"transverse motion is {100 * balance.transverse_ratio:.1f} % of the swing, "
-                    f"at most {100 * allowed:.1f} % is allowed"
+                    f"at most {100 * limit:.1f} % is allowed"
                 )
-        self._accepted = self._good >= 2 and self._balance_seen
-        if not self._accepted and elapsed_s > patience_s:
+        self._is_accepted = has_amplitude and self._is_balance_judged
+        if not self._is_accepted and elapsed_s > patience_s:
             return f"no two clean half-cycles within {patience_s:g} s"
         return ""

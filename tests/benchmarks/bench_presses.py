@@ -46,7 +46,7 @@ def run(quick: bool = False) -> dict[str, Any]:
 def _presses(board: BoardProcess, folder: Path, count: int) -> dict[str, Any]:
     config = write_rig(folder, SERIAL.replace("PORT", board.port))
     desk = Desk(config, tuple(f"{key}={value}" for key, value in SHORT.items()))
-    desk.following.start()
+    desk.follower.start()
     desk.safety.start()
     chance, counts, dark_s = random.Random(50), Counter[str](), []
     try:

@@ -1,4 +1,4 @@
-"""Between sessions: how the last one went and what comes next; the form of the next one."""
+"""The page between sessions: result and next steps of the last session, and the form of the next."""
 
 import html
 from contextlib import suppress
@@ -14,8 +14,8 @@ from rig.desk.tab import Tab, box, text_field
 from rig.measure import RunState, SessionSummary
 
 
-def as_typed(text: str | None, is_number: bool) -> object:
-    """A number where one was typed; anything else as text, which the model judges."""
+def typed_value(text: str | None, is_number: bool) -> object:
+    """The value of a field: a number if one was typed; else text, which the model judges."""
     if not is_number:
         return text or ""
     text = (text or "").strip()
@@ -25,7 +25,7 @@ def as_typed(text: str | None, is_number: bool) -> object:
     return text
 
 
-_ASKED = {
+_FIELDS = {
     "1 · What is measured": (
         ("sample", "sample", False),
         ("operator", "operator", False),
@@ -39,7 +39,7 @@ _ASKED = {
         ("max_duration_s", "at most / s", True),
     ),
 }
-"""Keys of `[session]` that the form asks for: name, label, and whether it is a number."""
+"""Fields of the form by box: the name of the key in `[session]`, the label, and whether it is a number."""
 _RELEASE = {
     "at once": "the record begins with the first frame, whether the pendulum moves or not",
     "by hand": "the pendulum comes to rest and is checked; then you are asked to release it",
@@ -49,34 +49,34 @@ _RELEASE = {
 
 
 def build_form(desk: Desk, tab: Tab) -> ui.element:
-    """Build it; returns the element that holds it."""
+    """Build the form; returns its element."""
     session = desk.config.session
     fields: dict[str, tuple[ui.input, bool]] = {}
 
-    def stated() -> dict[str, object]:
-        typed = {key: as_typed(field.value, is_number) for key, (field, is_number) in fields.items()}
-        # an empty number is not stated
+    def values() -> dict[str, object]:
+        typed = {key: typed_value(field.value, is_number) for key, (field, is_number) in fields.items()}
+        # an empty field for a number states nothing
         return {key: value for key, value in typed.items() if value != "" or not fields[key][1]}
 
     async def start() -> None:
-        found = desk.checked(stated()).session
-        # what was allowed for one session holds for that one
+        next_session = desk.checked(values()).session
+        # the permission holds for one session only
         force.set_value(False)
-        runs = "one run" if found.runs == 1 else f"{found.runs} runs"
-        if await question.ask(f"Start {runs} of {found.sample or 'an unnamed sample'}?"):
-            folder = await run.io_bound(desk.start_session, stated(), force=bool(force.value))
+        runs = "one run" if next_session.runs == 1 else f"{next_session.runs} runs"
+        if await question.ask(f"Start {runs} of {next_session.sample or 'an unnamed sample'}?"):
+            folder = await run.io_bound(desk.start_session, values(), force=bool(force.value))
             ui.notify(f"the session is starting in {folder}")
 
     question = Question(tab, "start the session", "Start the session")
     with question.options:
         force = ui.checkbox("measure even if preflight says no-go (this session only)")
     with ui.element("div").classes("grid thirds") as form:
-        for title, asked in _ASKED.items():
+        for title, rows in _FIELDS.items():
             with box(title, head="middle"):
-                for name, label, is_number in asked:
+                for name, label, is_number in rows:
                     key, value = f"session.{name}", getattr(session, name)
-                    shown = "" if value is None else f"{value:.10g}" if is_number else str(value)
-                    fields[key] = text_field(label, shown, key).classes("full-width"), is_number
+                    text = "" if value is None else f"{value:.10g}" if is_number else str(value)
+                    fields[key] = text_field(label, text, key).classes("full-width"), is_number
         with box("3 · Start", head="middle"):
             ui.label(f"Release {desk.config.start.way}: {_RELEASE[desk.config.start.way]}.")
             ui.label("A dialog asks once more before the laser is lit.").classes("dim")
@@ -88,85 +88,86 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
 
 _KINDS = {RunState.COMPLETE: "go", RunState.STOPPED: "caution"}
 NEXT_RUN = "next-run"
-"""Name of the element on the page that begins the next one."""
+"""Identifier of the element on the page that begins the form of the next session."""
 
 
 def build_result(desk: Desk, tab: Tab) -> None:
-    """Add what the last session hands over; nothing without one."""
-    over: tuple[SessionSummary | None, bool, str] = None, False, ""
+    """Build the summary of the last session; nothing without one."""
+    last: tuple[SessionSummary | None, bool, str] = None, False, ""
 
     async def look() -> None:
-        nonlocal over
-        if not desk.following.running:
-            over = await run.io_bound(desk.last_summary), desk.following.fits_last, desk.start_problem
+        nonlocal last
+        if not desk.follower.running:
+            last = await run.io_bound(desk.last_summary), desk.follower.is_fitting_last, desk.start_problem
 
-    def draw(drawn: tuple[SessionSummary | None, bool, str]) -> None:
-        summary, is_fitted_now, problem = drawn
+    def draw(present: tuple[SessionSummary | None, bool, str]) -> None:
+        summary, is_being_fitted, problem = present
         if summary is not None:
-            _result(desk, tab, summary, is_fitted_now)
+            _build_summary(desk, tab, summary, is_being_fitted)
         elif problem:
-            # without a record a session leaves nothing but its words
-            _failure(desk, problem)
+            # a session without a record leaves nothing but the lines that it printed
+            _build_failure(desk, problem)
 
-    tab.every(1.0, look)
-    tab.drawn(lambda: over, draw)
+    tab.on_interval(1.0, look)
+    tab.column(lambda: last, draw)
 
 
-def _result(desk: Desk, tab: Tab, over: SessionSummary, is_fitted_now: bool) -> None:
+def _build_summary(desk: Desk, tab: Tab, summary: SessionSummary, is_being_fitted: bool) -> None:
     def fit() -> None:
-        fit_again(desk, over.folder)
-        ui.notify(f"rig fit {over.folder.name} runs; what it says is below the list of sessions")
+        fit_again(desk, summary.folder)
+        ui.notify(f"rig fit {summary.folder.name} runs; its output is below the list of sessions")
 
-    ended, kind = ("no run made", "no") if over.ended is None else (over.ended, _KINDS.get(over.ended, "no"))
-    no_result = "its report is being made" if is_fitted_now else "no result"
-    next_steps = () if is_fitted_now else over.next_steps
-    steps = [f"<li><b>{html.escape(step)}</b></li>" for step in next_steps]
-    steps += [f"<li>{html.escape(remark)}</li>" for remark in over.remarks]
-    bars = [
-        tables.LimitBar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim") for one in over.limits
-    ]
+    state = "no run made" if summary.ended is None else str(summary.ended)
+    kind = "no" if summary.ended is None else _KINDS.get(summary.ended, "no")
+    result, steps = summary.headline or "its report is being made", ""
+    if not is_being_fitted:
+        result = summary.headline or "no result"
+        items = [f"<li><b>{html.escape(step)}</b></li>" for step in summary.next_steps]
+        items += [f"<li>{html.escape(remark)}</li>" for remark in summary.remarks]
+        steps = f"<ul>{''.join(items)}</ul>" if items else "<div>nothing can be done about it</div>"
     with ui.element("div").classes("grid wide-left"):
         with box("the last session"):
             _html(
-                f"<span role='status'>{tables.span(ended, f'advice {kind}')}</span> "
-                + tables.span(f"{over.folder.name}: {over.progress_text}", "dim")
-                + tables.span(over.headline or no_result, "advice", "div")
-                + tables.span(over.of and f"the uncertainty is of {over.of}", "dim", "div")
-                + ("" if is_fitted_now else _listed(steps))
+                f"<span role='status'>{tables.span(state, f'advice {kind}')}</span> "
+                + tables.span(f"{summary.folder.name}: {summary.progress_text}", "dim")
+                + tables.span(result, "advice", "div")
+                + tables.span(summary.u_covers and f"the uncertainty is of {summary.u_covers}", "dim", "div")
+                + steps
             )
             with ui.row():
-                if over.report is not None:
-                    show = partial(open_in_browser_tab, desk, over.report)
+                if summary.report is not None:
+                    show = partial(open_in_browser_tab, desk, summary.report)
                     ui.button("Report", on_click=show).props('outline size="lg"')
-                if not over.headline and not is_fitted_now:
+                if not summary.headline and not is_being_fitted:
                     # a run that has failed has a record, too
                     tab.button("Fit", fit, 'outline size="lg"')
                 to_next = f"document.getElementById('{NEXT_RUN}').scrollIntoView({{block: 'start'}})"
                 ui.button("Next run").props('outline size="lg"').on("click", js_handler=f"() => {to_next}")
-            _html((tables.table(over.others, "all parameters") if over.others else "") + _last_words(desk))
-        if over.limits:
+            others = tables.table(summary.other_results, "all parameters") if summary.other_results else ""
+            _html(others + _last_lines(desk))
+        if summary.limits:
+            bars = [
+                tables.LimitBar(limit.name, f"{100 * limit.share:.0f} %", limit.share, None, "dim")
+                for limit in summary.limits
+            ]
             with box("what limits it"):
                 _html(tables.bars(bars, "sources of the uncertainty, by their share"))
 
 
-def _failure(desk: Desk, problem: str) -> None:
+def _build_failure(desk: Desk, problem: str) -> None:
     folder = desk.session_folder
     with box("the last session"):
         _html(
             f"<span role='status'>{tables.span('failed', 'advice no')}</span> "
             + tables.span(folder.name if folder is not None else "", "dim")
             + tables.span(problem, "no", "div")
-            + _last_words(desk)
+            + _last_lines(desk)
         )
 
 
-def _last_words(desk: Desk) -> str:
-    last_words = "<br>".join(map(html.escape, desk.last_words()))
-    return f"<details><summary>its last words</summary><div class='dim'>{last_words}</div></details>"
-
-
-def _listed(steps: list[str]) -> str:
-    return f"<ul>{''.join(steps)}</ul>" if steps else "<div>nothing can be done about it</div>"
+def _last_lines(desk: Desk) -> str:
+    lines = "<br>".join(map(html.escape, desk.last_lines()))
+    return f"<details><summary>its last words</summary><div class='dim'>{lines}</div></details>"
 
 
 def _html(content: str) -> None:

@@ -1,4 +1,4 @@
-"""Calibrate: a form for each kind over `rig calibrate`, and what came out."""
+"""Calibrate: a form for each kind over `rig calibrate`, and its result."""
 
 import html
 from functools import partial
@@ -11,16 +11,14 @@ from rig.desk.desk import Desk
 from rig.desk.tab import Tab, box, text_field
 from rig.prepare import CalibrationReport
 
-_DAYS = "90"
+_VALID_DAYS = "90"
 
 
 def build(desk: Desk, tab: Tab) -> None:
-    """Build the panel."""
-
-    def choose(chosen: str) -> None:
+    def choose(choice: str) -> None:
         for name, form in forms.items():
-            form.set_visibility(name == chosen)
-            buttons[name].props(remove="outline") if name == chosen else buttons[name].props("outline")
+            form.set_visibility(name == choice)
+            buttons[name].props(remove="outline") if name == choice else buttons[name].props("outline")
 
     with ui.row().classes("items-center"):
         buttons = {
@@ -29,49 +27,50 @@ def build(desk: Desk, tab: Tab) -> None:
             )
             for name in KINDS
         }
-    forms = {name: _form(desk, tab, name, kind) for name, kind in KINDS.items()}
+    forms = {name: _build_form(desk, tab, name, kind) for name, kind in KINDS.items()}
     choose(next(iter(forms)))
 
 
-def _form(desk: Desk, tab: Tab, name: str, kind: CalibrationKind) -> ui.element:
-    """Add the form of one kind, and the calibration that was filed with it last."""
-
-    made: CalibrationReport | None = None
+def _build_form(desk: Desk, tab: Tab, name: str, kind: CalibrationKind) -> ui.element:
+    """Build the form of one kind, with the last calibration that was filed by it; returns its element."""
+    last_report: CalibrationReport | None = None
 
     async def file() -> None:
-        nonlocal made
-        stated = {key: str(field.value or "") for key, field in fields.items()}
+        nonlocal last_report
+        options = {key: str(field.value or "") for key, field in fields.items()}
         ui.notify("the calibration is made …")
-        made = await run.io_bound(file_calibration, desk, name, str(given.value or ""), stated)
+        last_report = await run.io_bound(file_calibration, desk, name, str(source.value or ""), options)
 
     def use() -> None:
-        if made is not None:
-            stated = use_calibration(desk, made)
-            words = "used by everything this desk starts; to keep it permanently, state"
-            ui.notify(f"{words}: {stated}", multi_line=True)
+        if last_report is not None:
+            lines = use_calibration(desk, last_report)
+            advice = "used by everything this desk starts; to keep it permanently, state"
+            ui.notify(f"{advice}: {lines}", multi_line=True)
 
-    def draw(filed: CalibrationReport | None) -> None:
-        if filed is not None:
-            ui.html(_result(filed), sanitize=False).classes("full-width")
+    def draw(report: CalibrationReport | None) -> None:
+        if report is not None:
+            ui.html(_result(report), sanitize=False).classes("full-width")
 
     with box(kind.title, "full-width", head="middle") as form:
-        ui.label(kind.do)
-        given = text_field("measured values (TOML file)" if kind.is_list else "record", "", f"{name} given")
-        given.classes("full-width")
-        fields = {key: _choice(name, key, *asked) for key, asked in kind.fields.items()}
+        ui.label(kind.instruction)
+        source = text_field("measured values (TOML file)" if kind.is_list else "record", "", f"{name} given")
+        source.classes("full-width")
+        fields = {
+            key: _build_field(name, key, label, choices) for key, (label, choices) in kind.fields.items()
+        }
         if name == "check" and desk.config.calibration.lever is not None:
             fields["lever"].set_value(str(desk.config.calibration.lever))
         with ui.row().classes("full-width items-center"):
             fields["by"] = text_field("made by", desk.config.session.operator, f"{name} by")
-            fields["valid-days"] = text_field("valid for / days", _DAYS, f"{name} days")
+            fields["valid-days"] = text_field("valid for / days", _VALID_DAYS, f"{name} days")
             tab.button("File it", file, f'color="positive" size="lg" aria-label="file {name}"')
         props = f'color="positive" size="lg" aria-label="use {name}"'
-        tab.button("Use it", use, props, seen=lambda: made is not None)
-        tab.drawn(lambda: made, draw)
+        tab.button("Use it", use, props, visible=lambda: last_report is not None)
+        tab.column(lambda: last_report, draw)
     return form
 
 
-def _choice(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.input | ui.select:
+def _build_field(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.input | ui.select:
     if not choices:
         return text_field(label, "", f"{name} {key}").classes("full-width")
     return ui.select(list(choices), label=label, value=choices[0]).props(
@@ -79,19 +78,15 @@ def _choice(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.inp
     )
 
 
-def _result(made: CalibrationReport) -> str:
-    parts = [
-        tables.table(
-            [
-                ["filed as", str(made.path)],
-                ["valid until", f"{made.calibration.valid_until:%Y-%m-%d}"],
-                ["for the configuration", made.configuration.replace("\n", "  ")],
-                *(["note", note] for note in made.calibration.notes),
-            ],
-            "where it is filed",
-        )
+def _result(report: CalibrationReport) -> str:
+    rows = [
+        ["filed as", str(report.path)],
+        ["valid until", f"{report.calibration.valid_until:%Y-%m-%d}"],
+        ["for the configuration", report.configuration.replace("\n", "  ")],
+        *(["note", note] for note in report.calibration.notes),
     ]
-    for table in made.tables:
+    parts = [tables.table(rows, "where it is filed")]
+    for table in report.tables:
         parts.append(f"<div class='title'>{html.escape(table.title)}</div>")
-        parts.append(tables.table([list(table.head), *(list(row) for row in table.shown)], table.title))
+        parts.append(tables.table([table.head, *table.shown], table.title))
     return "".join(parts)

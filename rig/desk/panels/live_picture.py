@@ -1,4 +1,4 @@
-"""The live picture: of the running session, else of the camera that is being aligned; and on a panel."""
+"""The live picture of the running session, else of the camera that is being aligned."""
 
 from collections.abc import Callable
 from itertools import count
@@ -9,15 +9,16 @@ from nicegui import ui
 from nicegui.events import MouseEventArguments
 
 from rig.desk.desk import Desk
+from rig.desk.follower import phase_text
 from rig.desk.tab import Tab
 from rig.devices import AlignmentFrame, annotated_picture
 
-INTERVAL_S = 0.1
-_NUMBER = count()
+_INTERVAL_S = 0.1
+_NUMBERS = count()
 
 
 class LivePicture:
-    """A picture whose address changes; a browser that is slower skips some. `zoom` is 1, 4 or 16."""
+    """A picture whose address changes with each frame; a slow browser skips frames. `zoom` is 1, 4 or 16."""
 
     def __init__(
         self,
@@ -35,60 +36,60 @@ class LivePicture:
             )
             self.element.classes("picture full-width")
             self.element.props('role="img" aria-label="live picture of the camera"')
-            self._words = ui.label().classes("absolute-center why-none").props('role="status"')
-        tab.every(INTERVAL_S, self._refresh)
+            self._label = ui.label().classes("absolute-center why-none").props('role="status"')
+        tab.on_interval(_INTERVAL_S, self._refresh)
         self._refresh()
 
-    def zoom_on(self) -> None:
-        """The next zoom."""
+    def next_zoom(self) -> None:
+        """Go on to the next zoom."""
         self.zoom = {1: 4, 4: 16, 16: 1}[self.zoom]
 
     def _refresh(self) -> None:
         why = _why_none(self._desk)
-        self._words.set_text(why)
-        self._words.set_visibility(bool(why))
-        if self._desk.shown is not None:
+        self._label.set_text(why)
+        self._label.set_visibility(bool(why))
+        if self._desk.picture_source is not None:
             width, height = self._size
             self.element.set_source(
-                f"/picture?width={width}&height={height}&zoom={self.zoom}&n={next(_NUMBER)}"
+                f"/picture?width={width}&height={height}&zoom={self.zoom}&n={next(_NUMBERS)}"
             )
         elif self.element.source:
-            # an old picture would be taken for the present
+            # an old picture could be taken for the present one
             self.element.set_source("")
 
 
 def _why_none(desk: Desk) -> str:
     """Why there is no picture; empty if there is one."""
-    shown, job = desk.shown, desk.live_picture
-    if shown is not None and shown.look is not None:
+    source, job = desk.picture_source, desk.live_picture
+    if source is not None and source.frame is not None:
         return ""
     if job is not None:
         return f"waiting for the first frame. {job.output[-1] if job.output else ''}"
-    if shown is not None:
-        return f"no frame yet: {shown.doing or 'opening devices, compiling kernels'}"
+    if source is not None:
+        return f"no frame yet: {phase_text(source.state) or 'opening devices, compiling kernels'}"
     if desk.picture_problem:
         return f"the live picture has ended: {desk.picture_problem}"
     return "No live picture yet. Press Live picture to light the laser and show the camera's view."
 
 
-def look_now(desk: Desk) -> AlignmentFrame | None:
-    """The newest look that is here; None without one. Never blocks."""
-    return None if desk.shown is None else desk.shown.look
+def newest_frame(desk: Desk) -> AlignmentFrame | None:
+    """The newest frame that the desk has; None without one. Never blocks."""
+    return None if desk.picture_source is None else desk.picture_source.frame
 
 
 def picture_now(desk: Desk, width_px: int, height_px: int, zoom: float) -> bytes:
-    """The newest look as PNG of this size, with all that is drawn into it; black without one. Blocks.
+    """The newest frame as PNG of this size, annotated; black without a frame. Blocks.
 
-    A page that asks for it is being looked at: the live picture stays lit.
+    A request shows that the page is being looked at: the live picture stays lit.
     """
-    if desk.shown is not None:
-        desk.shown.ask_picture()
-    look = look_now(desk)
-    shown = np.zeros((height_px, width_px, 3), np.uint8)
-    if look is not None:
-        drawn = annotated_picture(look, width_px, height_px, zoom)
-        rows, columns = drawn.shape[:2]
+    if desk.picture_source is not None:
+        desk.picture_source.ask_picture()
+    frame = newest_frame(desk)
+    canvas = np.zeros((height_px, width_px, 3), np.uint8)
+    if frame is not None:
+        picture = annotated_picture(frame, width_px, height_px, zoom)
+        rows, columns = picture.shape[:2]
         left, top = (width_px - columns) // 2, (height_px - rows) // 2
-        shown[top : top + rows, left : left + columns] = drawn
-    done, png = cv2.imencode(".png", shown[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    return png.tobytes() if done else b""
+        canvas[top : top + rows, left : left + columns] = picture
+    is_encoded, png = cv2.imencode(".png", canvas[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return png.tobytes() if is_encoded else b""

@@ -8,7 +8,7 @@ from rig.desk import charts, tables
 from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.dialogs import Question
-from rig.desk.panels import run_words as words
+from rig.desk.panels import run_texts
 from rig.desk.panels.between_runs import NEXT_RUN, build_form, build_result
 from rig.desk.panels.live_picture import LivePicture
 from rig.desk.tab import Tab, box, text_field
@@ -18,79 +18,79 @@ _SIZE = (420, 300)
 _ASK_STOP = "Stop the session? The record is closed and fitted; nothing is lost."
 _ASK_KILL = (
     "The session does not answer. End its process? The laser is switched off; the record stays, at worst "
-    "without its last second. Then: Fit again fits it, Resume measures missing runs."
+    "without its last second. Afterwards Fit again fits the record, and Resume measures the missing runs."
 )
 
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel: the last result and the form of the next session, or the state of the running one."""
-    following = desk.following
-    with ui.column().classes("full-width") as before:
+    follower = desk.follower
+    with ui.column().classes("full-width") as idle_part:
         build_result(desk, tab)
         build_form(desk, tab).props(f'id="{NEXT_RUN}"').style("scroll-margin-top: 120px")
-    tab.html(lambda: _steps(desk), props='role="status" aria-live="polite"')
-    with ui.element("div").classes("grid measure fills live") as during:
+    tab.html(lambda: _step_bar(desk), props='role="status" aria-live="polite"')
+    with ui.element("div").classes("grid measure fills live") as running_part:
         with ui.column().classes("stack"):
             with ui.column().classes("box"):
                 _build_numbers(desk, tab)
             with ui.column().classes("box"):
                 LivePicture(desk, tab, _SIZE)
         with ui.column().classes("box"):
-            way = charts.TrajectoryChart()
-            way.chart.element.style("width: min(100%, max(240px, 32vh))")
+            trajectory = charts.TrajectoryChart()
+            trajectory.chart.element.style("width: min(100%, max(240px, 32vh))")
             _build_decay(desk, tab)
         with ui.column().classes("stack"):
-            _build_facts(desk, tab)
+            _build_state(desk, tab)
 
     def refresh() -> None:
-        before.set_visibility(not following.running and not desk.starting)
-        during.set_visibility(following.running)
-        during.classes(add="blind") if _why_blind(desk) else during.classes(remove="blind")
-        if following.running:
-            path = following.news.get("path") or {"x": [], "y": []}
-            way.show(path["x"], path["y"], following.unit)
+        idle_part.set_visibility(not follower.running and not desk.starting)
+        running_part.set_visibility(follower.running)
+        running_part.classes(add="blind") if _why_blind(desk) else running_part.classes(remove="blind")
+        if follower.running:
+            path = follower.news.get("path") or {"x": [], "y": []}
+            trajectory.show(path["x"], path["y"], follower.unit)
 
-    tab.keep(refresh)
+    tab.on_refresh(refresh)
 
 
 def _why_blind(desk: Desk) -> str:
     """Why the values of a run are old; empty while they are not."""
-    no_frame_s = desk.following.frames_age_s
-    if desk.following.news.get("darkness"):
+    if desk.follower.news.get("darkness"):
         return "it is dark"
-    return f"no frame for {no_frame_s:.0f} s" if no_frame_s > STALE_S else ""
+    age_s = desk.follower.frames_age_s
+    return f"no frame for {age_s:.0f} s" if age_s > STALE_S else ""
 
 
 def _build_numbers(desk: Desk, tab: Tab) -> None:
-    """Large display of amplitude and time left, with Stop and Brake."""
-    following = desk.following
+    """Build the large display of amplitude and time left, with Stop and Brake."""
+    follower = desk.follower
     properties = 'color="negative"'
     question = Question(tab, "stop the session", "Stop it", "", no="Go on", properties=properties)
 
     def amplitude() -> str:
-        value = desk.following.state.get("amplitude")
+        value = follower.state.get("amplitude")
         if value is None:
             return tables.span("–", "dim")
-        return f"{float(value):.2f}{tables.span(f' {following.unit}', 'unit')}"
+        return f"{float(value):.2f}{tables.span(f' {follower.unit}', 'unit')}"
 
     def remark() -> str:
         why = _why_blind(desk)
-        if not why and (no_swing_s := float(desk.following.state.get("no_swing_s") or 0.0)):
+        if not why and (no_swing_s := float(follower.state.get("no_swing_s") or 0.0)):
             why = f"no swing for {no_swing_s:.0f} s"
         if why:
-            return f"{why}: values are old" if desk.following.state.get("amplitude") is not None else why
-        return "" if desk.following.state.get("phase") == Phase.MEASURING else "nothing recorded yet"
+            return f"{why}: values are old" if follower.state.get("amplitude") is not None else why
+        return "" if follower.state.get("phase") == Phase.MEASURING else "nothing recorded yet"
 
     def brake_is_on() -> bool:
-        status = following.safety.status
+        status = follower.safety.status
         return status is not None and status.brake_on
 
     async def stop() -> None:
-        if following.running and await question.ask(_ASK_KILL if following.frozen else _ASK_STOP):
+        if follower.running and await question.ask(_ASK_KILL if follower.frozen else _ASK_STOP):
             ui.notify(await run.io_bound(desk.stop_session))
 
     async def brake() -> None:
-        ui.notify(await run.io_bound(following.order, "brake off" if brake_is_on() else "brake on"))
+        ui.notify(await run.io_bound(follower.order, "brake off" if brake_is_on() else "brake on"))
 
     with ui.row().classes("items-baseline"):
         ui.html("amplitude", tag="h3", sanitize=False).classes("title")
@@ -98,68 +98,69 @@ def _build_numbers(desk: Desk, tab: Tab) -> None:
     tab.html(amplitude, "huge", 'role="status" aria-live="off" id="amplitude"')
     with ui.row().classes("items-baseline"):
         ui.label("time left").classes("title")
-        tab.label(lambda: words.time_left(desk.following.state), "middle")
-    done = ui.linear_progress(value=0.0, show_value=False).props('aria-label="part of the run done"')
-    tab.keep(lambda: done.set_value(round(float(desk.following.state.get("done") or 0.0), 3)))
+        tab.label(lambda: run_texts.time_left(follower.state), "middle")
+    bar = ui.linear_progress(value=0.0, show_value=False).props('aria-label="part of the run done"')
+    tab.on_refresh(lambda: bar.set_value(round(float(follower.state.get("done") or 0.0), 3)))
     with ui.row():
         tab.button("Stop", stop, 'color="negative" size="lg" aria-label="Stop the session"')
         tab.button(
             lambda: "Brake off" if brake_is_on() else "Brake",
             brake,
             'outline size="lg"',
-            seen=lambda: following.safety.controller is not None,
-            # a brake would end the decay unseen: the session refuses it, too
-            enabled=lambda: brake_is_on() or desk.following.state.get("phase") != Phase.MEASURING,
+            visible=lambda: follower.safety.controller is not None,
+            # the brake would end the decay without a trace in the record: the session refuses it as well
+            enabled=lambda: brake_is_on() or follower.state.get("phase") != Phase.MEASURING,
         )
 
 
-def _build_facts(desk: Desk, tab: Tab) -> None:
-    """The state of a run in rows, its parameters so far, its events, and the field for a note."""
+def _build_state(desk: Desk, tab: Tab) -> None:
+    """Build the state of a run in rows, its parameters so far, its events, and the field for a note."""
+    follower = desk.follower
 
     async def note() -> None:
-        text = str(noting.value or "").strip()
+        text = str(field.value or "").strip()
         if not text:
             raise RigError("an empty note: type some text")
-        reply = await run.io_bound(desk.following.order, f"note {text}")
-        # only what is on the session's disk leaves the field
-        noting.set_value("")
+        reply = await run.io_bound(follower.order, f"note {text}")
+        # the field is cleared only after the session has confirmed that the note is recorded
+        field.set_value("")
         ui.notify(reply)
 
-    def facts() -> str:
-        rows = desk.following.news.get("rows") or []
-        learned = tables.table(words.estimate_rows(desk.following.state), "parameters so far")
-        return f"{learned}{tables.table(rows, 'state of the run')}"
+    def state() -> str:
+        estimates = tables.table(run_texts.estimate_rows(follower.state), "parameters so far")
+        return f"{estimates}{tables.table(follower.news.get('rows') or [], 'state of the run')}"
 
     def events() -> str:
-        return "".join(map(words.event_line, reversed(words.listed(tuple(desk.following.events)))))
+        newest_first = reversed(run_texts.sorted_events(tuple(follower.events)))
+        return "".join(map(run_texts.event_line, newest_first))
 
     with box("state of the run", "shrinks old-with-session", region="state of the run"):
-        tab.html(facts)
+        tab.html(state)
     with box("events", "grows"):
         with ui.row().classes("full-width no-wrap items-center"):
-            noting = text_field("note").props("maxlength=2000").classes("full-width")
-            noting.on("keydown.enter", tab.act(note))
+            field = text_field("note").props("maxlength=2000").classes("full-width")
+            field.on("keydown.enter", tab.handler(note))
             tab.button("Note", note, 'outline aria-label="note it in the record"')
         tab.html(events, "events", 'role="log" aria-label="events" tabindex="0"')
 
 
-def _steps(desk: Desk) -> str:
-    if not desk.following.running and not desk.starting:
+def _step_bar(desk: Desk) -> str:
+    if not desk.follower.running and not desk.starting:
         return ""
-    return words.strip(desk.following.state, (desk.following.config or desk.config).start.way)
+    return run_texts.step_bar(desk.follower.state, (desk.follower.config or desk.config).start.way)
 
 
-_REDRAW_S = 1.0
+_REDRAW_INTERVAL_S = 1.0
 
 
 def _build_decay(desk: Desk, tab: Tab) -> None:
-    """The chart of the amplitude since the run began, with the law fitted so far."""
+    """Build the chart of the amplitude since the run began, with the law fitted so far."""
     measured = ChartCurve("amplitude", name="measured", style="scatter")
     chart = Chart("decay", "elapsed_s", (measured, ChartCurve("amplitude", name="fit", colour="second")))
 
     async def refresh() -> None:
-        following = desk.following
-        if following.running and (history := await run.io_bound(following.history)):
-            chart.show([history["measured"], history["fit"]], following.unit or "arcsec")
+        follower = desk.follower
+        if follower.running and (history := await run.io_bound(follower.history)):
+            chart.show([history["measured"], history["fit"]], follower.unit or "arcsec")
 
-    tab.every(_REDRAW_S, refresh)
+    tab.on_interval(_REDRAW_INTERVAL_S, refresh)

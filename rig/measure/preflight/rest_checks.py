@@ -1,14 +1,13 @@
-"""Preflight checks of the pendulum at rest: noise, vibration, ground, rest position, what else is recorded.
+"""Preflight checks of the pendulum at rest: noise, vibration, ground, rest position, auxiliary measurements.
 
-The benefit of auxiliary seismometer and reference spot forbids no run: the fit refuses a seismometer that
-explains nothing, and frames without the reference spot stay uncorrected. A short look predicts little, and
-its verdicts say how little.
+A useless auxiliary seismometer or reference spot forbids no run: the fit refuses a seismometer that explains
+nothing, and frames without the reference spot stay uncorrected. A short preflight predicts little, and its
+verdicts say how little.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -37,29 +36,32 @@ from rig.instrument import PLANE_OF_SWING, balance_verdicts
 from rig.settings import PreflightSettings, ReferenceSettings
 from rig.terminal import Verdict, decimals, percent, plain, with_uncertainty
 
+MIN_GROUND_S = 60.0
+"""Shortest preflight that holds the eight periods at rest which the ground's drive needs."""
 _MIN_LONG_PREFLIGHT_S = 50.0
+"""Shortest time span of frames that needs no longer preflight: some of `MIN_GROUND_S` may be missing."""
 NO_LEVER = "no lever: values in px have no limit in arcsec"
 
 
 @dataclass(frozen=True, slots=True)
 class TrialFrames:
-    """Some seconds of frames, with the spots and deflections measured in them.
-
-    `resting` is False if the pendulum may be swinging. `model` is the tracker's model of the beam; None
-    before it is chosen. `references` are the spots of the reference beam, if there is one.
-    """
+    """Some seconds of frames, with the spots and deflections measured in them."""
 
     frames: Sequence[Frame]
+    """The newest frames, as many as memory holds."""
     spots: Sequence[Spot]
     deflections: Deflections
     resting: bool
+    """Whether the pendulum is at rest; False if it may be swinging."""
     model: SpotModel | None = None
+    """The tracker's model of the beam; None before it is chosen."""
     references: Sequence[Spot] = ()
+    """The spots of the reference beam; empty without one."""
 
 
-def judged(name: str, ok: bool, wrong: tuple[str, str], measured: str, limit: str) -> Verdict:
-    """A verdict; `wrong` is the pair of reason and remedy for the case that it is not ok."""
-    reason, remedy = ("", "") if ok else wrong
+def judged(name: str, ok: bool, fault: tuple[str, str], measured: str, limit: str) -> Verdict:
+    """A verdict; `fault` is the pair of reason and remedy for the case that it is not ok."""
+    reason, remedy = ("", "") if ok else fault
     return Verdict(name, ok, reason, remedy, measured=measured, limit=limit)
 
 
@@ -72,98 +74,101 @@ def noise_and_vibration(
     if x is None or y is None:
         return [_too_few_spots("noise floor", noise_limit), _too_few_spots("vibration", line_limit)]
     noise = max(x.noise, y.noise) / unit.shown_size
-    lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
-    strongest = lines[0].amplitude / unit.shown_size if lines else 0.0
-    named = f" ({lines[0].name})" if lines and lines[0].name else ""
-    words = "none stands out"
-    if lines:
-        words = f"{strongest:.3f} {unit.shown} at {lines[0].frequency_hz:.1f} Hz{named}"
-    noisy = "the spot is too noisy", "more light, a smaller gain; shield the beam from air"
-    shakes = "the base shakes", "find what runs at this frequency; decouple the table"
-    measured, quiet = f"{noise:.4f} {unit.shown} a frame", noise <= limits.max_noise_arcsec
+    noise_text = f"{noise:.4f} {unit.shown} a frame"
+    noise_fault = "the spot is too noisy", "more light, a smaller gain; shield the beam from air"
+    amplitude, line_text = 0.0, "none stands out"
+    if strongest := max([*x.lines, *y.lines], key=lambda line: line.amplitude, default=None):
+        amplitude = strongest.amplitude / unit.shown_size
+        name = f" ({strongest.name})" if strongest.name else ""
+        line_text = f"{amplitude:.3f} {unit.shown} at {strongest.frequency_hz:.1f} Hz{name}"
+    line_fault = "the base shakes", "find what runs at this frequency; decouple the table"
     verdicts = [
-        judged("noise floor", quiet, noisy, measured, noise_limit),
-        judged("vibration", strongest <= limits.max_vibration_arcsec, shakes, words, line_limit),
+        judged("noise floor", noise <= limits.max_noise_arcsec, noise_fault, noise_text, noise_limit),
+        judged("vibration", amplitude <= limits.max_vibration_arcsec, line_fault, line_text, line_limit),
     ]
     return [_against_arcsec(verdict, unit) for verdict in verdicts]
 
 
-def ground(look: TrialFrames, limits: PreflightSettings | None = None) -> Verdict:
+def ground(trial: TrialFrames, limits: PreflightSettings) -> Verdict:
     """The verdict on the motion of the ground at the pendulum's frequency.
 
     It limits results, and forbids a run only if a limit is stated. Needs eight periods at rest.
     """
-    at = look.deflections
-    most = None if limits is None else limits.max_ground_rad_per_s2_rthz
-    limit = "" if most is None else f"{most:g} rad/s²/√Hz"
-    if not look.resting:
+    deflections = trial.deflections
+    max_density = limits.max_ground_rad_per_s2_rthz
+    limit = "" if max_density is None else f"{max_density:g} rad/s²/√Hz"
+    if not trial.resting:
         return not_at_rest("ground", limit)
     try:
-        found = drive_at_rest(at.times_s, at.y)
+        drive = drive_at_rest(deflections.times_s, deflections.y)
     except DataError as error:
-        reason = f"{error}{longer_look(at)}"
-        if most is None:
-            return Verdict("ground", True, reason, measured="not measured", made=False)
-        wrong = str(error), longer_look(at).removeprefix("; ")
-        return judged("ground", False, wrong, "not measured", limit)
-    words = drive_text(found.density, found.upper_95, at.unit, seen=found.density.value > 0)
-    words = f"{words}, in {at.times_s[-1]:.0f} s"
-    if most is None:
-        return Verdict("ground", True, measured=words)
-    wrong = "it moves too much", "wait for a quieter hour, or allow more"
-    verdict = judged("ground", found.density.value <= most, wrong, words, limit)
-    return verdict if at.unit is DeflectionUnit.RAD else replace(verdict, ok=True, reason=NO_LEVER, remedy="")
+        remedy = longer_preflight(deflections)
+        if max_density is None:
+            return Verdict("ground", True, f"{error}{remedy}", measured="not measured", made=False)
+        fault = str(error), remedy.removeprefix("; ")
+        return judged("ground", False, fault, "not measured", limit)
+    text = drive_text(drive.density, drive.upper_95, deflections.unit, seen=drive.density.value > 0)
+    text = f"{text}, in {deflections.times_s[-1]:.0f} s"
+    if max_density is None:
+        return Verdict("ground", True, measured=text)
+    fault = "it moves too much", "wait for a quieter hour, or allow more"
+    verdict = judged("ground", drive.density.value <= max_density, fault, text, limit)
+    if deflections.unit is DeflectionUnit.RAD:
+        return verdict
+    return replace(verdict, ok=True, reason=NO_LEVER, remedy="")
 
 
-def longer_look(at: Deflections) -> str:
+def longer_preflight(deflections: Deflections) -> str:
     """The remedy for a preflight that was too short, in words; empty if it was long."""
-    return "; preflight.duration_s = 60 would measure it" if at.times_s[-1] < _MIN_LONG_PREFLIGHT_S else ""
+    is_long = deflections.times_s[-1] >= _MIN_LONG_PREFLIGHT_S
+    return "" if is_long else f"; preflight.duration_s = {MIN_GROUND_S:g} would measure it"
 
 
-def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
+def rest_position(trial: TrialFrames, limits: PreflightSettings) -> Verdict:
     """Check the rest position against the reference of the lever (without one, the sensor's centre)."""
     limit = f"{limits.max_rest_offset_arcsec:g} arcsec"
-    at = look.deflections
-    if not look.resting:
+    deflections = trial.deflections
+    if not trial.resting:
         return not_at_rest("rest position", limit)
-    if not at.found.any():
-        wrong = "nothing to measure", "find the spot first"
-        return judged("rest position", False, wrong, "no spot", limit)
-    x, y = np.nanmedian(at.shown_x), np.nanmedian(at.shown_y)
+    if not deflections.found.any():
+        return judged("rest position", False, ("nothing to measure", "find the spot first"), "no spot", limit)
+    x, y = np.nanmedian(deflections.shown_x), np.nanmedian(deflections.shown_y)
     remedy = "rig balance says which weight to turn; or move the camera"
-    wrong = "the swing will not be centred on the sensor", remedy
-    measured = f"X {decimals(x, 1, sign=True)}, Y {decimals(y, 1, sign=True)} {at.unit.shown}"
+    fault = "the swing will not be centred on the sensor", remedy
+    measured = f"X {decimals(x, 1, sign=True)}, Y {decimals(y, 1, sign=True)} {deflections.unit.shown}"
     ok = math.hypot(x, y) <= limits.max_rest_offset_arcsec
-    verdict = judged("rest position", ok, wrong, measured, limit)
-    return _against_arcsec(verdict, at.unit)
+    verdict = judged("rest position", ok, fault, measured, limit)
+    return _against_arcsec(verdict, deflections.unit)
 
 
-def plane_of_swing(look: TrialFrames, limits: BalanceLimits) -> list[Verdict]:
+def plane_of_swing(trial: TrialFrames, limits: BalanceLimits) -> list[Verdict]:
     """Check the rotation of the plane of a swinging pendulum, which frames show after five periods.
 
     No verdict at rest, where there is no rotation; `StartJudge` checks it later.
     """
-    if look.resting or not len(look.deflections):
+    if trial.resting or not len(trial.deflections):
         return []
-    found = BalanceEstimator().update(look.deflections)
-    verdicts = balance_verdicts(found[-1] if found else None, limits)
-    return [one for one in verdicts if one.name == PLANE_OF_SWING]
+    balances = BalanceEstimator().update(trial.deflections)
+    verdicts = balance_verdicts(balances[-1] if balances else None, limits)
+    return [verdict for verdict in verdicts if verdict.name == PLANE_OF_SWING]
 
 
-def stillness(look: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
+def stillness(trial: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
     """Check noise and vibration of the spot of a pendulum at rest; not made if it may be swinging."""
-    at = look.deflections
-    if not look.resting:
-        names = ("noise floor", limits.max_noise_arcsec), ("vibration", limits.max_vibration_arcsec)
-        return [not_at_rest(name, f"{limit:g} arcsec") for name, limit in names]
-    return noise_and_vibration(
-        _still(at.times_s, at.x, at.u_x), _still(at.times_s, at.y, at.u_y), at.unit, limits
+    deflections = trial.deflections
+    if not trial.resting:
+        checks = ("noise floor", limits.max_noise_arcsec), ("vibration", limits.max_vibration_arcsec)
+        return [not_at_rest(name, f"{limit:g} arcsec") for name, limit in checks]
+    x, y = (
+        _stability(deflections.times_s, values, u)
+        for values, u in ((deflections.x, deflections.u_x), (deflections.y, deflections.u_y))
     )
+    return noise_and_vibration(x, y, deflections.unit, limits)
 
 
 def _too_few_spots(name: str, limit: str) -> Verdict:
-    wrong = "too few frames with a spot to judge by", "raise preflight.duration_s; find the spot"
-    return judged(name, False, wrong, "not measured", limit)
+    fault = "too few frames with a spot to judge by", "raise preflight.duration_s; find the spot"
+    return judged(name, False, fault, "not measured", limit)
 
 
 def not_at_rest(name: str, limit: str) -> Verdict:
@@ -179,7 +184,7 @@ def _against_arcsec(verdict: Verdict, unit: DeflectionUnit) -> Verdict:
     return replace(verdict, ok=True, reason=NO_LEVER, remedy="", made=False)
 
 
-def _still(times_s: Floats, values: Floats, u: Floats) -> Stability | None:
+def _stability(times_s: Floats, values: Floats, u: Floats) -> Stability | None:
     try:
         return stability(times_s, values, u)
     except DataError:
@@ -188,13 +193,14 @@ def _still(times_s: Floats, values: Floats, u: Floats) -> Stability | None:
 
 _LIMIT = "samples come"
 _MIN_SAMPLES = 20
-_MAX_OFF_U = 4.0
-"""Deviation of the stated from the fitted gain, in standard uncertainties, at which it is called wrong."""
+_MAX_DEVIATION_SIGMA = 4.0
+"""Deviation of a gain from that stated, or from 0, in standard uncertainties, above which it is real."""
 _VALUES = ("first", "second", "third")
+"""Fields of a recorded sample, in the order of the components."""
 
 
 def seismometer(
-    look: TrialFrames,
+    trial: TrialFrames,
     problem: str | None,
     settings: SeismometerSettings,
     samples: Sequence[RecordedSeismometer],
@@ -202,10 +208,10 @@ def seismometer(
 ) -> Verdict:
     """Check that samples of the auxiliary seismometer come and change, and predict its benefit at rest.
 
-    `problem` is why no samples come, None without a seismometer; `samples` were taken during the frames. If a
-    reference spot is `stated`, the beam's motion is subtracted first.
+    `problem` is why no samples come, empty if they come, None without a seismometer; `samples` were taken
+    during the frames. If a reference spot is `stated`, the beam's motion is subtracted first.
     """
-    kind, names = settings.kind, settings.components
+    kind, components = settings.kind, settings.components
     if problem is None:
         return Verdict("seismometer", True, measured="none is configured", limit=_LIMIT, made=False)
     if problem:
@@ -214,61 +220,61 @@ def seismometer(
         )
     if len(samples) < _MIN_SAMPLES:
         return _alive(
-            f"{len(samples)} samples are too few to predict its benefit{longer_look(look.deflections)}",
+            f"{len(samples)} samples are too few to predict its benefit{longer_preflight(trial.deflections)}",
             kind,
         )
-    value = np.array([[getattr(one, name) for name in _VALUES[: len(names)]] for one in samples])
-    if dead := [name for name, one in zip(names, value.T, strict=True) if not np.ptp(one) > 0]:
+    fields = _VALUES[: len(components)]
+    values = np.array([[getattr(sample, field) for field in fields] for sample in samples])
+    if dead := [name for name, column in zip(components, values.T, strict=True) if not np.ptp(column) > 0]:
         reason = f"{', '.join(dead)}: constant over {len(samples)} samples: dead, or its scale is wrong"
         return judged("seismometer", False, (reason, "check its power, cable and range"), kind, _LIMIT)
-    if not look.resting:
+    if not trial.resting:
         return not_at_rest("seismometer", _LIMIT)
-    at = look.deflections
-    arrived_ns = np.array([one.time_ns for one in samples])
-    if np.any(np.diff(arrived_ns) <= 0):
-        order = np.concatenate([[True], np.diff(np.maximum.accumulate(arrived_ns)) > 0])
-        arrived_ns, value = arrived_ns[order], value[order]
-        samples = [one for one, kept in zip(samples, order.tolist(), strict=True) if kept]
-    times_ns, _ = sample_times(arrived_ns, np.array([one.own_time_s for one in samples]))
-    record = Seismogram(seconds(times_ns - at.times_ns[0]), value, tuple(names))
+    deflections = trial.deflections
+    arrived_ns, own_times_s = (
+        np.array([getattr(sample, field) for sample in samples]) for field in ("time_ns", "own_time_s")
+    )
+    # samples that arrived out of order are left out
+    is_later = np.concatenate([[True], np.diff(np.maximum.accumulate(arrived_ns)) > 0])
+    times_ns, _ = sample_times(arrived_ns[is_later], own_times_s[is_later])
+    seismogram = Seismogram(seconds(times_ns - deflections.times_ns[0]), values[is_later], tuple(components))
     try:
-        found = seismometer_at_rest(at.times_s, _without_beam_motion(look, stated), record)
-        ground_seen = drive_at_rest(at.times_s, at.y).density.value > 0
+        benefit = seismometer_at_rest(deflections.times_s, _without_beam_motion(trial, stated), seismogram)
+        ground_seen = drive_at_rest(deflections.times_s, deflections.y).density.value > 0
     except DataError as error:
-        return _alive(f"{error}{longer_look(look.deflections)}", kind)
-    return _benefit_verdict(found, ground_seen, kind)
+        return _alive(f"{error}{longer_preflight(deflections)}", kind)
+    return _benefit_verdict(benefit, ground_seen, kind)
 
 
-def _without_beam_motion(look: TrialFrames, stated: ReferenceSettings | None) -> Floats:
+def _without_beam_motion(trial: TrialFrames, stated: ReferenceSettings | None) -> Floats:
     """The slow deflections minus the beam's motion that the reference spot shows."""
-    at = look.deflections
-    if stated is None or not look.references:
-        return at.y
-    spots, refs = _positions(look.spots), _positions(look.references)
+    deflections = trial.deflections
+    if stated is None or not trial.references:
+        return deflections.y
+    spots, references = _positions(trial.spots), _positions(trial.references)
     # deflection per px, fitted to the frames themselves
-    use = at.found & np.all(np.isfinite(spots), axis=0)
-    columns = np.column_stack([*spots[:2, use], np.ones(np.count_nonzero(use))])
-    per_px = np.linalg.lstsq(columns, at.y[use], rcond=None)[0]
-    beam = np.zeros(len(at.y))
+    is_usable = deflections.found & np.all(np.isfinite(spots), axis=0)
+    design = np.column_stack([*spots[:2, is_usable], np.ones(np.count_nonzero(is_usable))])
+    per_px = np.linalg.lstsq(design, deflections.y[is_usable], rcond=None)[0]
+    beam = np.zeros(len(deflections.y))
     for axis in (0, 1):
+        reference_px = references[axis], references[2 + axis]
         gain = stated.gain
         if gain is None:
-            fitted = gain_while_swinging(
-                at.times_ns, spots[axis], spots[2 + axis], refs[axis], refs[2 + axis]
-            )
-            gain = fitted.value if fitted.value > _MAX_OFF_U * fitted.standard_uncertainty else 0.0
-        beam += gain * per_px[axis] * common_motion(at.times_ns, refs[axis], refs[2 + axis]).value
-    return np.asarray(at.y - beam)
+            fitted = gain_while_swinging(deflections.times_ns, spots[axis], spots[2 + axis], *reference_px)
+            gain = fitted.value if fitted.value > _MAX_DEVIATION_SIGMA * fitted.standard_uncertainty else 0.0
+        beam += gain * per_px[axis] * common_motion(deflections.times_ns, *reference_px).value
+    return np.asarray(deflections.y - beam)
 
 
 def _alive(reason: str, kind: str) -> Verdict:
     return Verdict("seismometer", True, reason, measured=f"{kind}, alive", limit=_LIMIT, made=False)
 
 
-def _benefit_verdict(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
-    in_all = f"squared coherence {plain(found.coherence, 3)} in {found.steps} periods"
-    if not found.related:
-        chance = f"{in_all}; unrelated records reach {plain(found.chance_coherence, 2)}"
+def _benefit_verdict(benefit: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
+    coherence = f"squared coherence {plain(benefit.coherence, 3)} in {benefit.steps} periods"
+    if not benefit.related:
+        chance = f"{coherence}; unrelated records reach {plain(benefit.chance_coherence, 2)}"
         if not ground_seen:
             hidden = "the ground does not exceed the noise of the spot, so its benefit is unknown"
             return _alive(f"{hidden} ({chance})", kind)
@@ -277,73 +283,67 @@ def _benefit_verdict(found: SeismometerAtRest, ground_seen: bool, kind: str) -> 
         return Verdict(
             "seismometer", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_LIMIT
         )
-    falls = f"{plain(found.factor, 2)} ({plain(found.lower_95, 2)} to {plain(found.upper_95, 2)})"
-    measured = f"{in_all}: the swing at rest would fall by {falls}, "
-    measured += f"the ground's part of it by {plain(found.lower_95, 2)} at least"
+    lower, upper = plain(benefit.lower_95, 2), plain(benefit.upper_95, 2)
+    measured = (
+        f"{coherence}: the swing at rest would fall by {plain(benefit.factor, 2)} ({lower} to {upper}), "
+    )
+    measured += f"the ground's part of it by {lower} at least"
     return Verdict("seismometer", True, measured=measured, limit=_LIMIT)
 
 
-class _ReferenceAxis(NamedTuple):
-    name: str
-    found: ReferenceAtRest
-
-
-def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: PreflightSettings) -> Verdict:
+def reference(trial: TrialFrames, stated: ReferenceSettings | None, limits: PreflightSettings) -> Verdict:
     """Check that the reference spot is seen, and predict how much of the spot's motion it would remove."""
     limit = f"found in {percent(1 - limits.max_lost_fraction, 3)}"
-    if stated is None or not look.references:
+    if stated is None or not trial.references:
         return Verdict("reference", True, measured="none is configured", limit=limit, made=False)
-    lost = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in look.references]))
-    seen = f"found in {percent(1 - lost, 3)} of {len(look.references)} frames"
-    if lost > limits.max_lost_fraction:
+    lost_fraction = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in trial.references]))
+    measured = f"found in {percent(1 - lost_fraction, 3)} of {len(trial.references)} frames"
+    if lost_fraction > limits.max_lost_fraction:
         reason = "frames without it keep the beam's motion"
         remedy = f"let its beam fall below row {stated.from_row_px}"
-        return Verdict("reference", True, reason, remedy, measured=seen, limit=limit)
-    if not look.resting:
+        return Verdict("reference", True, reason, remedy, measured=measured, limit=limit)
+    if not trial.resting:
         return not_at_rest("reference", limit)
-    at = look.deflections
+    deflections = trial.deflections
     try:
-        period_s = rest_oscillation(at.times_s, at.y).period_s
-        spots, refs = _positions(look.spots), _positions(look.references)
-        axes = []
+        period_s = rest_oscillation(deflections.times_s, deflections.y).period_s
+        spots, references = _positions(trial.spots), _positions(trial.references)
+        benefits = {}
         for axis, name in enumerate("xy"):
-            both = spots[axis], spots[2 + axis], refs[axis], refs[2 + axis]
-            found = reference_at_rest(at.times_ns, *both, gain=stated.gain, period_s=period_s)
-            axes.append(_ReferenceAxis(name, found))
+            positions = spots[axis], spots[2 + axis], references[axis], references[2 + axis]
+            benefits[name] = reference_at_rest(
+                deflections.times_ns, *positions, gain=stated.gain, period_s=period_s
+            )
     except DataError as error:
-        return Verdict(
-            "reference",
-            True,
-            f"{error}{longer_look(look.deflections)}",
-            measured=seen,
-            limit=limit,
-            made=False,
-        )
-    return _judged_axes(axes, stated, seen, limit)
+        reason = f"{error}{longer_preflight(deflections)}"
+        return Verdict("reference", True, reason, measured=measured, limit=limit, made=False)
+    return _reference_verdict(benefits, stated, measured, limit)
 
 
-def _judged_axes(axes: Sequence[_ReferenceAxis], stated: ReferenceSettings, seen: str, limit: str) -> Verdict:
-    texts, deviations, useless = [], [], True
-    for name, found in axes:
-        if not found.share > 0:
+def _reference_verdict(
+    benefits: Mapping[str, ReferenceAtRest], stated: ReferenceSettings, measured: str, limit: str
+) -> Verdict:
+    """The verdict from the benefit along each axis, by the axis's name."""
+    texts, deviations, is_useless = [], [], True
+    for name, benefit in benefits.items():
+        if not benefit.share > 0:
             texts.append(f"{name}: it shows no motion above its own noise")
             continue
-        useless = useless and not found.factor.value - 3 * found.factor.standard_uncertainty > 1
-        texts.append(f"{name}: {plain(found.before_px, 2)} px fall by {with_uncertainty(*found.factor)}")
+        is_useless = is_useless and not benefit.factor.value - 3 * benefit.factor.standard_uncertainty > 1
+        texts.append(f"{name}: {plain(benefit.before_px, 2)} px fall by {with_uncertainty(*benefit.factor)}")
         if stated.gain is None:
             continue
-        off = abs(found.gain.value - stated.gain)
-        if off > _MAX_OFF_U * np.hypot(found.gain.standard_uncertainty, stated.u_gain):
-            deviations.append(f"{name} shows a gain of {with_uncertainty(*found.gain)}")
-    measured = f"{seen}; {', '.join(texts)}"
+        deviation, gain = abs(benefit.gain.value - stated.gain), benefit.gain
+        if deviation > _MAX_DEVIATION_SIGMA * np.hypot(gain.standard_uncertainty, stated.u_gain):
+            deviations.append(f"{name} shows a gain of {with_uncertainty(*gain)}")
+    reason = remedy = ""
     if deviations:
         reason = f"{', '.join(deviations)}, and reference.gain = {stated.gain:g} is stated"
         remedy = "state the gain of the two arms, with its u_gain"
-        return Verdict("reference", True, reason, remedy, measured=measured, limit=limit)
-    if useless:
+    elif is_useless:
         reason = "it does not make the spot at rest quieter, as far as this short record shows"
-        return Verdict("reference", True, reason, measured=measured, limit=limit)
-    return Verdict("reference", True, measured=measured, limit=limit)
+    measured = f"{measured}; {', '.join(texts)}"
+    return Verdict("reference", True, reason, remedy, measured=measured, limit=limit)
 
 
 def _positions(spots: Sequence[Spot]) -> Floats:

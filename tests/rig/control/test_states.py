@@ -22,9 +22,7 @@ from rig.control import (
 )
 from rig.control.laser_service import LaserSnapshot
 from rig.control.protocol import ControllerStatus, Latch
-from rig.control.service import ControlSnapshot
-from rig.desk.following import Following
-from rig.devices.lit_devices import LitDevices
+from rig.desk.follower import RigFollower
 from rig.measure.preflight import frame_checks
 from rig.settings import validate_configuration
 from rig.terminal import plain_values
@@ -46,24 +44,24 @@ def test_preflight_judges_the_interlock_whatever_its_words(
     monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
     monkeypatch.setattr(SafetyNow, "devices_text", words)
-    assert frame_checks.controller(opened(), wanted=True).ok
-    assert not frame_checks.controller(opened(interlock_closed=False), wanted=True).ok
-    assert not frame_checks.controller(SafetyNow(controller=ControlState.LOST), wanted=True).ok
-    assert frame_checks.controller(opened(), wanted=True).measured == words
+    assert frame_checks.controller(opened(), configured=True).ok
+    assert not frame_checks.controller(opened(interlock_closed=False), configured=True).ok
+    assert not frame_checks.controller(SafetyNow(controller=ControlState.LOST), configured=True).ok
+    assert frame_checks.controller(opened(), configured=True).measured == words
 
 
 @pytest.mark.parametrize(
     "laser", [None, LaserReport(Light.ON, power_w=5e-4), LaserReport(Light.INTERLOCK_OPEN)]
 )
 def test_a_desk_gets_the_same_values(tmp_path: Path, laser: LaserReport | None) -> None:
-    following = Following(tmp_path)
+    follower = RigFollower(tmp_path)
     trip = LatchedTrip(5, TripCause.INTERLOCK, "the interlock of the laser opened", lit=True)
     now = status(brake_on=True, latch=Latch(3, Trip.WATCHDOG, lit=True))
     safety = SafetyNow(trip, trip.text, Light.OFF, 0.1, laser=laser, controller=ControlState.OPEN, status=now)
-    following.news = json.loads(json.dumps(plain_values({"safety": asdict(safety)})))
-    assert following.safety == safety
-    following.news = {}
-    assert following.safety == SafetyNow()
+    follower.news = json.loads(json.dumps(plain_values({"safety": asdict(safety)})))
+    assert follower.safety == safety
+    follower.news = {}
+    assert follower.safety == SafetyNow()
 
 
 def test_what_people_read_of_them() -> None:

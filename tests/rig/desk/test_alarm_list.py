@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from processing.errors import RigError
-from rig.desk.alarm_list import AFTER_S, AlarmKey, AlarmList, AlarmRow, AlarmState
+from rig.desk.alarm_list import ALARM_DELAY_S, AlarmKey, AlarmList, AlarmRow, AlarmState
 
 CAMERA, SPOT, TRIP, DIED = AlarmKey.CAMERA, AlarmKey.SPOT, AlarmKey.TRIP, AlarmKey.SESSION_DIED
 
@@ -25,77 +25,77 @@ def only(alarms: AlarmList) -> AlarmRow:
 
 
 def test_an_alarm_is_active_acknowledged_and_gone_once_its_cause_is(alarms: AlarmList) -> None:
-    alarms.see({CAMERA: "no frame since 12:00"})
-    assert (only(alarms).state, only(alarms).raised_s, only(alarms).cries) == (
+    alarms.update({CAMERA: "no frame since 12:00"})
+    assert (only(alarms).state, only(alarms).raised_s, only(alarms).is_loud) == (
         AlarmState.ACTIVE,
         1000.0,
         True,
     )
     alarms.acknowledge(CAMERA)
     row = only(alarms)
-    assert (row.state, row.acknowledged_s, row.cries) == (AlarmState.ACKNOWLEDGED, 1001.0, False)
-    alarms.see({CAMERA: "still"})
+    assert (row.state, row.acknowledged_s, row.is_loud) == (AlarmState.ACKNOWLEDGED, 1001.0, False)
+    alarms.update({CAMERA: "still"})
     assert (only(alarms).state, only(alarms).cause) == (AlarmState.ACKNOWLEDGED, "still")
-    alarms.see({})
+    alarms.update({})
     assert alarms.rows() == []
 
 
 def test_one_that_was_not_seen_stays_as_cleared_until_somebody_has_and_cries_again(alarms: AlarmList) -> None:
     for times in (1, 2, 3):
-        alarms.see({SPOT: "blocked"})
-        assert only(alarms).cries
-        alarms.see({})
+        alarms.update({SPOT: "blocked"})
+        assert only(alarms).is_loud
+        alarms.update({})
         row = only(alarms)
-        assert (row.state, row.cause, row.times, row.cries) == (AlarmState.CLEARED, "blocked", times, False)
+        assert (row.state, row.cause, row.count, row.is_loud) == (AlarmState.CLEARED, "blocked", times, False)
     assert row.cleared_s == 1005.0
     alarms.acknowledge(SPOT)
     assert alarms.rows() == []
 
 
 def test_a_trip_is_acknowledged_by_looking_only(alarms: AlarmList) -> None:
-    alarms.see({TRIP: "trip 5 (INTERLOCK): the interlock opened"})
+    alarms.update({TRIP: "trip 5 (INTERLOCK): the interlock opened"})
     with pytest.raises(RigError, match="check that nobody is in the beam path"):
         alarms.acknowledge(TRIP)
-    assert only(alarms).cries
+    assert only(alarms).is_loud
     # whoever acknowledged the trip has acknowledged this
-    alarms.see({})
+    alarms.update({})
     assert alarms.rows() == []
 
 
 def test_what_has_happened_stays_until_it_is_acknowledged_or_a_session_begins(alarms: AlarmList) -> None:
-    alarms.see({}, [(DIED, "run-1 was killed")])
-    alarms.see({})
+    alarms.update({}, [(DIED, "run-1 was killed")])
+    alarms.update({})
     assert only(alarms).state is AlarmState.ACTIVE
     alarms.acknowledge(DIED)
     assert alarms.rows() == []
     with pytest.raises(RigError, match="not in the list any more"):
         alarms.acknowledge(DIED)
-    alarms.see({CAMERA: ""}, [(DIED, "run-1 was killed")])
+    alarms.update({CAMERA: ""}, [(DIED, "run-1 was killed")])
     alarms.session_begins()
     assert [(row.key, row.state) for row in alarms.rows()] == [
         (CAMERA, AlarmState.ACTIVE),
         (DIED, AlarmState.CLEARED),
     ]
-    alarms.see({}, [(DIED, "run-2 was killed")])
-    assert next(row for row in alarms.rows() if row.key == DIED).cries
+    alarms.update({}, [(DIED, "run-2 was killed")])
+    assert next(row for row in alarms.rows() if row.key == DIED).is_loud
 
 
 def test_a_condition_of_a_moment_is_no_alarm() -> None:
     now_s = 1000.0
     alarms, key = AlarmList(lambda: now_s), AlarmKey.CONTROLLER
     for conditions in ({key: ""}, {}, {key: ""}):
-        alarms.see(conditions)
+        alarms.update(conditions)
     assert alarms.rows() == []
-    now_s += AFTER_S[key]
-    alarms.see({key: ""})
+    now_s += ALARM_DELAY_S[key]
+    alarms.update({key: ""})
     assert only(alarms).state is AlarmState.ACTIVE
 
 
 def test_what_is_to_be_seen_first_comes_first(alarms: AlarmList) -> None:
     held = {SPOT: "", AlarmKey.INTERLOCK: "", AlarmKey.ENVIRONMENT: "", CAMERA: ""}
-    alarms.see(held)
+    alarms.update(held)
     # a second later, for which it must hold
-    alarms.see(held)
+    alarms.update(held)
     alarms.acknowledge(CAMERA)
     assert [row.key for row in alarms.rows()] == [AlarmKey.INTERLOCK, SPOT, AlarmKey.ENVIRONMENT, CAMERA]
 

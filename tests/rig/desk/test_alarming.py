@@ -37,7 +37,7 @@ def config(tmp_path: Path) -> Path:
 @pytest.fixture
 def desk(config: Path) -> Iterator[Desk]:
     found = Desk(config)
-    found.following.start()
+    found.follower.start()
     found.alarming.start()
     yield found
     found.close()
@@ -56,7 +56,7 @@ def session(request: pytest.FixtureRequest, config: Path, desk: Desk) -> Iterato
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "begun\n"
-        until(lambda: desk.following.news)
+        until(lambda: desk.follower.news)
         yield process
         process.kill()
 
@@ -74,18 +74,18 @@ def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.AC
 
 def test_a_new_session_leaves_what_was_before_unheard(config: Path) -> None:
     desk = Desk(config)
-    following = desk.following
+    follower = desk.follower
     gap = {"kind": EventKind.GAP, "level": EventKind.GAP.level, "text": "2 frames are missing"}
-    following.folder = config.parent / "runs" / "session"
-    following.unheard.append(gap)
+    follower.folder = config.parent / "runs" / "session"
+    follower.new_events.append(gap)
     desk.alarming.start()
     try:
         assert wait_for(desk, AlarmKey.DISTURBED) == "gap: 2 frames are missing"
-        following.folder = None
-        following.ended.append((AlarmKey.SESSION_DIED, "session: killed"))
+        follower.folder = None
+        follower.end_alarms.append((AlarmKey.SESSION_DIED, "session: killed"))
         wait_for(desk, AlarmKey.SESSION_DIED)
-        following.folder = config.parent / "runs" / "session"
-        until(lambda: not any(row.cries for row in desk.alarming.alarms.rows()))
+        follower.folder = config.parent / "runs" / "session"
+        until(lambda: not any(row.is_loud for row in desk.alarming.alarms.rows()))
     finally:
         desk.close()
 
@@ -110,8 +110,8 @@ def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess
     assert session.stdin is not None
     session.stdin.write('{"hang": true}\n')
     session.stdin.flush()
-    until(lambda: desk.following.frozen)
-    assert "was killed, Resume" in desk.stop_session(wakes_within_s=1.0)
+    until(lambda: desk.follower.frozen)
+    assert "was killed, Resume" in desk.stop_session(max_wake_s=1.0)
     assert session.wait(30.0) == -signal.SIGKILL
     wait_for(desk, AlarmKey.SESSION_DIED)
 
@@ -127,9 +127,9 @@ def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -
         return {}
 
     with OrderSocket(config.parent / "runs" / "session", told, {}, extra):
-        until(lambda: bool(desk.following.news))
+        until(lambda: bool(desk.follower.news))
         held.set()
-        until(lambda: time.monotonic() - desk.following.heard_s > 2.0 * STALE_S)
+        until(lambda: time.monotonic() - desk.follower.news_s > 2.0 * STALE_S)
         assert AlarmKey.SESSION_FROZEN not in {row.key for row in desk.alarming.alarms.rows()}
         go_on.set()
 
@@ -139,13 +139,13 @@ def test_a_session_that_ends_as_it_should_is_no_alarm_and_one_that_has_failed_sa
 ) -> None:
     folder, stored = config.parent / "runs" / "session", load_configuration(config)
     with OrderSocket(folder, SessionNews(), {}):
-        until(lambda: desk.following.running)
-    until(lambda: not desk.following.running and not desk.following.ended)
+        until(lambda: desk.follower.running)
+    until(lambda: not desk.follower.running and not desk.follower.end_alarms)
     # a busy machine may have held it up for a moment
     found = {row.key for row in desk.alarming.alarms.rows()}
     assert not found & {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED}
     with OrderSocket(folder, SessionNews(), {}):
-        until(lambda: desk.following.running)
+        until(lambda: desk.follower.running)
         file = SessionFile.create(folder, config, 1, stored_configuration(stored))
         file.note(1, "run-1.mcap", RunState.FAILED, "no space left on device")
         file.close()

@@ -7,7 +7,7 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from nicegui import Client
 from nicegui.page import page
 
-from rig.desk.charts import WAY, Chart, ChartCurve, chart_options, trajectory_reach
+from rig.desk.charts import TRAJECTORY_CURVES, Chart, ChartCurve, chart_options, trajectory_reach
 from rig.terminal import quantity
 
 
@@ -25,7 +25,7 @@ def test_ends_of_a_trajectory_that_is_to_scale_are_labels(high: float) -> None:
     reach = trajectory_reach(known)
     assert high <= reach <= 2.1 * high
     found = chart_options(
-        quantity("deflection_x"), WAY, [known, known[-1:]], "px", reach=reach, kind="square"
+        quantity("deflection_x"), TRAJECTORY_CURVES, [known, known[-1:]], "px", reach=reach, kind="square"
     )
     for axis in (found["xAxis"], found["yAxis"]):
         assert (axis["min"], axis["max"], axis["axisLabel"]["showMaxLabel"]) == (-reach, reach, True)
@@ -34,7 +34,9 @@ def test_ends_of_a_trajectory_that_is_to_scale_are_labels(high: float) -> None:
 
 
 def test_a_trajectory_that_is_stretched_gives_the_ends_back() -> None:
-    found = chart_options(quantity("deflection_x"), WAY, [[(1.0, 2.0)], []], "px", kind="square")
+    found = chart_options(
+        quantity("deflection_x"), TRAJECTORY_CURVES, [[(1.0, 2.0)], []], "px", kind="square"
+    )
     # the browser merges options: ends that are no longer named would stay
     for axis in (found["xAxis"], found["yAxis"]):
         assert (axis["min"], axis["max"], axis["interval"]) == (None, None, None)

@@ -109,29 +109,29 @@ def test_the_camera_is_waited_for_before_it_is_refused(
     desk = desk_module.Desk(SIMULATED, (f'session.output="{(tmp_path / "runs").as_posix()}"',))
 
     def is_refused(holder: str) -> None:
-        monkeypatch.setattr(desk_module, "_ENDS_WITHIN_S", 0.3)
+        monkeypatch.setattr(desk_module, "_MAX_CAMERA_WAIT_S", 0.3)
         with pytest.raises(ConfigurationError, match=f"which {holder} has; wait, or end it first"):
-            desk.needs_camera("run")
-        monkeypatch.setattr(desk_module, "_ENDS_WITHIN_S", 20.0)
+            desk.free_camera("run")
+        monkeypatch.setattr(desk_module, "_MAX_CAMERA_WAIT_S", 20.0)
 
     desk.jobs.begin("fit")
-    desk.needs_camera("run")
+    desk.free_camera("run")
     desk.jobs.begin("balance", uses_camera=True)
     is_refused("rig balance")
     desk.lighting.off()
-    desk.needs_camera("run")
+    desk.free_camera("run")
     assert not desk.jobs["balance"].running
     with pytest.raises(ConfigurationError, match="rig fit still runs; wait, or end it first"):
         desk.jobs.begin("fit")
-    desk.following.start()
+    desk.follower.start()
     folder = desk.start_session({})
     is_refused("a session")
     with OrderSocket(folder, SessionNews(), {}):
-        until(lambda: desk.following.running)
-    until(lambda: not desk.following.running)
+        until(lambda: desk.follower.running)
+    until(lambda: not desk.follower.running)
     assert desk.start_runs
     threading.Timer(0.3, ends.touch).start()
-    desk.needs_camera("run")
+    desk.free_camera("run")
     assert not desk.start_runs
     assert not desk.start_failed
     desk.close()

@@ -10,7 +10,7 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from acquisition.record.events import EventKind
 from rig.control import ControlState, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey
-from rig.desk.alarming import conditions, happened
+from rig.desk.alarming import conditions, event_alarms
 from rig.instrument import Phase
 
 MEASURING = {"phase": Phase.MEASURING, "temperature_c": 20.0}
@@ -72,7 +72,7 @@ def dark(trip: LatchedTrip | None, **safety: Any) -> dict[str, Any]:
         ),
         (told({"alarm": "the recorder has stalled"}), {AlarmKey.STALLED}),
         (told({"alarm": "the disk has not answered", "disk_silent_s": 3.0}), {AlarmKey.DISK_HANGS}),
-        (told({"temperature_c": None}) | {"sensor_wanted": True}, {AlarmKey.ENVIRONMENT}),
+        (told({"temperature_c": None}) | {"sensor_configured": True}, {AlarmKey.ENVIRONMENT}),
         (told({"temperature_c": None}), set()),
         (
             told({"disk_free_bytes": 1.1e9, "record_bytes_per_s": 1e6, "remaining_s": 3600.0}),
@@ -89,7 +89,7 @@ def dark(trip: LatchedTrip | None, **safety: Any) -> dict[str, Any]:
         ),
         (told(balance={"failed_checks": []}), set()),
         (told({"phase": Phase.RELEASE}, balance={"failed_checks": ["plane of swing"]}), set()),
-        ({"picture_late_s": 2.1}, {AlarmKey.CAMERA}),
+        ({"picture_age_s": 2.1}, {AlarmKey.CAMERA}),
     ],
 )
 def test_conditions(seen: dict[str, Any], keys: set[AlarmKey]) -> None:
@@ -102,7 +102,7 @@ def events(*kinds: EventKind) -> list[dict[str, str]]:
 
 def test_events_that_are_warnings_are_alarms_with_their_own_words() -> None:
     kinds = (EventKind.GAP, EventKind.CAMERA_LOST, EventKind.RECORD, EventKind.SPOT_LOST, EventKind.REST)
-    assert happened(events(*kinds), []) == [
+    assert event_alarms(events(*kinds), []) == [
         (AlarmKey.DISTURBED, "gap: so it was"),
         (AlarmKey.DISTURBED, "camera lost: so it was"),
         (AlarmKey.DISK_FULL, "so it was"),
@@ -112,8 +112,8 @@ def test_events_that_are_warnings_are_alarms_with_their_own_words() -> None:
 def test_a_run_that_somebody_has_darkened_has_neither_failed_nor_found_anything() -> None:
     ends = [(AlarmKey.SESSION_FAILED, "a: the laser is dark"), (AlarmKey.SESSION_DIED, "a: killed")]
     found = events(EventKind.LIGHT_STEP, EventKind.FAILED, EventKind.RECORD)
-    assert happened(found, ends, PRESSED) == [(AlarmKey.DISK_FULL, "so it was"), ends[1]]
-    assert [key for key, _ in happened(found, ends, TRIP)] == [
+    assert event_alarms(found, ends, PRESSED) == [(AlarmKey.DISK_FULL, "so it was"), ends[1]]
+    assert [key for key, _ in event_alarms(found, ends, TRIP)] == [
         AlarmKey.SESSION_FAILED,
         AlarmKey.DISK_FULL,
         AlarmKey.SESSION_FAILED,

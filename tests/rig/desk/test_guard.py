@@ -23,7 +23,7 @@ async def _app(scope: Any, receive: Any, send: Any) -> None:
 
 
 GUARD = Guard(_app, KEY, PORT, OFF_PORT)
-OFF_GUARD = Guard(_app, KEY, PORT, OFF_PORT, hears_off=True)
+OFF_GUARD = Guard(_app, KEY, PORT, OFF_PORT, is_off_server=True)
 
 
 def ask(

@@ -4,7 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
-from rig.desk.sessions import last_run
+from rig.desk.sessions import SessionIndex, last_run, last_summary
 
 SERIES = Path(__file__).resolve().parents[1] / "data" / "samples" / "series"
 
@@ -31,6 +31,23 @@ def test_balance_is_judged_by_its_conditions_and_what_is_not_determined_is_no_nu
         (folder / "results.json").write_text(json.dumps(results), "utf-8")
         found = last_run(folder)
         assert (found["balance"], found["b"]) == (lamp, "upper bound")
+
+
+def test_results_that_a_resumed_session_has_added_take_the_place_of_the_first(tmp_path: Path) -> None:
+    """The list went on with results.json, and the summary was read again only when that file had changed."""
+    folder = shutil.copytree(SERIES, tmp_path / "series")
+    index = SessionIndex(tmp_path)
+    index.look()
+    first = last_summary(folder)
+    results = json.loads((folder / "results.json").read_text("utf-8"))
+    for run in results["runs"]:
+        run["problem"] = "4 usable half-cycles"
+    results["runs"][-1]["table"] = []
+    (folder / "results-2.json").write_text(json.dumps(results), "utf-8")
+    index.look()
+    (row,) = index.rows(None)
+    assert (row.b, last_run(folder)["b"]) == ("", "")
+    assert last_summary(folder) != first
 
 
 def test_a_session_without_results_has_nothing_to_show(tmp_path: Path) -> None:

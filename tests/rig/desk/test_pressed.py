@@ -70,7 +70,7 @@ def test_whatever_keeping_a_press_meets_it_is_said_and_all_else_is_done(
     def press(_presses: object, _at: str) -> None:
         raise error
 
-    monkeypatch.setattr(type(desk.rig.presses), "press", press)
+    monkeypatch.setattr(type(desk.rig_state.presses), "press", press)
     off, unkept, nobody = desk.lighting.off("one")
     assert off.startswith("/dev/ttyNobodyHasIt: cannot be switched off")
     assert unkept == f"it is not kept ({error}): a program that starts may light; turn the key switch"
@@ -88,7 +88,7 @@ def test_a_disk_that_hangs_holds_nothing_up(
         dark.set()
         return []
 
-    monkeypatch.setattr(type(desk.rig.presses), "press", lambda *_: goes_on.wait(60.0))
+    monkeypatch.setattr(type(desk.rig_state.presses), "press", lambda *_: goes_on.wait(60.0))
     monkeypatch.setattr("rig.devices.light_off.darken_directly", darkened)
     assert any("the disk hangs" in text for text in desk.lighting.off("one")), "it is not said to be kept"
     assert dark.is_set()

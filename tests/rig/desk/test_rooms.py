@@ -6,7 +6,9 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
@@ -21,7 +23,7 @@ from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
 from rig.desk.lighting import lamps, refusal
 from rig.desk.panels.balance import net_of
-from rig.desk.panels.rig_panel import checks
+from rig.desk.panels.rig_panel import checks, region_drawn
 from rig.interruption import start_python
 from rig.prepare import BalanceStage
 from tests.rig.command_line import CONFIGS, SMALL
@@ -39,22 +41,34 @@ def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     applied = {"exposure_us": 125.0, "width_px": 64, "offset_x_px": 8}
-    desk.following.news = {"camera": {"applied": applied}}
-    desk.keep_camera()
+    desk.follower.news = {"camera": {"applied": applied}}
+    desk.keep_camera_settings()
     kept = {"camera.exposure_us": 125.0, "camera.width_px": 64, "camera.offset_x_px": 8}
-    assert desk.kept == kept
+    assert desk.own_settings == kept
     assert desk.checked().camera.width_px == 64
     unusable = CameraSettings.model_construct(exposure_us=-1.0)
-    monkeypatch.setattr(type(desk.following), "applied", unusable)
+    monkeypatch.setattr(type(desk.follower), "applied", unusable)
     with pytest.raises(RigError, match="exposure_us"):
-        desk.keep_camera()
-    assert desk.kept == kept
+        desk.keep_camera_settings()
+    assert desk.own_settings == kept
+
+
+@pytest.mark.parametrize(("ends", "first_px", "size_px"), [((0, 400), 0, 320), ((500, 800), 409, 231)])
+def test_a_region_that_is_drawn_beyond_the_frame_ends_at_its_edge(
+    ends: tuple[float, float], first_px: int, size_px: int
+) -> None:
+    """The part beyond the left edge made it too wide, that beyond the right one wider than the sensor."""
+    # a frame of 640 × 480 has 40 px of margin at both sides of a picture of 800 × 540
+    look = SimpleNamespace(image=np.zeros((480, 640)), applied=CameraSettings(offset_x_px=16, offset_y_px=0))
+    region = region_drawn(look, ends, (54.0, 216.0))  # type: ignore[arg-type]
+    assert (region.offset_x_px, region.width_px) == (16 + first_px, size_px)
+    assert (region.offset_y_px, region.height_px) == (48, 144)
 
 
 def test_a_turn_is_stated_between_two_measurements_only(desk: Desk) -> None:
-    assert desk.balancing.shown.stage is BalanceStage.IDLE
+    assert desk.balancing.dialogue.stage is BalanceStage.IDLE
     with pytest.raises(ConfigurationError, match="first measure"):
-        desk.balancing.turned("x", "0.5")
+        desk.balancing.state_turn("x", "0.5")
     desk.balancing.end()
 
 
@@ -83,12 +97,12 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     job = desk.jobs["balance"] = jobs.Job(["balance"], uses_camera=True)
     until(lambda: bool(job.lines))
     with pytest.raises(ConfigurationError, match="first measure"):
-        desk.balancing.turned("x", "0.5")
+        desk.balancing.state_turn("x", "0.5")
     with pytest.raises(ConfigurationError, match="wait for the end"):
         desk.balancing.forget()
     over.touch()
     for do in (
-        lambda: desk.balancing.turned("x", " +0.5 "),
+        lambda: desk.balancing.state_turn("x", " +0.5 "),
         desk.balancing.measure,
         desk.balancing.forget,
         desk.balancing.end,
@@ -97,18 +111,18 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
         do()
         # the same press again, before the command has answered
         assert not job.asks
-        assert desk.balancing.shown.stage is BalanceStage.MEASURING
+        assert desk.balancing.dialogue.stage is BalanceStage.MEASURING
         job.answer("x +0.5")
         if do == desk.balancing.forget:
             until(lambda: job.asks)
-            assert desk.balancing.shown.detail == "nothing learned yet"
+            assert desk.balancing.dialogue.detail == "nothing learned yet"
     until(lambda: job.asks)
     assert [line["heard"] for line in job.lines if "heard" in line] == ["x +0.5", "m", "f", "q"]
-    assert job.ending
+    assert job.end_requested
     job.end()
     assert job.wait(50.0)
     # what a person ended has not failed
-    assert desk.balancing.shown.stage is BalanceStage.ENDED
+    assert desk.balancing.dialogue.stage is BalanceStage.ENDED
 
 
 COMPILES = """
@@ -140,7 +154,7 @@ def test_a_session_without_a_record_says_why_it_failed(desk: Desk, tmp_path: Pat
     folder.mkdir()
     said = "rig: run 1 failed: preflight says no-go\nlaser off, confirmed by the controller\n"
     (folder / jobs.MESSAGES_NAME).write_text(said, encoding="utf-8")
-    desk.started = start_python("-c", "raise SystemExit(1)"), folder
+    desk.last_start = jobs.StartedSession(start_python("-c", "raise SystemExit(1)"), folder)
     until(lambda: desk.start_failed)
     assert desk.start_problem == "run 1 failed: preflight says no-go"
     desk.alarming.start()
@@ -161,7 +175,7 @@ def test_a_live_picture_that_hears_nothing_is_ended_with_its_laser_told_off(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[object] = []
-    monkeypatch.setattr("rig.desk.desk._CLOSES_WITHIN_S", 0.5)
+    monkeypatch.setattr("rig.desk.desk._MAX_CLOSING_S", 0.5)
     monkeypatch.setattr("rig.desk.desk.darken_directly", lambda *lamps: told.append(lamps))
     monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", DEAF, **how))
     desk.begin_aligning()
@@ -169,11 +183,11 @@ def test_a_live_picture_that_hears_nothing_is_ended_with_its_laser_told_off(
     assert job is not None
     until(lambda: bool(job.output))
     # its picture that stands still is an alarm, but not because somebody has ended it
-    desk.following.held, desk.following.heard_s = Path(), time.monotonic()
-    desk.following.news = {"frames_age_s": 60.0}
+    desk.follower.command_folder, desk.follower.news_s = Path(), time.monotonic()
+    desk.follower.news = {"frames_age_s": 60.0}
     desk.alarming.start()
     until(lambda: [row.key for row in desk.alarming.alarms.rows()] == [AlarmKey.CAMERA])
-    job.ending = True
+    job.end_requested = True
     until(lambda: [row.state for row in desk.alarming.alarms.rows()] == [AlarmState.CLEARED])
     desk.end_aligning()
     assert not job.running
@@ -185,7 +199,7 @@ def test_the_bar_knows_the_light_of_a_simulated_rigs_command_and_that_it_went_da
     sets = {**SMALL, "session.output": f'"{tmp_path.as_posix()}"', "controller.watchdog_s": "5"}
     desk = Desk(CONFIGS / "live.toml", tuple(f"{key}={value}" for key, value in sets.items()))
     try:
-        desk.following.start()
+        desk.follower.start()
         desk.safety.start()
         desk.balancing.measure()
         until(lambda: lamps(desk.safety, "")["laser"]["text"] == "on")

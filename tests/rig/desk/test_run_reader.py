@@ -59,7 +59,7 @@ def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name
         until(lambda: bool(events))
         (event,) = events
         assert event["kind"] == "start"
-        assert 3.0 <= time.time() - event["at_s"] < 60.0
+        assert 3.0 <= time.time() - event["time_s"] < 60.0
         spots(record, 1.0)
         record.flush()
         until(lambda: len(reader.path()["y"]) == 32)

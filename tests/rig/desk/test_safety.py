@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from rig.control import LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause
-from rig.desk.following import Following
+from rig.desk.follower import RigFollower
 from rig.desk.lighting import Safety, lamps
 
 
 @pytest.fixture
 def safety(tmp_path: Path) -> Safety:
-    return Safety(SafetyState(), Following(tmp_path), "board")
+    return Safety(SafetyState(), RigFollower(tmp_path), "board")
 
 
 def seen(light: Light, spot: bool | None, age_s: float = 0.1) -> SafetyNow:
@@ -56,12 +56,12 @@ def test_what_was_confirmed_last(safety: Safety, now: SafetyNow, fact: str) -> N
 
 def clock(safety: Safety) -> str:
     assert safety.interlock is not None
-    return time.strftime("%H:%M:%S", time.localtime(safety.interlock.at_s))
+    return time.strftime("%H:%M:%S", time.localtime(safety.interlock.time_s))
 
 
 def test_light_that_is_forbidden_is_said_to_be(tmp_path: Path) -> None:
     rig = SafetyState()
-    safety = Safety(rig, Following(tmp_path), "laser")
+    safety = Safety(rig, RigFollower(tmp_path), "laser")
     assert lamps(safety, "")["laser"]["more"] == ""
     rig.latch(TripCause.PERSON, "LIGHT OFF was pressed at the desk", lit=True)
     assert isinstance(safety.trip, LatchedTrip)

@@ -18,7 +18,7 @@ def test_a_result_with_what_limits_it_and_what_to_do() -> None:
     found = session_summary(SAMPLES / "first")
     assert found.ended is RunState.COMPLETE
     assert found.headline.startswith("b = 0.0300 ± 0.0042")
-    assert found.of == "the whole budget, swings and apparatus"
+    assert found.u_covers == "the whole budget, swings and apparatus"
     assert [one.name for one in found.limits] == ["ageing of the friction", "half-cycles"]
     assert sum(one.share for one in found.limits) == pytest.approx(1.0, abs=0.05)
     assert found.next_steps == ["wait until the contact has settled, or state its history"]
@@ -41,7 +41,7 @@ def test_all_results_of_a_series_are_those_of_the_series(measured_series: Path) 
     """Below the headline of the series stood the parameters of its last run."""
     found, results = session_summary(measured_series), read_results(measured_series)
     assert results.series is not None
-    assert [text for _, text in found.others] == [row.text for row in results.series.table]
+    assert [text for _, text in found.other_results] == [row.text for row in results.series.table]
 
 
 def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:

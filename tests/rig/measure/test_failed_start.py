@@ -105,7 +105,7 @@ def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     def failing(run: MeasurementRun, *words: object) -> object:
         monkeypatch.setattr(MeasurementRun, "_watch", usual)
-        while run.now.frames < 1000:
+        while run.status.now.frames < 1000:
             time.sleep(0.001)
         raise RuntimeError("a defect of the program")
 

@@ -50,18 +50,18 @@ def frame(number: int) -> Frame:
 def test_frames_wait_in_memory_and_beyond_it_are_counted(
     disk: Mounted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "SLOW_S", 0.01)
+    monkeypatch.setattr(module, "MAX_WRITE_S", 0.01)
     path = disk.folder / "run.mcap"
     reach = entry_of(frame(0)).memory_bytes * FRAMES
     recorder = Recorder(RecordWriter(path, 0, flush_interval_s=0.01), reach)
     recorder.put(entry_of(frame(0)))
-    until(lambda: recorder.waiting_bytes == 0)
+    until(lambda: recorder.entries.waiting_bytes == 0)
     disk.hang()
     recorder.put(entry_of(frame(1)))
     disk.wait_for_hanging()
     for number in range(2, FRAMES):
         recorder.put(entry_of(frame(number)))
-    assert recorder.waiting_bytes > reach // 2
+    assert recorder.entries.waiting_bytes > reach // 2
     until(lambda: recorder.alarm)
     assert re.search(
         r"the disk has not answered for \d+ s; [1-4] of 5 MB of memory wait for it", recorder.alarm
@@ -93,7 +93,7 @@ def put_all(frames: BoundedQueue[Frame], recorder: Recorder) -> None:
 
 @pytest.mark.slow
 def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "SLOW_S", 0.05)
+    monkeypatch.setattr(module, "MAX_WRITE_S", 0.05)
     folder = disk.folder / "out"
     record = folder / "run-1.mcap"
 

@@ -104,7 +104,7 @@ def turned() -> tuple[list[HalfCycle], Deflections]:
 
 def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> None:
     swings, samples = turned()
-    live = fed(MeasuredRun(most=3000), swings, samples, STEPS[1:])
+    live = fed(MeasuredRun(max_samples=3000), swings, samples, STEPS[1:])
     upto = samples[: int(np.searchsorted(samples.times_ns, swings[STEPS[-1]].turn_time_ns))]
     followed = follow_plane(swings[: STEPS[-1]], PassingDeflections([upto], DeflectionUnit.RAD), Axes())
     assert followed.is_turned
@@ -121,7 +121,7 @@ def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> N
 
 
 def test_deflections_are_let_go_where_there_are_many_and_the_fit_stays() -> None:
-    few = MeasuredRun(most=3000)
+    few = MeasuredRun(max_samples=3000)
     bounded = fed(few, *measured())
     every_samples, every = whole()
     assert every_samples > 5500

@@ -44,7 +44,7 @@ def test_a_command_that_hangs_delays_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(notices, "_MAX_CALL_S", 2.0)
-    monkeypatch.setattr(notices, "_LAST_WAIT_S", 0.1)
+    monkeypatch.setattr(notices, "_MAX_LAST_WAIT_S", 0.1)
     told = Notices(SessionSettings(notify_command=program(tmp_path, "''", "time.sleep(600)")), tmp_path)
     told.tell("alarm", "the laser is dark")
     told.wait()

@@ -16,6 +16,7 @@ from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.control import ControlState, LaserReport, Light, SafetyNow
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
+from rig.settings import Configuration
 from rig.settings.sections import PreflightSettings
 from rig.terminal import failures
 from rig.terminal.verdict import Verdict, print_verdicts
@@ -58,6 +59,18 @@ def look(x: float, y: float, unit: DeflectionUnit) -> TrialFrames:
     ones = np.ones(100)
     deflections = Deflections(np.arange(100) * 10_000_000, x * ones, y * ones, ones, ones, unit)
     return TrialFrames(frames(100), spots(100), deflections, True)
+
+
+def test_the_disk_is_judged_by_the_rate_of_all_frames_not_of_the_whole_ones_that_memory_holds() -> None:
+    """Of a large sensor only the newest frames are held whole: a fifth of them needed a fifth of the disk."""
+    stated = {"camera": {"driver": "simulated"}, "session": {"max_duration_s": 1e4}}
+    config = Configuration.model_validate(stated)
+    whole = look(0.0, 0.0, DeflectionUnit.RAD)
+    for frames_held in (100, 20):
+        held = replace(whole, frames=whole.frames[-frames_held:], resting=False)
+        verdicts = frame_checks.check_trial_frames(held, config, 255.0, 1000.0, 10**12)
+        (limit,) = [verdict.limit for verdict in verdicts if verdict.name == "disk space"]
+        assert limit == "1.3 GB for 10000 s", f"{frames_held} frames"
 
 
 def test_spot_that_is_mostly_there() -> None:
@@ -138,7 +151,7 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
 def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
     """A swing of 1 arcsec that nothing drives: a bound."""
     short = look(3e-8, 0.0, DeflectionUnit.RAD)
-    said = rest_checks.ground(short)
+    said = rest_checks.ground(short, LIMITS)
     assert said.ok
     assert not said.made
     assert "preflight.duration_s" in said.reason
@@ -147,11 +160,11 @@ def test_the_ground_is_said_once_the_look_is_long_enough() -> None:
     noise = np.random.default_rng(2).normal(0.0, 3e-8, 1500)
     u = np.full(1500, 3e-8)
     at = Deflections(times_ns, noise, swing + noise, u, u, DeflectionUnit.RAD)
-    said = rest_checks.ground(replace(short, deflections=at))
+    said = rest_checks.ground(replace(short, deflections=at), LIMITS)
     assert said.made
     assert said.measured.startswith("below ")
     assert said.measured.endswith("in 60 s")
-    assert not rest_checks.ground(SWINGING).made
+    assert not rest_checks.ground(SWINGING, LIMITS).made
     # nothing drives it: it is quiet enough for any limit
     assert_go(rest_checks.ground(replace(short, deflections=at), asking(1e-9)))
     assert_no(rest_checks.ground(short, asking(1e-9)))

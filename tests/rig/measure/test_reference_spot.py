@@ -164,9 +164,9 @@ def test_before_the_record_each_spot_is_followed_in_its_own_part() -> None:
     stream.start_camera()
     assert stream.begin() is not None
     frames = RecentFrames(stream, optics, 1.0, 1.0, lambda _, block: shown.append(block.references))
-    while frames.count < 60:
+    while frames.frames_taken < 60:
         assert frames.advance()
-    look = frames.look(resting=True, duration_s=1.0)
+    look = frames.trial(resting=True, duration_s=1.0)
     stream.close()
     camera.close()
     assert all(spot.y_px < ROW for spot in look.spots)

@@ -127,7 +127,7 @@ def test_the_screen_has_the_phases_of_a_run_in_their_order_and_marks_the_present
 def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
     """A display that has seen a minute of a decay from 124 arcsec, by 1 % a half-cycle."""
     console = Console(file=output, width=118, height=40)
-    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, longest_s=longest_s, console=console)
+    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, max_duration_s=longest_s, console=console)
     swings = [
         HalfCycle(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
         for n in range(30)
@@ -157,7 +157,7 @@ def test_the_time_left_is_to_the_end_that_comes_first(longest_s: float, is_limit
 
 def test_before_the_amplitude_tells_the_end_the_limit_is_said() -> None:
     output = io.StringIO()
-    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, longest_s=300.0, console=Console(file=output))
+    shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, max_duration_s=300.0, console=Console(file=output))
     Console(file=output, width=118).print(shown.screen(RunNow(phase=Phase.MEASURING, elapsed_s=60.0)))
     assert "too early to say, at most 4:00" in output.getvalue()
 
@@ -203,6 +203,12 @@ def test_screen_and_json_lines_name_each_loss_and_how_the_camera_s_clock_runs(
     assert state["losses"] == asdict(SEEN.losses)
     assert state["estimates"] == {"c": {"value": 1e-8, "standard_uncertainty": None}}
     assert state["clock"] == {"drift_ppm": 31.204, "u_drift_ppm": 0.052, "steps": 1, "largest_step_s": 0.13}
+
+
+def test_a_minute_has_no_sixty_seconds() -> None:
+    """It was 1:60.0: the seconds were rounded after the minutes had been taken from them."""
+    rows = dict(display(io.StringIO()).rows(replace(SEEN, elapsed_s=119.97)))
+    assert rows["elapsed"].startswith("2:00.0, ")
 
 
 def test_a_value_that_its_uncertainty_hides_is_not_shown() -> None:

@@ -14,7 +14,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.devices import Devices
 from rig.measure import session
-from rig.measure.run import _check_place
+from rig.measure.run import _check_path
 from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.measure.session_file import RunState, SessionFile, read_session
 from tests.disk_without_locks import NO_LOCKS, without_locks
@@ -87,7 +87,7 @@ def test_a_disk_without_room_is_said_in_one_line_and_leaves_nothing(
     assert "49 MiB of disk are free, 50 MiB are needed" in done.stderr
     assert not (tmp_path / "out").exists()
     monkeypatch.setattr("rig.measure.run.free_bytes", lambda _: 50 * 2**20)
-    _check_place(tmp_path / "run.mcap")
+    _check_path(tmp_path / "run.mcap")
 
 
 def test_a_record_whose_folder_is_removed_ends_the_run_and_is_saved(

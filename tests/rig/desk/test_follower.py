@@ -16,8 +16,8 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RigError
 from processing.spot import Spot
 from rig.desk.desk import Desk
-from rig.desk.following import Following
-from rig.desk.panels.live_picture import look_now
+from rig.desk.follower import RigFollower
+from rig.desk.panels.live_picture import newest_frame
 from rig.devices import ORDERS_NAME, OrderSocket, SessionNews, order_line
 from rig.instrument import Block, configuration_attachments
 from rig.measure.session_file import SessionFile
@@ -27,13 +27,13 @@ from tests.waiting import until
 
 
 @pytest.fixture
-def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Following]:
+def follower(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RigFollower]:
     """One that follows a session in `session` which answers, and has held the rig."""
     monkeypatch.setattr(order_line, "_MAX_ANSWER_S", 0.2)
     folder = tmp_path / "session"
     folder.mkdir()
     told = SessionNews()
-    follower = Following(tmp_path, lambda: folder)
+    follower = RigFollower(tmp_path, lambda: folder)
     with OrderSocket(folder, told, {}):
         follower.start()
         until(lambda: follower.folder == folder)
@@ -42,7 +42,7 @@ def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follo
     follower.stop()
 
 
-def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tmp_path: Path) -> None:
+def test_a_session_that_does_not_answer_is_not_given_up(follower: RigFollower, tmp_path: Path) -> None:
     folder = tmp_path / "session"
     told = SessionNews()
     busy, asked = threading.Event(), 0
@@ -55,25 +55,25 @@ def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tm
         return {}
 
     with OrderSocket(folder, told, {"stop": lambda _: "stopping"}, extra):
-        following.look_now()
-        until(lambda: following.running)
+        follower.search_now()
+        until(lambda: follower.running)
         busy.set()
         before = asked
         # it is asked again, and again, for longer than the second after which one that is gone is forgotten
         until(lambda: asked > before + 8)
-        assert following.folder == folder
-        assert time.monotonic() - following.heard_s > 1.0
-        assert following.order("stop") == "stopping"
+        assert follower.folder == folder
+        assert time.monotonic() - follower.news_s > 1.0
+        assert follower.order("stop") == "stopping"
         busy.clear()
-        until(lambda: time.monotonic() - following.heard_s < 1.0)
-    until(lambda: not following.running)
+        until(lambda: time.monotonic() - follower.news_s < 1.0)
+    until(lambda: not follower.running)
 
 
 def test_a_session_is_known_at_once_and_its_events_as_they_are_recorded(tmp_path: Path) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
     told = SessionNews()
-    follower = Following(tmp_path)
+    follower = RigFollower(tmp_path)
     record = folder / "run-1.mcap"
     with OrderSocket(folder, told, {}), RecordWriter(record, time.time_ns()) as writer:
         told.begin_run("run 1", 255, None, record)
@@ -99,31 +99,31 @@ def test_a_desk_that_is_opened_while_the_last_session_is_fitted_knows_that(tmp_p
         file = SessionFile.create(tmp_path / name, tmp_path / "rig.toml", 1, {})
         if name == "first":
             file.close()
-    follower = Following(tmp_path)
+    follower = RigFollower(tmp_path)
     follower.start()
     assert (follower.folder, follower.last_folder) == (None, tmp_path / "second")
-    assert follower.fits_last
+    assert follower.is_fitting_last
     file.close()
-    until(lambda: not follower.fits_last)
+    until(lambda: not follower.is_fitting_last)
     # who goes on with it is kept waiting by nobody
     SessionFile.opened(tmp_path / "second").close()
     follower.stop()
 
 
 def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
-    following: Following, tmp_path: Path
+    follower: RigFollower, tmp_path: Path
 ) -> None:
     folder = tmp_path / "session"
     told = SessionNews()
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
     with OrderSocket(folder, told, {}):
-        following.look_now()
-        until(lambda: following.running)
+        follower.search_now()
+        until(lambda: follower.running)
     (folder / ORDERS_NAME).write_text(json.dumps({"port": port, "key": "key", "pid": 1}))
-    until(lambda: not following.running)
+    until(lambda: not follower.running)
     with pytest.raises(RigError, match="no session runs"):
-        following.order("stop")
+        follower.order("stop")
 
 
 def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path
     dark: list[str] = []
     desk = Desk(simulated_rig(tmp_path))
     with OrderSocket(folder, told, {"dark": lambda by: dark.append(by) or "dark"}):  # type: ignore[func-returns-value]
-        desk.following.start()
+        desk.follower.start()
         for press in ("one", "one", "two"):
             assert desk.lighting.off(press) == ["no laser is switched by this program: turn its key"]
         until(lambda: len(dark) == 2)
@@ -160,18 +160,18 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     none = Deflections(np.zeros(0, np.int64), *[nothing] * 4, DeflectionUnit.PX)
     spot = Spot(16.0, 20.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
     with OrderSocket(folder, told, {}):
-        desk.following.start()
-        until(lambda: "camera" in desk.following.news)
-        desk.following.ask_picture()
+        desk.follower.start()
+        until(lambda: "camera" in desk.follower.news)
+        desk.follower.ask_picture()
         # as before a record: the run's phases show their frames the same way
         told.look([Frame(image, 1, 1, 1)], Block([spot], none, [], [], [spot._replace(y_px=50.0)]))
 
         def looked() -> bool:
-            desk.following.ask_picture()
-            return look_now(desk) is not None
+            desk.follower.ask_picture()
+            return newest_frame(desk) is not None
 
         until(looked)
-        look = look_now(desk)
+        look = newest_frame(desk)
     desk.close()
     assert look is not None
     assert look.reference is not None
@@ -186,7 +186,7 @@ def test_the_configuration_is_the_sessions_until_its_record_has_one(tmp_path: Pa
     folder.mkdir()
     by_hand = Configuration(camera={"driver": "simulated"}, start={"way": "by hand"})  # type: ignore[arg-type]
     at_once = Configuration(camera={"driver": "simulated"}, start={"way": "at once"})  # type: ignore[arg-type]
-    told, follower = SessionNews(), Following(tmp_path)
+    told, follower = SessionNews(), RigFollower(tmp_path)
     assert (follower.config, follower.unit) == (None, "")
     SessionFile.create(folder, tmp_path / "rig.toml", 1, stored_configuration(by_hand)).close()
     with OrderSocket(folder, told, {}):

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from rig.desk.panels.run_words import first_fit, listed, strip, time_left
+from rig.desk.panels.run_texts import first_fit, sorted_events, step_bar, time_left
 from rig.instrument import Phase
 from rig.measure import FIRST_HALF_CYCLES
 
@@ -26,7 +26,7 @@ ALL = ["devices", "rest", "warm-up", "preflight", "release", "recording", "closi
 def test_steps_with_the_present_one_against_its_limit(
     state: dict[str, Any], start_way: str, steps: list[str], present: str
 ) -> None:
-    shown = strip(state, start_way)
+    shown = step_bar(state, start_way)
     assert re.findall(r"<li aria-current=step>([^<]*)", shown) == [present]
     assert [text.partition(":")[0] for text in re.findall(r"<li[^>]*>([^<]*)", shown)] == steps
 
@@ -55,8 +55,8 @@ def test_the_first_fit_is_promised_only_while_it_is_ahead() -> None:
 def test_events_stand_in_the_order_of_time_and_say_a_trip_once() -> None:
     trip = "trip 1 (PERSON): LIGHT OFF was pressed at the desk"
     events = [
-        {"at_s": at_s, "kind": kind, "level": level, "text": text}
-        for at_s, kind, level, text in (
+        {"time_s": time_s, "kind": kind, "level": level, "text": text}
+        for time_s, kind, level, text in (
             (0.4, "beam", "information", "one Gaussian"),
             (0.0, "start", "information", "first frame"),
             (5.2, "controller", "information", f"laser off: {trip}"),
@@ -65,7 +65,7 @@ def test_events_stand_in_the_order_of_time_and_say_a_trip_once() -> None:
             (7.0, "laser dark", "alarm", "the relay does not close"),
         )
     ]
-    assert [(one["kind"], one["text"]) for one in listed(events)] == [
+    assert [(one["kind"], one["text"]) for one in sorted_events(events)] == [
         ("start", "first frame"),
         ("beam", "one Gaussian"),
         ("trip", trip),
