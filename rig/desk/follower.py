@@ -20,10 +20,10 @@ from rig.devices import (
     AlignmentFrame,
     NoSession,
     OrderConnection,
-    ReferencePart,
+    ReferenceSpot,
     SessionBusy,
     SessionPicture,
-    middle_of,
+    crosshair_of,
     picture,
     running_sessions,
 )
@@ -187,15 +187,15 @@ class RigFollower:
         pendulum_image, reference = newest.image, None
         if config is not None and config.reference is not None and newest.reference is not None:
             row = config.reference.from_row_px
-            reference = ReferencePart.in_image(newest.reference, row, newest.image, full_scale_dn)
+            reference = ReferenceSpot.in_image(newest.reference, row, newest.image, full_scale_dn)
             pendulum_image = newest.image[:row]
         figures = picture.figures(pendulum_image, full_scale_dn)
         self.focus.append((time.monotonic(), figures.sharpness_per_px))
-        middle_px = middle_of(newest.image, None if config is None else config.lever_reference_px)
+        crosshair_px = crosshair_of(newest.image, None if config is None else config.lever_reference_px)
         # the settings of this frame: those of the news may be older or newer
         applied = CameraSettings.model_validate(newest.camera["applied"])
         return AlignmentFrame(
-            newest.image, full_scale_dn, figures, newest.spot, middle_px, applied, newest.beam, reference
+            newest.image, full_scale_dn, figures, newest.spot, crosshair_px, applied, newest.beam, reference
         )
 
     def _follow(self) -> None:

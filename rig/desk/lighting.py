@@ -173,7 +173,7 @@ class Safety:
         """Store the states of light and interlock that are confirmed now."""
         time_s = time.time()
         if now.light in _CONFIRMED and now.light_age_s <= STALE_S:
-            camera_agrees = now.seen is (now.light is Light.ON) and now.spot_age_s <= STALE_S
+            camera_agrees = now.spot_visible is (now.light is Light.ON) and now.spot_age_s <= STALE_S
             devices = f"{self._device} and camera" if camera_agrees else self._device
             self.light = ConfirmedState(now.light, time_s - now.light_age_s, devices)
         if now.interlock is not Loop.UNKNOWN and now.interlock_age_s <= STALE_S:

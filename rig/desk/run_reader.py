@@ -112,7 +112,7 @@ class RecordFollower:
                 self._path.append(deflections)
                 while deflections.times_ns[-1] - self._path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     self._path.popleft()
-            for swing in contents.swings:
+            for swing in contents.half_cycles:
                 if not swing.flags:
                     elapsed_s = _elapsed_s(swing.turn_time_ns, start_ns)
                     self._measured.append((elapsed_s, round(swing.amplitude / size, _DECIMALS)))

@@ -254,7 +254,7 @@ class PhasesBeforeRecord:
 
     def _raise_if_dark(self) -> None:
         """Raise DeviceError if the laser that this program has lit is dark, which is then the cause."""
-        if self._devices.permit.begun and (why := self._devices.reported_darkness()):
+        if self._devices.permit.expects_light and (why := self._devices.reported_darkness()):
             raise DeviceError(f"the laser is dark: {why}; nothing was recorded")
 
     def _seismometer_verdict(self, trial: TrialFrames) -> Verdict:

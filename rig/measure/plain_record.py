@@ -204,7 +204,7 @@ def _acknowledge(config: Configuration, number: int, command: str) -> str:
         with suppress(NoSession), OrderConnection(folder) as connection:
             return connection.order(f"acknowledge {number} {command}")
     with Devices(config, config.session.output, command) as devices:
-        devices.wait_until_heard()
+        devices.wait_for_reports()
         return devices.acknowledge(number, command)
 
 

@@ -118,7 +118,7 @@ class StepEvents:
         events: list[Event] = []
         lost = SpotFlag.LOST
         self._background_dn += [spot.background_dn for spot in block.spots if not spot.flags & lost]
-        for half_cycle in block.swings:
+        for half_cycle in block.half_cycles:
             time_ns, rest, amplitude = half_cycle.turn_time_ns, math.nan, math.nan
             if not half_cycle.flags:
                 rest = half_cycle.centre / self._unit.shown_size

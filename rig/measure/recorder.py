@@ -99,7 +99,7 @@ class Recorder:
         """Text that says that the disk hangs; empty while it does not."""
         if not (paused_s := self.disk_silent_s):
             return ""
-        waiting = f"{self.entries.waiting_bytes / 1e6:.0f} of {self.entries.most_bytes / 1e6:.0f} MB"
+        waiting = f"{self.entries.waiting_bytes / 1e6:.0f} of {self.entries.max_bytes / 1e6:.0f} MB"
         return f"the disk has not answered for {paused_s:.0f} s; {waiting} of memory wait for it"
 
     def take_pauses(self) -> list[float]:

@@ -243,9 +243,9 @@ class Recording:
         self._record(entry)
         if run.posterior is not None:
             callbacks = self._recorder.flush, self._stream.note_deliberate_wait
-            self._guard.call(_LIVE_FIT, None, run.posterior.take, block.swings, *callbacks)
+            self._guard.call(_LIVE_FIT, None, run.posterior.take, block.half_cycles, *callbacks)
         is_due = taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
-        if block.swings or self._on_demand or is_due:
+        if block.half_cycles or self._on_demand or is_due:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - frames[0].host_time_ns)
@@ -256,7 +256,7 @@ class Recording:
 
     def _close(self, rejection: str) -> None:
         """Record the half-cycles completed by the end, and how the run has ended."""
-        counts, (swings, balances) = self._counts, self._pipeline.finish()
+        counts, (half_cycles, balances) = self._counts, self._pipeline.finish()
         no_frames = self._pipeline.measure(np.empty(0, np.int64), [])
         attachments = self._readings.end_attachments()
         if not rejection:
@@ -269,11 +269,11 @@ class Recording:
             text = f"in all: {self._guard.text}"
             self._recorder.put(RecordEntry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
         early = [] if rejection or self._stop.early is None else [end._replace(kind=self._stop.early)]
-        self._half_cycles += len(swings)
+        self._half_cycles += len(half_cycles)
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         self._record(
             RecordEntry(
-                block=no_frames._replace(swings=swings, balances=balances),
+                block=no_frames._replace(half_cycles=half_cycles, balances=balances),
                 events=[*self._device_events(), *early, end],
                 messages=[losses, *self._state(Phase.CLOSING, math.nan), *self._notes()],
                 attachments=attachments,

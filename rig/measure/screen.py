@@ -91,7 +91,7 @@ class RunDisplay:
 
     def take(self, recorded: RecordContents) -> None:
         """Store turning points for the forecast, and the lines of events."""
-        for swing in recorded.swings:
+        for swing in recorded.half_cycles:
             if not swing.flags:
                 point = seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude
                 self._turning_points.append(point)
@@ -311,7 +311,7 @@ class RunDisplay:
         if not now.precedes_record:
             frames = f"{now.frames} frames ({now.dropped_frames} dropped, {now.lost_spots} lost)"
         reason = f"  {now.reason}" if now.reason else ""
-        phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "
+        phase = "" if now.phase is Phase.MEASURING else f"{now.phase_text}  "
         return f"{phase}t {now.elapsed_s:7.1f} s  {amplitude}{frames}{reason}".rstrip()
 
 

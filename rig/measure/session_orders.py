@@ -140,10 +140,10 @@ def await_acknowledgement(devices: Devices, session_news: SessionNews, *, resuma
     """
     ask_acknowledgement(devices)
     permit, trip = devices.permit, devices.permit.latched
-    if (trip or permit.needs_request) and session_news.watched and not at_terminal():
+    if (trip or permit.needs_request) and session_news.is_watched and not at_terminal():
         cause = "light is to be asked for" if trip is None else trip.text
         session_news.waits(f"{cause}: the next run waits for a person")
-        while session_news.watched and (permit.latched or permit.needs_request):
+        while session_news.is_watched and (permit.latched or permit.needs_request):
             time.sleep(_CHECK_INTERVAL_S)
     if permit.latched or permit.needs_request:
         cause = "nobody has asked for light since the trip"
