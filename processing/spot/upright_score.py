@@ -23,15 +23,12 @@ from processing.spot.fit_values import (
     Y,
 )
 
-SMALLEST_SIGMA_PX = 1.5
+MIN_SIGMA_PX = 1.5
 """Smallest sigma for which the expansion of the pixel integral in the pixel's width is accurate enough."""
-
 VALUE, BY_CENTRE, BY_SIGMA = range(3)
 """Rows of a profile: the pixel-integrated Gaussian and its derivatives with respect to centre and sigma."""
-
 ALONG_Y = 3
 """First row of the profile along y in a table of both profiles; the profile along x starts at row 0."""
-
 TABLE_ROWS = 6
 
 
