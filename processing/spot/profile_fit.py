@@ -90,7 +90,7 @@ def score_profile(
     dark = np.float32(background_variance(p[LEVEL], noise))
     shot, spread = np.float32(noise.dn_per_e), np.float32(noise.prnu2)
     full = np.float32(noise.full_scale_dn)
-    nine = np.float32(9.0)
+    three_squared = np.float32(9.0)
     limit = np.float32(gate)
     a0, a1, a2, a3 = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
     d0, d1, d2, d3 = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
@@ -130,7 +130,7 @@ def score_profile(
             mu = level + slope * u + light
             r = row[i] - mu
             room = full - mu
-            below = one if room > zero and room * room > nine * variance else zero
+            below = one if room > zero and room * room > three_squared * variance else zero
             z = r * r / variance
             keep = below if z <= limit else zero
             w = keep / variance
