@@ -17,4 +17,4 @@ from processing.swing.noise import (
     with_learned_weights,
 )
 from processing.swing.prediction import KnownMotion
-from processing.swing.swing import HalfCycle, HalfCycleFlag, TurningPoints, turning_points
+from processing.swing.turning_points import HalfCycle, HalfCycleFlag, TurningPoints, turning_points

@@ -95,7 +95,7 @@ def refined_half_cycles(
         return Refinement(swings, None, doubt=remark, harmonics=harmonics)
     watch = CycleWatch(swings, motion)
     turns = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
-    search = PositionMapSearch(min(turns), max(turns), watch.cycles)
+    search = PositionMapSearch(min(turns), max(turns), watch.pending_cycles)
     remeasured = second_measurement(swings, _search_errors(blocks, watch, search), motion)
     refined = judge_refinement(swings, remeasured, motion, first, fit)
     doubt = "; ".join(filter(None, [remark, refined.doubt]))
@@ -170,7 +170,7 @@ def _with_remaining_errors(
     not linear.
     """
     watch = CycleWatch(swings, motion)
-    search = PositionMapSearch(*position_map.limits, watch.cycles)
+    search = PositionMapSearch(*position_map.limits, watch.pending_cycles)
     for _ in _search_errors(map(position_map.corrected, blocks), watch, search):
         pass
     remaining = search.position_map()

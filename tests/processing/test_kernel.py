@@ -20,7 +20,7 @@ import pytest
 from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
-from processing.kernel import notify_of_compilation, kernel
+from processing.kernel import kernel, notify_of_compilation
 from processing.kernel_compiler import locked
 from tests.rig.long_record import make_long_record
 

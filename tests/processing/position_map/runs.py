@@ -70,7 +70,8 @@ def searched(one: Run) -> PositionMap | None:
     fit = fit_exact(turning_points(one.swings), one.pendulum)
     motion = known_motion(fit.parameters, one.pendulum, one.swings[0].amplitude)
     watch = CycleWatch(one.swings, motion)
-    search = PositionMapSearch(float(one.deflections.y.min()), float(one.deflections.y.max()), watch.cycles)
+    y = one.deflections.y
+    search = PositionMapSearch(float(y.min()), float(y.max()), watch.pending_cycles)
     for start in range(0, len(one.deflections), 1000):
         for cycle in watch.update(one.deflections[start : start + 1000]):
             search.add(cycle)
