@@ -196,7 +196,7 @@ class TurningPointDetector:
         return self._last
 
 
-def swings_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
+def half_cycles_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
     """All half-cycles of samples in memory; arguments and errors as of `TurningPointDetector.update`."""
     detector = TurningPointDetector()
     return detector.update(times_ns, deflection, u_deflection) + detector.finish()
@@ -227,5 +227,5 @@ def compile_kernels() -> None:
     deflection = (0.99 - 0.02 * halves) * np.cos(phase) + centre
     times_ns = nanoseconds(time_s)
     u = np.full(len(time_s), 1e-5)
-    swings_of(times_ns, deflection, u)
+    half_cycles_of(times_ns, deflection, u)
     separate_modes(times_ns[:200], 0.1 * np.cos(5.0 * phase[:200]), deflection[:200], u[:200], u[:200])

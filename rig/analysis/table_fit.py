@@ -20,7 +20,7 @@ from processing.swing import (
     SampleScatter,
     estimate_noise,
     estimate_scatter,
-    swings_of,
+    half_cycles_of,
     swings_of_blocks,
     turning_points,
 )
@@ -101,7 +101,7 @@ def analyse_trajectory(
     deflection, across = (one * scale for one in along_and_across(trajectory.positions))
     scatter = estimate_scatter(trajectory.times_ns, deflection)
     noise = scatter.noise
-    swings = swings_of(trajectory.times_ns, deflection, scatter.u_deflection)
+    swings = half_cycles_of(trajectory.times_ns, deflection, scatter.u_deflection)
     parts = separate_decays(swings)
     usable = [part for part in parts if len(turning_points(part)) >= _MIN_USABLE_HALF_CYCLES]
     if not usable:
