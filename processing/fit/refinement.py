@@ -30,7 +30,7 @@ from processing.swing import (
     KnownMotion,
     SwingHarmonics,
     TurningPoints,
-    swings_of_blocks,
+    half_cycles_of_blocks,
     turning_points,
     with_learned_weights,
 )
@@ -114,7 +114,7 @@ def second_measurement(
     -------
     The half-cycles, the first ones with uncertainties from the noise that the later ones show.
     """
-    found = swings_of_blocks(blocks, motion)
+    found = half_cycles_of_blocks(blocks, motion)
     found_ns = np.array([swing.turn_time_ns for swing in found], dtype=np.int64)
     near_ns = 0.25e9 * math.pi / motion.rate_rad_per_s
     again: list[HalfCycle] = []

@@ -1,7 +1,12 @@
 """Analysis of a decaying oscillation: turning points with uncertainties, separation of two modes."""
 
 from processing.swing.cycle_residuals import SHARED_COLUMNS, CycleResiduals, CycleWatch
-from processing.swing.detector import TurningPointDetector, compile_kernels, half_cycles_of, swings_of_blocks
+from processing.swing.detector import (
+    TurningPointDetector,
+    compile_kernels,
+    half_cycles_of,
+    half_cycles_of_blocks,
+)
 from processing.swing.half_cycle_harmonics import (
     ORDERS,
     PIECE_HALF_CYCLES,

@@ -202,7 +202,7 @@ def half_cycles_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: Arr
     return detector.update(times_ns, deflection, u_deflection) + detector.finish()
 
 
-def swings_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = None) -> list[HalfCycle]:
+def half_cycles_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = None) -> list[HalfCycle]:
     """All half-cycles of deflections along the slow axis, in blocks that need not be in memory together."""
     detector = TurningPointDetector(known)
     half_cycles: list[HalfCycle] = []

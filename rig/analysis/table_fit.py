@@ -21,7 +21,7 @@ from processing.swing import (
     estimate_noise,
     estimate_scatter,
     half_cycles_of,
-    swings_of_blocks,
+    half_cycles_of_blocks,
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
@@ -263,7 +263,7 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
         return followed
     alone = replace(seen, y=seen.y - part * seen.x, u_y=np.hypot(seen.u_y, part * seen.u_x))
     passing = PassingDeflections([alone], DeflectionUnit.RAD)
-    return replace(followed, swings=swings_of_blocks(passing), deflections=passing)
+    return replace(followed, swings=half_cycles_of_blocks(passing), deflections=passing)
 
 
 def _both_deflections(

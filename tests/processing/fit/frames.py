@@ -8,7 +8,7 @@ from processing.swing import (
     HarmonicsMeasurement,
     SwingHarmonics,
     TurningPoints,
-    swings_of_blocks,
+    half_cycles_of_blocks,
     turning_points,
 )
 
@@ -24,7 +24,7 @@ def seen_in_frames(
 
 def points_and_harmonics(samples: Deflections) -> tuple[TurningPoints, SwingHarmonics]:
     """Turning points of the detector, and the waveform between them."""
-    swings = swings_of_blocks([samples])
+    swings = half_cycles_of_blocks([samples])
     watch = HarmonicsMeasurement(swings)
     watch.update(samples)
     return turning_points(swings), watch.harmonics()

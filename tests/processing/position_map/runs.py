@@ -12,7 +12,7 @@ from processing.contact import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit import fit_exact, known_motion
 from processing.position_map import PositionMap, PositionMapSearch
-from processing.swing import CycleWatch, HalfCycle, swings_of_blocks, turning_points
+from processing.swing import CycleWatch, HalfCycle, half_cycles_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
@@ -62,7 +62,7 @@ def run(
     if fast is not None:
         x = fast(time_s) + NOISE * rng.standard_normal(len(path))
         deflections = replace(deflections, x=x, u_x=deflections.u_y)
-    return Run(swings_of_blocks([deflections]), deflections, parameters, pendulum)
+    return Run(half_cycles_of_blocks([deflections]), deflections, parameters, pendulum)
 
 
 def searched(one: Run) -> PositionMap | None:
