@@ -28,7 +28,7 @@ from processing.swing import (
     HalfCycle,
     HalfCycleFlag,
     KnownMotion,
-    SwingHarmonics,
+    PieceHarmonics,
     TurningPoints,
     half_cycles_of_blocks,
     turning_points,
@@ -290,7 +290,7 @@ class Refinement(NamedTuple):
     exact: FitResult | None = None
     doubt: str = ""
     position_map: PositionMap | None = None
-    harmonics: SwingHarmonics | None = None
+    harmonics: PieceHarmonics | None = None
 
 
 def judge_refinement(

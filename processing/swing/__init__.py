@@ -12,7 +12,7 @@ from processing.swing.half_cycle_harmonics import (
     PIECE_HALF_CYCLES,
     HarmonicsMeasurement,
     HarmonicTerms,
-    SwingHarmonics,
+    PieceHarmonics,
 )
 from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import (

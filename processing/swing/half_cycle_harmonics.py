@@ -58,7 +58,7 @@ class HarmonicTerms:
 
 
 @dataclass(frozen=True, slots=True)
-class SwingHarmonics:
+class PieceHarmonics:
     """Harmonics of n pieces, in the unit of the deflection.
 
     The deflection is ``A cos(s) + Re sum X_k exp(i k s)`` with the phase s from the turning point at +A.
@@ -135,11 +135,11 @@ class HarmonicsMeasurement:
         next_first = self._pieces[0][0] if self._pieces else self._run[0] if self._run else None
         self._blocks = [stored if next_first is None else stored.since(next_first.turn_time_ns)]
 
-    def harmonics(self) -> SwingHarmonics:
+    def harmonics(self) -> PieceHarmonics:
         """Harmonics of all pieces so far, except those of too few samples."""
         count, values = len(ORDERS), np.array(self._values).reshape(-1, HarmonicTerms.COUNT)
         covariance = np.array(self._covariances).reshape(-1, count, count)
-        return SwingHarmonics(*HarmonicTerms.harmonics(values), covariance)
+        return PieceHarmonics(*HarmonicTerms.harmonics(values), covariance)
 
     def _measure(self, samples: Deflections, first: HalfCycle, last: HalfCycle) -> None:
         usable = np.isfinite(samples.y) & (samples.u_y > 0.0)

@@ -50,7 +50,7 @@ from processing.swing import (
     HalfCycle,
     HarmonicsMeasurement,
     KnownMotion,
-    SwingHarmonics,
+    PieceHarmonics,
     TurningPoints,
     with_learned_weights,
 )
@@ -137,7 +137,7 @@ def _without_position_errors(
     without them. The part of the map that the residuals leave open is then adjusted by the fitted law.
     """
     exact, final_map, remeasured = first_fit, position_map, swings
-    harmonics: SwingHarmonics | None = None
+    harmonics: PieceHarmonics | None = None
     try:
         for step in range(3):
             if step == 1:
@@ -177,7 +177,7 @@ def _with_remaining_errors(
     return position_map if remaining is None else position_map.plus(remaining)
 
 
-def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> SwingHarmonics:
+def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> PieceHarmonics:
     measurement = HarmonicsMeasurement(swings)
     for block in blocks:
         measurement.update(block)

@@ -11,7 +11,7 @@ from processing.deflections import Deflections, slow_deflections
 from processing.swing import (
     ORDERS,
     HarmonicsMeasurement,
-    SwingHarmonics,
+    PieceHarmonics,
     TurningPointDetector,
     half_cycles_of_blocks,
 )
@@ -37,7 +37,7 @@ def samples_of(y: np.ndarray, x: np.ndarray | None = None) -> Deflections:
     return found if x is None else Deflections(found.times_ns, x, y, found.u_y, found.u_y, found.unit)
 
 
-def measured(samples: Deflections, block: int = 500) -> SwingHarmonics:
+def measured(samples: Deflections, block: int = 500) -> PieceHarmonics:
     watch = HarmonicsMeasurement(half_cycles_of_blocks([samples]))
     for begin in range(0, len(samples), block):
         watch.update(samples[begin : begin + block])
