@@ -65,7 +65,7 @@ class CycleResiduals(NamedTuple):
     """(n, SHARED_COLUMNS) derivatives with respect to frequency, shape and the timing error's polynomial."""
 
 
-class CycleWatch:
+class CycleExtractor:
     """Extraction of the cycles from a stream of deflections.
 
     Parameters

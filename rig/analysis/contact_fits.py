@@ -46,7 +46,7 @@ from processing.fit import (
 from processing.least_squares import Loss
 from processing.position_map import PositionMap, PositionMapSearch
 from processing.swing import (
-    CycleWatch,
+    CycleExtractor,
     HalfCycle,
     HarmonicsMeasurement,
     KnownMotion,
@@ -93,7 +93,7 @@ def refined_half_cycles(
         motion = fit.motion(first, swings)
     except DataError:
         return Refinement(swings, None, doubt=remark, harmonics=harmonics)
-    watch = CycleWatch(swings, motion)
+    watch = CycleExtractor(swings, motion)
     turns = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turns), max(turns), watch.pending_cycles)
     remeasured = second_measurement(swings, _search_errors(blocks, watch, search), motion)
@@ -114,7 +114,7 @@ def refined_half_cycles(
 
 
 def _search_errors(
-    blocks: Iterable[Deflections], watch: CycleWatch, search: PositionMapSearch
+    blocks: Iterable[Deflections], watch: CycleExtractor, search: PositionMapSearch
 ) -> Iterator[Deflections]:
     for block in blocks:
         for cycle in watch.update(block):
@@ -169,7 +169,7 @@ def _with_remaining_errors(
     The first map is one of measured deflections, which the errors have shifted, by much where the scale is
     not linear.
     """
-    watch = CycleWatch(swings, motion)
+    watch = CycleExtractor(swings, motion)
     search = PositionMapSearch(*position_map.limits, watch.pending_cycles)
     for _ in _search_errors(map(position_map.corrected, blocks), watch, search):
         pass
