@@ -1,6 +1,6 @@
 """Analysis of a decaying oscillation: turning points with uncertainties, separation of two modes."""
 
-from processing.swing.cycle_residuals import SHARED_COLUMNS, CycleExtractor, CycleResiduals
+from processing.swing.cycle_residuals import SHARED_PARAMETERS, CycleExtractor, CycleResiduals
 from processing.swing.detector import (
     TurningPointDetector,
     compile_kernels,

@@ -39,7 +39,7 @@ _IS_OF_CYCLE = np.isin(_FREE, (AMPLITUDE, TIME, CENTRE, DRIFT))
 """Which of them each cycle has for itself."""
 _TIMING_DEGREE = 3
 """Degree of the polynomial, in the deflection, of the timing error that a rolling shutter causes."""
-SHARED_COLUMNS = 1 + SHAPES + _TIMING_DEGREE
+SHARED_PARAMETERS = 1 + SHAPES + _TIMING_DEGREE
 """Number of parameters that all cycles have in common: frequency, shape and timing."""
 _REACH_HALF_PERIODS = 0.6
 """Half periods before the first and after the second turning point within which the cycle lies."""
@@ -62,7 +62,7 @@ class CycleResiduals(NamedTuple):
     own: Floats
     """(n, q) derivatives with respect to the cycle's amplitude, time, centre and drift, and a fast mode."""
     shared: Floats
-    """(n, SHARED_COLUMNS) derivatives with respect to frequency, shape and the timing error's polynomial."""
+    """(n, SHARED_PARAMETERS) derivatives with respect to frequency, shape and the timing error's polynomial."""
 
 
 class CycleExtractor:
