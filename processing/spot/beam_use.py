@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from processing.arrays import Flags, Floats, Ints
 from processing.noise_models import robust_scatter
 from processing.spot.fit_values import Image, Spot, SpotFlag
-from processing.spot.model_choice import LONGEST_CHOICE_FRAMES, SpotModel
+from processing.spot.model_choice import MAX_CHOICE_FRAMES, SpotModel
 
 _NEW_CHOICE_FRAMES = 64
 """Fewest frames in a row with another model that count as a new choice. A choice takes longer: fewer frames
@@ -82,7 +82,7 @@ class BeamUse:
         is_first_learned = model is SpotModel.LEARNED and not self._has_learned
         if is_first_learned:
             self._has_learned = True
-            if self._spots <= LONGEST_CHOICE_FRAMES:
+            if self._spots <= MAX_CHOICE_FRAMES:
                 self.choosing_frames = self._spots
                 self.judged_frames = self.poor_frames = 0
                 self.poor_with = dict.fromkeys(SpotFlag, 0)
@@ -100,7 +100,7 @@ class BeamUse:
             self._other_frames += len(marks)
             if is_first_learned or self._other_frames >= _NEW_CHOICE_FRAMES:
                 self.model, self.since_frame, self._other_frames = model, self._other_since_frame, 0
-                self.changes += self._spots > LONGEST_CHOICE_FRAMES
+                self.changes += self._spots > MAX_CHOICE_FRAMES
         self._spots += len(marks)
 
 

@@ -25,7 +25,7 @@ _SAMPLED_PX = 1_000_000
 """Pixels of all samples: a large spot needs fewer samples, as its profile is smoothed over more pixels."""
 _LEARNED_PX_PER_FRAME = 50_000
 """Pixels of the samples that learning processes in each frame."""
-LONGEST_CHOICE_FRAMES = (_SAMPLE_INTERVAL + LEARNING_ITERATIONS + 2) * _MAX_SAMPLES + 2
+MAX_CHOICE_FRAMES = (_SAMPLE_INTERVAL + LEARNING_ITERATIONS + 2) * _MAX_SAMPLES + 2
 """Most frames that a choice takes: for each sample _SAMPLE_INTERVAL, one for its fit by a Gaussian and
 LEARNING_ITERATIONS + 1 for its fits by the profile; and two for the first and the last step of learning."""
 _MIN_POOR_FRAMES = 256
