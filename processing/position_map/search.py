@@ -99,13 +99,13 @@ class Accumulator:
 
         self.cycles += 1
         root = np.sqrt(cycle.weight)
-        own = cycle.own * root[:, None]
+        own = cycle.cycle_derivatives * root[:, None]
         own /= np.maximum(np.sqrt(np.sum(own**2, axis=0)), 1e-300)
         directions, size, _ = np.linalg.svd(own, full_matrices=False)
         directions = directions[:, size > 1e-6 * size[0]]
-        columns = np.column_stack([cycle.shared, cycle.residual]) * root[:, None]
+        columns = np.column_stack([cycle.shared_derivatives, cycle.residual]) * root[:, None]
         columns -= directions @ (directions.T @ columns)
-        first, values = self._splines.at(cycle.place)
+        first, values = self._splines.at(cycle.deflection)
         values *= root[:, None]
         count, splines = len(root), self._splines.count
         basis = csr_array(

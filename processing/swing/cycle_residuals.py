@@ -52,17 +52,17 @@ _MIN_LINE_PROMINENCE = 40.0
 class CycleResiduals(NamedTuple):
     """Samples of one cycle, from a zero crossing to the next but one, as arrays of n samples."""
 
-    place: Floats
+    deflection: Floats
     """Deflection of the fitted motion. The measured deflection contains the residual itself and would
     correlate with it."""
     residual: Floats
     """Measured deflection minus that of the motion before the fit."""
     weight: Floats
     """Inverse square of the deflection's uncertainty; 0 for outliers."""
-    own: Floats
+    cycle_derivatives: Floats
     """(n, q) derivatives with respect to the cycle's amplitude, time, centre and drift, and a fast mode."""
-    shared: Floats
-    """(n, SHARED_PARAMETERS) derivatives with respect to frequency, shape and the timing error's polynomial."""
+    shared_derivatives: Floats
+    """(n, SHARED_PARAMETERS) derivatives by frequency, shape and the polynomial of the timing error."""
 
 
 class CycleExtractor:
@@ -147,19 +147,20 @@ def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> C
     rows, residual, jacobian = (np.concatenate([half[k] for half in halves]) for k in range(3))
     if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
         return None
-    own = jacobian[:, _IS_OF_CYCLE]
+    cycle_derivatives = jacobian[:, _IS_OF_CYCLE]
     relative = (samples.y[rows, None] - state[CENTRE]) / motion.reference
     timing = jacobian[:, _FREE == TIME] * relative ** np.arange(1, _TIMING_DEGREE + 1)
-    shared = np.column_stack([jacobian[:, ~_IS_OF_CYCLE], timing])
+    shared_derivatives = np.column_stack([jacobian[:, ~_IS_OF_CYCLE], timing])
     weight = samples.u_y[rows] ** -2.0
-    fast_mode = fast_mode_derivatives(tau_s[rows], samples.x[rows], own)
+    fast_mode = fast_mode_derivatives(tau_s[rows], samples.x[rows], cycle_derivatives)
     if fast_mode is not None:
-        own = np.column_stack([own, fast_mode])
-    remainder = linear_fit_residuals(residual, own, np.sqrt(weight))
+        cycle_derivatives = np.column_stack([cycle_derivatives, fast_mode])
+    remainder = linear_fit_residuals(residual, cycle_derivatives, np.sqrt(weight))
     normalised = np.abs(remainder) * np.sqrt(weight)
     is_outlier = normalised > OUTLIER_U * max(1.0, MAD_TO_SIGMA * float(np.median(normalised)))
+    weight = np.where(is_outlier, 0.0, weight)
     return CycleResiduals(
-        samples.y[rows] - remainder, residual, np.where(is_outlier, 0.0, weight), own, shared
+        samples.y[rows] - remainder, residual, weight, cycle_derivatives, shared_derivatives
     )
 
 
