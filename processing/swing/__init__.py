@@ -15,11 +15,6 @@ from processing.swing.half_cycle_harmonics import (
     PieceHarmonics,
 )
 from processing.swing.modes import TwoModes, separate_modes
-from processing.swing.noise import (
-    SampleScatter,
-    estimate_noise,
-    estimate_scatter,
-    with_learned_weights,
-)
+from processing.swing.noise import SampleScatter, estimate_noise, estimate_scatter, with_learned_weights
 from processing.swing.prediction import KnownMotion
 from processing.swing.turning_points import HalfCycle, HalfCycleFlag, TurningPoints, turning_points

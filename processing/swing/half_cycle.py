@@ -22,16 +22,7 @@ import numpy as np
 
 from processing.arrays import Ints, Matrix, Vector
 from processing.kernel import kernel
-from processing.swing.waveform import (
-    LOG_RATIO,
-    NODES,
-    NODES_BEFORE,
-    SHAPES,
-    STEP,
-    Table,
-    locate,
-    tabulate,
-)
+from processing.swing.waveform import LOG_RATIO, NODES, NODES_BEFORE, SHAPES, STEP, Table, locate, tabulate
 
 AMPLITUDE, TIME, RATE, SHAPE, CENTRE, DRIFT = 0, 1, 2, 3, 10, 11
 FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING = 12, 13, 14, 15

@@ -5,16 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from processing.spot.fit_values import (
-    AMPLITUDE,
-    BACKGROUND,
-    COVARIANCE,
-    PARAMETERS,
-    SIGMA_X,
-    SIGMA_Y,
-    X,
-    Y,
-)
+from processing.spot.fit_values import AMPLITUDE, BACKGROUND, COVARIANCE, PARAMETERS, SIGMA_X, SIGMA_Y, X, Y
 from processing.spot.start import start_from_areas, start_from_chords
 from tests.processing.spot.frames import light, tilted_light
 

@@ -10,15 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.errors import DataError
-from processing.spot import (
-    MAX_CHOICE_FRAMES,
-    BeamUse,
-    SensorModel,
-    Spot,
-    SpotFlag,
-    SpotModel,
-    SpotTracker,
-)
+from processing.spot import MAX_CHOICE_FRAMES, BeamUse, SensorModel, Spot, SpotFlag, SpotModel, SpotTracker
 from tests.processing.spot.frames import EIGHT_BIT, TWELVE_BIT, exposed, light
 
 
