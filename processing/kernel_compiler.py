@@ -15,6 +15,7 @@ import pickle
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -109,15 +110,13 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
                 del self.overloads[overload.signature.args]
                 overload = None
             if overload is None and isinstance(self._cache, _Cache):
-                until_stored.enter_context(locked(self._cache.lock, self._report_wait))
+                report_wait = partial(event.start_event, WAIT_EVENT, {"dispatcher": self})
+                until_stored.enter_context(locked(self._cache.lock, report_wait))
             with _without_garbage_collection():
                 entry = super().compile(sig)
             if type(self) is Kernel and any(map(_makes_arrays, self.nopython_signatures)):
                 self.__class__ = _KernelThatMakesArrays
             return entry
-
-    def _report_wait(self) -> None:
-        event.start_event(WAIT_EVENT, {"dispatcher": self})
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Compile for types, not for the values of constants; for a call within another kernel.
@@ -191,14 +190,13 @@ class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
 @contextmanager
 def _without_garbage_collection() -> Iterator[None]:
     """Context without garbage collection, which takes a fifth of a compilation and finds nothing."""
-    if not gc.isenabled():
-        yield
-        return
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        gc.enable()
+        if was_enabled:
+            gc.enable()
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]

@@ -196,14 +196,8 @@ def fit_clean(
             abs(step[X]) * step_sum < _MAX_ITERATION_ERROR * u_x * sigma
             and abs(step[Y]) * step_sum < _MAX_ITERATION_ERROR * u_y * sigma
         )
-        changed = (
-            max(
-                abs(step[AMPLITUDE]) / p[AMPLITUDE],
-                abs(step[SIGMA_X]) / p[SIGMA_X],
-                abs(step[SIGMA_Y]) / p[SIGMA_Y],
-            )
-            > 0.03
-        )
+        width_change = max(abs(step[SIGMA_X]) / p[SIGMA_X], abs(step[SIGMA_Y]) / p[SIGMA_Y])
+        changed = max(abs(step[AMPLITUDE]) / p[AMPLITUDE], width_change) > 0.03
         for k in range(size):
             p[k] += step[k]
         if abs(p[COVARIANCE]) > _MAX_CORRELATION * p[SIGMA_X] * p[SIGMA_Y]:

@@ -17,7 +17,6 @@ The covariance matrix of the spot's light distribution is [[sigma_x^2, c], [c, s
 the index `COVARIANCE`. `SIGMA_X` and `SIGMA_Y` are therefore the standard deviations along the pixel
 axes even when the spot is tilted. A second spot is given the same shape as the first.
 """
-
 PARAMETERS = 10
 UPRIGHT = 6
 """Number of parameters of one upright spot: the first six."""
@@ -25,7 +24,6 @@ TILTED = 7
 """Number of parameters of one tilted spot: the first seven."""
 GATE = 25.0
 """A pixel is an outlier if its squared residual exceeds this many times its variance."""
-
 REACH = 4.5
 """Half-width of the fitted window in standard deviations of the spot."""
 

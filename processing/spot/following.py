@@ -57,30 +57,20 @@ def follow(
     noise_values: Floats,
     start: int,
 ) -> Result:
-    """Fit the spot of one frame.
+    """Fit the spot of one frame; returns the fields of a `Spot`.
+
+    If the spot is not there, the flags are `SEARCH`, every other field is NaN and the caller has to search
+    elsewhere.
 
     Parameters
     ----------
-    image : (ny, nx)
-        A frame or a window cut out of it.
-    origin_x, origin_y, sensor_nx, sensor_ny
-        Fields of `Placement`.
-    memory
-        State of the tracker, with the indices of `fit_values` from `HAS_LAST_SPOT` on; updated.
-    work_array
-        Working memory of shape WORKSPACE_SHAPE, which holds the start values of a search.
-    tables : (TABLE_ROWS, LARGEST_TABLE)
-        Working memory of the upright fit.
-    noise_values
-        Fields of `PixelNoise`.
-    start
-        EXPECTED, NEAR or ROUGH. Of NEAR and ROUGH only ROUGH accepts a tilted, saturated or irregular spot.
-
-    Returns
-    -------
-    Result
-        Fields of a `Spot`. If the spot is not there, the flags are `SEARCH`, every other field is NaN and the
-        caller has to search elsewhere.
+    image : (ny, nx) a frame or a window of it
+    origin_x, origin_y, sensor_nx, sensor_ny : fields of `Placement`
+    memory : memory of the tracker, with the indices of `fit_values` from `HAS_LAST_SPOT` on; updated
+    work_array : working memory of shape WORKSPACE_SHAPE, which holds the start values of a search
+    tables : (TABLE_ROWS, LARGEST_TABLE) working memory of the upright fit
+    noise_values : fields of `PixelNoise`
+    start : EXPECTED, NEAR or ROUGH; a search accepts a tilted, saturated or irregular spot only with ROUGH
     """
     placement = Placement(origin_x, origin_y, sensor_nx, sensor_ny)
     work = workspace_of(work_array)

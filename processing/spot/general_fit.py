@@ -55,7 +55,6 @@ from processing.spot.sensor_model import PixelNoise, background_variance
 _MAX_PASSES = 80
 _PASSES_BEFORE_HALVING = 12
 """Number of passes after which the fit is assumed to oscillate; steps are then halved."""
-
 _MAX_MAHALANOBIS2 = 2.0 * 20.7
 """Squared Mahalanobis distance (u, v) P (u, v)^T beyond which the light is less than 1e-9 of the peak."""
 
@@ -112,6 +111,7 @@ def score_general(
 ) -> tuple[float, int, int, int]:
     """Gradient and Fisher information of the log likelihood, summed over a window.
 
+    Returns chi-square, the number of the pixels used, and those of pixels near full scale and of outliers.
     Two kinds of pixels are left out. The first are those that the model expects within three standard
     deviations of full scale. The model decides and not the measured value: choosing by the data would
     keep the pixels whose noise happened to be negative, and bias the fit. The second are outliers, whose
@@ -120,28 +120,15 @@ def score_general(
     Parameters
     ----------
     image : (ny, nx), DN
-    window
-        Pixels to sum over.
-    p : (PARAMETERS,)
-        Parameters of the model (see `fit_values`).
-    tilted, has_second
-        Whether the covariance and the second spot are fitted.
-    noise
-        Noise model of a pixel.
-    gate
-        Limit of the squared residual, in variances.
-    hidden
-        Half-plane of pixels that are neither used nor counted.
-    gradient, information : (PARAMETERS,), (PARAMETERS, PARAMETERS)
-        Overwritten with the gradient and the information matrix. A parameter that is not fitted has the
-        gradient 0 and the row and column of a unit matrix.
-    step_x, step_y
-        Columns and rows from one pixel of the sum to the next.
-
-    Returns
-    -------
-    chi2, pixels, saturated, outliers
-        Chi-square and number of the pixels used, and the numbers of pixels left out.
+    window : pixels to sum over
+    p : (PARAMETERS,) parameters of the model (see `fit_values`)
+    tilted, has_second : whether the covariance and the second spot are fitted
+    noise : noise model of a pixel
+    gate : limit of the squared residual, in variances
+    hidden : half-plane of pixels that are neither used nor counted
+    gradient, information : (PARAMETERS,), (PARAMETERS, PARAMETERS), overwritten. Of a parameter that is not
+        fitted the gradient is 0, the row and column of the information are those of a unit matrix.
+    step_x, step_y : columns and rows from one pixel of the sum to the next
     """
     pxx, pyy, pxy = inverse_covariance(p)
     for k in range(PARAMETERS):
@@ -152,9 +139,7 @@ def score_general(
     derivative[BACKGROUND] = 1.0
     floor = background_variance(p[BACKGROUND], noise)
     chi2 = 0.0
-    pixels = 0
-    saturated = 0
-    outliers = 0
+    pixels = saturated = outliers = 0
     for j in range(window.y0 + step_y // 2, window.y1, step_y):
         v = j - p[Y]
         v_second = j - p[SECOND_Y]

@@ -35,8 +35,6 @@ _MARGIN_PX = 2
 _MAX_FITS = 5
 _NEIGHBOURS = tuple((dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dx or dy)
 
-Follow = Callable[[Image, Placement], Result]
-
 
 class HotPixels:
     """Pixels (x, y) of the sensor whose values do not depend on the light.
@@ -76,7 +74,9 @@ class HotPixels:
         filled[hot] = np.rint(np.where(count > 0, total / np.maximum(count, 1.0), dark)).astype(image.dtype)
         return filled
 
-    def follow(self, image: Image, placement: Placement, memory: Floats, follow: Follow) -> Result:
+    def follow(
+        self, image: Image, placement: Placement, memory: Floats, follow: Callable[[Image, Placement], Result]
+    ) -> Result:
         """Result of the fit `follow` of the spot near its last position, without hot pixels."""
         spot = memory[LAST : LAST + PARAMETERS].copy()
         spot[[X, SECOND_X]] += memory[DISPLACEMENT_X]

@@ -32,7 +32,6 @@ _MIN_POOR_FRAMES = 256
 """Fewest frames in a row with a poor fit that show a change of the beam."""
 _MIN_CHI2_RATIO = 2.0
 """Smallest ratio of chi2/dof to that at the choice that shows a change of the beam."""
-
 _DOUBTFUL_FLAGS = SpotFlag.POOR_FIT | SpotFlag.OUTLIERS | SpotFlag.MULTIPLE | SpotFlag.CUT
 _SHIFT_PER_WIDTH_CHANGE = 2.0
 """Shift of the fitted position by an obstacle without a sharp edge, relative to the change of the fitted

@@ -48,10 +48,8 @@ Result = tuple[float, float, float, float, float, float, float, float, float, fl
 """Fields of a `Spot` in order. It is a plain tuple because numba returns that faster than a NamedTuple."""
 FLAGS: Final = -1
 """Index of the flags in a `Result`."""
-
 MAX_REMAINING_EXCESS = 0.5
 """Largest fraction of the excess of chi2/dof over 1 that a better model than one Gaussian leaves."""
-
 # numba does not support IntFlag
 _SATURATED, _EDGE, _LOST, _LOW_SNR, _POOR_FIT, _OUTLIERS, _MULTIPLE, _, _CUT = (
     flag.value for flag in SpotFlag
@@ -228,8 +226,7 @@ def find_second(image: Image, p: Floats, noise: PixelNoise) -> bool:
     has_second = False
     for by in range(window.y0, window.y1 - block + 1, block):
         for bx in range(window.x0, window.x1 - block + 1, block):
-            total = 0.0
-            variance = 0.0
+            total = variance = 0.0
             for j in range(by, by + block):
                 for i in range(bx, bx + block):
                     u = i - p[X]

@@ -58,29 +58,19 @@ def score_profile(
 ) -> tuple[float, float, float]:
     """Gradient and Fisher information of the log likelihood, summed over a window.
 
+    Returns chi-square and number of the pixels used, and the number of those near full scale.
+
     Parameters
     ----------
-    pixels : (ny, nx), DN
-        The window.
-    spline
-        Coefficients of T; those from (base_x, base_y) on reach the window's first pixel.
-    weights : (4, 4)
-        Values of `spline_weights`: along x, derivatives along x, along y, derivatives along y.
+    pixels : (ny, nx) the window, DN
+    spline : coefficients of T; those from (base_x, base_y) on reach the window's first pixel
+    weights : (4, 4) `spline_weights` along x, derivatives along x, along y, derivatives along y
     p : (PROFILE_PARAMETERS,)
-    noise_values
-        Fields of `PixelNoise`.
-    gate
-        Limit of a pixel's squared residual, in variances. Pixels beyond it are left out, like those that the
-        model expects within three standard deviations of full scale.
-    rows : (2, nx + 3)
-        Working memory.
-    gradient, matrix : (PROFILE_PARAMETERS,), (PROFILE_PARAMETERS, PROFILE_PARAMETERS)
-        Overwritten.
-
-    Returns
-    -------
-    chi2, kept, saturated
-        Chi-square and number of the pixels used; number of those near full scale.
+    noise_values : fields of `PixelNoise`
+    gate : limit of a pixel's squared residual, in variances. Pixels beyond it are left out, like those that
+        the model expects within three standard deviations of full scale.
+    rows : (2, nx + 3) working memory
+    gradient, matrix : (PROFILE_PARAMETERS,), (PROFILE_PARAMETERS, PROFILE_PARAMETERS), overwritten
     """
     noise = pixel_noise_of(noise_values)
     ny, nx = pixels.shape
@@ -101,9 +91,7 @@ def score_profile(
         gradient[k] = 0.0
         for m in range(PROFILE_PARAMETERS):
             matrix[k, m] = 0.0
-    chi2 = np.float64(0.0)
-    kept = np.float64(0.0)
-    saturated = np.float64(0.0)
+    chi2 = kept = saturated = np.float64(0.0)
     middle = np.float32(0.5 * (nx - 1))
     for j in range(ny):
         first = spline[base_y + j, base_x : base_x + nx + 3]
@@ -200,15 +188,11 @@ def fit_profile(
 
     Parameters
     ----------
-    pixels : (ny, nx), DN
-        The window of the fit.
-    spline
-        Coefficients of T; it must reach MARGIN_PX beyond the window on all sides.
-    centre : (2,)
-        Coordinates (x, y) of the spot's centre in the spline's grid.
+    pixels : (ny, nx) the window of the fit, DN
+    spline : coefficients of T; it must reach MARGIN_PX beyond the window on all sides
+    centre : (2,) coordinates (x, y) of the spot's centre in the spline's grid
     p : (PROFILE_PARAMETERS,)
-    noise_values
-        Fields of `PixelNoise`.
+    noise_values : fields of `PixelNoise`
 
     Returns
     -------

@@ -193,8 +193,7 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
         value = lowest_of_three(image, x, y)
         if value > peak:
             peak = value
-            first = y
-            last = y
+            first = last = y
         elif value == peak and y == last + 1:
             last = y
     return peak, x, (first + last) // 2
@@ -243,9 +242,7 @@ def brightest_block(image: Image, size: int, clip: float) -> tuple[float, int, i
     Pixels are clipped at `clip`, so that a hot pixel contributes little.
     """
     ny, nx = image.shape
-    best = -1.0
-    best_x = nx // 2
-    best_y = ny // 2
+    best, best_x, best_y = -1.0, nx // 2, ny // 2
     for y in range(0, ny - size + 1, size):
         for x in range(0, nx - size + 1, size):
             total = 0.0

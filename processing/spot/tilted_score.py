@@ -56,21 +56,13 @@ def score_tilted(
 
     Model and derivatives are those of `general_fit`, for a spot that stays below full scale. `columns` is
     working memory, `floor` the variance of a pixel without light. Pixels whose squared residual exceeds
-    `gate` variances are left out.
-
-    Returns
-    -------
-    chi2, kept
-        Chi-square and number of the pixels used.
+    `gate` variances are left out. Returns chi-square and number of the pixels used.
     """
     pxx, pyy, pxy = inverse_covariance(p)
     across = pyy - pxy * pxy / pxx
-    one = np.float32(1.0)
-    zero = np.float32(0.0)
-    level = np.float32(p[BACKGROUND])
-    dark = np.float32(floor)
-    shot = np.float32(noise.dn_per_e)
-    spread = np.float32(noise.prnu2)
+    one, zero = np.float32(1.0), np.float32(0.0)
+    level, dark = np.float32(p[BACKGROUND]), np.float32(floor)
+    shot, spread = np.float32(noise.dn_per_e), np.float32(noise.prnu2)
     limit = np.float32(gate)
     largest = np.float32(_MAX_EXPONENT)
     # the unit of w is that whose square is the divided exponent
@@ -86,8 +78,7 @@ def score_tilted(
     column = columns[:nx]
     for k in range(TILTED):
         gradient[k] = 0.0
-    chi2 = np.float64(0.0)
-    kept = np.float64(0.0)
+    chi2 = kept = np.float64(0.0)
     for j in range(ny):
         row = image[y0 + j, x0 : x0 + nx]
         v = y0 + j - p[Y]
@@ -98,12 +89,7 @@ def score_tilted(
         flat = np.float32(light * (1.0 + (slope * slope - pxx - pyy) / 24.0))
         skew = np.float32(light * 2.0 * pxy * slope / 24.0 * unit)
         curved = np.float32(light * curvature)
-        s0 = np.float32(0.0)
-        sm = np.float32(0.0)
-        s1 = np.float32(0.0)
-        s2 = np.float32(0.0)
-        sc = np.float32(0.0)
-        so = np.float32(0.0)
+        s0 = sm = s1 = s2 = sc = so = zero
         for i in range(nx):
             w = column[i] + first
             t = w * w

@@ -115,12 +115,8 @@ class SpotTracker:
 
     An elliptical Gaussian, integrated over the pixels, is fitted by Fisher scoring with weights from the
     sensor's noise model. The start values are the previous frame's spot, displaced by its last movement.
-    If the spot is not there, it is searched for near its last position, then in the whole frame.
-
-    Parameters
-    ----------
-    sensor
-        Noise and full scale of a pixel, and the hot pixels, which are excluded from fits.
+    If the spot is not there, it is searched for near its last position, then in the whole frame. The sensor's
+    hot pixels are excluded from fits.
     """
 
     def __init__(self, sensor: SensorModel) -> None:
@@ -153,13 +149,9 @@ class SpotTracker:
 
         Parameters
         ----------
-        image
-            Shape (ny, nx), uint8 or uint16.
-        origin_px
-            Sensor coordinates (x, y) of the image's first pixel, if the image is a window of the sensor.
-            The returned position is in sensor coordinates.
-        sensor_shape
-            (ny, nx) of the sensor, for the flag EDGE; None if the image is the whole sensor.
+        image : (ny, nx) uint8 or uint16, DN
+        origin_px : sensor coordinates (x, y) of the image's first pixel; the spot has sensor coordinates, too
+        sensor_shape : (ny, nx) of the sensor, for the flag EDGE; None if the image is the whole sensor
 
         Raises
         ------

@@ -192,23 +192,15 @@ def fit_arc(
 ) -> Arc | None:
     """Fit the state at the first turning point to the samples of all `halves`, by Gauss-Newton.
 
+    Returns None if no solution is found.
+
     Parameters
     ----------
-    start : (STATES,)
-        Start values; entries that are not in `terms` keep them.
-    expected : (STATES,), (STATES,)
-        Mean and standard deviation of a normal prior; inf where there is none.
-    halves
-        Consecutive half-cycles.
-    reference
-        Amplitude to which the shape terms refer.
-    terms
-        Entries of the state that are free.
-
-    Returns
-    -------
-    Arc or None
-        None if no solution is found.
+    start : (STATES,) start values; entries that are not in `terms` keep them
+    expected : mean and standard deviation (STATES,) of a normal prior; inf where there is none
+    halves : consecutive half-cycles
+    reference : amplitude to which the shape terms refer
+    terms : entries of the state that are free
     """
     active = np.array(sorted(terms), dtype=np.int64)
     prior = np.diag(1.0 / expected[1][active] ** 2)

@@ -66,14 +66,9 @@ class CycleResiduals(NamedTuple):
 
 
 class CycleExtractor:
-    """Extraction of the cycles from a stream of deflections.
+    """Extraction of the cycles from a stream of deflections; `motion` was fitted to all their half-cycles.
 
-    Parameters
-    ----------
-    half_cycles
-        Half-cycles of these deflections. Two neighbours without a flag make a cycle.
-    motion
-        Frequency and waveform, fitted to all half-cycles.
+    Two neighbouring half-cycles without a flag make a cycle.
     """
 
     def __init__(self, half_cycles: Sequence[HalfCycle], motion: KnownMotion) -> None:

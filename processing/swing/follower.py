@@ -145,7 +145,8 @@ class OscillationFollower:
         if result.valid and not flags & HalfCycleFlag.GAP:
             self.noise.learn(result)
         if self._history is not None:
-            self._history.append(half if is_undisturbed else _without_samples(half))
+            without_samples = HalfCycleSamples(half.reference_ns, half.side, *np.empty((3, 0)))
+            self._history.append(half if is_undisturbed else without_samples)
         self._age += 1
         if is_undisturbed:
             self.misses = 0
@@ -239,7 +240,10 @@ class OscillationFollower:
         self._mean_innovation += (min(result.normalised_innovation / 2.0, 8.0) - self._mean_innovation) / 8.0
         if self.walk.variance > 0.0:
             if self.walk.biased():
-                self._inflate_shape()
+                # frequency and shape predict the driven motion wrongly
+                factors = np.full(STATES, _SHAPE_INFLATION)
+                factors[[AMPLITUDE, TIME]] = 1.0
+                self._covariance *= np.outer(factors, factors)
         elif self._mean_innovation > _MAX_CONSISTENT_INNOVATION:
             self._process_noise = min(self._process_noise * max(2.0, 0.1 * result.normalised_innovation), 1e6)
         else:
@@ -293,12 +297,6 @@ class OscillationFollower:
         for term in ANHARMONIC:
             self._covariance[term, term] = sigma[term] ** 2
         self._active = np.array(sorted(terms), dtype=np.int64)
-
-    def _inflate_shape(self) -> None:
-        """Enlarge the uncertainties of frequency and shape, which predict a driven motion wrongly."""
-        factors = np.full(STATES, _SHAPE_INFLATION)
-        factors[[AMPLITUDE, TIME]] = 1.0
-        self._covariance *= np.outer(factors, factors)
 
     def _accept_jump(self, result: HalfCycleFit) -> None:
         """After a kick, replace amplitude and time by the measured ones and drop the motion before it."""
@@ -355,7 +353,3 @@ class OscillationFollower:
         self.reference_ns += step_ns
         self.side = -self.side
         self.index += 1
-
-
-def _without_samples(half: HalfCycleSamples) -> HalfCycleSamples:
-    return HalfCycleSamples(half.reference_ns, half.side, *np.empty((3, 0)))

@@ -350,21 +350,13 @@ def fit_half_cycle(
     local_state = current.copy()
     for i in range(k):
         local_state[active[i]] += local[i]
+    u_amplitude = math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE])
+    u_time = math.sqrt(local_covariance[TIME, TIME])
+    centre = local_state[CENTRE] + local_state[DRIFT] * local_state[TIME]
+    worst_segment = _worst_segment(residual, weight, count) * noise_scale * noise_scale
+    slow_power = _slow_power(tau, residual, weight, count, start, end) * noise_scale * noise_scale
     return HalfCycleFit(
-        valid,
-        local_state[AMPLITUDE],
-        local_state[TIME],
-        math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE]),
-        math.sqrt(local_covariance[TIME, TIME]),
-        local_state[CENTRE] + local_state[DRIFT] * local_state[TIME],
-        math.sqrt(2.0 / total_weight),
-        chi2_local * noise_scale * noise_scale,
-        count,
-        outliers,
-        _worst_segment(residual, weight, count) * noise_scale * noise_scale,
-        _slow_power(tau, residual, weight, count, start, end) * noise_scale * noise_scale,
-        cost_full - cost_local,
-        gap,
-        state,
-        posterior,
-    )
+        valid, local_state[AMPLITUDE], local_state[TIME], u_amplitude, u_time, centre,
+        math.sqrt(2.0 / total_weight), chi2_local * noise_scale * noise_scale, count, outliers, worst_segment,
+        slow_power, cost_full - cost_local, gap, state, posterior,
+    )  # fmt: skip

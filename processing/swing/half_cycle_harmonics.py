@@ -83,11 +83,7 @@ class PieceHarmonics:
 class HarmonicsMeasurement:
     """Measurement of the harmonics in deflections that come block by block.
 
-    Parameters
-    ----------
-    half_cycles
-        Half-cycles of these deflections, as far as they are known; `add` takes later ones. Five in a row
-        without a flag bound a piece; the fifth is the first of the next piece.
+    Five half-cycles in a row without a flag bound a piece; the fifth is the first of the next piece.
     """
 
     def __init__(self, half_cycles: Sequence[HalfCycle] = ()) -> None:

@@ -88,16 +88,6 @@ class ModeSamples(NamedTuple):
     def span_s(self) -> float:
         return float(self.t[-1] - self.t[0])
 
-    @property
-    def variation(self) -> float:
-        """Chi-square of a model without motion."""
-        chi2_x = (self.x - self.x.mean()) ** 2 * self.weights_x
-        return float((chi2_x + (self.y - self.y.mean()) ** 2 * self.weights_y).sum())
-
-    def rescaled(self, x_factor: float, y_factor: float) -> "ModeSamples":
-        """Copy with the variances of the coordinates multiplied by these factors."""
-        return self._replace(weights_x=self.weights_x / x_factor, weights_y=self.weights_y / y_factor)
-
 
 class ModeFit(NamedTuple):
     """Fit of the `active` terms."""
@@ -118,7 +108,9 @@ class ModeFit(NamedTuple):
 
         The second condition rejects a record in which the pendulum rests for a part of the time.
         """
-        noise, variation = _MAX_NOISE_CHI2 * 2 * len(samples.t), samples.variation
+        _, x, y, weights_x, weights_y = samples
+        variation = float(((x - x.mean()) ** 2 * weights_x + (y - y.mean()) ** 2 * weights_y).sum())
+        noise = _MAX_NOISE_CHI2 * 2 * len(x)
         return self.chi2 < 0.5 * variation and (self.chi2 < noise or self.chi2 < 0.05 * variation)
 
 

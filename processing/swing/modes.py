@@ -175,8 +175,10 @@ def _with_scatter(fit: ModeFit, samples: ModeSamples, fast_period_s: float) -> M
         sizes = [np.hypot(fit.p[index], fit.p[index + 1]) for index in first_terms]
         cycles = samples.span_s / fast_period_s
         factor[int(np.argmin(sizes))] = max(_STOP_ERROR * len(samples.t) / cycles**2, 1.0)
-    scatter = 1.0 + factor * np.maximum(np.array([chi2_per_dof_x, chi2_per_dof_y]) - 1.0, 0.0)
-    return fit_terms(fit.p, fit.active, samples.rescaled(*scatter.tolist()), float(fit.p[SLOW_RATE]))
+    scatter_x, scatter_y = 1.0 + factor * np.maximum(np.array([chi2_per_dof_x, chi2_per_dof_y]) - 1.0, 0.0)
+    weights_x, weights_y = samples.weights_x / scatter_x, samples.weights_y / scatter_y
+    weighted = samples._replace(weights_x=weights_x, weights_y=weights_y)
+    return fit_terms(fit.p, fit.active, weighted, float(fit.p[SLOW_RATE]))
 
 
 def _ellipse(amplitudes: Floats) -> Floats:
@@ -204,23 +206,12 @@ def _mode(p: Floats, covariance: Floats, rate_index: int, cosine: int) -> Mode:
     differences[2] = (differences[2] + math.pi / 2.0) % math.pi - math.pi / 2.0
     slopes = differences / (2e-6 * size)
     u = np.sqrt(np.maximum(np.diag(slopes @ covariance[np.ix_(indices, indices)] @ slopes.T), 0.0))
-    half_turns = round(values[2] / math.pi) if abs(values[2]) > math.pi / 2.0 else 0
+    if abs(values[2]) > math.pi / 2.0:
+        values[2] -= round(values[2] / math.pi) * math.pi
     period = 2.0 * math.pi / p[rate_index]
     u_rate = math.sqrt(max(covariance[rate_index, rate_index], 0.0))
-    return Mode(
-        period_s=float(period),
-        u_period_s=float(period * u_rate / p[rate_index]),
-        amplitude=float(values[0]),
-        u_amplitude=float(u[0]),
-        width=float(values[1]),
-        u_width=float(u[1]),
-        direction_rad=float(values[2] - half_turns * math.pi),
-        u_direction_rad=float(u[2]),
-        x_amplitude=float(values[3]),
-        u_x_amplitude=float(u[3]),
-        y_amplitude=float(values[4]),
-        u_y_amplitude=float(u[4]),
-    )
+    u_period = period * u_rate / p[rate_index]
+    return Mode(float(period), float(u_period), *np.column_stack([values, u]).ravel().tolist())
 
 
 def _result(time_ns: int, fit: ModeFit, limit: float) -> TwoModes:

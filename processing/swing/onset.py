@@ -13,11 +13,11 @@ import numpy as np
 
 from processing.arrays import Matrix, Vector
 from processing.swing.arc import Arc, HalfCycleSamples, state_before, state_on_arc
-from processing.swing.half_cycle import AMPLITUDE, RATE, TIME
+from processing.swing.half_cycle import AMPLITUDE, RATE, TIME, tabulated
 from processing.swing.half_cycle_fit import HalfCycleFit, fit_half_cycle
 from processing.swing.judgement import holds_turning_point, judge
 from processing.swing.noise import NoiseLevel
-from processing.swing.prediction import KnownMotion, window
+from processing.swing.prediction import KnownMotion
 from processing.swing.sample_buffer import (
     PIVOT,
     PIVOT_TIME,
@@ -29,6 +29,7 @@ from processing.swing.sample_buffer import (
 )
 from processing.swing.term_selection import rough_state, select
 from processing.swing.turning_points import HalfCycleFlag
+from processing.swing.waveform import zero_phases
 from processing.units import nanoseconds, seconds
 
 _START_PIVOTS = 4
@@ -244,7 +245,8 @@ def _measure_before(
     not belong to the decay, as of a pendulum that was not quite at rest before a push.
     """
     x, covariance, reference_ns = state_before(arc, first.reference_ns)
-    start, _, _ = window(x, arc.reference)
+    table, _ = tabulated(x, x, arc.reference, np.empty(0, dtype=np.int64))
+    start = float(x[TIME]) + zero_phases(table)[0] / float(x[RATE])
     if not math.isfinite(start):
         return None
     end_ns = first.reference_ns + nanoseconds(arc.windows[0][0])

@@ -21,7 +21,6 @@ from processing.swing.half_cycle import (
     STATES,
     TIME,
     propagate,
-    tabulated,
 )
 from processing.swing.waveform import BEND, DAMPING, DRY, RISE, SHAPES, STIFF, N, P, Table, zero_phases
 from processing.units import NS_PER_S, S_PER_NS
@@ -74,24 +73,15 @@ def predict(
 
     Parameters
     ----------
-    x, covariance
-        State at the present turning point and its covariance (see `half_cycle`).
-    table, turn
-        The waveform of that state (see `tabulate_state`).
-    reference
-        Amplitude to which the shape terms refer.
-    active
-        Free entries of the state.
-    resolution
-        Uncertainty of an amplitude if all other parameters were known; scale of the process noise.
-    process_noise
-        Scale of the process noise: factor on the variances Q of all terms but centre and drift; 1 while
-        predictions agree with measurements.
-    drift_noise
-        Factor on the variance Q of the drift; its square root applies to the centre.
-    walk
-        Variance of the steps that a drive adds to the amplitude, and to the phase times the amplitude, from
-        one half-cycle to the next; square of the unit of the deflection.
+    x, covariance : state at the present turning point and its covariance (see `half_cycle`)
+    table, turn : the waveform of that state (see `tabulate_state`)
+    reference : amplitude to which the shape terms refer
+    active : free entries of the state
+    resolution : uncertainty of an amplitude if all else were known; scale of the process noise
+    process_noise : factor on the variances of all terms but centre and drift; 1 while predictions are right
+    drift_noise : factor on the variance of the drift; its square root applies to the centre
+    walk : variance of the steps that a drive adds to the amplitude, and to the phase times the amplitude,
+        from one half-cycle to the next; square of the unit of the deflection
 
     Returns
     -------
@@ -152,14 +142,6 @@ def predict(
     # the next half-cycle crosses zero at nearly the same phase as this one
     _, after = zero_phases(table)
     return step_ns, next_state, predicted, next_state[TIME] + after / rate
-
-
-def window(x: Vector, reference: float) -> tuple[float, float, float]:
-    """Zero crossings before and after the turning point and the next turning point, s after the reference."""
-    table, turn = tabulated(x, x, reference, np.empty(0, dtype=np.int64))
-    before, after = zero_phases(table)
-    start, rate = float(x[TIME]), float(x[RATE])
-    return start + before / rate, start + after / rate, start + float(turn[0, 0]) / rate
 
 
 _VARIANCE_HALF_CYCLES = 32
@@ -256,15 +238,11 @@ class DrivenWalk:
 
         Parameters
         ----------
-        differences
-            Measured minus predicted amplitude, and measured minus predicted time multiplied by amplitude and
-            angular frequency; unit of the deflection.
-        variances
-            Expected variances of the differences, with the present steps.
-        resolution
-            Uncertainty of the amplitude if all else were known, unit of the deflection.
-        rest_moves
-            Whether the rest position seems to move as well, as it does with an unknown drive.
+        differences : measured minus predicted amplitude, and measured minus predicted time multiplied by
+            amplitude and angular frequency; unit of the deflection
+        variances : expected variances of the differences, with the present steps
+        resolution : uncertainty of the amplitude if all else were known, unit of the deflection
+        rest_moves : whether the rest position seems to move as well, as it does with an unknown drive
         """
         squares = [d * d for d in differences]
         ratios = [min(s / v, _MAX_SQUARE) for s, v in zip(squares, variances, strict=True)]

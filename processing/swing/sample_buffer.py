@@ -151,11 +151,7 @@ def search(
 
     `state` (SEARCH_STATE,) and `marks` (three times in ns), zeros at the start, hold the state of the search
     from one call to the next. A running median of three removes single outliers; NaN samples are skipped.
-
-    Returns
-    -------
-    int
-        Index of the sample after the one at which the turning point was accepted; -1 if there was none.
+    Returns the index of the sample after the one at which the turning point was accepted; -1 without one.
     """
     for i in range(first, last):
         raw = deflection[i]

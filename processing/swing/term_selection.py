@@ -34,7 +34,6 @@ _LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIF
 ANHARMONIC: tuple[int, ...] = tuple(range(SHAPE + 1, SHAPE + SHAPES))
 _ANHARMONIC_WITHOUT_EXPONENTS: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, SHAPE + BEND)
 FAST_MODE: tuple[int, ...] = (FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING)
-
 _MIN_GAIN_PER_TERM = 3.5
 """Reduction of chi-square that each additional term must achieve to be accepted."""
 _MIN_FAST_MODE_GAIN = 20.0
@@ -114,7 +113,14 @@ def select(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
     fit succeeds.
     """
     if known is not None:
-        return _fit_known_motion(known, start, halves)
+        arc = fit_arc(
+            known.put_into(start),
+            prior(start, anharmonic=False),
+            halves,
+            known.reference,
+            _KNOWN_MOTION_TERMS,
+        )
+        return None if arc is None else _best_with_fast_mode([arc], halves)
     reference = float(start[AMPLITUDE])
     linear = fit_arc(start, prior(start, anharmonic=False), halves, reference, _LINEAR)
     if linear is None:
@@ -131,21 +137,14 @@ def select(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
     anharmonic = fit_arc(friction_start(base), anharmonic_prior, halves, reference, _LINEAR + ANHARMONIC)
     if anharmonic is not None:
         candidates.append(anharmonic)
-    for arc in tuple(candidates):
-        if arc.chi2 > _MAX_CHI2_WITHOUT_FAST_MODE * arc.samples:
-            extended = _with_fast_mode(arc, halves)
-            if extended is not None:
-                candidates.append(extended)
-    return best_arc(candidates)
+    return _best_with_fast_mode(candidates, halves)
 
 
-def _fit_known_motion(known: KnownMotion, start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
-    expected = prior(start, anharmonic=False)
-    arc = fit_arc(known.put_into(start), expected, halves, known.reference, _KNOWN_MOTION_TERMS)
-    if arc is None or not arc.chi2 > _MAX_CHI2_WITHOUT_FAST_MODE * arc.samples:
-        return arc
-    extended = _with_fast_mode(arc, halves)
-    return arc if extended is None else best_arc((arc, extended))
+def _best_with_fast_mode(arcs: list[Arc], halves: Sequence[HalfCycleSamples]) -> Arc:
+    """Best of these arcs and, where they fit poorly, of those with a fast mode added."""
+    poor = [arc for arc in arcs if arc.chi2 > _MAX_CHI2_WITHOUT_FAST_MODE * arc.samples]
+    extended = [_with_fast_mode(arc, halves) for arc in poor]
+    return best_arc([*arcs, *(arc for arc in extended if arc is not None)])
 
 
 def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Ints) -> Arc | None:

@@ -40,7 +40,6 @@ _MIN_Y = 1e-9
 """Smallest |y| in logarithms, which diverge at y = 0."""
 _MIN_Y_OF_SLOPE = 1e-2
 """Smallest |y| in slopes of the forces, which diverge at y = 0."""
-
 Table = Floats
 """(2 + SHAPES, NODES, 2): y and dy/ds in row 0, their derivatives with respect to the terms and ln r in the
 rows after."""
