@@ -243,11 +243,11 @@ def function_cache(function: Any, options: dict[str, Any]) -> Any:
         return NullCache()
 
 
-def code_bytes(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
+def code_bytes(function: FunctionType, visited: set[object]) -> Iterator[bytes]:
     """Bytes that determine a function's machine code: place, bytecode, values, the functions it calls."""
-    if function in seen:
+    if function in visited:
         return
-    seen.add(function)
+    visited.add(function)
     # machine code names the modules of the functions that it calls, and imports them when it is loaded
     yield f"{function.__module__}.{function.__qualname__}{function.__defaults__!r}".encode()
     codes = [function.__code__]
@@ -264,19 +264,19 @@ def code_bytes(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
             if name in function.__globals__:
                 value = function.__globals__[name]
                 yield name.encode()
-                yield from _value_bytes(value, seen)
+                yield from _value_bytes(value, visited)
                 if isinstance(value, ModuleType):  # the function may call kernels of the module
                     for attribute in code.co_names:
                         member = vars(value).get(attribute)
                         if isinstance(member, Kernel):
-                            yield from _value_bytes(member, seen)
+                            yield from _value_bytes(member, visited)
 
 
-def _value_bytes(value: Any, seen: set[object]) -> Iterator[bytes]:
+def _value_bytes(value: Any, visited: set[object]) -> Iterator[bytes]:
     function = getattr(value, "py_func", getattr(value, "_defn", value))  # of a kernel, of an intrinsic
     if isinstance(function, FunctionType):
         yield repr(sorted(getattr(value, "targetoptions", {}).items())).encode()
-        yield from code_bytes(function, seen)
+        yield from code_bytes(function, visited)
     elif isinstance(value, np.ndarray):
         yield repr((value.dtype.str, value.shape)).encode() + value.tobytes()
     elif isinstance(value, ModuleType):

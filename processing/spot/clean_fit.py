@@ -132,16 +132,16 @@ def fit_clean(
             prefetch_window(image, x0, y0, wx, wy)
             has_prefetched = True
         if tilted:
-            chi2, kept = score_tilted(image, x0, y0, wx, wy, tables[0], p, floor, noise, gate, gradient)
+            chi2, pixels = score_tilted(image, x0, y0, wx, wy, tables[0], p, floor, noise, gate, gradient)
         else:
             profile(tables[:ALONG_Y], x0, wx, p[X], p[SIGMA_X])
             profile(tables[ALONG_Y:], y0, wy, p[Y], p[SIGMA_Y])
             row_step = max(1, int(0.7 * p[SIGMA_Y])) if rough else 1
-            chi2, kept = score(
+            chi2, pixels = score(
                 image, x0, y0, wx, wy, row_step, tables, p[AMPLITUDE], p[BACKGROUND], floor, noise.dn_per_e,
                 noise.prnu2, gate, gradient,
             )  # fmt: skip
-        outliers = wx * wy - int(kept)
+        outliers = wx * wy - int(pixels)
         many = outliers > _MAX_OUTLIERS + 0.002 * wx * wy
         if many and not gate_opened:
             if has_left(image, p, noise):
@@ -202,14 +202,14 @@ def fit_clean(
             p[k] += step[k]
         if abs(p[COVARIANCE]) > _MAX_CORRELATION * p[SIGMA_X] * p[SIGMA_Y]:
             return _failed(False)
-        scatter = chi2 / max(kept, 1.0)
+        scatter = chi2 / max(pixels, 1.0)
         gate_is_final = gate <= GATE * _MAX_CLEAN_CHI2
         # within the range where the model is linear, a step reduces chi-square by gradient . step
         expected = chi2
         if step_sum < 0.5 * sigma:
             for k in range(size):
                 expected -= gradient[k] * step[k]
-        gate = GATE * max(1.0, expected / max(kept, 1.0))
+        gate = GATE * max(1.0, expected / max(pixels, 1.0))
         if changed:
             # the information matrix depends on size and amplitude, and hardly on the position
             has_information = False
@@ -223,5 +223,5 @@ def fit_clean(
             tilt = 0.0
             if not tilted:
                 tilt = gradient[COVARIANCE] / math.sqrt(max(work.information[COVARIANCE, COVARIANCE], 1e-300))
-            return CleanFit(SpotFit(True, chi2, int(kept), 0, outliers, size, tilted, False), tilt, False)
+            return CleanFit(SpotFit(True, chi2, int(pixels), 0, outliers, size, tilted, False), tilt, False)
     return _failed(False)

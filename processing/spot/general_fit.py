@@ -252,9 +252,8 @@ def fit_general(
         # Limit the step in each parameter: further away the linear expansion about p is not valid. `worst` is
         # the largest step in units of its limit.
         limit = 0.5 * min(p[SIGMA_X], p[SIGMA_Y])
-        worst = max(abs(step[X]), abs(step[Y])) / limit
         worst = max(
-            worst,
+            max(abs(step[X]), abs(step[Y])) / limit,
             abs(step[SIGMA_X]) / (0.3 * p[SIGMA_X]),
             abs(step[SIGMA_Y]) / (0.3 * p[SIGMA_Y]),
             abs(step[AMPLITUDE]) / (0.7 * p[AMPLITUDE]),
@@ -275,10 +274,7 @@ def fit_general(
             and p[SIGMA_X] < 4 * nx + 10
             and p[SIGMA_Y] < 4 * ny + 10
             and p[AMPLITUDE] > 0.0
-        ):
-            break
-        if not (
-            -2 * p[SIGMA_X] <= p[X] <= nx - 1 + 2 * p[SIGMA_X]
+            and -2 * p[SIGMA_X] <= p[X] <= nx - 1 + 2 * p[SIGMA_X]
             and -2 * p[SIGMA_Y] <= p[Y] <= ny - 1 + 2 * p[SIGMA_Y]
         ):
             break

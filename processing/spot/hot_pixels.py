@@ -64,10 +64,10 @@ class HotPixels:
         total, count = np.zeros((2, len(rows)))
         for dx, dy in _NEIGHBOURS:
             row, column = rows + dy, columns + dx
-            good = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
-            good &= ~np.isin(row * nx + column, indices)
-            total[good] += image[row[good], column[good]]
-            count += good
+            is_good = (row >= 0) & (row < ny) & (column >= 0) & (column < nx)
+            is_good &= ~np.isin(row * nx + column, indices)
+            total[is_good] += image[row[is_good], column[is_good]]
+            count += is_good
         filled: Image = image.copy()
         # a pixel within a cluster has no good neighbours: the smallest value stands for the background
         dark = float(image.min())

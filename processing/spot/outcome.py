@@ -224,27 +224,27 @@ def find_second(image: Image, p: Floats, noise: PixelNoise) -> bool:
     pxx, pyy, pxy = inverse_covariance(p)
     best = 8.0
     has_second = False
-    for by in range(window.y0, window.y1 - block + 1, block):
-        for bx in range(window.x0, window.x1 - block + 1, block):
+    for block_y in range(window.y0, window.y1 - block + 1, block):
+        for block_x in range(window.x0, window.x1 - block + 1, block):
             total = variance = 0.0
-            for j in range(by, by + block):
-                for i in range(bx, bx + block):
+            for j in range(block_y, block_y + block):
+                for i in range(block_x, block_x + block):
                     u = i - p[X]
                     v = j - p[Y]
                     light = p[AMPLITUDE] * math.exp(-0.5 * (pxx * u * u + 2 * pxy * u * v + pyy * v * v))
                     if p[BACKGROUND] + light < 0.9 * noise.full_scale_dn:
                         total += image[j, i] - p[BACKGROUND] - light
                         variance += floor + light * (noise.dn_per_e + light * noise.prnu2)
-            u = bx + 0.5 * block - 0.5 - p[X]
-            v = by + 0.5 * block - 0.5 - p[Y]
+            u = block_x + 0.5 * block - 0.5 - p[X]
+            v = block_y + 0.5 * block - 0.5 - p[Y]
             if variance > 0.0 and pxx * u * u + 2 * pxy * u * v + pyy * v * v > 2.25:
                 significance = total / math.sqrt(variance)
                 if significance > best:
                     best = significance
                     has_second = True
                     p[SECOND_AMPLITUDE] = max(total / (block * block), 1e-3)
-                    p[SECOND_X] = bx + 0.5 * block - 0.5
-                    p[SECOND_Y] = by + 0.5 * block - 0.5
+                    p[SECOND_X] = block_x + 0.5 * block - 0.5
+                    p[SECOND_Y] = block_y + 0.5 * block - 0.5
     return has_second
 
 

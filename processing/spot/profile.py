@@ -74,15 +74,16 @@ class BeamProfile:
 
 
 class ProfileFit(NamedTuple):
-    """Fit of a profile to one frame; the three counts are numbers of pixels."""
+    """Fit of a profile to one frame."""
 
     p: Floats
     """Parameters as in `profile_fit`, but with the centre on the sensor."""
     chi2_per_dof: float
-    kept: float
+    used_pixels: float
     saturated: float
-    """Pixels at full scale; 0 if the profile does not reach it."""
+    """Number of pixels at full scale; 0 if the profile does not reach it."""
     outliers: float
+    """Number of pixels left out because of their residual."""
     u_x_px: float
     u_y_px: float
 
@@ -117,7 +118,7 @@ def fit_at(
             window[excluded] = _EXCLUDED_DN
         p[CENTRE_X] -= left
         p[CENTRE_Y] -= top
-        converged, chi2, kept, saturated, outliers, u_x, u_y = fit_profile(
+        converged, chi2, used_pixels, saturated, outliers, u_x, u_y = fit_profile(
             window, profile.spline, profile.centre, p, noise_values
         )
         p[CENTRE_X] += left
@@ -130,7 +131,13 @@ def fit_at(
             if saturated > 0:
                 saturated = float(np.count_nonzero(window >= PixelNoise(*noise_values).full_scale_dn))
             return ProfileFit(
-                p, chi2 / max(kept - PROFILE_PARAMETERS, 1.0), kept, saturated, outliers, u_x, u_y
+                p,
+                chi2 / max(used_pixels - PROFILE_PARAMETERS, 1.0),
+                used_pixels,
+                saturated,
+                outliers,
+                u_x,
+                u_y,
             )
         if not shift_px > 1.0:
             return None

@@ -97,7 +97,7 @@ class ProfileFollower:
             flags |= SpotFlag.EDGE
         if fit.p[LIGHT] < 5.0 * math.sqrt(dark_variance(float(fit.p[LEVEL]), self._noise)):
             flags |= SpotFlag.LOW_SNR
-        if fit.chi2_per_dof > poor_fit_limit(fit.kept):
+        if fit.chi2_per_dof > poor_fit_limit(fit.used_pixels):
             flags |= SpotFlag.POOR_FIT
         if fit.outliers > 0:
             flags |= SpotFlag.OUTLIERS

@@ -52,7 +52,6 @@ class SensorModel:
         default=0.0,
         metadata={"ge": 0, "lt": 0.2, "description": "relative spread of the pixels' response to light"},
     )
-
     hot_pixels_xy: tuple[tuple[int, int], ...] = field(
         default=(), metadata={"description": "pixels (x, y) of a frame that are left out of every fit"}
     )

@@ -89,12 +89,6 @@ class Arc:
         """Chi-square per sample."""
         return self.chi2 / max(self.samples, 1)
 
-    @property
-    def reduced_chi2_each(self) -> Vector:
-        """Chi-square per sample of each half-cycle that has samples."""
-        sampled = self.chi2_each[self.chi2_each[:, 1] > 0]
-        return np.asarray(sampled[:, 0] / sampled[:, 1], dtype=np.float64)
-
 
 @kernel
 def _walk_kernel(

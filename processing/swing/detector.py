@@ -117,7 +117,10 @@ class TurningPointDetector:
             if k:
                 index += 1
             elif self._last is not None:
-                index = self._index_after(self._last, first.half.reference_ns, first.half.side)
+                # the nearest number of half periods, odd if and only if the sides differ
+                time_s = seconds(first.half.reference_ns - self._last.turn_time_ns)
+                odd = int(first.half.side != self._last.side)
+                index = self._last.index + 2 * round((time_s / self._half_period_s - odd) / 2) + odd
             if not first.result.valid or (self._last is not None and index <= self._last.index):
                 continue
             flags = first.flags
@@ -142,15 +145,6 @@ class TurningPointDetector:
         min_amplitude = last.amplitude * _MIN_AMPLITUDE_RATIO ** max(half_periods, 1.0)
         differs = time_error > _MAX_TIME_ERROR_HALF_PERIODS or has_grown
         return HalfCycleFlag.START if differs or first.result.amplitude < min_amplitude else HalfCycleFlag(0)
-
-    def _index_after(self, last: HalfCycle, time_ns: int, side: int) -> int:
-        """Index of the first half-cycle after an interruption.
-
-        It is the last index plus the nearest number of half periods, odd if and only if the sides differ.
-        """
-        half_periods = seconds(time_ns - last.turn_time_ns) / self._half_period_s
-        odd = int(side != last.side)
-        return last.index + 2 * round((half_periods - odd) / 2) + odd
 
     def _follow(self, follower: OscillationFollower, half_cycles: list[HalfCycle], final: bool) -> bool:
         """Measure the present half-cycle if all its samples have arrived; False if not."""

@@ -180,10 +180,10 @@ class OscillationFollower:
         )  # fmt: skip
         # A centre that wanders between half-cycles also wanders within one, which the model of a linear drift
         # does not describe: enlarge the uncertainties accordingly.
-        wider = math.sqrt(1.0 + (_CENTRE_WANDER_EFFECT * SLOPE_WANDER) ** 2 * self._drift_noise)
+        inflation = math.sqrt(1.0 + (_CENTRE_WANDER_EFFECT * SLOPE_WANDER) ** 2 * self._drift_noise)
         return result._replace(
-            u_amplitude=result.u_amplitude * wider * noise.amplitude * drive.amplitude / drive.samples,
-            u_time_s=result.u_time_s * wider * drive.time / drive.samples,
+            u_amplitude=result.u_amplitude * inflation * noise.amplitude * drive.amplitude / drive.samples,
+            u_time_s=result.u_time_s * inflation * drive.time / drive.samples,
             resolution=result.resolution / drive.samples,
         )
 

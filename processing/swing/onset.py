@@ -205,7 +205,8 @@ def _cut(samples: SampleBuffer, pivots: list[Pivot]) -> list[HalfCycleSamples]:
 
 
 def _is_plausible(arc: Arc, halves: list[HalfCycleSamples]) -> bool:
-    chi2 = arc.reduced_chi2_each
+    sampled = arc.chi2_each[arc.chi2_each[:, 1] > 0]
+    chi2 = sampled[:, 0] / sampled[:, 1]
     if not np.all(np.isfinite(arc.windows)) or len(chi2) == 0:
         return False
     if np.any(~np.isfinite(chi2)) or chi2.max() > _MAX_CHI2_RATIO * max(np.median(chi2), 1.0):

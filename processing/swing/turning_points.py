@@ -82,12 +82,12 @@ class TurningPoints:
 
 def turning_points(half_cycles: Sequence[HalfCycle]) -> TurningPoints:
     """Unflagged half-cycles as arrays; times are relative to the first of them."""
-    good = [half_cycle for half_cycle in half_cycles if half_cycle.flags == 0]
-    turn_time_ns = np.array([half_cycle.turn_time_ns for half_cycle in good], dtype=np.int64)
+    unflagged = [half_cycle for half_cycle in half_cycles if half_cycle.flags == 0]
+    turn_time_ns = np.array([half_cycle.turn_time_ns for half_cycle in unflagged], dtype=np.int64)
     return TurningPoints(
-        index=np.array([half_cycle.index for half_cycle in good], dtype=np.int64),
+        index=np.array([half_cycle.index for half_cycle in unflagged], dtype=np.int64),
         time_s=seconds(turn_time_ns - turn_time_ns[:1]),
-        u_time_s=np.array([half_cycle.u_turn_time_s for half_cycle in good], dtype=np.float64),
-        amplitude=np.array([half_cycle.amplitude for half_cycle in good], dtype=np.float64),
-        u_amplitude=np.array([half_cycle.u_amplitude for half_cycle in good], dtype=np.float64),
+        u_time_s=np.array([half_cycle.u_turn_time_s for half_cycle in unflagged], dtype=np.float64),
+        amplitude=np.array([half_cycle.amplitude for half_cycle in unflagged], dtype=np.float64),
+        u_amplitude=np.array([half_cycle.u_amplitude for half_cycle in unflagged], dtype=np.float64),
     )
