@@ -39,7 +39,7 @@ class HarmonicTerms:
     COUNT = _MOTION_TERMS + 2 * len(ORDERS)
 
     @staticmethod
-    def at(x: Floats) -> Floats:
+    def evaluate(x: Floats) -> Floats:
         """Terms (n, COUNT) at times x, -1 at the first turning point of the piece and 1 at the last."""
         phase = 0.5 * np.pi * PIECE_HALF_CYCLES * (x + 1)
         cos, sin = np.cos(phase), np.sin(phase)
@@ -144,7 +144,7 @@ class HarmonicsMeasurement:
         samples = samples[usable]
         span_ns = last.turn_time_ns - first.turn_time_ns
         x = 2.0 * (samples.times_ns - first.turn_time_ns) / span_ns - 1.0
-        terms = HarmonicTerms.at(x)
+        terms = HarmonicTerms.evaluate(x)
         fast_mode = fast_mode_derivatives(x, samples.x, terms)
         if fast_mode is not None:
             terms = np.column_stack([terms, fast_mode])
