@@ -91,6 +91,8 @@ class ModelChoice:
         if self._learning is not None:
             self._advance_learning(self._learning)
             return
+        if spot.flags & SpotFlag.LOST:  # an obstacle hides it
+            return
         has_second = bool(spot.flags & SpotFlag.MULTIPLE)
         if has_second != self._has_second:  # the second spot has vanished, or a search has found one
             self._has_second, self._frames, self._chi2_sum = has_second, 0, 0.0

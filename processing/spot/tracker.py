@@ -103,7 +103,7 @@ _NO_EDGE_PX = 2**30
 _COMPARED_PARAMETERS = (AMPLITUDE, SIGMA_X, SIGMA_Y)
 """Parameters that change by less than a factor of two when a spot jumps."""
 _TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
-# a `Spot` from a tuple, without its constructor, which takes a multiple of the time in every frame
+# makes a `Spot` of a tuple without a call of its constructor, which would take time in every frame
 _SPOT = tuple.__new__
 _NOT_NEAR: Result = (*(math.nan,) * 10, SEARCH)
 _LOST: Result = (*(math.nan,) * 10, SpotFlag.LOST.value)
