@@ -17,4 +17,4 @@ from processing.swing.half_cycle_harmonics import (
 from processing.swing.modes import TwoModes, separate_modes
 from processing.swing.noise import SampleScatter, estimate_noise, estimate_scatter, with_learned_weights
 from processing.swing.prediction import KnownMotion
-from processing.swing.turning_points import HalfCycle, HalfCycleFlag, TurningPoints, turning_points
+from processing.swing.turning_point import HalfCycle, HalfCycleFlag, TurningPoints, turning_points

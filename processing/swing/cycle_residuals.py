@@ -29,7 +29,7 @@ from processing.swing.half_cycle import (
 )
 from processing.swing.half_cycle_fit import OUTLIER_U
 from processing.swing.prediction import KnownMotion
-from processing.swing.turning_points import HalfCycle
+from processing.swing.turning_point import HalfCycle
 from processing.swing.waveform import SHAPES, zero_phases
 from processing.units import NS_PER_S, seconds
 

@@ -16,7 +16,7 @@ from processing.swing.modes import separate_modes
 from processing.swing.onset import FirstHalfCycle, Onset, OnsetSearch
 from processing.swing.prediction import KnownMotion
 from processing.swing.sample_buffer import SampleBuffer
-from processing.swing.turning_points import HalfCycle, HalfCycleFlag
+from processing.swing.turning_point import HalfCycle, HalfCycleFlag
 from processing.units import nanoseconds, seconds
 
 _MAX_TIME_ERROR_HALF_PERIODS = 0.05

@@ -30,7 +30,7 @@ from processing.swing.noise import SampleNoise
 from processing.swing.onset import Onset
 from processing.swing.prediction import SLOPE_WANDER, DrivenWalk, predict
 from processing.swing.term_selection import ANHARMONIC, FAST_MODE, extend, friction_start, prior
-from processing.swing.turning_points import HalfCycleFlag
+from processing.swing.turning_point import HalfCycleFlag
 from processing.swing.waveform import DAMPING, RISE
 from processing.units import nanoseconds, seconds
 

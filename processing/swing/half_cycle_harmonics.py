@@ -19,7 +19,7 @@ from processing.deflections import Deflections, joined
 from processing.noise_models import robust_scatter
 from processing.swing.cycle_residuals import fast_mode_derivatives, linear_fit_residuals
 from processing.swing.half_cycle_fit import OUTLIER_U
-from processing.swing.turning_points import HalfCycle
+from processing.swing.turning_point import HalfCycle
 
 ORDERS = tuple(range(2, 10))
 """Orders of the harmonics that are measured."""

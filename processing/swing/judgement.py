@@ -3,7 +3,7 @@
 from processing.swing.arc import HalfCycleSamples
 from processing.swing.half_cycle_fit import HalfCycleFit, excess, segment_size
 from processing.swing.noise import NoiseLevel
-from processing.swing.turning_points import HalfCycleFlag
+from processing.swing.turning_point import HalfCycleFlag
 
 _MAX_EXCESS_STD = 5.0
 """Chi-square, in standard deviations above its expectation, above which a half-cycle was disturbed."""

@@ -20,7 +20,7 @@ from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.noise_models import robust_scatter
 from processing.swing.half_cycle_fit import HalfCycleFit
-from processing.swing.turning_points import HalfCycle
+from processing.swing.turning_point import HalfCycle
 from processing.units import seconds
 
 _SCALE_HALF_CYCLES = 15

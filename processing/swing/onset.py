@@ -28,7 +28,7 @@ from processing.swing.sample_buffer import (
     search,
 )
 from processing.swing.term_selection import rough_state, select
-from processing.swing.turning_points import HalfCycleFlag
+from processing.swing.turning_point import HalfCycleFlag
 from processing.swing.waveform import zero_phases
 from processing.units import nanoseconds, seconds
 

@@ -22,7 +22,7 @@ from processing.swing.half_cycle import (
 from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.judgement import judge
 from processing.swing.noise import NoiseLevel
-from processing.swing.turning_points import HalfCycleFlag
+from processing.swing.turning_point import HalfCycleFlag
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
 
 REFERENCE = 100.0
