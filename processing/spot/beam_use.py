@@ -17,7 +17,6 @@ _NEW_CHOICE_FRAMES = 64
 """Fewest frames in a row with another model that count as a new choice. A choice takes longer: fewer frames
 are those in which the chosen model could not be fitted."""
 _MODELS = tuple(SpotModel)
-_BITS = np.array(tuple(SpotFlag), dtype=np.int64)
 
 
 class BeamUse:
@@ -106,11 +105,8 @@ class BeamUse:
 
 def _count(counts: dict[SpotFlag, int], marks: Ints) -> None:
     """Add the number of spots with each flag to `counts`."""
-    if len(marks):
-        for flag, count in zip(
-            SpotFlag, np.count_nonzero(marks[:, None] & _BITS, axis=0).tolist(), strict=True
-        ):
-            counts[flag] += count
+    for flag in SpotFlag:
+        counts[flag] += int(np.count_nonzero(marks & flag.value))
 
 
 _MIN_DISTANCE_SIGMA = 4.5

@@ -137,7 +137,14 @@ class OnsetSearch:
             if position < 0:
                 self._searched = samples.tail + samples.dropped
                 self._forget()
-                return self._last_attempt() if final else None
+                if (
+                    not final
+                    or len(self._pivots) < _MIN_PIVOTS
+                    or not is_regular(self._pivots[-_MIN_PIVOTS:])
+                ):
+                    return None
+                self._pivots = self._pivots[-_MIN_PIVOTS:]
+                return self._attempt()
             self._searched = position + samples.dropped
             self._pivots.append(Pivot(int(self._marks[PIVOT_TIME]), float(self._state[PIVOT])))
             del self._pivots[:-_START_PIVOTS]
@@ -159,12 +166,6 @@ class OnsetSearch:
         # count from the samples searched and not from those received, so that the result does not depend on
         # how the samples are divided into blocks
         self._samples.forget_before(self._searched - self._samples.dropped - _STORED_SAMPLES)
-
-    def _last_attempt(self) -> Onset | None:
-        if len(self._pivots) >= _MIN_PIVOTS and is_regular(self._pivots[-_MIN_PIVOTS:]):
-            self._pivots = self._pivots[-_MIN_PIVOTS:]
-            return self._attempt()
-        return None
 
     def _attempt(self) -> Onset | None:
         self._forget()
