@@ -4,8 +4,8 @@ This module is imported when the first kernel is called. numba compiles a kernel
 another kernel passes to it, its cache does not notice a change in a kernel that is called from another file,
 and it refuses to compile if no cache can be written. Here a kernel is compiled for types only; a cache entry
 belongs to the code of the kernel and of all kernels that it calls; and without a cache a kernel is compiled
-in every process. A kernel called by another one becomes machine code only as a part of that one. Decision 24
-has the gain in time.
+in every process. The machine code of a kernel that another one calls is only made as a part of the caller's.
+Decision 24 states the gain in time.
 """
 
 import gc
@@ -15,6 +15,7 @@ import pickle
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -39,8 +40,8 @@ WAIT_EVENT = "processing:another process compiles it"
 
 
 @contextmanager
-def locked(path: Path, waits: Callable[[], None]) -> Iterator[None]:
-    """Hold the lock of a file within the context; `waits` is called once if another process has it.
+def locked(path: Path, on_wait: Callable[[], None]) -> Iterator[None]:
+    """Hold the lock of a file within the context; `on_wait` is called once if another process has it.
 
     The file need not exist. Without such locks or write access the context is entered without a lock.
     """
@@ -54,7 +55,7 @@ def locked(path: Path, waits: Callable[[], None]) -> Iterator[None]:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                waits()
+                on_wait()
                 fcntl.flock(file, fcntl.LOCK_EX)
             except OSError:  # a file system without locks
                 pass
@@ -92,53 +93,49 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     """A compiled function (see `kernel`)."""
 
     _cache_is_open = False
-    _within_another = False
+    _is_part = False
+    """Whether the kernel is being compiled as a part of another one."""
 
     def compile(self, sig: Any) -> Any:
         """Load the machine code from the cache, or compile and store it; for a call from Python."""
-        with global_compiler_lock, ExitStack() as until_kept:
-            if self._within_another:
+        with global_compiler_lock, ExitStack() as until_stored:
+            if self._is_part:
                 return super().compile(sig)
             if not self._cache_is_open:
                 self._cache, self._cache_is_open = function_cache(self.py_func, self.targetoptions), True
             # an overload that is a part of another kernel cannot be called from Python; any other was
             # compiled by a thread that had the lock before
-            known = self.overloads.get(tuple(normalize_signature(sig)[0]))
-            if known is not None and isinstance(known.entry_point, KernelPart):
-                del self.overloads[known.signature.args]
-                known = None
-            if known is None and isinstance(self._cache, _Cache):
-                until_kept.enter_context(locked(self._cache.lock, self._say_that_it_waits))
-            entry = self._compiled(sig)
+            overload = self.overloads.get(tuple(normalize_signature(sig)[0]))
+            if overload is not None and isinstance(overload.entry_point, KernelPart):
+                del self.overloads[overload.signature.args]
+                overload = None
+            if overload is None and isinstance(self._cache, _Cache):
+                report_wait = partial(event.start_event, WAIT_EVENT, {"dispatcher": self})
+                until_stored.enter_context(locked(self._cache.lock, report_wait))
+            with _without_garbage_collection():
+                entry = super().compile(sig)
             if type(self) is Kernel and any(map(_makes_arrays, self.nopython_signatures)):
                 self.__class__ = _KernelThatMakesArrays
             return entry
 
-    def _say_that_it_waits(self) -> None:
-        event.start_event(WAIT_EVENT, {"dispatcher": self})
-
-    def _compiled(self, sig: Any) -> Any:
-        with _without_garbage_collection():
-            return super().compile(sig)
-
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Compile for types, not for the values of constants; for a call within another kernel.
 
-        The kernel is neither made machine code nor stored, since it becomes a part of the caller's.
+        No machine code is made or stored, because it becomes a part of the caller's.
         """
         types = tuple(unliteral(kind) for kind in args)
-        named = {name: unliteral(kind) for name, kind in kws.items()}
-        cache, self._cache, self._within_another = self._cache, NullCache(), True
-        self._compiler.pipeline_class, whole = PartCompiler, self._compiler.pipeline_class
+        keyword_types = {name: unliteral(kind) for name, kind in kws.items()}
+        cache, self._cache, self._is_part = self._cache, NullCache(), True
+        self._compiler.pipeline_class, pipeline_class = PartCompiler, self._compiler.pipeline_class
         try:
-            return super().get_call_template(types, named)
+            return super().get_call_template(types, keyword_types)
         finally:
-            self._compiler.pipeline_class = whole
-            self._cache, self._within_another = cache, False
+            self._compiler.pipeline_class = pipeline_class
+            self._cache, self._is_part = cache, False
 
     def add_overload(self, cres: Any) -> None:
         """Offer compiled code to Python, or to other kernels if it is a part of them."""
-        if self._within_another:
+        if self._is_part:
             cres = cres._replace(entry_point=KernelPart())
             self.targetctx.insert_user_function(cres.entry_point, cres.fndesc, [cres.library])
             self.overloads[cres.signature.args] = cres
@@ -150,15 +147,16 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
 
 class _KernelThatMakesArrays(Kernel):
-    """Kernel that returns arrays, which numba passes to Python by Python's own code, where Ctrl-C may arrive.
+    """Kernel that returns arrays. numba builds them by code of Python, in which Ctrl-C may arrive.
 
     numba then raises SystemError ("returned a result with an exception set") with the interrupt as its cause,
-    which code that waits for Ctrl-C would not catch. It costs 0.2 us a call, which other kernels save.
+    which code that waits for Ctrl-C would not catch. Catching it costs 0.2 us a call, which kernels without
+    arrays need not pay.
     """
 
-    def __call__(self, *args: Any, **words: Any) -> Any:
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
         try:
-            return super().__call__(*args, **words)
+            return super().__call__(*args, **kwargs)
         except SystemError as error:
             if error.__cause__ is not None:
                 raise error.__cause__ from None
@@ -173,8 +171,8 @@ def _makes_arrays(signature: Any) -> bool:
 class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
     """Cache files of one function, with machine code in files whose names are never used again.
 
-    numba writes its index first and counts the other files from 1. Old code would count as new while the new
-    code is written or if that fails; so would code for other types if two processes write at once.
+    numba writes its index first and counts the other files from 1. The index would name old code as the new
+    while that is written, or if its writing fails, and code for other types if two processes write at once.
     """
 
     def _data_name(self, number: int) -> str:
@@ -191,15 +189,14 @@ class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
 
 @contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """Context without garbage collection: it finds nothing in a compilation and takes a fifth of the time."""
-    if not gc.isenabled():
-        yield
-        return
+    """Context without garbage collection, which takes a fifth of a compilation and finds nothing."""
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        gc.enable()
+        if was_enabled:
+            gc.enable()
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
@@ -219,7 +216,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
         except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
-            # cut off by a crash, not readable for this user, or of a class that no longer exists
+            # the file was cut off by a crash, is not readable for this user, or needs a class that is gone
             with suppress(OSError):
                 self.flush()
             return None
@@ -237,21 +234,21 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 def function_cache(function: Any, options: dict[str, Any]) -> Any:
     """Cache for compiled code of the function; one that stores nothing if no folder can be written."""
     code = hashlib.sha256(repr(sorted(options.items())).encode())
-    code.update(Path(__file__).read_bytes())  # how it is compiled
-    for line in code_bytes(function, set()):
-        code.update(line)
+    code.update(Path(__file__).read_bytes())  # a change of the compilation changes the machine code
+    for content in code_bytes(function, set()):
+        code.update(content)
     try:
         return _Cache(function, code.hexdigest())
     except RuntimeError:
         return NullCache()
 
 
-def code_bytes(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
+def code_bytes(function: FunctionType, visited: set[object]) -> Iterator[bytes]:
     """Bytes that determine a function's machine code: place, bytecode, values, the functions it calls."""
-    if function in seen:
+    if function in visited:
         return
-    seen.add(function)
-    # machine code names the modules of what it calls, which are imported when it is loaded
+    visited.add(function)
+    # machine code names the modules of the functions that it calls, and imports them when it is loaded
     yield f"{function.__module__}.{function.__qualname__}{function.__defaults__!r}".encode()
     codes = [function.__code__]
     while codes:
@@ -267,19 +264,19 @@ def code_bytes(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
             if name in function.__globals__:
                 value = function.__globals__[name]
                 yield name.encode()
-                yield from _value_bytes(value, seen)
-                if isinstance(value, ModuleType):  # a kernel of it may be called
-                    named = [vars(value).get(attribute) for attribute in code.co_names]
-                    for member in named:
+                yield from _value_bytes(value, visited)
+                if isinstance(value, ModuleType):  # the function may call kernels of the module
+                    for attribute in code.co_names:
+                        member = vars(value).get(attribute)
                         if isinstance(member, Kernel):
-                            yield from _value_bytes(member, seen)
+                            yield from _value_bytes(member, visited)
 
 
-def _value_bytes(value: Any, seen: set[object]) -> Iterator[bytes]:
-    inner = getattr(value, "py_func", getattr(value, "_defn", value))  # of a kernel, of an intrinsic
-    if isinstance(inner, FunctionType):
+def _value_bytes(value: Any, visited: set[object]) -> Iterator[bytes]:
+    function = getattr(value, "py_func", getattr(value, "_defn", value))  # of a kernel, of an intrinsic
+    if isinstance(function, FunctionType):
         yield repr(sorted(getattr(value, "targetoptions", {}).items())).encode()
-        yield from code_bytes(inner, seen)
+        yield from code_bytes(function, visited)
     elif isinstance(value, np.ndarray):
         yield repr((value.dtype.str, value.shape)).encode() + value.tobytes()
     elif isinstance(value, ModuleType):

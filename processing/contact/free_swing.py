@@ -192,7 +192,7 @@ def _path(swing: FreeSwing, wanted: Floats) -> Floats:
 @lru_cache(maxsize=1)
 def _projection() -> Floats:
     x = 2 * (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 1
-    return np.asarray(np.linalg.pinv(HarmonicTerms.at(x)).T, dtype=np.float64)
+    return np.asarray(np.linalg.pinv(HarmonicTerms.evaluate(x)).T, dtype=np.float64)
 
 
 _PERIOD_RATIO = 5.0

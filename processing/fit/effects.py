@@ -44,7 +44,7 @@ from processing.fit.uncertainty import RigQuantities
 from processing.least_squares import FactoredJacobian
 from processing.number_text import plain, with_uncertainty
 from processing.quantity import Quantity
-from processing.swing import ORDERS, SwingHarmonics, TurningPoints
+from processing.swing import ORDERS, PieceHarmonics, TurningPoints
 from processing.units import ARCSEC_RAD
 
 _GROWTH_STEP = 1e-3
@@ -313,7 +313,7 @@ def _chance(value: float, u: float) -> float:
     return erfc(abs(value) / u / sqrt(2.0))
 
 
-def row_delay(harmonics: SwingHarmonics, period_s: float) -> Alternation:
+def row_delay(harmonics: PieceHarmonics, period_s: float) -> Alternation:
     """Delay in proportion to the place of the spot, from the swing's second harmonic.
 
     A delay by k phi makes ``-(k w A^2 / 2) sin(2 w t)`` of A cos(w t). A friction that differs between both

@@ -20,7 +20,7 @@ from processing.estimate import Estimate
 from processing.fit.known_drive import KnownDrive
 from processing.least_squares import FactoredJacobian
 from processing.noise_models import MAD_TO_SIGMA
-from processing.swing import ORDERS, SwingHarmonics
+from processing.swing import ORDERS, PieceHarmonics
 
 WAVEFORM, AIR = "waveform", "air"
 """Names of the evidence's sources: the waveform, and the prior of the drag of the air."""
@@ -117,7 +117,7 @@ class Waveform:
         return self.reduced(self.predicted_rad(law, values, pendulum) - self.sine_rad)
 
 
-def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
+def waveform_of(pieces: PieceHarmonics) -> Waveform | None:
     """The waveform of a decay's pieces without the disturbed ones; None for too few of them."""
     order = np.argsort(-pieces.amplitude)
     amplitude, sine = pieces.amplitude[order], pieces.sine[order][:, _ODD]

@@ -28,9 +28,9 @@ from processing.swing import (
     HalfCycle,
     HalfCycleFlag,
     KnownMotion,
-    SwingHarmonics,
+    PieceHarmonics,
     TurningPoints,
-    swings_of_blocks,
+    half_cycles_of_blocks,
     turning_points,
     with_learned_weights,
 )
@@ -112,7 +112,7 @@ def second_measurement(
     -------
     The half-cycles, the first ones with uncertainties from the noise that the later ones show.
     """
-    candidates = swings_of_blocks(blocks, motion)
+    candidates = half_cycles_of_blocks(blocks, motion)
     times_ns = np.array([candidate.turn_time_ns for candidate in candidates], dtype=np.int64)
     near_ns = 0.25e9 * math.pi / motion.rate_rad_per_s
     refined: list[HalfCycle] = []
@@ -291,7 +291,7 @@ class Refinement(NamedTuple):
     position_map: PositionMap | None = None
     """Fixed-pattern position errors that were taken off the deflections before it, None where none were; the
     uncertainties of `exact` contain the remaining errors."""
-    harmonics: SwingHarmonics | None = None
+    harmonics: PieceHarmonics | None = None
     """Harmonics of the swing; None where they were not measured."""
 
 

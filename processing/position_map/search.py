@@ -16,7 +16,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.position_map.fixed_pattern import PositionMap, Splines
-from processing.swing import SHARED_COLUMNS, CycleResiduals
+from processing.swing import SHARED_PARAMETERS, CycleResiduals
 
 _BATCH_CYCLES = 8
 """Number of cycles whose columns are multiplied together."""
@@ -30,7 +30,7 @@ class NormalEquations(NamedTuple):
 
     @property
     def spline_count(self) -> int:
-        return len(self.score) - SHARED_COLUMNS
+        return len(self.score) - SHARED_PARAMETERS
 
     def spline_equations(self, scale: float = 1.0) -> "NormalEquations":
         """Equations of the splines with the common columns free; `scale` is the variance of the residuals."""
@@ -42,7 +42,7 @@ class NormalEquations(NamedTuple):
         )
 
     def common_gain(self) -> Floats:
-        """Gain (splines, SHARED_COLUMNS) of the splines' score by the score of the free common columns."""
+        """Gain (splines, SHARED_PARAMETERS) of the splines' score by the score of the free common columns."""
         return np.asarray(
             self.information[: self.spline_count, self.spline_count :] @ self._inverse(), dtype=np.float64
         )
@@ -87,11 +87,11 @@ class Accumulator:
         self.cycles = 0
         self._splines = splines
         self._band = np.zeros((4, splines.count))
-        self._mixed_products = np.zeros((splines.count, SHARED_COLUMNS))
-        self._common = np.zeros((SHARED_COLUMNS, SHARED_COLUMNS))
+        self._mixed_products = np.zeros((splines.count, SHARED_PARAMETERS))
+        self._common = np.zeros((SHARED_PARAMETERS, SHARED_PARAMETERS))
         self._own_columns: list[Floats] = []
         self._own_products: Floats | None = None
-        self._score = np.zeros(splines.count + SHARED_COLUMNS)
+        self._score = np.zeros(splines.count + SHARED_PARAMETERS)
 
     def add(self, cycle: CycleResiduals) -> Floats:
         """Add one cycle and return its score."""
@@ -99,13 +99,13 @@ class Accumulator:
 
         self.cycles += 1
         root = np.sqrt(cycle.weight)
-        own = cycle.own * root[:, None]
+        own = cycle.cycle_derivatives * root[:, None]
         own /= np.maximum(np.sqrt(np.sum(own**2, axis=0)), 1e-300)
         directions, size, _ = np.linalg.svd(own, full_matrices=False)
         directions = directions[:, size > 1e-6 * size[0]]
-        columns = np.column_stack([cycle.shared, cycle.residual]) * root[:, None]
+        columns = np.column_stack([cycle.shared_derivatives, cycle.residual]) * root[:, None]
         columns -= directions @ (directions.T @ columns)
-        first, values = self._splines.at(cycle.place)
+        first, values = self._splines.at(cycle.deflection)
         values *= root[:, None]
         count, splines = len(root), self._splines.count
         basis = csr_array(
@@ -130,7 +130,7 @@ class Accumulator:
     def sums(self) -> NormalEquations:
         """Normal equations of all cycles so far."""
         splines = self._splines.count
-        information = np.zeros((splines + SHARED_COLUMNS, splines + SHARED_COLUMNS))
+        information = np.zeros((splines + SHARED_PARAMETERS, splines + SHARED_PARAMETERS))
         for distance in range(4):
             rows = np.arange(splines - distance)
             information[rows, rows + distance] = information[rows + distance, rows] = self._band[

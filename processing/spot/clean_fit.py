@@ -20,8 +20,8 @@ from processing.spot.fit_values import (
     SIGMA_Y,
     TILTED,
     UPRIGHT,
-    Fitted,
     Image,
+    SpotFit,
     Window,
     Workspace,
     X,
@@ -34,22 +34,20 @@ from processing.spot.general_fit import window_of
 from processing.spot.scan import prefetch_window
 from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.tilted_score import information_tilted, score_tilted
-from processing.spot.upright_score import ALONG_Y, SMALLEST_SIGMA_PX, information, profile, score
+from processing.spot.upright_score import ALONG_Y, MIN_SIGMA_PX, information, profile, score
 
 _MAX_PASSES = 10
 LARGEST_TABLE = 2048
+"""Largest width or height of the fitted window in px."""
 _VECTOR_PIXELS = 32
 """Largest number of pixels that one vector instruction handles."""
-
 _MAX_OUTLIERS = 8
 _MAX_CORRELATION = 0.95
 """Correlation of the light along x and y above which a spot is left to the general fit."""
 _MAX_CLEAN_CHI2 = 1.3
-"""Chi-square per pixel above which the spot is not treated as clean and upright."""
-
+"""Chi-square per pixel above which a spot is left to the general fit."""
 _MAX_ITERATION_ERROR = 0.03
 """Allowed error of iteration, as a fraction of the standard uncertainty; it adds 0.05 % to the scatter."""
-
 TILT_EVIDENCE = 6.0
 """Significance of the tilt, in standard deviations, above which a spot is not treated as upright."""
 
@@ -57,17 +55,17 @@ TILT_EVIDENCE = 6.0
 class CleanFit(NamedTuple):
     """Result of a fit of a clean spot."""
 
-    fitted: Fitted
+    fit: SpotFit
     tilt: float
     """Significance of a tilt in standard deviations: the gradient by the covariance, divided by the square
     root of its information (score test); 0 if the covariance was fitted."""
     far: bool
-    """Whether the start values were too far from the spot: from better ones this fit may succeed."""
+    """Whether the start values were too far from the spot, so that this fit may succeed from better ones."""
 
 
 @kernel
 def _failed(far: bool) -> CleanFit:
-    return CleanFit(Fitted(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0, far)
+    return CleanFit(SpotFit(False, 0.0, 0, 0, 0, UPRIGHT, False, False), 0.0, far)
 
 
 @kernel
@@ -98,16 +96,16 @@ def fit_clean(
     """Fisher scoring; `work.parameters` holds the start values and is updated in place.
 
     With rough start values (`rough`) the first passes read only some of the rows of an upright spot. With
-    `tilted` the covariance is fitted too. The result has ``done = False`` if the model reaches full scale,
-    too many pixels are outliers, or the fit does not converge; the general fit is needed then.
+    `tilted` the covariance is fitted too. The result has ``converged = False`` also if the model reaches full
+    scale or too many pixels are outliers; the general fit is needed then.
     """
     ny, nx = image.shape
     p = work.parameters
     gradient = np.empty(TILTED)
     size = TILTED if tilted else UPRIGHT
     step = np.zeros(TILTED)
-    informed = False
-    fetched = False
+    has_information = False
+    has_prefetched = False
     gate_opened = rough
     gate = GATE
     if rough:
@@ -124,26 +122,26 @@ def fit_clean(
         x0, y0 = window.x0, window.y0
         wx, wy = window.x1 - x0, window.y1 - y0
         # widen rows to whole vectors: the remaining pixels one by one would take longer than a wider row
-        wider = (wx + _VECTOR_PIXELS - 1) // _VECTOR_PIXELS * _VECTOR_PIXELS
-        left = x0 - (wider - wx) // 2
-        if left >= 0 and left + wider <= nx:
-            x0, wx = left, wider
-        if min(p[SIGMA_X], p[SIGMA_Y]) < SMALLEST_SIGMA_PX or max(wx, wy) > LARGEST_TABLE or min(wx, wy) < 4:
+        whole_vectors = (wx + _VECTOR_PIXELS - 1) // _VECTOR_PIXELS * _VECTOR_PIXELS
+        left = x0 - (whole_vectors - wx) // 2
+        if left >= 0 and left + whole_vectors <= nx:
+            x0, wx = left, whole_vectors
+        if min(p[SIGMA_X], p[SIGMA_Y]) < MIN_SIGMA_PX or max(wx, wy) > LARGEST_TABLE or min(wx, wy) < 4:
             return _failed(False)
-        if not fetched:
+        if not has_prefetched:
             prefetch_window(image, x0, y0, wx, wy)
-            fetched = True
+            has_prefetched = True
         if tilted:
-            chi2, kept = score_tilted(image, x0, y0, wx, wy, tables[0], p, floor, noise, gate, gradient)
+            chi2, pixels = score_tilted(image, x0, y0, wx, wy, tables[0], p, floor, noise, gate, gradient)
         else:
             profile(tables[:ALONG_Y], x0, wx, p[X], p[SIGMA_X])
             profile(tables[ALONG_Y:], y0, wy, p[Y], p[SIGMA_Y])
             row_step = max(1, int(0.7 * p[SIGMA_Y])) if rough else 1
-            chi2, kept = score(
+            chi2, pixels = score(
                 image, x0, y0, wx, wy, row_step, tables, p[AMPLITUDE], p[BACKGROUND], floor, noise.dn_per_e,
                 noise.prnu2, gate, gradient,
             )  # fmt: skip
-        outliers = wx * wy - int(kept)
+        outliers = wx * wy - int(pixels)
         many = outliers > _MAX_OUTLIERS + 0.002 * wx * wy
         if many and not gate_opened:
             if has_left(image, p, noise):
@@ -153,9 +151,9 @@ def fit_clean(
             gate_opened = True
             gate = math.inf
             continue
-        if not informed:
+        if not has_information:
             # Sums over a grid with steps of sigma are exact (see `information`), unless the image's edge cuts
-            # the spot. With a tilt it is the sigma along a row or column that counts.
+            # the spot. Of a tilted spot the sigma along a row or column counts.
             narrow = math.sqrt(1.0 - (p[COVARIANCE] / (p[SIGMA_X] * p[SIGMA_Y])) ** 2)
             step_x = max(1, int(narrow * p[SIGMA_X])) if x0 > 0 and x0 + wx < nx else 1
             step_y = max(1, int(narrow * p[SIGMA_Y])) if y0 > 0 and y0 + wy < ny else 1
@@ -169,13 +167,13 @@ def fit_clean(
                 )  # fmt: skip
             if not cholesky(work.information, size, work.factor):
                 return _failed(False)
-            informed = True
+            has_information = True
         solve(work.factor, size, gradient, step)
-        largest = 0.5 if rough else 0.2
+        max_step = 0.5 if rough else 0.2
         if (
-            abs(step[SIGMA_X]) > largest * p[SIGMA_X]
-            or abs(step[SIGMA_Y]) > largest * p[SIGMA_Y]
-            or abs(step[AMPLITUDE]) > 1.5 * largest * p[AMPLITUDE]
+            abs(step[SIGMA_X]) > max_step * p[SIGMA_X]
+            or abs(step[SIGMA_Y]) > max_step * p[SIGMA_Y]
+            or abs(step[AMPLITUDE]) > 1.5 * max_step * p[AMPLITUDE]
         ):
             return _failed(True)
         if abs(step[X]) > p[SIGMA_X] or abs(step[Y]) > p[SIGMA_Y]:
@@ -184,7 +182,7 @@ def fit_clean(
         # left in x after a step is therefore about the product of its own step and the sum of all
         # steps, in units of sigma.
         sigma = min(p[SIGMA_X], p[SIGMA_Y])
-        others = (
+        step_sum = (
             abs(step[X])
             + abs(step[Y])
             + abs(step[SIGMA_X])
@@ -195,36 +193,29 @@ def fit_clean(
         u_x = math.sqrt(inverse_diagonal(work.factor, size, X))
         u_y = math.sqrt(inverse_diagonal(work.factor, size, Y))
         small = (
-            abs(step[X]) * others < _MAX_ITERATION_ERROR * u_x * sigma
-            and abs(step[Y]) * others < _MAX_ITERATION_ERROR * u_y * sigma
+            abs(step[X]) * step_sum < _MAX_ITERATION_ERROR * u_x * sigma
+            and abs(step[Y]) * step_sum < _MAX_ITERATION_ERROR * u_y * sigma
         )
-        changed = (
-            max(
-                abs(step[AMPLITUDE]) / p[AMPLITUDE],
-                abs(step[SIGMA_X]) / p[SIGMA_X],
-                abs(step[SIGMA_Y]) / p[SIGMA_Y],
-            )
-            > 0.03
-        )
+        width_change = max(abs(step[SIGMA_X]) / p[SIGMA_X], abs(step[SIGMA_Y]) / p[SIGMA_Y])
+        changed = max(abs(step[AMPLITUDE]) / p[AMPLITUDE], width_change) > 0.03
         for k in range(size):
             p[k] += step[k]
         if abs(p[COVARIANCE]) > _MAX_CORRELATION * p[SIGMA_X] * p[SIGMA_Y]:
             return _failed(False)
-        scatter = chi2 / max(kept, 1.0)
-        settled = gate <= GATE * _MAX_CLEAN_CHI2
+        scatter = chi2 / max(pixels, 1.0)
+        gate_is_final = gate <= GATE * _MAX_CLEAN_CHI2
         # within the range where the model is linear, a step reduces chi-square by gradient . step
         expected = chi2
-        if others < 0.5 * sigma:
+        if step_sum < 0.5 * sigma:
             for k in range(size):
                 expected -= gradient[k] * step[k]
-        gate = GATE * max(1.0, expected / max(kept, 1.0))
+        gate = GATE * max(1.0, expected / max(pixels, 1.0))
         if changed:
-            # the information matrix depends on size and amplitude, hardly on the position: compute it again
-            # only when these have changed
-            informed = False
+            # the information matrix depends on size and amplitude, and hardly on the position
+            has_information = False
         elif rough:
             rough = False
-        elif small and settled:
+        elif small and gate_is_final:
             if many or scatter > _MAX_CLEAN_CHI2:
                 return _failed(False)
             for k in range(size):
@@ -232,5 +223,5 @@ def fit_clean(
             tilt = 0.0
             if not tilted:
                 tilt = gradient[COVARIANCE] / math.sqrt(max(work.information[COVARIANCE, COVARIANCE], 1e-300))
-            return CleanFit(Fitted(True, chi2, int(kept), 0, outliers, size, tilted, False), tilt, False)
+            return CleanFit(SpotFit(True, chi2, int(pixels), 0, outliers, size, tilted, False), tilt, False)
     return _failed(False)

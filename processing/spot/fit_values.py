@@ -1,4 +1,4 @@
-"""Values that fitting kernels share: parameters, windows, results, state between frames, small matrices."""
+"""Values that fitting kernels share: parameters, windows, results, memory between frames, small matrices."""
 
 import math
 from enum import IntFlag
@@ -17,16 +17,13 @@ The covariance matrix of the spot's light distribution is [[sigma_x^2, c], [c, s
 the index `COVARIANCE`. `SIGMA_X` and `SIGMA_Y` are therefore the standard deviations along the pixel
 axes even when the spot is tilted. A second spot is given the same shape as the first.
 """
-
 PARAMETERS = 10
 UPRIGHT = 6
 """Number of parameters of one upright spot: the first six."""
 TILTED = 7
 """Number of parameters of one tilted spot: the first seven."""
-
 GATE = 25.0
 """A pixel is an outlier if its squared residual exceeds this many times its variance."""
-
 REACH = 4.5
 """Half-width of the fitted window in standard deviations of the spot."""
 
@@ -40,8 +37,8 @@ class Window(NamedTuple):
     y1: int
 
 
-class Place(NamedTuple):
-    """Position of an image on the sensor: sensor coordinates of its first pixel, and the sensor's size."""
+class Placement(NamedTuple):
+    """Sensor coordinates of an image's first pixel, and the sensor's size."""
 
     origin_x: int
     origin_y: int
@@ -50,10 +47,13 @@ class Place(NamedTuple):
 
 
 class HalfPlane(NamedTuple):
-    """Half-plane of pixels (i, j) with ``along_x i + along_y j > distance``, which an obstacle hides."""
+    """Half-plane of pixels (i, j) that an obstacle hides: ``normal_x i + normal_y j > distance``.
 
-    along_x: float
-    along_y: float
+    (`normal_x`, `normal_y`) is the unit vector across the edge, from light to darkness.
+    """
+
+    normal_x: float
+    normal_y: float
     distance: float
 
 
@@ -65,14 +65,14 @@ class Workspace(NamedTuple):
     information: Floats
     """(PARAMETERS, PARAMETERS) Fisher information at the last step."""
     factor: Floats
-    """(PARAMETERS, PARAMETERS) its lower Cholesky factor."""
+    """(PARAMETERS, PARAMETERS) lower Cholesky factor of the information."""
 
 
-class Fitted(NamedTuple):
+class SpotFit(NamedTuple):
     """Result of a fit; the parameters themselves are in the workspace."""
 
-    done: bool
-    """False if the fit did not converge or this kind of fit does not suit the spot."""
+    converged: bool
+    """False if the fit did not converge or its model does not suit the spot."""
     chi2: float
     pixels: int
     """Number of pixels used."""
@@ -81,10 +81,10 @@ class Fitted(NamedTuple):
     outliers: int
     """Number of pixels left out because of their residual."""
     size: int
-    """Order of the information matrix: UPRIGHT or PARAMETERS."""
+    """Order of the information matrix: UPRIGHT, TILTED or PARAMETERS."""
     tilted: bool
     """Whether the covariance was fitted."""
-    two: bool
+    has_second: bool
     """Whether a second spot was fitted."""
 
 
@@ -123,24 +123,25 @@ def poor_fit_limit(pixels: float) -> float:
 
 
 @kernel
-def as_kind(fitted: Fitted, size: int, tilted: bool, two: bool) -> Fitted:
-    """Copy of a result with `size`, `tilted` and `two` replaced."""
-    return Fitted(
-        fitted.done, fitted.chi2, fitted.pixels, fitted.saturated, fitted.outliers, size, tilted, two
-    )
+def as_kind(fit: SpotFit, size: int, tilted: bool, has_second: bool) -> SpotFit:
+    """Copy of a result with the last three fields replaced."""
+    return SpotFit(fit.converged, fit.chi2, fit.pixels, fit.saturated, fit.outliers, size, tilted, has_second)
 
 
-FOLLOWS = 0
-"""1.0 while a spot is being followed, else 0.0. A search sets the other entries before they are read."""
+HAS_LAST_SPOT = 0
+"""Index of the first entry of a tracker's memory: 1.0 while a spot is being followed, else 0.0.
+
+The names below are indices of further entries, which a search sets before they are read.
+"""
 LAST = 1
-"""Index of the first of the PARAMETERS of the last frame's spot; positions are in sensor coordinates."""
-STEP_X, STEP_Y = LAST + PARAMETERS, LAST + PARAMETERS + 1
+"""First of the PARAMETERS of the last frame's spot; positions are in sensor coordinates."""
+DISPLACEMENT_X, DISPLACEMENT_Y = LAST + PARAMETERS, LAST + PARAMETERS + 1
 """Displacement of the spot between the last two frames, px."""
-IS_TILTED, TWO = LAST + PARAMETERS + 2, LAST + PARAMETERS + 3
-"""1.0 if the last spot was fitted as tilted, and with a second spot, respectively."""
+IS_TILTED, HAS_SECOND = LAST + PARAMETERS + 2, LAST + PARAMETERS + 3
+"""1.0 if the last spot was fitted as tilted; 1.0 if it was fitted with a second spot."""
 TILT_HINTS = LAST + PARAMETERS + 4
 """Number of consecutive frames in which the upright fit found a significant tilt."""
-ALONE = LAST + PARAMETERS + 5
+SINGLE_ONLY = LAST + PARAMETERS + 5
 """1.0 if a search does not look for a second spot."""
 POOR_FRAMES = LAST + PARAMETERS + 6
 """Number of consecutive frames with the flag POOR_FIT."""
@@ -153,48 +154,39 @@ def empty_memory() -> Floats:
 
 
 @kernel
-def forget(memory: Floats) -> None:
-    """Stop following: the next frame is searched as a whole."""
-    memory[FOLLOWS] = 0.0
-    memory[STEP_X] = 0.0
-    memory[STEP_Y] = 0.0
+def expect(memory: Floats, placement: Placement, p: Floats) -> None:
+    """Write the last spot's parameters into `p`, displaced once more by its last displacement.
 
-
-@kernel
-def expect(memory: Floats, place: Place, p: Floats) -> None:
-    """Write the parameters expected in the next image into `p`.
-
-    The last spot is displaced once more by its last displacement. Positions in `p` are relative to the
-    image's first pixel.
+    Positions in `p` are relative to the image's first pixel.
     """
     for k in range(PARAMETERS):
         p[k] = memory[LAST + k]
-    p[X] += memory[STEP_X] - place.origin_x
-    p[Y] += memory[STEP_Y] - place.origin_y
-    p[SECOND_X] += memory[STEP_X] - place.origin_x
-    p[SECOND_Y] += memory[STEP_Y] - place.origin_y
+    p[X] += memory[DISPLACEMENT_X] - placement.origin_x
+    p[Y] += memory[DISPLACEMENT_Y] - placement.origin_y
+    p[SECOND_X] += memory[DISPLACEMENT_X] - placement.origin_x
+    p[SECOND_Y] += memory[DISPLACEMENT_Y] - placement.origin_y
 
 
 @kernel
-def remember(memory: Floats, place: Place, p: Floats, fitted: Fitted, followed: bool) -> None:
+def remember(memory: Floats, placement: Placement, p: Floats, fit: SpotFit, followed: bool) -> None:
     """Store the fitted spot. After a search the displacement is unknown and is set to zero."""
-    x = p[X] + place.origin_x
-    y = p[Y] + place.origin_y
+    x = p[X] + placement.origin_x
+    y = p[Y] + placement.origin_y
     if followed:
-        memory[STEP_X] = x - memory[LAST + X]
-        memory[STEP_Y] = y - memory[LAST + Y]
+        memory[DISPLACEMENT_X] = x - memory[LAST + X]
+        memory[DISPLACEMENT_Y] = y - memory[LAST + Y]
     else:
-        memory[STEP_X] = 0.0
-        memory[STEP_Y] = 0.0
+        memory[DISPLACEMENT_X] = 0.0
+        memory[DISPLACEMENT_Y] = 0.0
     for k in range(PARAMETERS):
         memory[LAST + k] = p[k]
     memory[LAST + X] = x
     memory[LAST + Y] = y
-    memory[LAST + SECOND_X] = p[SECOND_X] + place.origin_x
-    memory[LAST + SECOND_Y] = p[SECOND_Y] + place.origin_y
-    memory[FOLLOWS] = 1.0
-    memory[IS_TILTED] = 1.0 if fitted.tilted else 0.0
-    memory[TWO] = 1.0 if fitted.two else 0.0
+    memory[LAST + SECOND_X] = p[SECOND_X] + placement.origin_x
+    memory[LAST + SECOND_Y] = p[SECOND_Y] + placement.origin_y
+    memory[HAS_LAST_SPOT] = 1.0
+    memory[IS_TILTED] = 1.0 if fit.tilted else 0.0
+    memory[HAS_SECOND] = 1.0 if fit.has_second else 0.0
 
 
 @kernel
@@ -271,29 +263,31 @@ class SpotFlag(IntFlag):
 
 
 class Spot(NamedTuple):
-    """Spot of one frame. The centre of pixel (0, 0) is at (0.0, 0.0); x points right, y down.
+    """Spot of one frame; if it is lost, every field but `flags` is NaN.
 
-    `u_x_px` and `u_y_px` are standard uncertainties: square roots of the diagonal of the inverse Fisher
-    information, multiplied by sqrt(max(1, chi2_per_dof)). If the residuals have a shape (the beam is not
-    Gaussian), the variance of their scatter from pixel to pixel replaces chi2_per_dof. If the width of the
-    spot has changed, the shift that the cause of the change may have made is added.
-
-    `sigma_x_px` is the standard deviation of the light along the principal axis at the angle `rotation_rad`
-    from x towards y, `sigma_y_px` that along the other axis; with the flag LEARNED they are those of the
-    Gaussian that fits the beam best. `flags` is a `SpotFlag`. If the spot is lost, every other field is NaN.
+    The centre of pixel (0, 0) is at (0.0, 0.0); x points right, y down.
     """
 
     x_px: float
     y_px: float
     u_x_px: float
     u_y_px: float
+    """Standard uncertainties: square roots of the diagonal of the inverse Fisher information, multiplied by
+    sqrt(max(1, chi2_per_dof)). If the residuals have a shape (the beam is not Gaussian), the variance of
+    their scatter from pixel to pixel replaces chi2_per_dof. If the width of the spot has changed, the shift
+    that the cause of the change may have made is added."""
     sigma_x_px: float
+    """Standard deviation of the light along the first principal axis; with the flag LEARNED that of the
+    Gaussian that fits the beam best."""
     sigma_y_px: float
+    """The same along the second principal axis."""
     rotation_rad: float
+    """Angle of the first principal axis, from x towards y."""
     amplitude_dn: float
     background_dn: float
     chi2_per_dof: float
     flags: int
+    """A `SpotFlag`."""
 
 
 SPOT_DTYPE = np.dtype([(name, np.float64) for name in Spot._fields[:-1]] + [("flags", np.int64)])

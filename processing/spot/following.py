@@ -12,6 +12,7 @@ from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, has_left
 from processing.spot.fit_values import (
     AMPLITUDE,
     COVARIANCE,
+    HAS_SECOND,
     IS_TILTED,
     LAST,
     REACH,
@@ -19,10 +20,9 @@ from processing.spot.fit_values import (
     SIGMA_Y,
     TILT_HINTS,
     TILTED,
-    TWO,
-    Fitted,
     Image,
-    Place,
+    Placement,
+    SpotFit,
     Workspace,
     as_kind,
     cholesky,
@@ -36,12 +36,12 @@ from processing.spot.outcome import Result, finish, significant, without_spot
 from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 
 SEARCH = -1
-"""Returned in place of the flags if the spot was not found where the fit began."""
+"""Value in place of the flags of a `Result` if the spot is not where the fit began."""
 EXPECTED, NEAR, ROUGH = range(3)
 """Start values of a fit: the spot expected from the previous frames (EXPECTED), or values from a search that
 are good enough for the fit of a clean spot (NEAR) or not (ROUGH)."""
-_SMALLEST_SPOT_PX = 0.7
-"""A smaller fitted sigma means a cluster of hot pixels and not a spot."""
+_MIN_SIGMA_PX = 0.7
+"""Smallest standard deviation of a spot; a smaller one is that of a cluster of hot pixels."""
 
 
 @kernel
@@ -57,74 +57,63 @@ def follow(
     noise_values: Floats,
     start: int,
 ) -> Result:
-    """Fit the spot of one frame.
+    """Fit the spot of one frame; returns the fields of a `Spot`.
+
+    If the spot is not there, the flags are `SEARCH`, every other field is NaN and the caller has to search
+    elsewhere.
 
     Parameters
     ----------
-    image : (ny, nx)
-        A frame or a window cut out of it.
-    origin_x, origin_y, sensor_nx, sensor_ny
-        Fields of `Place`.
-    memory
-        State of the tracker, with the indices of `fit_values` from `FOLLOWS` on; updated.
-    work_array
-        Working memory of shape WORKSPACE_SHAPE, which holds the start values of a search.
-    tables : (TABLE_ROWS, LARGEST_TABLE)
-        Working memory of the upright fit.
-    noise_values
-        Fields of `PixelNoise`.
-    start
-        EXPECTED, NEAR or ROUGH. Of NEAR and ROUGH only ROUGH accepts a tilted, saturated or irregular spot.
-
-    Returns
-    -------
-    Result
-        Fields of a `Spot`. If the spot is not there, the flags are `SEARCH`, every other field is NaN and the
-        caller has to search elsewhere.
+    image : (ny, nx) a frame or a window of it
+    origin_x, origin_y, sensor_nx, sensor_ny : fields of `Placement`
+    memory : memory of the tracker, with the indices of `fit_values` from `HAS_LAST_SPOT` on; updated
+    work_array : working memory of shape WORKSPACE_SHAPE, which holds the start values of a search
+    tables : (TABLE_ROWS, LARGEST_TABLE) working memory of the upright fit
+    noise_values : fields of `PixelNoise`
+    start : EXPECTED, NEAR or ROUGH; a search accepts a tilted, saturated or irregular spot only with ROUGH
     """
-    place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
+    placement = Placement(origin_x, origin_y, sensor_nx, sensor_ny)
     work = workspace_of(work_array)
     noise = pixel_noise_of(noise_values)
     if start == ROUGH:
-        found = _fit_any(image, work, noise)
-        if found.done:
-            return finish(image, place, memory, work, noise, found, followed=False)
+        any_fit = _fit_any(image, work, noise)
+        if any_fit.converged:
+            return finish(image, placement, memory, work, noise, any_fit, followed=False)
         return without_spot(SEARCH)
-    tilted = two = False
+    tilted = has_second = False
     if start == EXPECTED:
-        expect(memory, place, work.parameters)
+        expect(memory, placement, work.parameters)
         tilted = memory[IS_TILTED] > 0.0
-        two = memory[TWO] > 0.0
-    if not two:
+        has_second = memory[HAS_SECOND] > 0.0
+    if not has_second:
         clean = fit_clean(image, work, start == NEAR, tilted, noise, tables)
-        one = clean.fitted
+        single = clean.fit
         if start == NEAR:
-            upright = one.done and abs(clean.tilt) < TILT_EVIDENCE
-            if upright and significant(work.parameters, noise, one):
-                return finish(image, place, memory, work, noise, one, followed=False)
+            upright = single.converged and abs(clean.tilt) < TILT_EVIDENCE
+            if upright and significant(work.parameters, noise, single):
+                return finish(image, placement, memory, work, noise, single, followed=False)
             return without_spot(SEARCH)
-        if one.done:
+        if single.converged:
             # A tilt must be significant in three frames in a row before the spot is treated as tilted: the
             # fit with one parameter more takes longer.
             memory[TILT_HINTS] = memory[TILT_HINTS] + 1.0 if abs(clean.tilt) > TILT_EVIDENCE else 0.0
             tilted = tilted or memory[TILT_HINTS] >= 3.0
-            return finish(
-                image, place, memory, work, noise, as_kind(one, one.size, tilted, False), followed=True
-            )
+            single = as_kind(single, single.size, tilted, False)
+            return finish(image, placement, memory, work, noise, single, followed=True)
         if clean.far:
             return without_spot(SEARCH)
         # the failed fit has changed the parameters: restore the start values
-        expect(memory, place, work.parameters)
+        expect(memory, placement, work.parameters)
     if has_left(image, work.parameters, noise):
         return without_spot(SEARCH)
-    fitted = fit_general(image, work, tilted, two, noise, REACH, nothing_hidden())
-    if not fitted.done or not _plausible(work.parameters, memory, noise, fitted):
+    fit = fit_general(image, work, tilted, has_second, noise, REACH, nothing_hidden())
+    if not fit.converged or not _plausible(work.parameters, memory, noise, fit):
         return without_spot(SEARCH)
-    return finish(image, place, memory, work, noise, fitted, followed=True)
+    return finish(image, placement, memory, work, noise, fit, followed=True)
 
 
 @kernel
-def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
+def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fit: SpotFit) -> bool:
     """Whether the fitted spot resembles that of the previous frame; if not, the whole frame is searched.
 
     The size must agree within a factor of two, and the amplitude must exceed 5 % of the previous one and be
@@ -133,7 +122,7 @@ def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> 
     ratio_x = p[SIGMA_X] / memory[LAST + SIGMA_X]
     ratio_y = p[SIGMA_Y] / memory[LAST + SIGMA_Y]
     return (
-        significant(p, noise, fitted)
+        significant(p, noise, fit)
         and 0.5 < ratio_x < 2.0
         and 0.5 < ratio_y < 2.0
         and p[AMPLITUDE] > 0.05 * memory[LAST + AMPLITUDE]
@@ -141,23 +130,20 @@ def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> 
 
 
 @kernel
-def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
+def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> SpotFit:
     """General fit of a single spot, upright unless its tilt is significant (five standard deviations).
 
-    The result has ``done = False`` also for a spot that is too small or not significant.
+    The result has ``converged = False`` also for a spot that is too small or not significant.
     """
     p = work.parameters
-    fitted = fit_general(image, work, True, False, noise, REACH, nothing_hidden())
+    fit = fit_general(image, work, True, False, noise, REACH, nothing_hidden())
     tilted = False
-    if fitted.done and cholesky(work.information, TILTED, work.factor):
+    if fit.converged and cholesky(work.information, TILTED, work.factor):
         u_c = math.sqrt(inverse_diagonal(work.factor, TILTED, COVARIANCE))
-        u_c *= math.sqrt(max(1.0, fitted.chi2 / max(fitted.pixels - TILTED, 1)))
+        u_c *= math.sqrt(max(1.0, fit.chi2 / max(fit.pixels - TILTED, 1)))
         tilted = abs(p[COVARIANCE]) > 5.0 * u_c
-    if fitted.done and not tilted:
+    if fit.converged and not tilted:
         p[COVARIANCE] = 0.0
-        fitted = fit_general(image, work, False, False, noise, REACH, nothing_hidden())
-    if fitted.done and min(p[SIGMA_X], p[SIGMA_Y]) > _SMALLEST_SPOT_PX and significant(p, noise, fitted):
-        return as_kind(fitted, fitted.size, tilted, False)
-    return Fitted(
-        False, fitted.chi2, fitted.pixels, fitted.saturated, fitted.outliers, fitted.size, tilted, False
-    )
+        fit = fit_general(image, work, False, False, noise, REACH, nothing_hidden())
+    is_spot = fit.converged and min(p[SIGMA_X], p[SIGMA_Y]) > _MIN_SIGMA_PX and significant(p, noise, fit)
+    return SpotFit(is_spot, fit.chi2, fit.pixels, fit.saturated, fit.outliers, fit.size, tilted, False)

@@ -39,9 +39,9 @@ from processing.spot.fit_values import (
     SIGMA_Y,
     TILTED,
     UPRIGHT,
-    Fitted,
     HalfPlane,
     Image,
+    SpotFit,
     Window,
     Workspace,
     X,
@@ -55,9 +55,8 @@ from processing.spot.sensor_model import PixelNoise, background_variance
 _MAX_PASSES = 80
 _PASSES_BEFORE_HALVING = 12
 """Number of passes after which the fit is assumed to oscillate; steps are then halved."""
-
-_MAX_EXPONENT = 2.0 * 20.7
-"""(u, v) P (u, v)^T beyond which the light is less than 1e-9 of the peak."""
+_MAX_MAHALANOBIS2 = 2.0 * 20.7
+"""Squared Mahalanobis distance (u, v) P (u, v)^T beyond which the light is less than 1e-9 of the peak."""
 
 
 @kernel
@@ -88,10 +87,10 @@ def _light_at(u: float, v: float, pxx: float, pyy: float, pxy: float) -> tuple[f
     """Light f of unit amplitude, q_x and q_y at a distance (u, v) from the centre."""
     qx = pxx * u + pxy * v
     qy = pxy * u + pyy * v
-    exponent = u * qx + v * qy
+    mahalanobis2 = u * qx + v * qy
     f = 0.0
-    if exponent < _MAX_EXPONENT:
-        f = math.exp(-0.5 * exponent) * (1.0 + (qx * qx - pxx + qy * qy - pyy) / 24.0)
+    if mahalanobis2 < _MAX_MAHALANOBIS2:
+        f = math.exp(-0.5 * mahalanobis2) * (1.0 + (qx * qx - pxx + qy * qy - pyy) / 24.0)
     return f, qx, qy
 
 
@@ -106,12 +105,13 @@ def score_general(
     gate: float,
     hidden: HalfPlane,
     gradient: Floats,
-    matrix: Floats,
+    information: Floats,
     step_x: int = 1,
     step_y: int = 1,
 ) -> tuple[float, int, int, int]:
     """Gradient and Fisher information of the log likelihood, summed over a window.
 
+    Returns chi-square, the number of the pixels used, and those of pixels near full scale and of outliers.
     Two kinds of pixels are left out. The first are those that the model expects within three standard
     deviations of full scale. The model decides and not the measured value: choosing by the data would
     keep the pixels whose noise happened to be negative, and bias the fit. The second are outliers, whose
@@ -120,46 +120,32 @@ def score_general(
     Parameters
     ----------
     image : (ny, nx), DN
-    window
-        Pixels to sum over.
-    p : (PARAMETERS,)
-    tilted, has_second
-        Whether the covariance and the second spot are fitted.
-    noise
-        Noise model of a pixel.
-    gate
-        Limit of the squared residual, in variances.
-    hidden
-        Pixels that are ignored, and not counted either.
-    gradient, matrix : (PARAMETERS,), (PARAMETERS, PARAMETERS)
-        Overwritten with the gradient and the information matrix. A parameter that is not fitted has the
-        gradient 0 and the row and column of a unit matrix.
-    step_x, step_y
-        Columns and rows from one pixel of the sum to the next.
-
-    Returns
-    -------
-    chi2, pixels, saturated, outliers
-        Chi-square and number of the pixels used, and the numbers of pixels left out.
+    window : pixels to sum over
+    p : (PARAMETERS,) parameters of the model (see `fit_values`)
+    tilted, has_second : whether the covariance and the second spot are fitted
+    noise : noise model of a pixel
+    gate : limit of the squared residual, in variances
+    hidden : half-plane of pixels that are neither used nor counted
+    gradient, information : (PARAMETERS,), (PARAMETERS, PARAMETERS), overwritten. Of a parameter that is not
+        fitted the gradient is 0, the row and column of the information are those of a unit matrix.
+    step_x, step_y : columns and rows from one pixel of the sum to the next
     """
     pxx, pyy, pxy = inverse_covariance(p)
     for k in range(PARAMETERS):
         gradient[k] = 0.0
         for m in range(PARAMETERS):
-            matrix[k, m] = 0.0
+            information[k, m] = 0.0
     derivative = np.zeros(PARAMETERS)
     derivative[BACKGROUND] = 1.0
     floor = background_variance(p[BACKGROUND], noise)
     chi2 = 0.0
-    pixels = 0
-    saturated = 0
-    outliers = 0
+    pixels = saturated = outliers = 0
     for j in range(window.y0 + step_y // 2, window.y1, step_y):
         v = j - p[Y]
-        v2 = j - p[SECOND_Y]
-        limit = hidden.distance - hidden.along_y * j
+        v_second = j - p[SECOND_Y]
+        limit = hidden.distance - hidden.normal_y * j
         for i in range(window.x0 + step_x // 2, window.x1, step_x):
-            if hidden.along_x * i > limit:
+            if hidden.normal_x * i > limit:
                 continue
             f, qx, qy = _light_at(i - p[X], v, pxx, pyy, pxy)
             light = p[AMPLITUDE] * f
@@ -172,49 +158,49 @@ def score_general(
             derivative[SIGMA_Y] = light * qy * qy * p[SIGMA_Y]
             derivative[COVARIANCE] = light * qx * qy
             if has_second:
-                f2, qx2, qy2 = _light_at(i - p[SECOND_X], v2, pxx, pyy, pxy)
-                light2 = p[SECOND_AMPLITUDE] * f2
-                light += light2
-                derivative[SIGMA_X] += light2 * qx2 * qx2 * p[SIGMA_X]
-                derivative[SIGMA_Y] += light2 * qy2 * qy2 * p[SIGMA_Y]
-                derivative[COVARIANCE] += light2 * qx2 * qy2
-                derivative[SECOND_AMPLITUDE] = f2
-                derivative[SECOND_X] = light2 * qx2
-                derivative[SECOND_Y] = light2 * qy2
+                f_second, qx_second, qy_second = _light_at(i - p[SECOND_X], v_second, pxx, pyy, pxy)
+                light_second = p[SECOND_AMPLITUDE] * f_second
+                light += light_second
+                derivative[SIGMA_X] += light_second * qx_second * qx_second * p[SIGMA_X]
+                derivative[SIGMA_Y] += light_second * qy_second * qy_second * p[SIGMA_Y]
+                derivative[COVARIANCE] += light_second * qx_second * qy_second
+                derivative[SECOND_AMPLITUDE] = f_second
+                derivative[SECOND_X] = light_second * qx_second
+                derivative[SECOND_Y] = light_second * qy_second
             # shot noise and uneven response need a positive light; the second spot's amplitude, or the
             # bracket of f far from the centre, can make the model negative
-            lit = max(light, 0.0)
-            variance = floor + lit * (noise.dn_per_e + lit * noise.prnu2)
+            positive_light = max(light, 0.0)
+            variance = floor + positive_light * (noise.dn_per_e + positive_light * noise.prnu2)
             mu = p[BACKGROUND] + light
             if mu + 3.0 * math.sqrt(variance) >= noise.full_scale_dn:
                 saturated += 1
                 continue
-            r = image[j, i] - mu
-            z = r * r / variance
-            if z > gate:
+            residual = image[j, i] - mu
+            pixel_chi2 = residual * residual / variance
+            if pixel_chi2 > gate:
                 outliers += 1
                 continue
             weight = 1.0 / variance
-            chi2 += z
+            chi2 += pixel_chi2
             pixels += 1
-            weighted_residual = weight * r
+            weighted_residual = weight * residual
             # a constant number of parameters each, for which the compiler unrolls the sums
             if has_second:
-                _add_pixel(PARAMETERS, weight, weighted_residual, derivative, gradient, matrix)
+                _add_pixel(PARAMETERS, weight, weighted_residual, derivative, gradient, information)
             elif tilted:
-                _add_pixel(TILTED, weight, weighted_residual, derivative, gradient, matrix)
+                _add_pixel(TILTED, weight, weighted_residual, derivative, gradient, information)
             else:
-                _add_pixel(UPRIGHT, weight, weighted_residual, derivative, gradient, matrix)
+                _add_pixel(UPRIGHT, weight, weighted_residual, derivative, gradient, information)
     # a row and column of the unit matrix give a parameter that is not fitted the step zero
     for k in range(PARAMETERS):
         if (k == COVARIANCE and not tilted) or (k >= SECOND_AMPLITUDE and not has_second):
             for m in range(PARAMETERS):
-                matrix[max(k, m), min(k, m)] = 0.0
-            matrix[k, k] = 1.0
+                information[max(k, m), min(k, m)] = 0.0
+            information[k, k] = 1.0
             gradient[k] = 0.0
     for k in range(PARAMETERS):
         for m in range(k):
-            matrix[m, k] = matrix[k, m]
+            information[m, k] = information[k, m]
     return chi2, pixels, saturated, outliers
 
 
@@ -237,22 +223,19 @@ def fit_general(
     noise: PixelNoise,
     reach: float,
     hidden: HalfPlane,
-) -> Fitted:
+) -> SpotFit:
     """Fisher scoring until convergence; `work.parameters` holds the start values and is updated in place.
 
-    The limit for outliers follows the scatter of the pixels used. It is infinite at first, so that large
-    residuals of poor start values are not taken for outliers, and it stays wide where the beam is not
+    `gate`, the limit for outliers, follows the scatter of the pixels used. It is infinite at first, so that
+    large residuals of poor start values are not taken for outliers, and it stays wide where the beam is not
     Gaussian, in proportion to chi-square.
 
     `reach` is the half-width of the window in standard deviations of the spot; `hidden` pixels are ignored.
-    The result has ``done = False`` if there is no convergence, too few pixels are left, or the parameters
-    leave their physical range.
+    The result has ``converged = False`` also if too few pixels are left or parameters leave their range.
     """
     ny, nx = image.shape
     p = work.parameters
-    size = PARAMETERS
-    gradient = np.zeros(size)
-    step = np.zeros(size)
+    gradient, step = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
     gate = math.inf
     chi2 = 0.0
     pixels = saturated = outliers = 0
@@ -263,15 +246,14 @@ def fit_general(
         chi2, pixels, saturated, outliers = score_general(
             image, window, p, tilted, has_second, noise, gate, hidden, gradient, work.information
         )
-        if pixels < 12 or not cholesky(work.information, size, work.factor):
+        if pixels < 12 or not cholesky(work.information, PARAMETERS, work.factor):
             break
-        solve(work.factor, size, gradient, step)
+        solve(work.factor, PARAMETERS, gradient, step)
         # Limit the step in each parameter: further away the linear expansion about p is not valid. `worst` is
         # the largest step in units of its limit.
         limit = 0.5 * min(p[SIGMA_X], p[SIGMA_Y])
-        worst = max(abs(step[X]), abs(step[Y])) / limit
         worst = max(
-            worst,
+            max(abs(step[X]), abs(step[Y])) / limit,
             abs(step[SIGMA_X]) / (0.3 * p[SIGMA_X]),
             abs(step[SIGMA_Y]) / (0.3 * p[SIGMA_Y]),
             abs(step[AMPLITUDE]) / (0.7 * p[AMPLITUDE]),
@@ -281,7 +263,7 @@ def fit_general(
         shrink = 1.0 if worst <= 1.0 else 1.0 / worst
         # pixels that are left out in one pass and used in the next can make the fit oscillate
         damping = 1.0 if count < _PASSES_BEFORE_HALVING else 0.5
-        for k in range(size):
+        for k in range(PARAMETERS):
             p[k] += damping * shrink * step[k]
         # the covariance matrix is positive definite only for |c| < sigma_x sigma_y
         bound = 0.98 * p[SIGMA_X] * p[SIGMA_Y]
@@ -292,10 +274,7 @@ def fit_general(
             and p[SIGMA_X] < 4 * nx + 10
             and p[SIGMA_Y] < 4 * ny + 10
             and p[AMPLITUDE] > 0.0
-        ):
-            break
-        if not (
-            -2 * p[SIGMA_X] <= p[X] <= nx - 1 + 2 * p[SIGMA_X]
+            and -2 * p[SIGMA_X] <= p[X] <= nx - 1 + 2 * p[SIGMA_X]
             and -2 * p[SIGMA_Y] <= p[Y] <= ny - 1 + 2 * p[SIGMA_Y]
         ):
             break
@@ -307,10 +286,11 @@ def fit_general(
         gate_is_stable = gate < math.inf and abs(new_gate - gate) <= 0.02 * gate
         if worst <= 0.5:
             gate = new_gate
+        # an oscillation of 0.2 standard uncertainties is accepted: it adds 2 % to the scatter
         tolerance = (1e-3 if count < _PASSES_BEFORE_HALVING else 0.2) * math.sqrt(scatter)
-        u_x = math.sqrt(max(inverse_diagonal(work.factor, size, X), 1e-30))
-        u_y = math.sqrt(max(inverse_diagonal(work.factor, size, Y), 1e-30))
+        u_x = math.sqrt(max(inverse_diagonal(work.factor, PARAMETERS, X), 1e-30))
+        u_y = math.sqrt(max(inverse_diagonal(work.factor, PARAMETERS, Y), 1e-30))
         small = abs(step[X]) < tolerance * u_x and abs(step[Y]) < tolerance * u_y
         if small and worst <= 1.0 and (gate_is_stable or count > 2 * _PASSES_BEFORE_HALVING):
-            return Fitted(True, chi2, pixels, saturated, outliers, size, tilted, has_second)
-    return Fitted(False, chi2, pixels, saturated, outliers, size, tilted, has_second)
+            return SpotFit(True, chi2, pixels, saturated, outliers, PARAMETERS, tilted, has_second)
+    return SpotFit(False, chi2, pixels, saturated, outliers, PARAMETERS, tilted, has_second)

@@ -1,4 +1,4 @@
-"""Profile of a beam's light that is no Gaussian, learned from frames, and its fit to a frame."""
+"""Profile of the light of a beam that is not Gaussian, learned from frames, and its fit to a frame."""
 
 import math
 from collections import deque
@@ -15,10 +15,10 @@ from processing.spot.outcome import principal_axes
 from processing.spot.profile_fit import (
     CENTRE_X,
     CENTRE_Y,
-    FITTED,
     LEVEL,
     LIGHT,
     MARGIN_PX,
+    PROFILE_PARAMETERS,
     SLOPE_X,
     SLOPE_Y,
     fit_profile,
@@ -26,14 +26,14 @@ from processing.spot.profile_fit import (
 )
 from processing.spot.sensor_model import LEAST_VARIANCE_DN2, PixelNoise
 
-_SMALLEST_SINGULAR_VALUE = 1e-10
+_MIN_SINGULAR_VALUE = 1e-10
 """Smallest singular value, relative to the largest, of a combination of knots that the grid determines."""
 _KNOTS_PER_SIGMA = 8.0
 """Knots of the learned profile per standard deviation: finer structure is noise, unless the spot is small."""
 LEARNING_ITERATIONS = 3
 _EXCLUDED_DN = 1e18
 """Value of an excluded pixel, beyond the gate of any model; its square is finite in single precision."""
-LARGEST_OFFSET_PX = 2.0
+_MAX_OFFSET_PX = 2.0
 """Largest distance of the profile's centre from the Gaussian's, if both were fitted to the same spot."""
 
 
@@ -46,47 +46,44 @@ class Shape(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """Pixels around the spot in one frame; `origin_px` is the first one's place (x, y) on the sensor.
-
-    The other fields are those of a fitted Gaussian: centre on the sensor, amplitude and background.
-    """
+    """Pixels around the spot in one frame, and a Gaussian fitted to them."""
 
     pixels: Image
     origin_px: tuple[int, int]
+    """Sensor coordinates (x, y) of the first pixel."""
     x_px: float
     y_px: float
+    """Centre of the Gaussian on the sensor."""
     amplitude_dn: float
     background_dn: float
 
 
 @dataclass(frozen=True, slots=True)
 class BeamProfile:
-    """Light of a beam on a grid of one pixel.
-
-    The light is about 1 where the Gaussian that fits the beam best has its peak.
-    """
+    """Light of a beam on a grid of one pixel, about 1 at the peak of the Gaussian that fits the beam best."""
 
     spline: Singles
     """Coefficients of a cubic spline on the grid."""
     centre: Floats
-    """Place (x, y) of the Gaussian's peak in the grid."""
+    """Grid coordinates (x, y) of the Gaussian's peak."""
     half_px: tuple[int, int]
     """Half-widths (x, y) of the window that is fitted."""
     shape: Shape
     chi2_per_dof: float
-    """Mean chi2/dof of the samples from which it was learned."""
+    """Mean chi2/dof of the profile's fits to the samples from which it was learned."""
 
 
 class ProfileFit(NamedTuple):
-    """Fit of a profile to one frame; the three counts are numbers of pixels."""
+    """Fit of a profile to one frame."""
 
     p: Floats
     """Parameters as in `profile_fit`, but with the centre on the sensor."""
     chi2_per_dof: float
-    kept: float
+    used_pixels: float
     saturated: float
-    """Pixels at full scale; 0 if the profile does not reach it."""
+    """Number of pixels at full scale; 0 if the profile does not reach it."""
     outliers: float
+    """Number of pixels left out because of their residual."""
     u_x_px: float
     u_y_px: float
 
@@ -101,8 +98,8 @@ def fit_at(
 ) -> ProfileFit | None:
     """Fit of a profile from the parameters `start` (centre on the sensor); None if it does not converge.
 
-    `origin_px` are the sensor coordinates of the first pixel, `hot` the pixels to be left out. The window
-    follows the spot, at most twice.
+    `origin_px` are the sensor coordinates of the first pixel; `hot` pixels are left out. The window follows
+    the spot, at most twice.
     """
     p = start.copy()
     ny, nx = pixels.shape
@@ -121,19 +118,27 @@ def fit_at(
             window[excluded] = _EXCLUDED_DN
         p[CENTRE_X] -= left
         p[CENTRE_Y] -= top
-        converged, chi2, kept, saturated, outliers, u_x, u_y = fit_profile(
+        converged, chi2, used_pixels, saturated, outliers, u_x, u_y = fit_profile(
             window, profile.spline, profile.centre, p, noise_values
         )
         p[CENTRE_X] += left
         p[CENTRE_Y] += top
         shift_px = max(abs(p[CENTRE_X] - column - origin_px[0]), abs(p[CENTRE_Y] - row - origin_px[1]))
         if converged and shift_px <= 1.0:
-            outliers = max(outliers - (0 if excluded is None else len(excluded[0])), 0.0)
+            if excluded is not None:
+                window[excluded] = 0.0
+                outliers = max(outliers - len(excluded[0]), 0.0)
             if saturated > 0:
-                if excluded is not None:
-                    window[excluded] = 0.0
                 saturated = float(np.count_nonzero(window >= PixelNoise(*noise_values).full_scale_dn))
-            return ProfileFit(p, chi2 / max(kept - FITTED, 1.0), kept, saturated, outliers, u_x, u_y)
+            return ProfileFit(
+                p,
+                chi2 / max(used_pixels - PROFILE_PARAMETERS, 1.0),
+                used_pixels,
+                saturated,
+                outliers,
+                u_x,
+                u_y,
+            )
         if not shift_px > 1.0:
             return None
     return None
@@ -146,8 +151,8 @@ def learn(
 
     The first profile is the Gaussian that fits best. In each iteration the profile is fitted to all
     samples, and the residuals, averaged over their sub-pixel shifts, are added to it. Where the model reaches
-    full scale there are no residuals, and the Gaussian remains. It is a generator, which yields after each
-    of about equal pieces of work, so that frames can be tracked meanwhile.
+    full scale there are no residuals, and the Gaussian remains. The generator yields after steps of about
+    equal duration, so that frames can be tracked in between.
     """
     noise_values = np.array(noise)
     half_px = math.ceil(REACH * math.sqrt(shape.xx)), math.ceil(REACH * math.sqrt(shape.yy))
@@ -175,7 +180,7 @@ def learn(
             yield
         if count < LEARNING_ITERATIONS:
             spline = spline + to_spline_y @ residuals.mean @ to_spline_x.T
-    if max(abs(offset_x), abs(offset_y)) > LARGEST_OFFSET_PX:
+    if max(abs(offset_x), abs(offset_y)) > _MAX_OFFSET_PX:
         return None
     # the centre is where the Gaussian has it, so that the position does not jump at the change
     return BeamProfile(profile.spline, centre - (offset_x, offset_y), half_px, shape, chi2_per_dof)
@@ -201,7 +206,7 @@ def compile_kernels(noise: PixelNoise) -> None:
 
 
 class _MeanResidual:
-    """Mean of the fits' residuals, relative to the amplitude, on the profile's grid; 0 without any."""
+    """Mean of the fits' residuals, relative to the amplitude, on the profile's grid; 0 where none is."""
 
     def __init__(self, profile: BeamProfile, noise: PixelNoise) -> None:
         self._profile = profile
@@ -214,18 +219,17 @@ class _MeanResidual:
         start_x = self._profile.centre[0] - (fit.p[CENTRE_X] - sample.origin_px[0])
         start_y = self._profile.centre[1] - (fit.p[CENTRE_Y] - sample.origin_px[1])
         residual = _residual(self._profile, sample, fit, self._noise, start_x, start_y)
-        at_nodes = _four_pixel_sums(
-            residual, _cubic(math.ceil(start_x) - start_x), _cubic(math.ceil(start_y) - start_y)
-        )
+        phase_x, phase_y = math.ceil(start_x) - start_x, math.ceil(start_y) - start_y
+        on_grid = _four_pixel_sums(residual, _cubic(phase_x), _cubic(phase_y))
         # interpolation begins at the second pixel
         first_x, first_y = math.ceil(start_x) + 1, math.ceil(start_y) + 1
         y0, x0 = max(first_y, 0), max(first_x, 0)
-        y1 = min(first_y + len(at_nodes), len(self._total))
-        x1 = min(first_x + len(at_nodes.T), len(self._total.T))
-        part = at_nodes[y0 - first_y : y1 - first_y, x0 - first_x : x1 - first_x]
-        known = np.isfinite(part)
-        self._total[y0:y1, x0:x1] += np.where(known, part, 0.0)
-        self._count[y0:y1, x0:x1] += known
+        y1 = min(first_y + len(on_grid), len(self._total))
+        x1 = min(first_x + len(on_grid.T), len(self._total.T))
+        on_profile = on_grid[y0 - first_y : y1 - first_y, x0 - first_x : x1 - first_x]
+        is_known = np.isfinite(on_profile)
+        self._total[y0:y1, x0:x1] += np.where(is_known, on_profile, 0.0)
+        self._count[y0:y1, x0:x1] += is_known
 
     @property
     def mean(self) -> Floats:
@@ -250,8 +254,10 @@ def _residual(
     middle_x, middle_y = _window_middle(profile, sample, fit)
     plane = fit.p[LEVEL] + fit.p[SLOPE_X] * (column - middle_x) + fit.p[SLOPE_Y] * (row - middle_y)[:, None]
     residual: Floats = sample.pixels - plane - light
-    lit = np.maximum(light, 0.0)
-    variance = dark_variance(float(fit.p[LEVEL]), noise) + lit * (noise.dn_per_e + lit * noise.prnu2)
+    positive = np.maximum(light, 0.0)
+    variance = dark_variance(float(fit.p[LEVEL]), noise) + positive * (
+        noise.dn_per_e + positive * noise.prnu2
+    )
     residual[plane + light + 3.0 * np.sqrt(variance) >= noise.full_scale_dn] = np.nan
     residual[residual**2 > GATE * max(fit.chi2_per_dof, 1.0) * variance] = np.nan
     return np.asarray(residual / fit.p[LIGHT])
@@ -262,18 +268,17 @@ def _window_middle(profile: BeamProfile, sample: Sample, fit: ProfileFit) -> tup
     middles = []
     for axis, index in enumerate((CENTRE_X, CENTRE_Y)):
         first, size = sample.origin_px[axis], sample.pixels.shape[1 - axis]
-        at, half = round(fit.p[index]), profile.half_px[axis]
-        middles.append(0.5 * (max(first, at - half) + min(first + size - 1, at + half)))
+        centre, half = round(fit.p[index]), profile.half_px[axis]
+        middles.append(0.5 * (max(first, centre - half) + min(first + size - 1, centre + half)))
     return middles[0], middles[1]
 
 
 def _spline_between(spline: Singles, phase_x: float, phase_y: float) -> Floats:
     """Values of a spline at `phase` beyond its grid points, from the second to the last but two."""
-    weights = np.empty((2, 4), dtype=np.float32)
-    slopes = np.empty(4, dtype=np.float32)
-    spline_weights(phase_x, weights[0], slopes)
-    spline_weights(phase_y, weights[1], slopes)
-    return _four_pixel_sums(spline, weights[0], weights[1])
+    weights_x, weights_y, slopes = np.empty((3, 4), dtype=np.float32)
+    spline_weights(phase_x, weights_x, slopes)
+    spline_weights(phase_y, weights_y, slopes)
+    return _four_pixel_sums(spline, weights_x, weights_y)
 
 
 def _cubic(t: float) -> list[float]:
@@ -287,16 +292,16 @@ def _cubic(t: float) -> list[float]:
 
 
 def _four_pixel_sums(
-    image: Singles | Floats, along_x: Sequence[float] | Singles, along_y: Sequence[float] | Singles
+    image: Singles | Floats, weights_x: Sequence[float] | Singles, weights_y: Sequence[float] | Singles
 ) -> Floats:
     """Weighted sums of four neighbours along x and along y; the first sum is of the first four."""
     ny, nx = image.shape
     rows = np.zeros((ny - 3, nx))
     for k in range(4):
-        rows += along_y[k] * image[k : ny - 3 + k]
+        rows += weights_y[k] * image[k : ny - 3 + k]
     sums: Floats = np.zeros((ny - 3, nx - 3))
     for k in range(4):
-        sums += along_x[k] * rows[:, k : nx - 3 + k]
+        sums += weights_x[k] * rows[:, k : nx - 3 + k]
     return sums
 
 
@@ -328,6 +333,7 @@ def _to_spline(size: int, sigma_px: float) -> Floats:
     near = (4.0 + distance**2 * (3.0 * distance - 6.0)) / 6.0
     far = np.maximum(2.0 - distance, 0.0) ** 3 / 6.0
     coarse = np.where(distance < 1.0, near, far)
-    # two knots between the same two grid points are not determined one by one: the pseudo-inverse omits that
-    smooth = coarse @ np.linalg.pinv(coarse, rcond=_SMALLEST_SINGULAR_VALUE)
+    # of two knots between the same two grid points only one combination is determined: the pseudo-inverse
+    # leaves out the other
+    smooth = coarse @ np.linalg.pinv(coarse, rcond=_MIN_SINGULAR_VALUE)
     return np.asarray(np.linalg.solve(values_of_spline, smooth))

@@ -19,18 +19,18 @@ from processing.spot.sensor_model import background_variance, pixel_noise_of
 LIGHT, CENTRE_X, CENTRE_Y, LEVEL, SLOPE_X, SLOPE_Y = range(6)
 """Fitted parameters: amplitude in DN, centre in px from the window's first pixel, background in DN in the
 window's middle and its slopes in DN/px."""
-FITTED = 6
+PROFILE_PARAMETERS = 6
 MARGIN_PX = 4
 """Margin of the spline beyond the window of the fit: two pixels that cubic pieces need at each end, and two
 by which the spot may be off the window's middle."""
 _MAX_PASSES = 25
-_LEAST_PIXELS = 24  # four for each fitted parameter
+_MIN_PIXELS = 24  # four for each fitted parameter
 _NO_GATE = 1e30
 
 
 @kernel
 def spline_weights(phase: float, weights: Singles, slopes: Singles) -> None:
-    """Values of the four cubic B-splines that reach a place `phase` beyond a grid point, and derivatives."""
+    """Values and derivatives of the four cubic B-splines that are not zero at `phase` beyond a grid point."""
     t, s = phase, 1.0 - phase
     weights[0] = s * s * s / 6.0
     weights[1] = (4.0 + t * t * (3.0 * t - 6.0)) / 6.0
@@ -58,29 +58,19 @@ def score_profile(
 ) -> tuple[float, float, float]:
     """Gradient and Fisher information of the log likelihood, summed over a window.
 
+    Returns chi-square and number of the pixels used, and the number of those near full scale.
+
     Parameters
     ----------
-    pixels : (ny, nx), DN
-        The window.
-    spline
-        Coefficients of T; those from (base_x, base_y) on reach the window's first pixel.
-    weights : (4, 4)
-        Values of `spline_weights`: along x, derivatives along x, along y, derivatives along y.
-    p : (FITTED,)
-    noise_values
-        Fields of `PixelNoise`.
-    gate
-        Pixels whose squared residual exceeds so many variances are left out, like those that the model
-        expects within three standard deviations of full scale.
-    rows : (2, nx + 3)
-        Working memory.
-    gradient, matrix : (FITTED,), (FITTED, FITTED)
-        Overwritten.
-
-    Returns
-    -------
-    chi2, kept, saturated
-        Chi-square and number of the pixels used; number of those near full scale.
+    pixels : (ny, nx) the window, DN
+    spline : coefficients of T; those from (base_x, base_y) on reach the window's first pixel
+    weights : (4, 4) `spline_weights` along x, derivatives along x, along y, derivatives along y
+    p : (PROFILE_PARAMETERS,)
+    noise_values : fields of `PixelNoise`
+    gate : limit of a pixel's squared residual, in variances. Pixels beyond it are left out, like those that
+        the model expects within three standard deviations of full scale.
+    rows : (2, nx + 3) working memory
+    gradient, matrix : (PROFILE_PARAMETERS,), (PROFILE_PARAMETERS, PROFILE_PARAMETERS), overwritten
     """
     noise = pixel_noise_of(noise_values)
     ny, nx = pixels.shape
@@ -90,20 +80,18 @@ def score_profile(
     dark = np.float32(background_variance(p[LEVEL], noise))
     shot, spread = np.float32(noise.dn_per_e), np.float32(noise.prnu2)
     full = np.float32(noise.full_scale_dn)
-    three = np.float32(9.0)
+    three_squared = np.float32(9.0)
     limit = np.float32(gate)
     a0, a1, a2, a3 = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
     d0, d1, d2, d3 = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
     b0, b1, b2, b3 = weights[2, 0], weights[2, 1], weights[2, 2], weights[2, 3]
     e0, e1, e2, e3 = weights[3, 0], weights[3, 1], weights[3, 2], weights[3, 3]
     value, down = rows[0], rows[1]
-    for k in range(FITTED):
+    for k in range(PROFILE_PARAMETERS):
         gradient[k] = 0.0
-        for m in range(FITTED):
+        for m in range(PROFILE_PARAMETERS):
             matrix[k, m] = 0.0
-    chi2 = np.float64(0.0)
-    kept = np.float64(0.0)
-    saturated = np.float64(0.0)
+    chi2 = kept = saturated = np.float64(0.0)
     middle = np.float32(0.5 * (nx - 1))
     for j in range(ny):
         first = spline[base_y + j, base_x : base_x + nx + 3]
@@ -130,7 +118,7 @@ def score_profile(
             mu = level + slope * u + light
             r = row[i] - mu
             room = full - mu
-            below = one if room > zero and room * room > three * variance else zero
+            below = one if room > zero and room * room > three_squared * variance else zero
             z = r * r / variance
             keep = below if z <= limit else zero
             w = keep / variance
@@ -200,27 +188,26 @@ def fit_profile(
 
     Parameters
     ----------
-    pixels : (ny, nx), DN
-        The window of the fit.
-    spline
-        Coefficients of T; it must reach MARGIN_PX beyond the window on all sides.
-    centre : (2,)
-        Place (x, y) in the spline's grid that is the spot's centre.
-    p : (FITTED,)
-    noise_values
-        Fields of `PixelNoise`.
+    pixels : (ny, nx) the window of the fit, DN
+    spline : coefficients of T; it must reach MARGIN_PX beyond the window on all sides
+    centre : (2,) coordinates (x, y) of the spot's centre in the spline's grid
+    p : (PROFILE_PARAMETERS,)
+    noise_values : fields of `PixelNoise`
 
     Returns
     -------
-    done, chi2, kept, saturated, outliers, u_x, u_y
-        `done` is False if the fit does not converge, if the spline ends within the window, or if too few
-        pixels are left. u_x and u_y are the bounds of Cramer and Rao in px.
+    converged, chi2, kept, saturated, outliers, u_x, u_y
+        `converged` is False also if the spline ends within the window or too few pixels are left. u_x and u_y
+        are the bounds of Cramer and Rao in px.
     """
     ny, nx = pixels.shape
     rows = np.empty((2, nx + 3), dtype=np.float32)
     weights = np.empty((4, 4), dtype=np.float32)
-    gradient, step = np.zeros(FITTED), np.zeros(FITTED)
-    matrix, factor = np.zeros((FITTED, FITTED)), np.zeros((FITTED, FITTED))
+    gradient, step = np.zeros(PROFILE_PARAMETERS), np.zeros(PROFILE_PARAMETERS)
+    matrix, factor = (
+        np.zeros((PROFILE_PARAMETERS, PROFILE_PARAMETERS)),
+        np.zeros((PROFILE_PARAMETERS, PROFILE_PARAMETERS)),
+    )
     gate = _NO_GATE
     failed = (False, 0.0, 0.0, 0.0, 0.0, math.nan, math.nan)
     for _ in range(_MAX_PASSES):
@@ -236,22 +223,22 @@ def fit_profile(
         chi2, kept, saturated = score_profile(
             pixels, spline, base_x, base_y, weights, p, noise_values, gate, rows, gradient, matrix
         )
-        if kept < _LEAST_PIXELS or not cholesky(matrix, FITTED, factor):
+        if kept < _MIN_PIXELS or not cholesky(matrix, PROFILE_PARAMETERS, factor):
             return failed
-        solve(factor, FITTED, gradient, step)
-        u_x = math.sqrt(inverse_diagonal(factor, FITTED, CENTRE_X))
-        u_y = math.sqrt(inverse_diagonal(factor, FITTED, CENTRE_Y))
+        solve(factor, PROFILE_PARAMETERS, gradient, step)
+        u_x = math.sqrt(inverse_diagonal(factor, PROFILE_PARAMETERS, CENTRE_X))
+        u_y = math.sqrt(inverse_diagonal(factor, PROFILE_PARAMETERS, CENTRE_Y))
         worst = max(abs(step[CENTRE_X]), abs(step[CENTRE_Y]), abs(step[LIGHT]) / (0.5 * p[LIGHT]))
         shrink = 1.0 if worst <= 1.0 else 1.0 / worst
-        for k in range(FITTED):
+        for k in range(PROFILE_PARAMETERS):
             p[k] += shrink * step[k]
         if not p[LIGHT] > 0.0:
             return failed
-        scatter = max(1.0, chi2 / max(kept - FITTED, 1.0))
-        settled = gate <= 1.05 * GATE * scatter
+        scatter = max(1.0, chi2 / max(kept - PROFILE_PARAMETERS, 1.0))
+        gate_is_final = gate <= 1.05 * GATE * scatter
         if worst < 0.5:
             gate = GATE * scatter
         tolerance = 0.01 * math.sqrt(scatter)
-        if settled and abs(step[CENTRE_X]) < tolerance * u_x and abs(step[CENTRE_Y]) < tolerance * u_y:
+        if gate_is_final and abs(step[CENTRE_X]) < tolerance * u_x and abs(step[CENTRE_Y]) < tolerance * u_y:
             return True, chi2, kept, saturated, nx * ny - kept - saturated, u_x, u_y
     return failed

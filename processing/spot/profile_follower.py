@@ -9,17 +9,17 @@ from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
     COVARIANCE,
-    FOLLOWS,
+    DISPLACEMENT_X,
+    DISPLACEMENT_Y,
+    HAS_LAST_SPOT,
+    HAS_SECOND,
     IS_TILTED,
     LAST,
     POOR_FRAMES,
     SIGMA_X,
     SIGMA_Y,
-    STEP_X,
-    STEP_Y,
-    TWO,
     Image,
-    Place,
+    Placement,
     Spot,
     SpotFlag,
     X,
@@ -29,7 +29,7 @@ from processing.spot.fit_values import (
 from processing.spot.hot_pixels import HotPixels
 from processing.spot.outcome import principal_axes
 from processing.spot.profile import BeamProfile, ProfileFit, dark_variance, fit_at
-from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, FITTED, LEVEL, LIGHT, SLOPE_X, SLOPE_Y
+from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, LEVEL, LIGHT, PROFILE_PARAMETERS, SLOPE_X, SLOPE_Y
 from processing.spot.sensor_model import PixelNoise
 
 _MAX_RATIO = 2.0
@@ -49,65 +49,59 @@ class ProfileFollower:
         self._sigma_x, self._sigma_y = math.sqrt(shape.xx), math.sqrt(shape.yy)
         self._axes = principal_axes(shape.xx, shape.yy, shape.xy)
 
-    def follow(self, image: Image, place: Place, memory: Floats, *, fresh: bool = False) -> Spot | None:
-        """Spot of one frame, stored in `memory` too; None if it is not at the expected place.
+    def follow(
+        self, image: Image, placement: Placement, memory: Floats, *, has_this_spot: bool = False
+    ) -> Spot | None:
+        """Spot of one frame, stored in `memory` too; None if it is not at the expected position.
 
-        If `fresh`, the memory holds the spot of this very frame, as a Gaussian has found it.
+        With `has_this_spot` the memory holds the spot of this very frame, fitted by a Gaussian.
         """
-        start = np.empty(FITTED)
+        start = np.zeros(PROFILE_PARAMETERS)
         start[LIGHT], start[LEVEL] = memory[LAST + AMPLITUDE], memory[LAST + BACKGROUND]
         start[CENTRE_X], start[CENTRE_Y] = memory[LAST + X], memory[LAST + Y]
-        start[SLOPE_X], start[SLOPE_Y] = (0.0, 0.0) if fresh else self._slopes
-        if not fresh:
-            start[CENTRE_X] += memory[STEP_X]
-            start[CENTRE_Y] += memory[STEP_Y]
-        origin_px = place.origin_x, place.origin_y
+        if not has_this_spot:
+            start[CENTRE_X] += memory[DISPLACEMENT_X]
+            start[CENTRE_Y] += memory[DISPLACEMENT_Y]
+            start[SLOPE_X], start[SLOPE_Y] = self._slopes
+        origin_px = placement.origin_x, placement.origin_y
         fit = fit_at(self._profile, image, origin_px, start, self._noise_values, self._hot)
         if fit is None or not 1.0 / _MAX_RATIO < fit.p[LIGHT] / memory[LAST + AMPLITUDE] < _MAX_RATIO:
             return None
-        spot = self._report(fit, place)
+        spot = self._report(fit, placement)
         self._slopes = fit.p[SLOPE_X], fit.p[SLOPE_Y]
-        if not fresh:
-            memory[STEP_X], memory[STEP_Y] = spot.x_px - memory[LAST + X], spot.y_px - memory[LAST + Y]
-        memory[FOLLOWS] = 1.0
+        if not has_this_spot:
+            memory[DISPLACEMENT_X] = spot.x_px - memory[LAST + X]
+            memory[DISPLACEMENT_Y] = spot.y_px - memory[LAST + Y]
+        memory[HAS_LAST_SPOT] = 1.0
         memory[LAST + X], memory[LAST + Y] = spot.x_px, spot.y_px
         memory[LAST + AMPLITUDE], memory[LAST + BACKGROUND] = fit.p[LIGHT], fit.p[LEVEL]
         memory[LAST + SIGMA_X], memory[LAST + SIGMA_Y] = self._sigma_x, self._sigma_y
         memory[LAST + COVARIANCE] = self._profile.shape.xy
         memory[IS_TILTED] = 1.0 if self._axes[2] else 0.0
-        memory[TWO] = 0.0
+        memory[HAS_SECOND] = 0.0
         memory[POOR_FRAMES] = memory[POOR_FRAMES] + 1.0 if spot.flags & SpotFlag.POOR_FIT else 0.0
         return spot
 
-    def _report(self, fit: ProfileFit, place: Place) -> Spot:
+    def _report(self, fit: ProfileFit, placement: Placement) -> Spot:
         """Fields of the spot; uncertainties and flags by the same rules as those of a Gaussian."""
         x, y = float(fit.p[CENTRE_X]), float(fit.p[CENTRE_Y])
-        flags = SpotFlag.LEARNED.value
+        flags = SpotFlag.LEARNED
         if fit.saturated > 0:
-            flags |= SpotFlag.SATURATED.value
+            flags |= SpotFlag.SATURATED
         reach_x, reach_y = 3.0 * self._sigma_x, 3.0 * self._sigma_y
         if (
             min(x - reach_x, y - reach_y) < -0.5
-            or x + reach_x > place.sensor_nx - 0.5
-            or y + reach_y > place.sensor_ny - 0.5
+            or x + reach_x > placement.sensor_nx - 0.5
+            or y + reach_y > placement.sensor_ny - 0.5
         ):
-            flags |= SpotFlag.EDGE.value
-        floor = dark_variance(float(fit.p[LEVEL]), self._noise)
-        if fit.p[LIGHT] < 5.0 * math.sqrt(floor):
-            flags |= SpotFlag.LOW_SNR.value
-        if fit.chi2_per_dof > poor_fit_limit(fit.kept):
-            flags |= SpotFlag.POOR_FIT.value
+            flags |= SpotFlag.EDGE
+        if fit.p[LIGHT] < 5.0 * math.sqrt(dark_variance(float(fit.p[LEVEL]), self._noise)):
+            flags |= SpotFlag.LOW_SNR
+        if fit.chi2_per_dof > poor_fit_limit(fit.used_pixels):
+            flags |= SpotFlag.POOR_FIT
         if fit.outliers > 0:
-            flags |= SpotFlag.OUTLIERS.value
-        inflate = math.sqrt(max(1.0, fit.chi2_per_dof))
-        return Spot(
-            x,
-            y,
-            inflate * fit.u_x_px,
-            inflate * fit.u_y_px,
-            *self._axes,
-            float(fit.p[LIGHT]),
-            float(fit.p[LEVEL]),
-            fit.chi2_per_dof,
-            flags,
-        )
+            flags |= SpotFlag.OUTLIERS
+        u_inflation = math.sqrt(max(1.0, fit.chi2_per_dof))
+        u_x, u_y = u_inflation * fit.u_x_px, u_inflation * fit.u_y_px
+        light, level = float(fit.p[LIGHT]), float(fit.p[LEVEL])
+        return Spot(x, y, u_x, u_y, *self._axes, light, level, fit.chi2_per_dof, int(flags))

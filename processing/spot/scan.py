@@ -1,7 +1,7 @@
 """Search of a whole frame for its brightest area, insensitive to hot pixels and limited by memory bandwidth.
 
 The frame is divided into bands of BAND_ROWS rows. A scan reduces every band to one row that holds, for each
-column, the highest value met. The brightest place is then located in the few rows so obtained.
+column, the highest value of the band. The brightest pixel is then searched for in these few rows.
 """
 
 from collections.abc import Callable
@@ -13,11 +13,11 @@ from processing.spot.fit_values import Image
 
 _CACHE_LINE_BYTES = 64
 _READ, _KEEP, _DATA = 0, 3, 1
-"""Arguments of LLVM's prefetch: the access, the longest stay in the cache, and the cache of data."""
+"""Arguments of LLVM's prefetch: reading, the longest stay in the cache, and the cache of data."""
 
 
 @intrinsic
-def _prefetch(typing_context: Any, image: Any, place: Any) -> Any:
+def _prefetch(typing_context: Any, image: Any, index: Any) -> Any:
     """Generate the LLVM prefetch instruction for `prefetch`."""
     from llvmlite import ir  # type: ignore[import-untyped]
     from numba import types
@@ -25,10 +25,10 @@ def _prefetch(typing_context: Any, image: Any, place: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
         address = builder.bitcast(builder.gep(array.data, [arguments[1]]), ir.IntType(8).as_pointer())
-        number = ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [address.type, number, number, number])
-        function = builder.module.declare_intrinsic("llvm.prefetch", [address.type], kind)
-        builder.call(function, [address, number(_READ), number(_KEEP), number(_DATA)])
+        int32 = ir.IntType(32)
+        signature_type = ir.FunctionType(ir.VoidType(), [address.type, int32, int32, int32])
+        function = builder.module.declare_intrinsic("llvm.prefetch", [address.type], signature_type)
+        builder.call(function, [address, int32(_READ), int32(_KEEP), int32(_DATA)])
         return context.get_dummy_value()
 
     return types.void(image, types.intp), generate
@@ -52,18 +52,17 @@ def prefetch_window(image: Image, x0: int, y0: int, nx: int, ny: int) -> None:
     line_pixels = _CACHE_LINE_BYTES // image.itemsize
     for y in range(y0, y0 + ny):
         first = y * width + x0
-        for place in range(first, first + nx, line_pixels):
-            prefetch(image, place)
+        for index in range(first, first + nx, line_pixels):
+            prefetch(image, index)
         prefetch(image, first + nx - 1)
 
 
 BAND_ROWS = 32
 BAND_STEP = 256
 """A band is padded to a multiple of this width, plus two pixels, so that vector loops have no remainder."""
-_SAMPLES_Y = 16
-_SAMPLES_X = 32
-SAMPLES = _SAMPLES_Y * _SAMPLES_X
-
+_SAMPLES_X, _SAMPLES_Y = 32, 16
+SAMPLES = _SAMPLES_X * _SAMPLES_Y
+"""Number of pixels from which the background is estimated."""
 _PARALLEL_BANDS = 4
 """Number of bands that are read in turn, so that more loads are under way at once."""
 _VECTOR_PIXELS = 64
@@ -72,6 +71,7 @@ _MAX_BLOCK_BYTES = 256
 """Largest number of bytes of a row between two prefetches: small enough that loads do not queue in bursts,
 large enough that the overhead of a loop is negligible."""
 _ROWS_AHEAD = 4
+"""Number of scanned rows from the one that is read to the one that is prefetched."""
 
 # The loops over a row use conditional expressions on values of the pixels' own type: min(), max() or a sum
 # would be widened to 64 bits, and the compiler would not vectorise them.
@@ -105,19 +105,19 @@ def scan_every_row(image: Image, bands: Image) -> None:
                     top = max(0, min(row, ny - 4))
                     # the processor itself does not recognise four rows read in parallel as a stream
                     ahead = (top + 4) * nx + 4 * x
-                    for place in range(ahead, ahead + 4 * block, line_pixels):
-                        prefetch(image, place)
+                    for index in range(ahead, ahead + 4 * block, line_pixels):
+                        prefetch(image, index)
                     first = top * nx + column
                     row0 = pixels[first : first + block]
                     row1 = pixels[first + nx : first + nx + block]
                     row2 = pixels[first + 2 * nx : first + 2 * nx + block]
                     row3 = pixels[first + 3 * nx : first + 3 * nx + block]
-                    part = bands[band, column : column + block]
+                    maxima = bands[band, column : column + block]
                     for i in range(block):
                         upper = row0[i] if row0[i] < row1[i] else row1[i]
                         lower = row2[i] if row2[i] < row3[i] else row3[i]
                         value = upper if upper < lower else lower
-                        part[i] = value if value > part[i] else part[i]
+                        maxima[i] = value if value > maxima[i] else maxima[i]
 
 
 @kernel
@@ -131,8 +131,8 @@ def scan_some_rows(image: Image, row_step: int, bands: Image) -> None:
         first = band * BAND_ROWS
         for y in range(first + (row_step // 2 - first) % row_step, min(ny, first + BAND_ROWS), row_step):
             ahead = (y + _ROWS_AHEAD * row_step) * nx
-            for place in range(ahead, ahead + nx, line_pixels):
-                prefetch(image, place)
+            for index in range(ahead, ahead + nx, line_pixels):
+                prefetch(image, index)
             row = image[y]
             for i in range(nx):
                 value = row[i]
@@ -163,13 +163,7 @@ def lowest_of_three(image: Image, x: int, y: int) -> int:
 
 @kernel
 def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
-    """Brightest place after a scan.
-
-    Returns
-    -------
-    peak, x, y
-        Value of `lowest_of_three` there, in DN, and the position in px.
-    """
+    """Brightest pixel after a scan: value of `lowest_of_three` there in DN, and x, y in px."""
     ny, nx = image.shape
     width = bands.shape[1] - 2
     band = 0
@@ -193,14 +187,13 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
     prefetch_window(image, x - 1, max(0, band * BAND_ROWS - 1), 3, BAND_ROWS + 2)
     peak = -1
     first = last = band * BAND_ROWS
-    # Along y also take the middle of a plateau. One row more on either side, in case the border of two bands
-    # cuts through the spot.
+    # Along y also take the middle of a plateau. The search takes one row more on either side, in case the
+    # border of two bands cuts through the spot.
     for y in range(max(0, band * BAND_ROWS - 1), min(ny, (band + 1) * BAND_ROWS + 1)):
         value = lowest_of_three(image, x, y)
         if value > peak:
             peak = value
-            first = y
-            last = y
+            first = last = y
         elif value == peak and y == last + 1:
             last = y
     return peak, x, (first + last) // 2
@@ -235,11 +228,11 @@ def background_of(image: Image, row_step: int, sample: Ints) -> tuple[float, flo
             sample[count] = image[y, (2 * i + 1) * nx // (2 * _SAMPLES_X)]
             count += 1
     bits = 8 * image.itemsize
-    middle = _order_statistic(sample, count // 2, bits)
+    median = _order_statistic(sample, count // 2, bits)
     # The 20 % quantile of a normal distribution lies 0.8416 standard deviations below its mean. The lower
     # half is used because light, from the spot or a reflection, only raises pixels.
-    low = _order_statistic(sample, count // 5, bits)
-    return float(middle), max((middle - low) / 0.8416, 0.3)
+    quantile = _order_statistic(sample, count // 5, bits)
+    return float(median), max((median - quantile) / 0.8416, 0.3)
 
 
 @kernel
@@ -249,9 +242,7 @@ def brightest_block(image: Image, size: int, clip: float) -> tuple[float, int, i
     Pixels are clipped at `clip`, so that a hot pixel contributes little.
     """
     ny, nx = image.shape
-    best = -1.0
-    best_x = nx // 2
-    best_y = ny // 2
+    best, best_x, best_y = -1.0, nx // 2, ny // 2
     for y in range(0, ny - size + 1, size):
         for x in range(0, nx - size + 1, size):
             total = 0.0

@@ -32,11 +32,9 @@ class SensorModel:
     """Noise model of the sensor, for the tracker's weights and uncertainties.
 
     The variance of a pixel is ``(read_noise_e / gain_e_per_dn)^2 + 1/12 + light_dn / gain_e_per_dn``
-    in DN^2: read noise, quantisation, shot noise. Light is everything above `pedestal_dn`, the level
-    of a pixel in the dark; with the default 0 the whole background counts as light. `prnu` is the
-    relative spread of the pixels' response (photo-response non-uniformity); it adds
-    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light. `hot_pixels_xy` are pixels whose values do
-    not depend on the light, with (0, 0) as the first pixel of a frame.
+    in DN^2: read noise, quantisation, shot noise. Light is everything above `pedestal_dn`; with the default 0
+    the whole background counts as light. `prnu`, the photo-response non-uniformity, adds
+    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light.
 
     Raises
     ------
@@ -54,7 +52,6 @@ class SensorModel:
         default=0.0,
         metadata={"ge": 0, "lt": 0.2, "description": "relative spread of the pixels' response to light"},
     )
-
     hot_pixels_xy: tuple[tuple[int, int], ...] = field(
         default=(), metadata={"description": "pixels (x, y) of a frame that are left out of every fit"}
     )

@@ -57,7 +57,7 @@ def _crossing(image: Image, x: int, y: int, dx: int, dy: int, level: float) -> f
     It is interpolated linearly between pixels, and NaN if the image's edge comes first.
     """
     ny, nx = image.shape
-    before = float(image[y, x])
+    last_value = float(image[y, x])
     distance = 0
     while True:
         x += dx
@@ -66,13 +66,13 @@ def _crossing(image: Image, x: int, y: int, dx: int, dy: int, level: float) -> f
             return math.nan
         value = float(image[y, x])
         if value < level:
-            return distance + (before - level) / (before - value)
-        before = value
+            return distance + (last_value - level) / (last_value - value)
+        last_value = value
         distance += 1
 
 
 @kernel
-def start_on_chords(image: Image, x: int, y: int, background: float, peak: int, p: Floats) -> bool:
+def start_from_chords(image: Image, x: int, y: int, background: float, peak: int, p: Floats) -> bool:
     """Start values from the chords at half maximum along a row and a column, written into `p`.
 
     Moving to the middle of a chord along x, then along y, converges to the centre of an ellipse;
@@ -126,10 +126,10 @@ def _flood(
     stack[0] = y * nx + x
     mask[y, x] = mark
     while top >= 0:
-        place = stack[top]
+        index = stack[top]
         top -= 1
-        py = place // nx
-        px = place - py * nx
+        py = index // nx
+        px = index - py * nx
         count += 1
         sum_x += px
         sum_y += py
@@ -151,7 +151,7 @@ def _flood(
 
 
 @kernel
-def start_on_areas(
+def start_from_areas(
     image: Image,
     x: int,
     y: int,
@@ -162,7 +162,7 @@ def start_on_areas(
     stack: Ints,
     p: Floats,
 ) -> bool:
-    """Start values from the areas above two levels around a bright place, written into `p`.
+    """Start values from the areas above two levels around a bright pixel, written into `p`.
 
     The pixels of a Gaussian spot that exceed the background by more than l form an ellipse of area
 
@@ -179,7 +179,7 @@ def start_on_areas(
     lower = background + 0.35 * light
     clipped = peak >= 0.97 * full_scale
     if clipped:
-        upper = background + 0.95 * light
+        upper = background + 0.95 * light  # just below full scale: the area of the clipped pixels
     inner = _flood(image, x, y, upper, mask, 1, stack)
     outer = _flood(image, x, y, lower, mask, 2, stack)
     # clear the mask for the next frame; the bounding box of the outer area contains the inner one
@@ -188,14 +188,12 @@ def start_on_areas(
         return False
     mean_x = outer.x / outer.pixels
     mean_y = outer.y / outer.pixels
-    # sigma_1 sigma_2 from the difference of the two areas
-    spread = (outer.pixels - inner.pixels) / (
-        2.0 * math.pi * math.log((upper - background) / (lower - background))
-    )
-    spread = max(spread, 0.3)
+    # the product sigma_1 sigma_2 from the difference of the two areas
+    area_ratio = 2.0 * math.pi * math.log((upper - background) / (lower - background))
+    sigma_product = max((outer.pixels - inner.pixels) / area_ratio, 0.3)
     amplitude = light
     if clipped:
-        amplitude = (upper - background) * math.exp(min(inner.pixels / (2.0 * math.pi * spread), 5.0))
+        amplitude = (upper - background) * math.exp(min(inner.pixels / (2.0 * math.pi * sigma_product), 5.0))
     # An ellipse of uniform weight with half axes h has the variances h^2/4, and here h^2 = 2 sigma^2 ln(A/l).
     # 1/12 px^2 is the variance of a uniform position within a pixel.
     scale = 2.0 / math.log(max(amplitude / (lower - background), 1.2))
@@ -220,29 +218,30 @@ SOME_ROWS, EVERY_ROW, AREAS, BLOCK = range(4)
 """Methods of a search, from the fastest to the most general: a scan of some rows, then of all, and the chords
 at half maximum; the areas above two levels, for spots that are tilted, saturated or irregular; the brightest
 block of pixels, for a spot too faint to be seen in single pixels."""
-_PEAK, _PLACE_X, _PLACE_Y, _LEVEL, _SPREAD = range(5)
-SEEN = 5
-"""Number of values that the methods of one search share: peak, its x and y, background and its scatter."""
-_NEAR_PX = 32
+_PEAK, _PEAK_X, _PEAK_Y, _BACKGROUND, _BACKGROUND_SCATTER = range(5)
+"""Indices of the values that the methods of a search share, in DN and px."""
+SEARCH_VALUES = 5
+_PREFETCH_HALF_WIDTH_PX = 32
+"""Half-width of the window around the brightest pixel that is loaded before it is read."""
 
 
 @kernel
 def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
     """Climb up or down column `x` to its local maximum; returns the value there and y.
 
-    This is needed because a scan of every `row_step`-th row usually misses the spot's brightest row.
+    A scan of every `row_step`-th row usually misses the spot's brightest row.
     """
     ny = image.shape[0]
     for _ in range(64):
-        moved = False
+        has_moved = False
         for yy in (y - 1, y + 1):
             if 0 <= yy < ny:
                 value = lowest_of_three(image, x, yy)
                 if value > peak:
                     peak = value
                     y = yy
-                    moved = True
-        if not moved:
+                    has_moved = True
+        if not has_moved:
             break
     return peak, y
 
@@ -254,47 +253,49 @@ def find_start(
     row_step: int,
     full_scale_dn: float,
     p: Floats,
-    seen: Floats,
+    search_values: Floats,
     bands: Image,
     sample: Ints,
     mask: NDArray[np.uint8],
     stack: Ints,
 ) -> bool:
-    """Write start values by one of the methods into `p`; returns whether it has found any.
+    """Write start values by one of the methods into `p`; False if it finds no spot.
 
-    The caller tries the methods in their order: `seen` (SEEN,) holds values found by the first ones.
-    SOME_ROWS reads every `row_step`-th row, and is not called for a `row_step` of 1. The last four arguments
-    are working memory.
+    The caller tries the methods in their order: `search_values` (SEARCH_VALUES,) holds results of the first
+    ones. SOME_ROWS reads every `row_step`-th row, and is not called for a `row_step` of 1. The last four
+    arguments are working memory.
     """
     if method <= EVERY_ROW:
-        some = method == SOME_ROWS
-        if some:
+        skips_rows = method == SOME_ROWS
+        if skips_rows:
             scan_some_rows(image, row_step, bands)
         else:
             scan_every_row(image, bands)
-        if some or row_step == 1:
+        if skips_rows or row_step == 1:
             # after the scan, because these rows are in the cache by then
-            seen[_LEVEL], seen[_SPREAD] = background_of(image, row_step, sample)
+            level, scatter = background_of(image, row_step, sample)
+            search_values[_BACKGROUND], search_values[_BACKGROUND_SCATTER] = level, scatter
         highest, column, row = brightest(image, bands)
-        if some:
+        if skips_rows:
             # most rows around this position have not been read yet
-            prefetch_window(image, column - _NEAR_PX, row - _NEAR_PX, 2 * _NEAR_PX, 2 * _NEAR_PX)
+            half = _PREFETCH_HALF_WIDTH_PX
+            prefetch_window(image, column - half, row - half, 2 * half, 2 * half)
         highest, row = _climb(image, highest, column, row)
-        seen[_PEAK], seen[_PLACE_X], seen[_PLACE_Y] = highest, column, row
-    background, spread = seen[_LEVEL], seen[_SPREAD]
-    peak, x, y = int(seen[_PEAK]), int(seen[_PLACE_X]), int(seen[_PLACE_Y])
+        search_values[_PEAK], search_values[_PEAK_X], search_values[_PEAK_Y] = highest, column, row
+    background, scatter = search_values[_BACKGROUND], search_values[_BACKGROUND_SCATTER]
+    peak, x, y = int(search_values[_PEAK]), int(search_values[_PEAK_X]), int(search_values[_PEAK_Y])
     if method < BLOCK:
         # the highest of 1e5 to 1e6 normally distributed values lies about 5 standard deviations above the
         # mean: 6 excludes noise
-        if not peak > background + 6.0 * spread:
+        if not peak > background + 6.0 * scatter:
             return False
         if method == AREAS:
-            return start_on_areas(image, x, y, background, float(peak), full_scale_dn, mask, stack, p)
-        return start_on_chords(image, x, y, background, peak, p)
+            return start_from_areas(image, x, y, background, float(peak), full_scale_dn, mask, stack, p)
+        return start_from_chords(image, x, y, background, peak, p)
     size = 8 if min(image.shape) >= 24 else 3
-    mean, x, y = brightest_block(image, size, background + 8.0 * spread)
-    # the mean of size^2 pixels has the standard deviation spread / size; again 6 standard deviations
-    if not mean > background + 6.0 * spread / size:
+    mean, x, y = brightest_block(image, size, background + 8.0 * scatter)
+    # the mean of size^2 pixels has the standard deviation scatter / size; again 6 standard deviations
+    if not mean > background + 6.0 * scatter / size:
         return False
     p[:] = 0.0
     p[AMPLITUDE] = max(1.3 * (mean - background), 0.5)

@@ -34,7 +34,7 @@ from processing.spot.sensor_model import PixelNoise
 
 _EXPONENT_DIVISOR = 32.0
 """Divisor of the exponent before the exponential series; the sum is then squared five times."""
-_FAR = np.float32(20.7 / _EXPONENT_DIVISOR)
+_MAX_EXPONENT = np.float32(20.7 / _EXPONENT_DIVISOR)
 """Divided exponent beyond which the light is less than 1e-9 of the peak."""
 
 
@@ -56,38 +56,29 @@ def score_tilted(
 
     Model and derivatives are those of `general_fit`, for a spot that stays below full scale. `columns` is
     working memory, `floor` the variance of a pixel without light. Pixels whose squared residual exceeds
-    `gate` variances are left out.
-
-    Returns
-    -------
-    chi2, kept
-        Chi-square and number of the pixels used.
+    `gate` variances are left out. Returns chi-square and number of the pixels used.
     """
     pxx, pyy, pxy = inverse_covariance(p)
     across = pyy - pxy * pxy / pxx
-    one = np.float32(1.0)
-    zero = np.float32(0.0)
-    level = np.float32(p[BACKGROUND])
-    dark = np.float32(floor)
-    shot = np.float32(noise.dn_per_e)
-    spread = np.float32(noise.prnu2)
+    one, zero = np.float32(1.0), np.float32(0.0)
+    level, dark = np.float32(p[BACKGROUND]), np.float32(floor)
+    shot, spread = np.float32(noise.dn_per_e), np.float32(noise.prnu2)
     limit = np.float32(gate)
-    far = np.float32(_FAR)
+    largest = np.float32(_MAX_EXPONENT)
     # the unit of w is that whose square is the divided exponent
     unit = math.sqrt(2.0 * _EXPONENT_DIVISOR / pxx)
-    bent = (pxx * pxx + pxy * pxy) / 24.0 * unit * unit
+    curvature = (pxx * pxx + pxy * pxy) / 24.0 * unit * unit
     # 1/2, 1/6 and 1/24 of the exponential series: with exponents divided by _EXPONENT_DIVISOR the error is
     # below 2e-7
     half = np.float32(0.5)
     sixth = np.float32(1.0 / 6.0)
-    last = np.float32(1.0 / 24.0)
+    twenty_fourth = np.float32(1.0 / 24.0)
     for i in range(nx):
         columns[i] = np.float32(i / unit)
     column = columns[:nx]
     for k in range(TILTED):
         gradient[k] = 0.0
-    chi2 = np.float64(0.0)
-    kept = np.float64(0.0)
+    chi2 = kept = np.float64(0.0)
     for j in range(ny):
         row = image[y0 + j, x0 : x0 + nx]
         v = y0 + j - p[Y]
@@ -97,18 +88,13 @@ def score_tilted(
         # the square bracket of `general_fit` is a polynomial in w
         flat = np.float32(light * (1.0 + (slope * slope - pxx - pyy) / 24.0))
         skew = np.float32(light * 2.0 * pxy * slope / 24.0 * unit)
-        curved = np.float32(light * bent)
-        s0 = np.float32(0.0)
-        sm = np.float32(0.0)
-        s1 = np.float32(0.0)
-        s2 = np.float32(0.0)
-        sc = np.float32(0.0)
-        so = np.float32(0.0)
+        curved = np.float32(light * curvature)
+        s0 = sm = s1 = s2 = sc = so = zero
         for i in range(nx):
             w = column[i] + first
             t = w * w
-            t = t if t < far else far
-            e = one - t * (one - t * (half - t * (sixth - t * last)))
+            t = t if t < largest else largest
+            e = one - t * (one - t * (half - t * (sixth - t * twenty_fourth)))
             e *= e
             e *= e
             e *= e

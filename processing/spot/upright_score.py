@@ -23,15 +23,12 @@ from processing.spot.fit_values import (
     Y,
 )
 
-SMALLEST_SIGMA_PX = 1.5
+MIN_SIGMA_PX = 1.5
 """Smallest sigma for which the expansion of the pixel integral in the pixel's width is accurate enough."""
-
 VALUE, BY_CENTRE, BY_SIGMA = range(3)
 """Rows of a profile: the pixel-integrated Gaussian and its derivatives with respect to centre and sigma."""
-
 ALONG_Y = 3
 """First row of the profile along y in a table of both profiles; the profile along x starts at row 0."""
-
 TABLE_ROWS = 6
 
 
@@ -108,36 +105,23 @@ def score(
     gradient by it shows whether the spot is tilted (dmu/dc = (dmu/dx)(dmu/dy)/(A f), f being the light of
     unit amplitude). Every `row_step`-th row is summed and represents the rows between. Pixels whose
     squared residual exceeds `gate` variances are left out. `dark_variance` is the variance of a pixel without
-    light, `inverse_gain` and `uneven` are `dn_per_e` and `prnu2` of `PixelNoise`.
-
-    Returns
-    -------
-    chi2, kept
-        Chi-square and number of the pixels used, both scaled by `row_step`.
+    light, `inverse_gain` and `uneven` are `dn_per_e` and `prnu2` of `PixelNoise`. Returns chi-square and
+    number of the pixels used, both scaled by `row_step`.
     """
-    one = np.float32(1.0)
-    zero = np.float32(0.0)
-    level = np.float32(background)
-    dark = np.float32(dark_variance)
-    shot = np.float32(inverse_gain)
-    spread = np.float32(uneven)
+    one, zero = np.float32(1.0), np.float32(0.0)
+    level, dark = np.float32(background), np.float32(dark_variance)
+    shot, spread = np.float32(inverse_gain), np.float32(uneven)
     limit = np.float32(gate)
     # the compiler vectorises the loop below only with plain slices and without branches
     ex = table[VALUE, :nx]
     dx = table[BY_CENTRE, :nx]
     wx = table[BY_SIGMA, :nx]
     g_amplitude = g_x = g_y = g_sigma_x = g_sigma_y = g_background = g_covariance = np.float64(0.0)
-    chi2 = np.float64(0.0)
-    kept = np.float64(0.0)
+    chi2 = kept = np.float64(0.0)
     for j in range(row_step // 2, ny, row_step):
         row = image[y0 + j, x0 : x0 + nx]
         light = np.float32(amplitude) * table[ALONG_Y + VALUE, j]
-        s0 = np.float32(0.0)
-        se = np.float32(0.0)
-        sx = np.float32(0.0)
-        sw = np.float32(0.0)
-        sc = np.float32(0.0)
-        so = np.float32(0.0)
+        s0 = se = sx = sw = sc = so = zero
         for i in range(nx):
             m = light * ex[i]
             r = np.float32(row[i]) - level - m
@@ -192,8 +176,7 @@ def information(
     for k in range(TILTED):
         for m in range(k + 1):
             matrix[k, m] = 0.0
-    columns = 0
-    rows = 0
+    columns = rows = 0
     for j in range(step_y // 2, ny, step_y):
         rows += 1
         columns = 0

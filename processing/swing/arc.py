@@ -6,8 +6,8 @@ the samples by x_k, weights W_k and residuals r_k, half-cycle k contributes to t
 
     information_k = F_k^T J_k^T W_k J_k F_k,   score_k = F_k^T J_k^T W_k r_k.
 
-The arc of the first half-cycles starts the detector. Because the contributions are stored separately, a
-half-cycle can also be removed from the solution again, and be compared with a prediction by the others.
+The arc of the first half-cycles starts the detector. The contributions are stored separately, so that a
+half-cycle can be removed from the solution and compared with the prediction by the others.
 """
 
 import math
@@ -34,24 +34,24 @@ from processing.swing.small_matrices import copy, times_matrix
 from processing.swing.waveform import NODES, SHAPES, zero_phases
 from processing.units import nanoseconds, seconds
 
-_STEPS = 30
-_CONVERGED_COST = 0.1
-"""The fit has converged if a step reduces the cost (chi-square and prior) by less than this."""
+_MAX_STEPS = 30
+_MIN_COST_REDUCTION = 0.1
+"""Reduction of the cost (chi-square and prior) by a step below which the fit has converged."""
 
 
 @dataclass(frozen=True, slots=True)
 class HalfCycleSamples:
-    """Samples of one half-cycle.
-
-    `tau_s` is the time since `reference_ns`. `side` is +1 or -1, the sign of the deflection from the centre
-    at the turning point. A NaN `deflection` is ignored. `u_deflection` is the standard uncertainty.
-    """
+    """Samples of one half-cycle."""
 
     reference_ns: int
     side: int
+    """+1 or -1, sign of the deflection from the centre at the turning point."""
     tau_s: Floats
+    """Times since the reference time."""
     deflection: Floats
+    """Deflections; NaN is ignored."""
     u_deflection: Floats
+    """Standard uncertainties of the deflections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +89,6 @@ class Arc:
         """Chi-square per sample."""
         return self.chi2 / max(self.samples, 1)
 
-    @property
-    def reduced_chi2_each(self) -> Vector:
-        """Chi-square per sample of each half-cycle that has samples."""
-        sampled = self.chi2_each[self.chi2_each[:, 1] > 0]
-        return np.asarray(sampled[:, 0] / sampled[:, 1], dtype=np.float64)
-
 
 @kernel
 def _walk_kernel(
@@ -118,28 +112,29 @@ def _walk_kernel(
     transitions, information = np.empty((halves, k, k)), np.empty((halves, k, k))
     scores, windows, chi2_each = np.empty((halves, k)), np.empty((halves, 2)), np.empty((halves, 2))
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
-    own, own_score, small, product = np.empty((k, k)), np.empty(k), np.empty((k, k)), np.empty((k, k))
-    x, towards = x0.copy(), np.zeros((k, k))
+    own_information, own_score = np.empty((k, k)), np.empty(k)
+    active_transition, product = np.empty((k, k)), np.empty((k, k))
+    x, from_first = x0.copy(), np.zeros((k, k))
     for m in range(k):
-        towards[m, m] = 1.0
+        from_first[m, m] = 1.0
     for half in range(halves):
         i, j = bounds[half], bounds[half + 1]
         for m in range(STATES):
             states[half, m] = x[m]
-        copy(towards, transitions[half])
+        copy(from_first, transitions[half])
         tabulate_state(x, x, reference, active, table, turn)
         residual, jacobian = np.empty(j - i), np.empty((j - i, k))
         linearise(x, sides[half], active, table, tau[i:j], deflection[i:j], residual, jacobian)
         weight = np.empty(j - i)
         for sample in range(j - i):
             weight[sample] = 1.0 / u_deflection[i + sample] ** 2
-        chi2, count = normal_equations(residual, jacobian, weight, own, own_score)
-        times_matrix(towards, own, True, product)
-        times_matrix(product, towards, False, information[half])
+        chi2, count = normal_equations(residual, jacobian, weight, own_information, own_score)
+        times_matrix(from_first, own_information, True, product)
+        times_matrix(product, from_first, False, information[half])
         for m in range(k):
             scores[half, m] = 0.0
             for n in range(k):
-                scores[half, m] += towards[n, m] * own_score[n]
+                scores[half, m] += from_first[n, m] * own_score[n]
         chi2_each[half, 0], chi2_each[half, 1] = chi2, count
         before, after = zero_phases(table)
         windows[half, 0], windows[half, 1] = x[TIME] + before / x[RATE], x[TIME] + after / x[RATE]
@@ -151,9 +146,9 @@ def _walk_kernel(
             return states, transitions, information, scores, windows, chi2_each, False
         for m in range(k):
             for n in range(k):
-                small[m, n] = transition[active[m], active[n]]
-        times_matrix(small, towards, False, product)
-        copy(product, towards)
+                active_transition[m, n] = transition[active[m], active[n]]
+        times_matrix(active_transition, from_first, False, product)
+        copy(product, from_first)
     return states, transitions, information, scores, windows, chi2_each, True
 
 
@@ -191,59 +186,51 @@ def fit_arc(
 ) -> Arc | None:
     """Fit the state at the first turning point to the samples of all `halves`, by Gauss-Newton.
 
+    Returns None if no solution is found.
+
     Parameters
     ----------
-    start : (STATES,)
-        Start values; entries that are not in `terms` keep them.
-    expected : (STATES,), (STATES,)
-        Mean and standard deviation of a normal prior; inf where there is none.
-    halves
-        Consecutive half-cycles.
-    reference
-        Amplitude to which the shape terms refer.
-    terms
-        Entries of the state that are free.
-
-    Returns
-    -------
-    Arc or None
-        None if no solution is found.
+    start : (STATES,) start values; entries that are not in `terms` keep them
+    expected : mean and standard deviation (STATES,) of a normal prior; inf where there is none
+    halves : consecutive half-cycles
+    reference : amplitude to which the shape terms refer
+    terms : entries of the state that are free
     """
     active = np.array(sorted(terms), dtype=np.int64)
     prior = np.diag(1.0 / expected[1][active] ** 2)
     x = start.copy()
     covariance = np.empty_like(prior)
     samples = _join(halves)
-    best_cost, best_x, best = math.inf, x, None
-    step, part = np.zeros(len(active)), 1.0
-    for _ in range(_STEPS):
+    best_cost, best_x, best_arc = math.inf, x, None
+    step, fraction = np.zeros(len(active)), 1.0
+    for _ in range(_MAX_STEPS):
         arc = _walk(x, samples, reference, active, prior)
         offset = (expected[0] - x)[active]
         cost = arc.chi2 + float(offset @ prior @ offset)
         if cost < best_cost:
             gain = best_cost - cost
-            best_cost, best_x, best = cost, x, arc
-            if gain < _CONVERGED_COST and part == 1.0:
+            best_cost, best_x, best_arc = cost, x, arc
+            if gain < _MIN_COST_REDUCTION and fraction == 1.0:
                 break
             # Gauss-Newton with step halving. Levenberg-Marquardt damping is not used: it would prevent any
             # progress along directions that the samples hardly determine.
-            part = min(1.0, 4.0 * part)
+            fraction = min(1.0, 4.0 * fraction)
             total = prior + arc.information.sum(axis=0)
             if not invert(total, covariance):
                 return None
             step = covariance @ (arc.score.sum(axis=0) + prior @ offset)
-        elif best is None:
+        elif best_arc is None:
             return None
-        elif cost < best_cost + _CONVERGED_COST and part == 1.0:
+        elif cost < best_cost + _MIN_COST_REDUCTION and fraction == 1.0:
             break
         else:
-            part *= 0.25
+            fraction *= 0.25
         x = best_x.copy()
-        x[active] += part * step
+        x[active] += fraction * step
         if not x[AMPLITUDE] > 0.0 or not x[RATE] > 0.0:
             x = best_x.copy()
-            x[active] += 0.1 * part * step
-    return best
+            x[active] += 0.1 * fraction * step
+    return best_arc
 
 
 def gain_of_more(
@@ -276,14 +263,14 @@ def state_on_arc(arc: Arc, k: int, left_out: int | None = None) -> tuple[Vector,
     total = arc.prior + arc.information.sum(axis=0)
     if left_out is not None:
         total = total - arc.information[left_out]
-    small = np.empty_like(total)
+    first_covariance = np.empty_like(total)
     x = arc.states[k].copy()
-    if not invert(total, small):
-        small[:] = np.linalg.pinv(total)
+    if not invert(total, first_covariance):
+        first_covariance[:] = np.linalg.pinv(total)
     if left_out is not None:
-        x[arc.active] -= arc.transitions[k] @ (small @ arc.score[left_out])
+        x[arc.active] -= arc.transitions[k] @ (first_covariance @ arc.score[left_out])
     covariance = np.zeros((STATES, STATES))
-    covariance[np.ix_(arc.active, arc.active)] = arc.transitions[k] @ small @ arc.transitions[k].T
+    covariance[np.ix_(arc.active, arc.active)] = arc.transitions[k] @ first_covariance @ arc.transitions[k].T
     return x, covariance
 
 
@@ -295,13 +282,13 @@ def state_before(arc: Arc, first_ns: int) -> tuple[Vector, Matrix, int]:
     """
     x, covariance = state_on_arc(arc, 0)
     _, turn = tabulated(x, x, arc.reference, arc.active)
-    half_period = float(turn[0, 0] / x[RATE])
-    step_ns = nanoseconds(half_period)
-    before, transition = propagate(x, turn, seconds(-step_ns))
-    before[AMPLITUDE] = x[AMPLITUDE] / turn[1, 0]
-    before[TIME] = x[TIME]
+    half_period_s = float(turn[0, 0] / x[RATE])
+    step_ns = nanoseconds(half_period_s)
+    previous, transition = propagate(x, turn, seconds(-step_ns))
+    previous[AMPLITUDE] = x[AMPLITUDE] / turn[1, 0]
+    previous[TIME] = x[TIME]
     transition[[AMPLITUDE, TIME]] = 0.0
     covariance = transition @ covariance @ transition.T
     covariance[AMPLITUDE, AMPLITUDE] = (0.1 * x[AMPLITUDE]) ** 2
-    covariance[TIME, TIME] = (0.1 * half_period) ** 2
-    return before, covariance, first_ns - step_ns
+    covariance[TIME, TIME] = (0.1 * half_period_s) ** 2
+    return previous, covariance, first_ns - step_ns

@@ -1,4 +1,4 @@
-"""Swing detector: turning points of a decaying oscillation, with uncertainties, from a stream of samples."""
+"""Detection of the turning points of a decaying oscillation, with uncertainties, in a stream of samples."""
 
 import math
 from collections.abc import Iterable
@@ -8,35 +8,36 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from processing.deflections import Deflections
-from processing.swing.follower import OscillationTracker
+from processing.swing.arc import HalfCycleSamples
+from processing.swing.follower import OscillationFollower
 from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.judgement import holds_turning_point
 from processing.swing.modes import separate_modes
 from processing.swing.onset import FirstHalfCycle, Onset, OnsetSearch
 from processing.swing.prediction import KnownMotion
 from processing.swing.sample_buffer import SampleBuffer
-from processing.swing.swing import HalfCycle, HalfCycleFlag
+from processing.swing.turning_point import HalfCycle, HalfCycleFlag
 from processing.units import nanoseconds, seconds
 
-_LARGEST_TIME_ERROR = 0.05
-"""Largest deviation of a turning point, in half periods, for the motion after a disturbance to count as the
-same as before it (no new release)."""
-
-_LARGEST_AMPLITUDE_RATIO, _SMALLEST_AMPLITUDE_RATIO = 1.02, 0.8
-"""Limits of the ratio of the amplitudes after and before a disturbance, for the same decision. The lower one
-applies per half period."""
+_MAX_TIME_ERROR_HALF_PERIODS = 0.05
+"""Largest deviation of a turning point after a disturbance at which the motion counts as the same, without a
+new release."""
+_MAX_AMPLITUDE_RATIO = 1.02
+"""Largest ratio of the amplitudes after and before a disturbance at which the motion counts as the same."""
+_MIN_AMPLITUDE_RATIO = 0.8
+"""Smallest such ratio of each half period."""
 
 
 class TurningPointDetector:
-    """Finds every half-cycle of a decaying oscillation while the samples arrive.
+    """Measurement of every half-cycle of a decaying oscillation while the samples arrive.
 
     Period, centre, damping, dry friction, anharmonic stiffness, a drift of the rest position and a second,
-    faster mode are estimated in the course of the record, as in a Kalman filter with one step per
-    half-cycle. The amplitude and time of each turning point are fitted to the samples of its own
-    half-cycle only, from zero crossing to zero crossing; the other parameters come mainly from the
-    half-cycles before. Errors of neighbouring half-cycles are therefore nearly independent. Errors
-    of friction and stiffness shift the times of many half-cycles in common, by less than their
-    uncertainties; a `known` motion has no such shifts (see `processing.fit.refinement`).
+    faster mode are estimated in the course of the record by a Kalman filter with one step per half-cycle.
+    The amplitude and time of each turning point are fitted to the samples of its own half-cycle only, from
+    zero crossing to zero crossing; the other parameters come mainly from the half-cycles before. Errors of
+    neighbouring half-cycles are therefore nearly independent. Errors of friction and stiffness shift the
+    times of many half-cycles in common, by less than their uncertainties; a `known` motion has no such shifts
+    (see `processing.fit.refinement`).
 
     The first four half-cycles are returned together, each later one with the first sample after its end.
 
@@ -57,9 +58,9 @@ class TurningPointDetector:
     >>> time_s = np.arange(0.0, 60.0, 0.01)
     >>> deflection = 300.0 * np.exp(-0.002 * time_s) * np.cos(1.5 * time_s)
     >>> detector = TurningPointDetector()
-    >>> swings = detector.update((time_s * 1e9).astype(np.int64), deflection, np.full(6000, 0.02))
-    >>> swings += detector.finish()
-    >>> len(swings)
+    >>> half_cycles = detector.update((time_s * 1e9).astype(np.int64), deflection, np.full(6000, 0.02))
+    >>> half_cycles += detector.finish()
+    >>> len(half_cycles)
     28
     """
 
@@ -67,11 +68,11 @@ class TurningPointDetector:
         self._samples = SampleBuffer()
         self._known = known
         self._search: OnsetSearch | None = OnsetSearch(self._samples, 0, known=known)
-        self._follower: OscillationTracker | None = None
-        self._previous_follower: OscillationTracker | None = None
+        self._follower: OscillationFollower | None = None
+        self._previous_follower: OscillationFollower | None = None
         self._half_period_s = math.nan
         self._last: HalfCycle | None = None
-        self._last_good: HalfCycle | None = None
+        self._last_unflagged: HalfCycle | None = None
         self._last_before_loss: HalfCycle | None = None
 
     def update(self, times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
@@ -93,151 +94,132 @@ class TurningPointDetector:
         return self._process(final=False)
 
     def finish(self) -> list[HalfCycle]:
-        """Return the half-cycles that the end of the record completes, also one cut off after its turn."""
+        """Return the remaining half-cycles, also one that the record's end cuts after its turning point."""
         return self._process(final=True)
 
     def _process(self, final: bool) -> list[HalfCycle]:
-        swings: list[HalfCycle] = []
+        half_cycles: list[HalfCycle] = []
         while True:
             if self._search is not None:
                 onset = self._search.advance(final)
                 if onset is None:
-                    return swings
-                self._begin(onset, swings)
-            elif self._follower is None or not self._follow(self._follower, swings, final):
-                return swings
+                    return half_cycles
+                self._begin(onset, half_cycles)
+            elif self._follower is None or not self._follow(self._follower, half_cycles, final):
+                return half_cycles
 
-    def _begin(self, onset: Onset, swings: list[HalfCycle]) -> None:
+    def _begin(self, onset: Onset, half_cycles: list[HalfCycle]) -> None:
         """Report the half-cycles of a new oscillation and start following it."""
         if math.isnan(self._half_period_s):
             self._half_period_s = onset.half_period_s
         index = 0
-        for k, first in enumerate(onset.measured):
+        for k, first in enumerate(onset.first_half_cycles):
             if k:
                 index += 1
             elif self._last is not None:
-                index = self._index_after(self._last, first.half.reference_ns, first.half.side)
+                # the nearest number of half periods, odd if and only if the sides differ
+                time_s = seconds(first.half.reference_ns - self._last.turn_time_ns)
+                odd = int(first.half.side != self._last.side)
+                index = self._last.index + 2 * round((time_s / self._half_period_s - odd) / 2) + odd
             if not first.result.valid or (self._last is not None and index <= self._last.index):
                 continue
             flags = first.flags
             if self._last_before_loss is not None:
                 flags |= self._start_flag(self._last_before_loss, first)
                 self._last_before_loss = None
-            self._emit(index, first.half.reference_ns, first.half.side, first.result, flags, swings)
+            half_cycles.append(self._half_cycle(index, first.half, first.result, flags))
         self._search = None
-        self._follower = OscillationTracker(onset, index, self._previous_follower)
+        self._follower = OscillationFollower(onset, index, self._previous_follower)
         self._samples.forget_before(self._samples.position(self._follower.start_ns))
 
-    def _start_flag(self, before: HalfCycle, first: FirstHalfCycle) -> HalfCycleFlag:
+    def _start_flag(self, last: HalfCycle, first: FirstHalfCycle) -> HalfCycleFlag:
         """Flag START if the motion after a disturbance differs from the motion before it; otherwise no flag.
 
-        The motion is the same if the time since the last good turning point is a whole number of half periods
-        of the right parity, and the amplitude has neither grown nor fallen faster than in a decay.
+        The motion is the same if the time since the `last` unflagged turning point is a whole number of half
+        periods of the right parity, and the amplitude has neither grown nor fallen faster than in a decay.
         """
-        time_s = seconds(first.half.reference_ns - before.turn_time_ns) + first.result.time_s
-        halves = time_s / self._half_period_s
-        off = abs(math.remainder(halves - int(first.half.side != before.side), 2.0))
-        grown = first.result.amplitude > before.amplitude * _LARGEST_AMPLITUDE_RATIO
-        shrunk = first.result.amplitude < before.amplitude * _SMALLEST_AMPLITUDE_RATIO ** max(halves, 1.0)
-        return HalfCycleFlag.START if off > _LARGEST_TIME_ERROR or grown or shrunk else HalfCycleFlag(0)
+        time_s = seconds(first.half.reference_ns - last.turn_time_ns) + first.result.time_s
+        half_periods = time_s / self._half_period_s
+        time_error = abs(math.remainder(half_periods - int(first.half.side != last.side), 2.0))
+        has_grown = first.result.amplitude > last.amplitude * _MAX_AMPLITUDE_RATIO
+        min_amplitude = last.amplitude * _MIN_AMPLITUDE_RATIO ** max(half_periods, 1.0)
+        differs = time_error > _MAX_TIME_ERROR_HALF_PERIODS or has_grown
+        return HalfCycleFlag.START if differs or first.result.amplitude < min_amplitude else HalfCycleFlag(0)
 
-    def _index_after(self, last: HalfCycle, time_ns: int, side: int) -> int:
-        """Index of the first half-cycle after an interruption.
-
-        It is the last index plus the nearest number of half periods, odd if and only if the sides differ.
-        """
-        halves = seconds(time_ns - last.turn_time_ns) / self._half_period_s
-        odd = int(side != last.side)
-        return last.index + 2 * round((halves - odd) / 2) + odd
-
-    def _follow(self, follower: OscillationTracker, swings: list[HalfCycle], final: bool) -> bool:
+    def _follow(self, follower: OscillationFollower, half_cycles: list[HalfCycle], final: bool) -> bool:
         """Measure the present half-cycle if all its samples have arrived; False if not."""
         if self._samples.last_ns < (follower.start_ns if final else follower.end_ns):
             return False
-        index, reference_ns, side = follower.index, follower.reference_ns, follower.side
-        half = self._samples.between(reference_ns, side, follower.start_ns, follower.end_ns)
-        end_ns = follower.end_ns
+        index, end_ns = follower.index, follower.end_ns
+        half = self._samples.between(follower.reference_ns, follower.side, follower.start_ns, end_ns)
         self._half_period_s = follower.half_period_s
         result, flags = follower.take(half)
         if holds_turning_point(result, half):
-            self._emit(index, reference_ns, side, result, flags, swings)
+            half_cycles.append(self._half_cycle(index, half, result, flags))
         if follower.lost:
             position = self._samples.position(follower.first_miss_ns if follower.misses else end_ns)
             if follower.misses:
-                self._last_before_loss = self._last_good
+                self._last_before_loss = self._last_unflagged
             self._follower = None
             self._search = OnsetSearch(
-                self._samples,
-                position,
-                self._half_period_s,
-                half.reference_ns,
-                self._known,
+                self._samples, position, self._half_period_s, half.reference_ns, self._known,
                 follower.noise.level.effective,
-            )
+            )  # fmt: skip
             self._previous_follower = follower
         elif not follower.misses:
             self._samples.forget_before(self._samples.position(end_ns))
         return True
 
-    def _emit(
-        self,
-        index: int,
-        reference_ns: int,
-        side: int,
-        result: HalfCycleFit,
-        flags: HalfCycleFlag,
-        swings: list[HalfCycle],
-    ) -> None:
-        measured = HalfCycle(
+    def _half_cycle(
+        self, index: int, half: HalfCycleSamples, result: HalfCycleFit, flags: HalfCycleFlag
+    ) -> HalfCycle:
+        self._last = HalfCycle(
             index=index,
-            turn_time_ns=reference_ns + nanoseconds(result.time_s),
+            turn_time_ns=half.reference_ns + nanoseconds(result.time_s),
             u_turn_time_s=float(result.u_time_s),
             amplitude=float(result.amplitude),
             u_amplitude=float(result.u_amplitude),
             half_period_s=math.nan,
             u_half_period_s=math.nan,
             centre=float(result.centre),
-            side=side,
+            side=half.side,
             flags=int(flags),
-        )
-        self._last = measured.since(self._last)
+        ).since(self._last)
         if not flags:
-            self._last_good = self._last
-        swings.append(self._last)
+            self._last_unflagged = self._last
+        return self._last
 
 
-def swings_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
+def half_cycles_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
     """All half-cycles of samples in memory; arguments and errors as of `TurningPointDetector.update`."""
     detector = TurningPointDetector()
-    return [*detector.update(times_ns, deflection, u_deflection), *detector.finish()]
+    return detector.update(times_ns, deflection, u_deflection) + detector.finish()
 
 
-def swings_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = None) -> list[HalfCycle]:
+def half_cycles_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = None) -> list[HalfCycle]:
     """All half-cycles of deflections along the slow axis, in blocks that need not be in memory together."""
     detector = TurningPointDetector(known)
-    found = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
-    return [*found, *detector.finish()]
-
-
-_FRAMES_PER_S, _SECONDS, _RATE, _LOSS = 20.0, 60.0, 1.5, 0.01
+    half_cycles: list[HalfCycle] = []
+    for block in blocks:
+        half_cycles += detector.update(block.times_ns, block.y, block.u_y)
+    return half_cycles + detector.finish()
 
 
 @cache
 def compile_kernels() -> None:
     """Run every compiled kernel of this package once, so that numba compiles it or loads it from its cache.
 
-    Called again in the same process, it does nothing. It takes about 10 s on the first run after an
-    installation and a few tenths of a second later. Call
-    it before a measurement: compilation during the first half-cycle would block the processing of samples.
+    The first call takes about 10 s after an installation and a few tenths of a second later; further calls do
+    nothing. Compilation during the first half-cycle of a measurement would block the processing of samples.
     """
-    time_s = np.arange(0.0, _SECONDS, 1.0 / _FRAMES_PER_S)
-    phase = _RATE * time_s
+    time_s = np.arange(0.0, 60.0, 0.05)
+    phase = 1.5 * time_s
     # dry friction: in each half-cycle the motion is a cosine about a displaced centre, so that the amplitude
     # falls by a constant step; this makes the detector use the anharmonic terms as well
     halves = np.floor(phase / np.pi)
-    centre = _LOSS * np.where(halves % 2 == 0, -1.0, 1.0)
-    deflection = (1.0 - 2.0 * _LOSS * halves - _LOSS) * np.cos(phase) + centre
+    centre = 0.01 * np.where(halves % 2 == 0, -1.0, 1.0)
+    deflection = (0.99 - 0.02 * halves) * np.cos(phase) + centre
     times_ns = nanoseconds(time_s)
     u = np.full(len(time_s), 1e-5)
-    swings_of(times_ns, deflection, u)
+    half_cycles_of(times_ns, deflection, u)
     separate_modes(times_ns[:200], 0.1 * np.cos(5.0 * phase[:200]), deflection[:200], u[:200], u[:200])

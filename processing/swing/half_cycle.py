@@ -1,6 +1,6 @@
 """Linearised model of one half-cycle: state, normal equations, step to the next turning point.
 
-The state of the pendulum at a turning point, every entry a float64:
+The state of the pendulum at a turning point consists of float64 numbers:
 
 ====================  =====================================================================
 `AMPLITUDE`           distance of the turning point from the centre, unit of the deflection
@@ -22,16 +22,7 @@ import numpy as np
 
 from processing.arrays import Ints, Matrix, Vector
 from processing.kernel import kernel
-from processing.swing.waveform import (
-    LOG_RATIO,
-    NODES,
-    NODES_BEFORE,
-    SHAPES,
-    STEP,
-    Table,
-    locate,
-    tabulate,
-)
+from processing.swing.waveform import LOG_RATIO, NODES, NODES_BEFORE, SHAPES, STEP, Table, locate, tabulate
 
 AMPLITUDE, TIME, RATE, SHAPE, CENTRE, DRIFT = 0, 1, 2, 3, 10, 11
 FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING = 12, 13, 14, 15
@@ -40,7 +31,7 @@ STATES = 16
 
 @kernel
 def invert(matrix: Matrix, inverse: Matrix) -> bool:
-    """Inverse of a symmetric positive definite matrix by its Cholesky factor; False if it is not one.
+    """Inverse of a symmetric positive definite matrix by its Cholesky factor; False for any other matrix.
 
     The matrix is scaled to a unit diagonal first, because the entries of the state have different units and
     their variances differ by many orders of magnitude.
@@ -86,40 +77,41 @@ def tabulate_state(
 ) -> None:
     """Tabulate the waveform of the state `x` and its derivatives with respect to the active shape terms.
 
-    The waveform is expanded to first order in the shape terms about those of `anchor`, another state. As
-    long as the anchor stays the same, all half-cycles give information about the same linear combinations of
-    terms that are hard to distinguish. With a new expansion at every step these combinations would change,
-    the filter would gain information in all of them, and the covariance would be too small (the
-    inconsistency known of extended Kalman filters).
+    The waveform is expanded to first order in the shape terms about those of another state, the `anchor`.
+    Of terms that are hard to distinguish the half-cycles determine linear combinations, which are the same as
+    long as the anchor is. With a new expansion at every step these combinations would change, the filter
+    would gain information in all of them, and the covariance would be too small (the inconsistency known of
+    extended Kalman filters).
 
     `table` and `turn` are overwritten (see `waveform.tabulate`).
     """
-    wanted = np.empty(SHAPES + 1, dtype=np.int64)
+    terms = np.empty(SHAPES + 1, dtype=np.int64)
     count = 1
-    for column in active:
-        if SHAPE <= column < SHAPE + SHAPES:
-            wanted[count - 1] = column - SHAPE
+    for entry in active:
+        if SHAPE <= entry < SHAPE + SHAPES:
+            terms[count - 1] = entry - SHAPE
             count += 1
-    wanted[count - 1] = LOG_RATIO
+    terms[count - 1] = LOG_RATIO
     shape = np.empty(SHAPES + 1)
     for k in range(SHAPES):
         shape[k] = anchor[SHAPE + k]
     shape[LOG_RATIO] = math.log(abs(x[AMPLITUDE]) / reference)
-    tabulate(shape, wanted[:count], table, turn)
-    for k in wanted[:count]:
-        away = x[SHAPE + k] - anchor[SHAPE + k] if k < SHAPES else 0.0
-        if away != 0.0:
+    tabulate(shape, terms[:count], table, turn)
+    for k in terms[:count]:
+        change = x[SHAPE + k] - anchor[SHAPE + k] if k < SHAPES else 0.0
+        if change != 0.0:
             for node in range(NODES):
-                table[0, node, 0] += away * table[1 + k, node, 0]
-                table[0, node, 1] += away * table[1 + k, node, 1]
-            turn[0, 0] += away * turn[0, 1 + k]
-            turn[1, 0] += away * turn[1, 1 + k]
+                table[0, node, 0] += change * table[1 + k, node, 0]
+                table[0, node, 1] += change * table[1 + k, node, 1]
+            turn[0, 0] += change * turn[0, 1 + k]
+            turn[1, 0] += change * turn[1, 1 + k]
 
 
 def tabulated(x: Vector, anchor: Vector, reference: float, active: Ints) -> tuple[Table, Matrix]:
     """The table and the turn that `tabulate_state` fills, in new arrays.
 
-    Kernels get these arrays from Python, because one that calls `tabulate_state` copies its machine code.
+    Kernels get these arrays from Python, because a kernel that calls `tabulate_state` contains a copy of its
+    machine code, which takes long to compile.
     """
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, anchor, reference, active, table, turn)
@@ -137,8 +129,7 @@ def linearise(
     residual: Vector,
     jacobian: Matrix,
 ) -> None:
-    """Residuals and derivatives of the model with respect to the active entries of the state, at every
-    sample.
+    """Residuals of all samples, and derivatives of the model with respect to the active entries of the state.
 
     With the time tau since the reference time, the phase s = (tau - TIME) RATE, the tabulated waveform y(s)
     and the amplitude A, the model is
@@ -154,9 +145,9 @@ def linearise(
     amplitude, rate = x[AMPLITUDE], x[RATE]
     signed = side * amplitude
     y_shape = np.empty(SHAPES)
-    fast = False
-    for column in active:
-        fast |= column >= FAST_COSINE
+    has_fast_mode = False
+    for entry in active:
+        has_fast_mode |= entry >= FAST_COSINE
     for i in range(len(tau)):
         s = (tau[i] - x[TIME]) * rate
         node, f = locate(s)
@@ -171,43 +162,43 @@ def linearise(
         y0, v0, y1, v1 = table[0, node, 0], table[0, node, 1], table[0, node + 1, 0], table[0, node + 1, 1]
         y = h00 * y0 + h10 * v0 + h01 * y1 + h11 * v1
         v = 6.0 * f * g * (y1 - y0) / h + g * (1.0 - 3.0 * f) * v0 + f * (3.0 * f - 2.0) * v1
-        for column in active:
-            if SHAPE <= column < SHAPE + SHAPES:
-                row = table[1 + column - SHAPE]
-                y_shape[column - SHAPE] = (
+        for entry in active:
+            if SHAPE <= entry < SHAPE + SHAPES:
+                row = table[1 + entry - SHAPE]
+                y_shape[entry - SHAPE] = (
                     h00 * row[node, 0] + h10 * row[node, 1] + h01 * row[node + 1, 0] + h11 * row[node + 1, 1]
                 )
         # d(A y)/dA = y + dy/d(ln r), since ln r = ln(A/reference)
         row = table[1 + LOG_RATIO]
-        by_amplitude = (
+        amplitude_derivative = (
             y + h00 * row[node, 0] + h10 * row[node, 1] + h01 * row[node + 1, 0] + h11 * row[node + 1, 1]
         )
         model = x[CENTRE] + x[DRIFT] * tau[i] + signed * y
         cosine = sine = 0.0
-        if fast:
+        if has_fast_mode:
             decay = math.exp(-x[FAST_DAMPING] * tau[i])
             cosine = decay * math.cos(x[FAST_RATE] * tau[i])
             sine = decay * math.sin(x[FAST_RATE] * tau[i])
             model += x[FAST_COSINE] * cosine + x[FAST_SINE] * sine
         residual[i] = deflection[i] - model
-        for n, column in enumerate(active):
-            if column == AMPLITUDE:
-                value = side * by_amplitude
-            elif column == TIME:
+        for n, entry in enumerate(active):
+            if entry == AMPLITUDE:
+                value = side * amplitude_derivative
+            elif entry == TIME:
                 value = -signed * v * rate
-            elif column == RATE:
+            elif entry == RATE:
                 value = signed * v * (tau[i] - x[TIME])
-            elif column < CENTRE:
-                value = signed * y_shape[column - SHAPE]
-            elif column == CENTRE:
+            elif entry < CENTRE:
+                value = signed * y_shape[entry - SHAPE]
+            elif entry == CENTRE:
                 value = 1.0
-            elif column == DRIFT:
+            elif entry == DRIFT:
                 value = tau[i]
-            elif column == FAST_COSINE:
+            elif entry == FAST_COSINE:
                 value = cosine
-            elif column == FAST_SINE:
+            elif entry == FAST_SINE:
                 value = sine
-            elif column == FAST_RATE:
+            elif entry == FAST_RATE:
                 value = tau[i] * (x[FAST_SINE] * cosine - x[FAST_COSINE] * sine)
             else:
                 value = -tau[i] * (x[FAST_COSINE] * cosine + x[FAST_SINE] * sine)
@@ -243,8 +234,7 @@ def normal_equations(
 
 @kernel
 def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
-    """State at the next turning point and its derivatives with respect to the present state (transition
-    matrix).
+    """State at the next turning point, and the transition matrix: its derivatives by the present state.
 
     The next reference time is `elapsed` s after the present one. With the phase s' of the next turning point
     and the remaining fraction a of the amplitude (`turn` of `waveform.tabulate`)
@@ -254,13 +244,13 @@ def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
     and the phasor of the fast mode is rotated by its phase FAST_RATE elapsed and damped. A negative `elapsed`
     is allowed for centre and fast mode.
     """
-    following = x.copy()
+    next_state = x.copy()
     transition = np.zeros((STATES, STATES))
     for k in range(STATES):
         transition[k, k] = 1.0
     rate = x[RATE]
-    following[AMPLITUDE] = x[AMPLITUDE] * turn[1, 0]
-    following[TIME] = x[TIME] + turn[0, 0] / rate - elapsed
+    next_state[AMPLITUDE] = x[AMPLITUDE] * turn[1, 0]
+    next_state[TIME] = x[TIME] + turn[0, 0] / rate - elapsed
     transition[AMPLITUDE, AMPLITUDE] = turn[1, 0]
     transition[TIME, RATE] = -turn[0, 0] / (rate * rate)
     transition[AMPLITUDE, AMPLITUDE] += turn[1, 1 + LOG_RATIO]
@@ -269,16 +259,16 @@ def propagate(x: Vector, turn: Matrix, elapsed: float) -> tuple[Vector, Matrix]:
         if turn[0, 1 + k] == turn[0, 1 + k]:
             transition[AMPLITUDE, SHAPE + k] = x[AMPLITUDE] * turn[1, 1 + k]
             transition[TIME, SHAPE + k] = turn[0, 1 + k] / rate
-    following[CENTRE] = x[CENTRE] + x[DRIFT] * elapsed
+    next_state[CENTRE] = x[CENTRE] + x[DRIFT] * elapsed
     transition[CENTRE, DRIFT] = elapsed
     decay = math.exp(-x[FAST_DAMPING] * elapsed)
     cosine, sine = decay * math.cos(x[FAST_RATE] * elapsed), decay * math.sin(x[FAST_RATE] * elapsed)
-    following[FAST_COSINE] = x[FAST_COSINE] * cosine + x[FAST_SINE] * sine
-    following[FAST_SINE] = x[FAST_SINE] * cosine - x[FAST_COSINE] * sine
+    next_state[FAST_COSINE] = x[FAST_COSINE] * cosine + x[FAST_SINE] * sine
+    next_state[FAST_SINE] = x[FAST_SINE] * cosine - x[FAST_COSINE] * sine
     transition[FAST_COSINE, FAST_COSINE] = transition[FAST_SINE, FAST_SINE] = cosine
     transition[FAST_COSINE, FAST_SINE], transition[FAST_SINE, FAST_COSINE] = sine, -sine
-    transition[FAST_COSINE, FAST_RATE] = elapsed * following[FAST_SINE]
-    transition[FAST_SINE, FAST_RATE] = -elapsed * following[FAST_COSINE]
-    transition[FAST_COSINE, FAST_DAMPING] = -elapsed * following[FAST_COSINE]
-    transition[FAST_SINE, FAST_DAMPING] = -elapsed * following[FAST_SINE]
-    return following, transition
+    transition[FAST_COSINE, FAST_RATE] = elapsed * next_state[FAST_SINE]
+    transition[FAST_SINE, FAST_RATE] = -elapsed * next_state[FAST_COSINE]
+    transition[FAST_COSINE, FAST_DAMPING] = -elapsed * next_state[FAST_COSINE]
+    transition[FAST_SINE, FAST_DAMPING] = -elapsed * next_state[FAST_SINE]
+    return next_state, transition

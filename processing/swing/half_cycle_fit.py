@@ -39,51 +39,52 @@ from processing.swing.small_matrices import add, dot, quadratic, sort, times
 from processing.swing.waveform import NODES, SHAPES, N, P
 
 SEGMENTS = 8
-SLOW_TERMS = (4, 5, 6)
+"""Number of parts of the half-cycle in which a short disturbance is looked for."""
+SLOW_ORDERS = (4, 5, 6)
 """Orders of a cosine series over the half-cycle that show slow noise: 4 to 6 times the pendulum's frequency.
-Lower orders are mostly taken up by amplitude, time, centre and drift."""
-SLOW_FEWEST = 24
-_OUTLIER_U = 6.0
+Lower orders are mostly fitted by amplitude, time, centre and drift."""
+_MIN_SLOW_SAMPLES = 24
+"""Fewest samples that show slow noise."""
+OUTLIER_U = 6.0
 """Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
-_ITERATIONS = 4
+_MAX_ITERATIONS = 4
 _MIN_DRIFT_SIGNIFICANCE = 2.5
 """Significance of the drift, in standard uncertainties, above which it is used."""
-
 _MAX_LINEARISATION_ERROR = 0.02
 """Allowed error of the linearisation, as a fraction of the amplitude's uncertainty."""
 
 
 class HalfCycleFit(NamedTuple):
-    """Local amplitude and time with uncertainties, the full solution, and the quality of the fit.
-
-    If `valid` is False there was no solution, and every float but `hole_s` is NaN. `time_s` is relative to
-    the reference time, `centre` the rest position at the turning point. The last two are the full solution.
-    """
+    """Local amplitude and time with uncertainties, the full solution, and the quality of the fit."""
 
     valid: bool
+    """Whether there is a solution; without one every float but `gap_s` is NaN."""
     amplitude: float
     time_s: float
+    """Time of the turning point since the reference time."""
     u_amplitude: float
     u_time_s: float
     centre: float
+    """Rest position at the turning point, unit of the deflection."""
     resolution: float
-    """Uncertainty that the amplitude would have if all other parameters were known, unit of the
-    deflection."""
+    """Uncertainty that the amplitude would have if all else were known, unit of the deflection."""
     chi2: float
     """Chi-square of the samples at the local solution, with their uncertainties as given (no noise scale)."""
     samples: int
     outliers: int
     worst_segment: float
     """Largest chi-square per sample of one of SEGMENTS parts of the half-cycle, without noise scale too."""
-    slow: float
-    """Mean power of the residuals in the bands of `SLOW_TERMS`, in units of white noise of the samples'
-    uncertainties as given; NaN with fewer than `SLOW_FEWEST` samples."""
+    slow_power: float
+    """Mean power of the residuals in the bands of `SLOW_ORDERS`, in units of white noise of the samples'
+    uncertainties as given; NaN with fewer than `_MIN_SLOW_SAMPLES` samples."""
     normalised_innovation: float
     """Chi-square (two degrees of freedom) of the local amplitude and time against the prediction."""
-    hole_s: float
+    gap_s: float
     """Longest gap between samples within the window, s."""
     state: Vector
+    """Full solution (STATES,)."""
     covariance: Matrix
+    """(STATES, STATES) covariance of the full solution."""
 
 
 @kernel
@@ -91,19 +92,19 @@ def excess(chi2: float, degrees: float) -> float:
     """Chi-square converted to a standard normal deviate (Wilson and Hilferty 1931)."""
     if degrees < 1.0:
         return 0.0
-    spread = 2.0 / (9.0 * degrees)
-    return float(((chi2 / degrees) ** (1.0 / 3.0) - 1.0 + spread) / math.sqrt(spread))
+    variance = 2.0 / (9.0 * degrees)
+    return float(((chi2 / degrees) ** (1.0 / 3.0) - 1.0 + variance) / math.sqrt(variance))
 
 
 @kernel
-def _longest_hole(tau: Vector, deflection: Vector, start: float, end: float) -> float:
+def _longest_gap(tau: Vector, deflection: Vector, start: float, end: float) -> float:
     """Longest gap between samples within the window, s."""
-    hole, last = 0.0, start
+    gap, last = 0.0, start
     for i in range(len(tau)):
         if deflection[i] == deflection[i]:
-            hole = max(hole, tau[i] - last)
+            gap = max(gap, tau[i] - last)
             last = tau[i]
-    return max(hole, end - last)
+    return max(gap, end - last)
 
 
 @kernel
@@ -114,7 +115,7 @@ def segment_size(count: int) -> int:
 
 @kernel
 def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
-    """Largest chi-square per sample among SEGMENTS parts: a short disturbance would not show in the whole."""
+    """Largest chi-square per sample of SEGMENTS parts: the chi-square of all hides a short disturbance."""
     size = segment_size(count)
     worst, total, n = 0.0, 0.0, 0
     for i in range(len(residual)):
@@ -129,53 +130,53 @@ def _worst_segment(residual: Vector, weight: Vector, count: int) -> float:
 
 @kernel
 def _slow_power(tau: Vector, residual: Vector, weight: Vector, count: int, start: float, end: float) -> float:
-    """Mean of the residuals' squared projections on `SLOW_TERMS`; 1 for white noise of the weights."""
-    if count < SLOW_FEWEST:
+    """Mean of the residuals' squared projections on `SLOW_ORDERS`; 1 for white noise of the weights."""
+    if count < _MIN_SLOW_SAMPLES:
         return math.nan
     power = 0.0
-    for term in SLOW_TERMS:
+    for order in SLOW_ORDERS:
         projection, norm = 0.0, 0.0
         for i in range(len(tau)):
             if weight[i] > 0.0 and residual[i] == residual[i]:
-                cosine = math.cos(math.pi * term * (tau[i] - start) / (end - start))
+                cosine = math.cos(math.pi * order * (tau[i] - start) / (end - start))
                 projection += weight[i] * residual[i] * cosine
                 norm += weight[i] * cosine * cosine
         power += projection * projection / norm
-    return power / len(SLOW_TERMS)
+    return power / len(SLOW_ORDERS)
 
 
 @kernel
-def _gate(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> int:
-    """Reject outliers by setting their weight to 0; returns their number.
+def _reject_outliers(residual: Vector, jacobian: Matrix, step: Vector, weight: Vector) -> int:
+    """Reject outliers by setting their weight to 0; returns the number of new ones.
 
-    A sample is an outlier if its residual after the step exceeds _OUTLIER_U times its uncertainty, and also
-    _OUTLIER_U times the robust scatter of all samples. The second condition is needed because a single
-    outlier shifts the whole fit, so that the residuals of good samples are large too.
+    A sample is an outlier if its residual after the step exceeds OUTLIER_U times its uncertainty, and also
+    OUTLIER_U times the robust scatter of all samples. The second condition is needed because a single outlier
+    shifts the whole fit, so that the residuals of good samples are large too.
     """
     n = len(residual)
     size, count, largest = np.empty(n), 0, 0.0
     for i in range(n):
         if weight[i] > 0.0 and residual[i] == residual[i]:
-            left = residual[i]
+            remainder = residual[i]
             for k in range(len(step)):
-                left -= jacobian[i, k] * step[k]
-            size[count] = abs(left) * math.sqrt(weight[i])
+                remainder -= jacobian[i, k] * step[k]
+            size[count] = abs(remainder) * math.sqrt(weight[i])
             largest = max(largest, size[count])
             count += 1
-    if largest <= _OUTLIER_U:
+    if largest <= OUTLIER_U:
         return 0
-    kept = size[:count].copy()
-    sort(kept, count)
-    median = 0.5 * (kept[(count - 1) // 2] + kept[count // 2])
-    threshold = _OUTLIER_U * max(1.0, MAD_TO_SIGMA * median)
-    gated, k = 0, 0
+    ordered = size[:count].copy()
+    sort(ordered, count)
+    median = 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])
+    threshold = OUTLIER_U * max(1.0, MAD_TO_SIGMA * median)
+    outliers, k = 0, 0
     for i in range(n):
         if weight[i] > 0.0 and residual[i] == residual[i]:
             if size[k] > threshold:
                 weight[i] = 0.0
-                gated += 1
+                outliers += 1
             k += 1
-    return gated
+    return outliers
 
 
 @kernel
@@ -238,29 +239,29 @@ def fit_half_cycle(
     """
     k = len(active)
     n = len(tau)
-    hole = _longest_hole(tau, deflection, start, end)
+    gap = _longest_gap(tau, deflection, start, end)
     table = np.zeros((2 + SHAPES, NODES, 2))
     turn = np.zeros((2, 2 + SHAPES))
     residual, jacobian = np.empty(n), np.empty((n, k))
     information, score = np.empty((k, k)), np.empty(k)
-    predicted, shared = np.zeros((k, k)), np.zeros((k, k))
-    covered, precision = np.empty((k, k)), np.empty((k, k))
+    full_prior, local_prior = np.zeros((k, k)), np.zeros((k, k))
+    prior_covariance, precision = np.empty((k, k)), np.empty((k, k))
     for i in range(k):
         for j in range(k):
-            covered[i, j] = covariance[active[i], active[j]]
-    valid = invert(covered, predicted)
+            prior_covariance[i, j] = covariance[active[i], active[j]]
+    valid = invert(prior_covariance, full_prior)
     mean = x.copy()
     if calm:
-        _forget_drift(mean, covered, active)
+        _forget_drift(mean, prior_covariance, active)
     # prior of the local solution: the inverse of the covariance without amplitude and time, which are free
-    rest, inner = np.empty((k - 2, k - 2)), np.empty((k - 2, k - 2))
+    block, inverse_block = np.empty((k - 2, k - 2)), np.empty((k - 2, k - 2))
     for i in range(k - 2):
         for j in range(k - 2):
-            rest[i, j] = covered[2 + i, 2 + j]
-    valid = invert(rest, inner) and valid
+            block[i, j] = prior_covariance[2 + i, 2 + j]
+    valid = invert(block, inverse_block) and valid
     for i in range(k - 2):
         for j in range(k - 2):
-            shared[2 + i, 2 + j] = inner[i, j]
+            local_prior[2 + i, 2 + j] = inverse_block[i, j]
     weight = np.empty(n)
     for i in range(n):
         usable = deflection[i] == deflection[i] and u_deflection[i] > 0.0
@@ -268,25 +269,25 @@ def fit_half_cycle(
     current, local = x.copy(), np.zeros(k)
     local_covariance = np.empty((k, k))
     outliers, count, chi2 = 0, 0, math.nan
-    for iteration in range(_ITERATIONS):
+    for iteration in range(_MAX_ITERATIONS):
         if not valid:
             break
         tabulate_state(current, anchor, reference, active, table, turn)
         linearise(current, side, active, table, tau, deflection, residual, jacobian)
         while True:
             chi2, count = normal_equations(residual, jacobian, weight, information, score)
-            add(information, shared, precision)
+            add(information, local_prior, precision)
             valid = count > 4 and invert(precision, local_covariance)
             if not valid:
                 break
             right = score.copy()
             for i in range(k):
                 for j in range(2, k):
-                    right[i] += shared[i, j] * (mean[active[j]] - current[active[j]])
+                    right[i] += local_prior[i, j] * (mean[active[j]] - current[active[j]])
             times(local_covariance, right, local)
-            newly = _gate(residual, jacobian, local, weight)
-            outliers += newly
-            if newly == 0:
+            new_outliers = _reject_outliers(residual, jacobian, local, weight)
+            outliers += new_outliers
+            if new_outliers == 0:
                 break
         if not valid:
             break
@@ -296,18 +297,18 @@ def fit_half_cycle(
         u_amplitude = math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE])
         step = phase + abs(local[AMPLITUDE] / current[AMPLITUDE])
         for i in range(k):
-            column = active[i]
-            if SHAPE <= column < SHAPE + SHAPES:
-                # the exponents multiply terms that are themselves small
-                flat = column == SHAPE + P or column == SHAPE + N
-                step += abs(local[i]) * (0.05 if flat else 1.0)
-            elif column == RATE:
+            entry = active[i]
+            if SHAPE <= entry < SHAPE + SHAPES:
+                # the exponents change terms that are themselves small
+                is_exponent = entry == SHAPE + P or entry == SHAPE + N
+                step += abs(local[i]) * (0.05 if is_exponent else 1.0)
+            elif entry == RATE:
                 step += abs(local[i] / current[RATE])
         if phase > 1.0:
             valid = False
             break
-        settled = abs(current[AMPLITUDE]) * step * step < _MAX_LINEARISATION_ERROR * u_amplitude
-        if settled or iteration == _ITERATIONS - 1:
+        is_linear = abs(current[AMPLITUDE]) * step * step < _MAX_LINEARISATION_ERROR * u_amplitude
+        if is_linear or iteration == _MAX_ITERATIONS - 1:
             break
         for i in range(k):
             current[active[i]] += local[i]
@@ -316,15 +317,15 @@ def fit_half_cycle(
     if not valid:
         return HalfCycleFit(
             False, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, count, outliers,
-            math.nan, math.nan, math.nan, hole, state, posterior,
+            math.nan, math.nan, math.nan, gap, state, posterior,
         )  # fmt: skip
     full_covariance, full = np.empty((k, k)), np.zeros(k)
-    add(information, predicted, precision)
+    add(information, full_prior, precision)
     valid = invert(precision, full_covariance)
     right, offset, away = np.empty(k), np.empty(k), np.empty(k)
     for j in range(k):
         offset[j] = x[active[j]] - current[active[j]]
-    times(predicted, offset, right)
+    times(full_prior, offset, right)
     for j in range(k):
         right[j] += score[j]
     times(full_covariance, right, full)
@@ -333,11 +334,11 @@ def fit_half_cycle(
     # their prediction.
     for j in range(k):
         away[j] = full[j] - offset[j]
-    cost_full = chi2 - 2.0 * dot(full, score) + quadratic(information, full) + quadratic(predicted, away)
+    cost_full = chi2 - 2.0 * dot(full, score) + quadratic(information, full) + quadratic(full_prior, away)
     for j in range(k):
         away[j] = local[j] - (mean[active[j]] - current[active[j]])
     chi2_local = chi2 - 2.0 * dot(local, score) + quadratic(information, local)
-    cost_local = chi2_local + quadratic(shared, away)
+    cost_local = chi2_local + quadratic(local_prior, away)
     for i in range(k):
         state[active[i]] += full[i]
         for j in range(k):
@@ -346,24 +347,16 @@ def fit_half_cycle(
     for i in range(n):
         residual[i] -= dot(jacobian[i], local)
         total_weight += weight[i]
-    moved = current.copy()
+    local_state = current.copy()
     for i in range(k):
-        moved[active[i]] += local[i]
+        local_state[active[i]] += local[i]
+    u_amplitude = math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE])
+    u_time = math.sqrt(local_covariance[TIME, TIME])
+    centre = local_state[CENTRE] + local_state[DRIFT] * local_state[TIME]
+    worst_segment = _worst_segment(residual, weight, count) * noise_scale * noise_scale
+    slow_power = _slow_power(tau, residual, weight, count, start, end) * noise_scale * noise_scale
     return HalfCycleFit(
-        valid,
-        moved[AMPLITUDE],
-        moved[TIME],
-        math.sqrt(local_covariance[AMPLITUDE, AMPLITUDE]),
-        math.sqrt(local_covariance[TIME, TIME]),
-        moved[CENTRE] + moved[DRIFT] * moved[TIME],
-        math.sqrt(2.0 / total_weight),
-        chi2_local * noise_scale * noise_scale,
-        count,
-        outliers,
-        _worst_segment(residual, weight, count) * noise_scale * noise_scale,
-        _slow_power(tau, residual, weight, count, start, end) * noise_scale * noise_scale,
-        cost_full - cost_local,
-        hole,
-        state,
-        posterior,
-    )
+        valid, local_state[AMPLITUDE], local_state[TIME], u_amplitude, u_time, centre,
+        math.sqrt(2.0 / total_weight), chi2_local * noise_scale * noise_scale, count, outliers, worst_segment,
+        slow_power, cost_full - cost_local, gap, state, posterior,
+    )  # fmt: skip

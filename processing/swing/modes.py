@@ -4,8 +4,8 @@
     slow(t) = (X + k t Y, Y - k t X)
 
 is fitted to a few slow periods, with complex X, Y, `fast` and k: the slow ellipse rotates at the rate Re k
-and widens at the rate Im k. The result is direction, width and period of each mode, with uncertainties, also
-where both modes appear in both coordinates.
+and broadens at the rate Im k. The result is direction, width and period of each mode, with uncertainties,
+also where both modes appear in both coordinates.
 """
 
 import math
@@ -16,68 +16,71 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.swing.mode_fit import (
-    EVERY,
+    ALL_TERMS,
+    FAST_AMPLITUDES,
     FAST_COSINE,
     FAST_RATE,
-    FAST_SINE,
+    FIRST_X_TERM,
+    FIRST_Y_TERM,
     REST,
     SLOW_COSINE,
     SLOW_RATE,
     TERMS,
     ModeFit,
     ModeSamples,
-    X,
-    Y,
-    fast_mode_seen,
+    fast_mode_is_significant,
     fit_terms,
     slow_fit,
     with_fast_mode,
 )
 from processing.units import seconds
 
-_FEWEST_SAMPLES = 20
+_MIN_SAMPLES = 20
 """Fewest samples, of two coordinates each, for the 18 terms of both modes."""
-_SHARE_OF_STOPPED = 0.6
-"""Squared error by the end of a fast mode within the samples, over that by white noise of the same size;
-times the squared number of its cycles, over the number of samples."""
+_STOP_ERROR = 0.6
+"""Squared error of the slow mode by a fast mode that stops within the samples, relative to that by white
+noise of the same size, multiplied by the squared number of cycles and divided by the number of samples."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One damped ellipse at the reference time, in the unit of the coordinates; angles in rad.
-
-    `amplitude` is the semi-major axis and `direction_rad` its angle from Y towards X, in (-pi/2, pi/2].
-    `width` is the semi-minor axis, positive if the motion runs from +Y towards +X. `x_amplitude` and
-    `y_amplitude` are the largest deflections in each coordinate. `u_` marks standard uncertainties.
-    """
+    """One damped ellipse at the reference time, in the unit of the coordinates."""
 
     period_s: float
     u_period_s: float
     amplitude: float
+    """Semi-major axis."""
     u_amplitude: float
     width: float
+    """Semi-minor axis, positive if the motion runs from +Y towards +X."""
     u_width: float
     direction_rad: float
+    """Angle of the semi-major axis from Y towards X, in (-pi/2, pi/2]."""
     u_direction_rad: float
     x_amplitude: float
+    """Largest deflection in X."""
     u_x_amplitude: float
     y_amplitude: float
+    """Largest deflection in Y."""
     u_y_amplitude: float
 
 
 @dataclass(frozen=True, slots=True)
 class TwoModes:
-    """Slow mode, fast mode and rest position at `time_ns`, the middle of the samples.
+    """Slow mode, fast mode and rest position.
 
-    `fast` is None if no fast mode is significant; `fast_limit` is then the amplitude in X of the strongest
-    spectral line in the residuals. Standard uncertainties (`u_`) of each coordinate are multiplied by the
-    square root of its chi-square per degree of freedom where that exceeds 1; by more if the fast mode stops.
+    Standard uncertainties (`u_`) of each coordinate are multiplied by the square root of its chi-square per
+    degree of freedom where that exceeds 1; by more if the fast mode stops.
     """
 
     time_ns: int
+    """Reference time: the middle of the samples."""
     slow: Mode
     fast: Mode | None
+    """None if no fast mode is significant."""
     fast_limit: float
+    """Amplitude in X of the strongest spectral line in the residuals; 0 with a fast mode, NaN if the samples
+    cannot show a line."""
     rest_x: float
     u_rest_x: float
     rest_y: float
@@ -101,7 +104,7 @@ def separate_modes(
     x, y : (n,) coordinates, any unit; samples where either is NaN are ignored
     u_x, u_y : (n,) standard uncertainties, positive
     slow_period_s, fast_period_s : start values; NaN if unknown. A fast mode that has a start value and is not
-        seen has stopped within the samples.
+        found has stopped within the samples.
 
     Returns
     -------
@@ -115,22 +118,22 @@ def separate_modes(
     DataError
         Lengths differ.
     """
-    if any(column.shape != times_ns.shape for column in (x, y, u_x, u_y)):
+    if any(values.shape != times_ns.shape for values in (x, y, u_x, u_y)):
         raise DataError("times, coordinates and uncertainties must be of one length")
-    good = np.isfinite(x) & np.isfinite(y)
-    times = times_ns[good]
-    if len(times) < _FEWEST_SAMPLES or times[0] == times[-1]:
+    is_finite = np.isfinite(x) & np.isfinite(y)
+    times = times_ns[is_finite]
+    if len(times) < _MIN_SAMPLES or times[0] == times[-1]:
         return None
     middle_ns = int(times[0] + (times[-1] - times[0]) // 2)
     t = seconds(times - middle_ns)
-    samples = ModeSamples(t, x[good], y[good], u_x[good] ** -2.0, u_y[good] ** -2.0)
+    samples = ModeSamples(t, x[is_finite], y[is_finite], u_x[is_finite] ** -2.0, u_y[is_finite] ** -2.0)
     fit = None
     if not math.isnan(slow_period_s) and not math.isnan(fast_period_s):
         # both periods are known: no search is needed
         start = np.zeros(TERMS)
         start[SLOW_RATE], start[FAST_RATE] = 2.0 * math.pi / slow_period_s, 2.0 * math.pi / fast_period_s
-        fit = fit_terms(start, EVERY, samples, float(start[SLOW_RATE]))
-        if not (fit.explains(samples) and fast_mode_seen(fit)):
+        fit = fit_terms(start, ALL_TERMS, samples, float(start[SLOW_RATE]))
+        if not (fit.explains(samples) and fast_mode_is_significant(fit)):
             fit = None
     limit = 0.0
     if fit is None:
@@ -140,22 +143,22 @@ def separate_modes(
         fit, limit = with_fast_mode(slow, samples)
     if not fit.p[SLOW_RATE] * samples.span_s > 1.8 * math.pi:
         return None
-    found = _with_scatter(fit, samples, fast_period_s)
-    if FAST_RATE in fit.active and found is not fit and not fast_mode_seen(found, len(t)):
-        # a misfit of one coordinate had passed for a mode of both
+    weighted = _with_scatter(fit, samples, fast_period_s)
+    if FAST_RATE in fit.active and weighted is not fit and not fast_mode_is_significant(weighted, len(t)):
+        # residuals of one coordinate that the model does not describe had been fitted by a mode of both
         slow = slow_fit(samples, 2.0 * math.pi / float(fit.p[SLOW_RATE]))
         if slow is None:
             return None
-        limit = float(np.hypot(found.p[X + FAST_COSINE], found.p[X + FAST_SINE]))
-        found = _with_scatter(slow, samples, fast_period_s)
-    return _result(middle_ns, found, limit)
+        limit = float(np.hypot(*weighted.p[FAST_AMPLITUDES[:2]]))
+        weighted = _with_scatter(slow, samples, fast_period_s)
+    return _result(middle_ns, weighted, limit)
 
 
 def _with_scatter(fit: ModeFit, samples: ModeSamples, fast_period_s: float) -> ModeFit:
-    """The fit with each coordinate's uncertainties enlarged by its scatter; the same fit if that is none.
+    """The fit with each coordinate's uncertainties enlarged by its scatter; the same fit if there is none.
 
-    Across the slow mode scatter is what the fit leaves of a fast mode that ends within the samples: of the
-    one in the fit, or of one that had this period (NaN: none). It moves the slow mode by more than noise.
+    The scatter across the slow mode is the residual of a fast mode that stops within the samples: the fitted
+    one, or one of this period (NaN: none). It shifts the slow mode by more than noise of the same size.
     """
     dof = max(len(samples.t) - len(fit.active) / 2.0, 1.0)
     chi2_per_dof_x = float((fit.residual_x**2 * samples.weights_x).sum()) / dof
@@ -168,16 +171,19 @@ def _with_scatter(fit: ModeFit, samples: ModeSamples, fast_period_s: float) -> M
     if FAST_RATE in fit.active:
         fast_period_s = 2.0 * math.pi / float(fit.p[FAST_RATE])
     if not math.isnan(fast_period_s):
-        sizes = [np.hypot(fit.p[at + SLOW_COSINE], fit.p[at + SLOW_COSINE + 1]) for at in (X, Y)]
+        first_terms = (FIRST_X_TERM + SLOW_COSINE, FIRST_Y_TERM + SLOW_COSINE)
+        sizes = [np.hypot(fit.p[index], fit.p[index + 1]) for index in first_terms]
         cycles = samples.span_s / fast_period_s
-        factor[int(np.argmin(sizes))] = max(_SHARE_OF_STOPPED * len(samples.t) / cycles**2, 1.0)
-    scatter = 1.0 + factor * np.maximum(np.array([chi2_per_dof_x, chi2_per_dof_y]) - 1.0, 0.0)
-    return fit_terms(fit.p, fit.active, samples.rescaled(*scatter.tolist()), float(fit.p[SLOW_RATE]))
+        factor[int(np.argmin(sizes))] = max(_STOP_ERROR * len(samples.t) / cycles**2, 1.0)
+    scatter_x, scatter_y = 1.0 + factor * np.maximum(np.array([chi2_per_dof_x, chi2_per_dof_y]) - 1.0, 0.0)
+    weights_x, weights_y = samples.weights_x / scatter_x, samples.weights_y / scatter_y
+    weighted = samples._replace(weights_x=weights_x, weights_y=weights_y)
+    return fit_terms(fit.p, fit.active, weighted, float(fit.p[SLOW_RATE]))
 
 
-def _ellipse(parts: Floats) -> Floats:
+def _ellipse(amplitudes: Floats) -> Floats:
     """Semi-axes, direction, amplitudes in x and y (5, n); from x cosine, x sine, y cosine, y sine (4, n)."""
-    x, y = parts[0] - 1j * parts[1], parts[2] - 1j * parts[3]
+    x, y = amplitudes[0] - 1j * amplitudes[1], amplitudes[2] - 1j * amplitudes[3]
     # An ellipse is the sum of two circular motions of y + i x in opposite senses, with these amplitudes. Its
     # semi-axes are the sum and the difference of their moduli.
     forward, backward = (y + 1j * x) / 2.0, (y.conj() + 1j * x.conj()) / 2.0
@@ -186,35 +192,26 @@ def _ellipse(parts: Floats) -> Floats:
     return np.array([larger + smaller, larger - smaller, direction, np.abs(x), np.abs(y)])
 
 
-def _mode(p: Floats, covariance: Floats, rate_place: int, offset: int) -> Mode:
-    places = [X + offset, X + offset + 1, Y + offset, Y + offset + 1]
-    parts, part_covariance = p[places], covariance[np.ix_(places, places)]
-    size = max(float(np.abs(parts).max()), 1e-300)
+def _mode(p: Floats, covariance: Floats, rate_index: int, cosine: int) -> Mode:
+    """Mode with its rate and the first of its cosines and sines at these indices."""
+    indices = [first + cosine + k for first in (FIRST_X_TERM, FIRST_Y_TERM) for k in (0, 1)]
+    amplitudes = p[indices]
+    size = max(float(np.abs(amplitudes).max()), 1e-300)
     change = 1e-6 * size * np.eye(4)
     # the ellipse itself, then with each of its four amplitudes larger, then smaller: central differences
-    found = _ellipse(np.column_stack([parts, parts[:, None] + change, parts[:, None] - change]))
-    values, differences = found[:, 0], found[:, 1:5] - found[:, 5:]
+    columns = [amplitudes, amplitudes[:, None] + change, amplitudes[:, None] - change]
+    ellipses = _ellipse(np.column_stack(columns))
+    values, differences = ellipses[:, 0], ellipses[:, 1:5] - ellipses[:, 5:]
     # the angle is defined modulo pi: remove jumps
     differences[2] = (differences[2] + math.pi / 2.0) % math.pi - math.pi / 2.0
     slopes = differences / (2e-6 * size)
-    u = np.sqrt(np.maximum(np.diag(slopes @ part_covariance @ slopes.T), 0.0))
-    turn = round(values[2] / math.pi) if abs(values[2]) > math.pi / 2.0 else 0
-    period = 2.0 * math.pi / p[rate_place]
-    u_rate = math.sqrt(max(covariance[rate_place, rate_place], 0.0))
-    return Mode(
-        period_s=float(period),
-        u_period_s=float(period * u_rate / p[rate_place]),
-        amplitude=float(values[0]),
-        u_amplitude=float(u[0]),
-        width=float(values[1]),
-        u_width=float(u[1]),
-        direction_rad=float(values[2] - turn * math.pi),
-        u_direction_rad=float(u[2]),
-        x_amplitude=float(values[3]),
-        u_x_amplitude=float(u[3]),
-        y_amplitude=float(values[4]),
-        u_y_amplitude=float(u[4]),
-    )
+    u = np.sqrt(np.maximum(np.diag(slopes @ covariance[np.ix_(indices, indices)] @ slopes.T), 0.0))
+    if abs(values[2]) > math.pi / 2.0:
+        values[2] -= round(values[2] / math.pi) * math.pi
+    period = 2.0 * math.pi / p[rate_index]
+    u_rate = math.sqrt(max(covariance[rate_index, rate_index], 0.0))
+    u_period = period * u_rate / p[rate_index]
+    return Mode(float(period), float(u_period), *np.column_stack([values, u]).ravel().tolist())
 
 
 def _result(time_ns: int, fit: ModeFit, limit: float) -> TwoModes:
@@ -225,8 +222,8 @@ def _result(time_ns: int, fit: ModeFit, limit: float) -> TwoModes:
         slow=_mode(p, covariance, SLOW_RATE, SLOW_COSINE),
         fast=_mode(p, covariance, FAST_RATE, FAST_COSINE) if FAST_RATE in fit.active else None,
         fast_limit=limit,
-        rest_x=float(p[X + REST]),
-        u_rest_x=float(u[X + REST]),
-        rest_y=float(p[Y + REST]),
-        u_rest_y=float(u[Y + REST]),
+        rest_x=float(p[FIRST_X_TERM + REST]),
+        u_rest_x=float(u[FIRST_X_TERM + REST]),
+        rest_y=float(p[FIRST_Y_TERM + REST]),
+        u_rest_y=float(u[FIRST_Y_TERM + REST]),
     )

@@ -21,7 +21,6 @@ from processing.swing.half_cycle import (
     STATES,
     TIME,
     propagate,
-    tabulated,
 )
 from processing.swing.waveform import BEND, DAMPING, DRY, RISE, SHAPES, STIFF, N, P, Table, zero_phases
 from processing.units import NS_PER_S, S_PER_NS
@@ -29,16 +28,14 @@ from processing.units import NS_PER_S, S_PER_NS
 
 @dataclass(frozen=True, slots=True)
 class KnownMotion:
-    """Frequency and shape of the motion at every amplitude (see `waveform` for the equation).
-
-    `rate_rad_per_s` is the angular frequency of the linear part of the waveform's equation at the amplitude
-    `reference`, which has the unit of the deflection. The fields from `damping` to `bend` are dimensionless,
-    in the order of the state's shape terms.
-    """
+    """Frequency and shape of the motion at every amplitude (see `waveform` for the equation)."""
 
     rate_rad_per_s: float
+    """Angular frequency of the linear part of the waveform's equation at the reference amplitude."""
     reference: float
+    """Reference amplitude, unit of the deflection."""
     damping: float = 0.0
+    """The first of the state's shape terms; they follow in their order and are dimensionless."""
     dry: float = 0.0
     rise: float = 0.0
     p: float = 1.0
@@ -48,15 +45,15 @@ class KnownMotion:
 
     def put_into(self, x: Floats) -> Floats:
         """Copy of the state `x` (see `half_cycle`) with this motion's frequency and shape."""
-        out = np.array(x, dtype=np.float64)
-        assert out.shape == (STATES,)
-        out[RATE] = self.rate_rad_per_s
-        out[SHAPE : SHAPE + SHAPES] = astuple(self)[2:]
-        return out
+        state = np.array(x, dtype=np.float64)
+        assert state.shape == (STATES,)
+        state[RATE] = self.rate_rad_per_s
+        state[SHAPE : SHAPE + SHAPES] = astuple(self)[2:]
+        return state
 
 
 SLOPE_WANDER = 1e-3
-"""Standard deviation of the drift's change per half-cycle, in units of (resolution per half-cycle)."""
+"""Standard deviation of the drift's change from one half-cycle to the next, in resolutions per half-cycle."""
 
 
 @kernel
@@ -76,24 +73,15 @@ def predict(
 
     Parameters
     ----------
-    x, covariance
-        State at the present turning point and its covariance (see `half_cycle`).
-    table, turn
-        The waveform of that state (see `tabulate_state`).
-    reference
-        Amplitude to which the shape terms refer.
-    active
-        Free entries of the state.
-    resolution
-        Uncertainty of an amplitude if all other parameters were known; scale of the process noise.
-    process_noise
-        Scale of the process noise: factor on the variances Q of all terms but centre and drift; 1 while
-        predictions agree with measurements.
-    drift_noise
-        Factor on the variance Q of the drift; its square root applies to the centre.
-    walk
-        Variance of the steps that a drive adds to the amplitude, and to the phase times the amplitude, from
-        one half-cycle to the next; square of the unit of the deflection.
+    x, covariance : state at the present turning point and its covariance (see `half_cycle`)
+    table, turn : the waveform of that state (see `tabulate_state`)
+    reference : amplitude to which the shape terms refer
+    active : free entries of the state
+    resolution : uncertainty of an amplitude if all else were known; scale of the process noise
+    process_noise : factor on the variances of all terms but centre and drift; 1 while predictions are right
+    drift_noise : factor on the variance of the drift; its square root applies to the centre
+    walk : variance of the steps that a drive adds to the amplitude, and to the phase times the amplitude,
+        from one half-cycle to the next; square of the unit of the deflection
 
     Returns
     -------
@@ -104,13 +92,13 @@ def predict(
     rate = x[RATE]
     step_ns = round((x[TIME] + turn[0, 0] / rate) * NS_PER_S)
     elapsed = step_ns * S_PER_NS
-    following, transition = propagate(x, turn, elapsed)
+    next_state, transition = propagate(x, turn, elapsed)
     u_phase = resolution / x[AMPLITUDE]
     loss = abs(1.0 - turn[1, 0])
     wander = np.zeros(STATES)
     wander[AMPLITUDE] = 0.2 * resolution
     wander[TIME] = 0.2 * u_phase / rate
-    # a stiffness that depends on the amplitude changes the frequency with every loss of amplitude; part of
+    # a stiffness that depends on the amplitude changes the frequency with every loss of amplitude; a part of
     # that change may be wrong
     softness = abs(x[SHAPE + STIFF]) + abs(x[SHAPE + BEND])
     wander[RATE] = max(min(3e-3 * u_phase, 1e-4), 0.03 * loss * softness) * rate
@@ -129,73 +117,63 @@ def predict(
     wander[FAST_RATE] = 1e-2 * resolution / (size * elapsed)
     wander[FAST_DAMPING] = 1e-2 * resolution / (size * elapsed)
     # F P F^T, active entries only
-    moved = np.zeros((STATES, STATES))
-    carried = np.zeros((STATES, STATES))
+    half_product = np.zeros((STATES, STATES))
+    predicted = np.zeros((STATES, STATES))
     for i in active:
         for j in active:
             for k in active:
-                moved[i, j] += transition[i, k] * covariance[k, j]
+                half_product[i, j] += transition[i, k] * covariance[k, j]
     for i in active:
         for j in active:
             for k in active:
-                carried[i, j] += moved[i, k] * transition[j, k]
+                predicted[i, j] += half_product[i, k] * transition[j, k]
     for i in active:
         for j in active:
             if j < i:
-                carried[i, j] = carried[j, i]
+                predicted[i, j] = predicted[j, i]
         scale = process_noise
         if i == DRIFT:
             scale = drift_noise
         elif i == CENTRE:
             scale = math.sqrt(drift_noise)
-        carried[i, i] += scale * wander[i] * wander[i]
-    carried[AMPLITUDE, AMPLITUDE] += walk
-    carried[TIME, TIME] += walk / (x[AMPLITUDE] * rate) ** 2
+        predicted[i, i] += scale * wander[i] * wander[i]
+    predicted[AMPLITUDE, AMPLITUDE] += walk
+    predicted[TIME, TIME] += walk / (x[AMPLITUDE] * rate) ** 2
     # the next half-cycle crosses zero at nearly the same phase as this one
     _, after = zero_phases(table)
-    return step_ns, following, carried, following[TIME] + after / rate
+    return step_ns, next_state, predicted, next_state[TIME] + after / rate
 
 
-def window(x: Vector, reference: float) -> tuple[float, float, float]:
-    """Zero crossings before and after the turning point and the next turning point, s after the reference."""
-    table, turn = tabulated(x, x, reference, np.empty(0, dtype=np.int64))
-    before, after = zero_phases(table)
-    start, rate = float(x[TIME]), float(x[RATE])
-    return start + before / rate, start + after / rate, start + float(turn[0, 0]) / rate
-
-
-_VARIANCE_MEMORY = 32
-_MEAN_MEMORY = 16
-"""Number of half-cycles over which the steps' variance and the other running means extend."""
-_DRIVE_THRESHOLD = 4.0
+_VARIANCE_HALF_CYCLES = 32
+"""Number of half-cycles over which the running mean of the steps' variance extends."""
+_MEAN_HALF_CYCLES = 16
+"""Number of half-cycles over which the other running means extend."""
+_MIN_DRIVE_SQUARES = 4.0
 """Sum of the running means of both squares, in units of their variances, above which there is a drive."""
-_THRESHOLD_MOVING_REST = 3.4
-"""The same threshold where the rest position seems to move. By chance the sum is 2 ± 0.35."""
-_LARGEST_DEVIATE = 4.0
+_MIN_DRIVE_SQUARES_MOVING_REST = 3.4
+"""The same limit where the rest position seems to move. By chance the sum is 2 ± 0.35."""
+_MAX_DEVIATE = 4.0
 """Limit on differences in standard deviations, once there is a drive."""
-_LARGEST_OFFSET = 0.65
+_MAX_OFFSET = 0.65
 """Running mean of the differences, in standard deviations (it scatters by 0.18), above which the motion
 without the drive is predicted wrongly."""
-_LARGEST_ALTERNATION = 0.3
+_MAX_ALTERNATION = 0.3
 """Alternating part of the amplitudes' squares above which they are no evidence of a drive."""
-_LARGEST_SQUARE = 32.0
-"""Limit on the square of a difference, in its variance; with it one knock alone is no drive."""
-_NEGLIGIBLE_STEP = 0.2
+_MAX_SQUARE = 32.0
+"""Limit on the square of a difference, in its variance, so that a single knock is no drive."""
+_MIN_STEP = 0.2
 """Step that the prediction allows for anyway, in units of an amplitude's uncertainty with all else known."""
-
-
 _AMPLITUDE_ERROR, _TIME_ERROR, _CENTRE_ERROR = 0.35, 0.37, 0.33
-"""Errors that a white drive causes within a half-cycle, in steps: of a fit of amplitude, phase and centre to
-its samples about a turning point. Half of the amplitude's error is the centre's, which is fitted with it.
-The centre's error is relative to that from white noise of the same resolution."""
-
-
+"""Errors that a white drive causes within a half-cycle, in steps, in a fit of amplitude, phase and centre to
+the samples about a turning point. Half of the amplitude's error is that of the centre, which is fitted with
+it. The centre's error is relative to that from white noise of the same resolution."""
 _DRIFT_PART = 0.05
-_MOST_DRIFT_NOISE = 1e9
+"""Standard deviation of the drift's change per half-cycle that a drive's steps allow, in these steps."""
+_MAX_DRIFT_NOISE = 1e9
 
 
 class DriveInflation(NamedTuple):
-    """Factors on uncertainties for the effect of a drive within a half-cycle, which looks like noise."""
+    """Factors on uncertainties for the effect of a drive within a half-cycle, which resembles noise."""
 
     samples: float = 1.0
     amplitude: float = 1.0
@@ -214,7 +192,7 @@ class DrivenWalk:
 
     def biased(self) -> bool:
         """Whether the differences have a mean, which a drive does not cause for long; resets the mean."""
-        if max(abs(one) for one in self._offsets) < _LARGEST_OFFSET:
+        if max(map(abs, self._offsets)) < _MAX_OFFSET:
             return False
         self._offsets = [0.0, 0.0]
         return True
@@ -225,23 +203,24 @@ class DrivenWalk:
             return DriveInflation()
         relative = self.variance / resolution**2
         samples, amplitude, time = (
-            math.sqrt(1.0 + part**2 * relative) for part in (_CENTRE_ERROR, _AMPLITUDE_ERROR, _TIME_ERROR)
+            math.sqrt(1.0 + error**2 * relative) for error in (_CENTRE_ERROR, _AMPLITUDE_ERROR, _TIME_ERROR)
         )
         return DriveInflation(samples, amplitude, time)
 
-    def most_drift_noise(self, resolution: float) -> float:
+    def max_drift_noise(self, resolution: float) -> float:
         """Largest `drift_noise` of `predict`: a part of the steps' variance.
 
-        With a drive the rest position seems to move, too; more noise would give it the other steps as well.
+        With a drive the rest position seems to move, too. With more noise it would take up the steps of
+        amplitude and phase.
         """
         if self.variance == 0.0 or self._alternates:
-            return _MOST_DRIFT_NOISE
+            return _MAX_DRIFT_NOISE
         return max(1.0, self.variance * (_DRIFT_PART / (SLOPE_WANDER * resolution)) ** 2)
 
     @property
     def _alternates(self) -> bool:
         """Whether the amplitudes' differences alternate, as with a rest position that wanders."""
-        return self._alternation > _LARGEST_ALTERNATION * self._means[0]
+        return self._alternation > _MAX_ALTERNATION * self._means[0]
 
     @property
     def excess(self) -> float:
@@ -259,40 +238,36 @@ class DrivenWalk:
 
         Parameters
         ----------
-        differences
-            Measured minus predicted amplitude, and measured minus predicted time multiplied by amplitude and
-            angular frequency; unit of the deflection.
-        variances
-            Expected variances of the differences, with the present steps.
-        resolution
-            Uncertainty of the amplitude if all else were known, unit of the deflection.
-        rest_moves
-            Whether the rest position seems to move as well, as it does with an unknown drive.
+        differences : measured minus predicted amplitude, and measured minus predicted time multiplied by
+            amplitude and angular frequency; unit of the deflection
+        variances : expected variances of the differences, with the present steps
+        resolution : uncertainty of the amplitude if all else were known, unit of the deflection
+        rest_moves : whether the rest position seems to move as well, as it does with an unknown drive
         """
         squares = [d * d for d in differences]
-        ratios = [min(s / v, _LARGEST_SQUARE) for s, v in zip(squares, variances, strict=True)]
+        ratios = [min(s / v, _MAX_SQUARE) for s, v in zip(squares, variances, strict=True)]
         for k in (0, 1):
-            self._means[k] += (ratios[k] - self._means[k]) / _MEAN_MEMORY
+            self._means[k] += (ratios[k] - self._means[k]) / _MEAN_HALF_CYCLES
         deviate = math.copysign(math.sqrt(ratios[0]), differences[0])
-        self._alternation += (-deviate * self._last_deviate - self._alternation) / _MEAN_MEMORY
+        self._alternation += (-deviate * self._last_deviate - self._alternation) / _MEAN_HALF_CYCLES
         self._last_deviate = deviate
         if self.variance == 0.0:
             self._offsets = [0.0, 0.0]
-            together = sum(self._means)
-            if together < (_THRESHOLD_MOVING_REST if rest_moves else _DRIVE_THRESHOLD) or self._alternates:
+            limit = _MIN_DRIVE_SQUARES_MOVING_REST if rest_moves else _MIN_DRIVE_SQUARES
+            if sum(self._means) < limit or self._alternates:
                 return False
             self._count = 2
             self.variance = max(0.5 * (sum(squares) - sum(variances)), resolution**2)
             return True
-        self._count = min(self._count + 1, _VARIANCE_MEMORY)
-        found = self.variance
+        self._count = min(self._count + 1, _VARIANCE_HALF_CYCLES)
+        variance = self.variance
         for k in (0, 1):
-            deviate = max(-_LARGEST_DEVIATE, min(differences[k] / math.sqrt(variances[k]), _LARGEST_DEVIATE))
+            deviate = max(-_MAX_DEVIATE, min(differences[k] / math.sqrt(variances[k]), _MAX_DEVIATE))
             square = (deviate - self._offsets[k]) ** 2 - (max(self._alternation, 0.0) if k == 0 else 0.0)
-            found += 0.5 * variances[k] * (square - 1.0)
-            self._offsets[k] += (deviate - self._offsets[k]) / _MEAN_MEMORY
-        self.variance += (found - self.variance) / self._count
-        if self.variance < (_NEGLIGIBLE_STEP * resolution) ** 2:
+            variance += 0.5 * variances[k] * (square - 1.0)
+            self._offsets[k] += (deviate - self._offsets[k]) / _MEAN_HALF_CYCLES
+        self.variance += (variance - self.variance) / self._count
+        if self.variance < (_MIN_STEP * resolution) ** 2:
             self.variance = 0.0
             self._means = [1.0, 1.0]
         return False

@@ -1,4 +1,4 @@
-"""Buffer of the samples that are still needed, check of new ones, search for rough turning points."""
+"""Buffer of the samples that are still needed, check of new samples, search for rough turning points."""
 
 import math
 from typing import NamedTuple
@@ -12,28 +12,29 @@ from processing.kernel import kernel
 from processing.swing.arc import HalfCycleSamples
 from processing.units import seconds
 
-_FINE, _BACKWARDS, _UNCERTAINTY = 0, 1, 2
-_FIRST_SIZE = 4096
+_NO_FAULT, _BACKWARDS, _UNCERTAINTY = 0, 1, 2
+_INITIAL_SIZE = 4096
 
 
 @kernel
 def _fault(times_ns: Ints, deflection: Floats, u_deflection: Floats, last: int) -> tuple[int, int]:
+    """Kind of the first fault and index of its sample."""
     for i in range(len(times_ns)):
         if times_ns[i] < last:
             return _BACKWARDS, i
         last = times_ns[i]
         if deflection[i] == deflection[i] and not (u_deflection[i] > 0.0 and u_deflection[i] < math.inf):
             return _UNCERTAINTY, i
-    return _FINE, 0
+    return _NO_FAULT, 0
 
 
 class SampleBuffer:
     """Samples in order of time, without the old ones. Positions are indices into its arrays."""
 
     def __init__(self) -> None:
-        self.times_ns = np.empty(_FIRST_SIZE, dtype=np.int64)
-        self.deflection = np.empty(_FIRST_SIZE)
-        self.u_deflection = np.empty(_FIRST_SIZE)
+        self.times_ns = np.empty(_INITIAL_SIZE, dtype=np.int64)
+        self.deflection = np.empty(_INITIAL_SIZE)
+        self.u_deflection = np.empty(_INITIAL_SIZE)
         self.head = 0
         self.tail = 0
         self.last_ns = -(1 << 63)
@@ -53,16 +54,16 @@ class SampleBuffer:
         n = len(times)
         if n == 0:
             return
-        fault, where = _fault(times, values, u_values, self.last_ns)
+        fault, index = _fault(times, values, u_values, self.last_ns)
         if fault == _BACKWARDS:
-            before = self.last_ns if where == 0 else int(times[where - 1])
+            previous_ns = self.last_ns if index == 0 else int(times[index - 1])
             raise DataError(
-                f"times run backwards at sample {where} of the block: "
-                f"{int(times[where])} ns after {before} ns; sort the samples or start a new detector"
+                f"times run backwards at sample {index} of the block: "
+                f"{int(times[index])} ns after {previous_ns} ns; sort the samples or start a new detector"
             )
         if fault == _UNCERTAINTY:
             raise DataError(
-                f"uncertainty of sample {where} of the block is {u_values[where]}: "
+                f"uncertainty of sample {index} of the block is {u_values[index]}: "
                 "it must be positive and finite where there is a deflection"
             )
         if self.tail + n > len(self.times_ns):
@@ -75,17 +76,18 @@ class SampleBuffer:
         self.last_ns = int(times[-1])
 
     def _pack(self, n: int) -> None:
-        kept = self.tail - self.head
+        """Move the samples to the start of the arrays, enlarged if there is no room for `n` more."""
+        count = self.tail - self.head
         size = len(self.times_ns)
-        while kept + n > size // 2:
+        while count + n > size // 2:
             size *= 2
         for name in ("times_ns", "deflection", "u_deflection"):
             old = getattr(self, name)
             new = old if size == len(old) else np.empty(size, dtype=old.dtype)
-            new[:kept] = old[self.head : self.tail]
+            new[:count] = old[self.head : self.tail]
             setattr(self, name, new)
         self.dropped += self.head
-        self.head, self.tail = 0, kept
+        self.head, self.tail = 0, count
 
     def position(self, time_ns: int) -> int:
         """Position of the first sample at or after a time."""
@@ -107,21 +109,20 @@ class SampleBuffer:
         )
 
 
-REVERSAL = 0.25
-"""A turning point is accepted once the deflection has returned by this fraction of the last range ..."""
-
-NOISE_REVERSAL = 8.0
-"""... and by this many standard uncertainties of a sample, so that noise makes no turning points."""
-
-DIRECTION, HIGHEST, LOWEST, LAST_PIVOT, LAST_RANGE, FOUND, BEFORE_LAST, LAST, SEEN, HAS_PIVOT = range(10)
+_MIN_REVERSAL = 0.25
+"""Fraction of the last range by which the deflection has returned when a turning point is accepted."""
+_MIN_REVERSAL_U = 8.0
+"""The same limit in standard uncertainties of a sample, so that noise makes no turning points; the larger one
+applies."""
+_DIRECTION, _HIGHEST, _LOWEST, _LAST_PIVOT, _LAST_RANGE, PIVOT, _BEFORE_LAST, _LAST, _COUNT, _HAS_PIVOT = (
+    range(10)
+)
 """Indices of the state of the search: direction of the motion (+1, -1; 0 unknown), running maximum and
-minimum, deflection of the last pivot, range between the last two, deflection of the pivot just found, the
-previous two samples and their number, and whether a pivot was found before (1.0)."""
-
+minimum, deflection of the last pivot, range between the last two, deflection of the new pivot, the previous
+two samples and their number, and whether a pivot was found before (1.0)."""
 SEARCH_STATE = 10
-
-HIGHEST_TIME, LOWEST_TIME, FOUND_TIME = range(3)
-"""Indices of the marks: times in ns of the running maximum and minimum and of the pivot just found."""
+_HIGHEST_TIME, _LOWEST_TIME, PIVOT_TIME = range(3)
+"""Indices of the marks: times in ns of the running maximum and minimum and of the new pivot."""
 
 
 class Pivot(NamedTuple):
@@ -132,7 +133,7 @@ class Pivot(NamedTuple):
 
 
 @kernel
-def _middle(a: float, b: float, c: float) -> float:
+def _median(a: float, b: float, c: float) -> float:
     return max(min(a, b), min(max(a, b), c))
 
 
@@ -150,47 +151,43 @@ def search(
 
     `state` (SEARCH_STATE,) and `marks` (three times in ns), zeros at the start, hold the state of the search
     from one call to the next. A running median of three removes single outliers; NaN samples are skipped.
-
-    Returns
-    -------
-    int
-        Index of the sample after the one at which the turning point was accepted; -1 if there was none.
+    Returns the index of the sample after the one at which the turning point was accepted; -1 without one.
     """
     for i in range(first, last):
         raw = deflection[i]
         if raw != raw:
             continue
-        if state[SEEN] < 2.0:
-            if state[SEEN] == 0.0:
-                state[HIGHEST], state[LOWEST] = -math.inf, math.inf
-            state[BEFORE_LAST], state[LAST] = state[LAST], raw
-            state[SEEN] += 1.0
+        if state[_COUNT] < 2.0:
+            if state[_COUNT] == 0.0:
+                state[_HIGHEST], state[_LOWEST] = -math.inf, math.inf
+            state[_BEFORE_LAST], state[_LAST] = state[_LAST], raw
+            state[_COUNT] += 1.0
             continue
-        value = _middle(state[BEFORE_LAST], state[LAST], raw)
-        state[BEFORE_LAST], state[LAST] = state[LAST], raw
-        if value > state[HIGHEST]:
-            state[HIGHEST] = value
-            marks[HIGHEST_TIME] = times_ns[i]
-        if value < state[LOWEST]:
-            state[LOWEST] = value
-            marks[LOWEST_TIME] = times_ns[i]
-        threshold = max(REVERSAL * state[LAST_RANGE], NOISE_REVERSAL * u_deflection[i])
-        found = False
-        if state[DIRECTION] >= 0.0 and state[HIGHEST] - value > threshold:
-            state[FOUND], marks[FOUND_TIME] = state[HIGHEST], marks[HIGHEST_TIME]
-            state[DIRECTION] = -1.0
-            state[LOWEST], marks[LOWEST_TIME] = value, times_ns[i]
-            found = True
-        elif state[DIRECTION] <= 0.0 and value - state[LOWEST] > threshold:
-            state[FOUND], marks[FOUND_TIME] = state[LOWEST], marks[LOWEST_TIME]
-            state[DIRECTION] = 1.0
-            state[HIGHEST], marks[HIGHEST_TIME] = value, times_ns[i]
-            found = True
-        if found:
-            if state[HAS_PIVOT] > 0.0:
-                state[LAST_RANGE] = abs(state[FOUND] - state[LAST_PIVOT])
-            state[LAST_PIVOT] = state[FOUND]
-            state[HAS_PIVOT] = 1.0
+        value = _median(state[_BEFORE_LAST], state[_LAST], raw)
+        state[_BEFORE_LAST], state[_LAST] = state[_LAST], raw
+        if value > state[_HIGHEST]:
+            state[_HIGHEST] = value
+            marks[_HIGHEST_TIME] = times_ns[i]
+        if value < state[_LOWEST]:
+            state[_LOWEST] = value
+            marks[_LOWEST_TIME] = times_ns[i]
+        threshold = max(_MIN_REVERSAL * state[_LAST_RANGE], _MIN_REVERSAL_U * u_deflection[i])
+        is_pivot = False
+        if state[_DIRECTION] >= 0.0 and state[_HIGHEST] - value > threshold:
+            state[PIVOT], marks[PIVOT_TIME] = state[_HIGHEST], marks[_HIGHEST_TIME]
+            state[_DIRECTION] = -1.0
+            state[_LOWEST], marks[_LOWEST_TIME] = value, times_ns[i]
+            is_pivot = True
+        elif state[_DIRECTION] <= 0.0 and value - state[_LOWEST] > threshold:
+            state[PIVOT], marks[PIVOT_TIME] = state[_LOWEST], marks[_LOWEST_TIME]
+            state[_DIRECTION] = 1.0
+            state[_HIGHEST], marks[_HIGHEST_TIME] = value, times_ns[i]
+            is_pivot = True
+        if is_pivot:
+            if state[_HAS_PIVOT] > 0.0:
+                state[_LAST_RANGE] = abs(state[PIVOT] - state[_LAST_PIVOT])
+            state[_LAST_PIVOT] = state[PIVOT]
+            state[_HAS_PIVOT] = 1.0
             return i + 1
     return -1
 

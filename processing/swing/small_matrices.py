@@ -67,9 +67,9 @@ def sort(values: Vector, count: int) -> None:
     gap = count // 2
     while gap > 0:
         for i in range(gap, count):
-            value, place = values[i], i
-            while place >= gap and values[place - gap] > value:
-                values[place] = values[place - gap]
-                place -= gap
-            values[place] = value
+            value, index = values[i], i
+            while index >= gap and values[index - gap] > value:
+                values[index] = values[index - gap]
+                index -= gap
+            values[index] = value
         gap //= 2

@@ -23,21 +23,20 @@ from processing.swing.half_cycle import (
     linearise,
     tabulated,
 )
-from processing.swing.mode_fit import line
+from processing.swing.mode_fit import MAX_FAST_RATE_RATIO, MIN_FAST_RATE_RATIO, fit_sinusoid
 from processing.swing.prediction import KnownMotion
 from processing.swing.sample_buffer import Pivot
 from processing.swing.waveform import BEND, DAMPING, DRY, RISE, SHAPES, STIFF, N, P
 from processing.units import seconds
 
-KNOWN_MOTION_TERMS: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
-LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIFT)
+_KNOWN_MOTION_TERMS: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
+_LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIFT)
 ANHARMONIC: tuple[int, ...] = tuple(range(SHAPE + 1, SHAPE + SHAPES))
-ANHARMONIC_LINEAR: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, SHAPE + BEND)
+_ANHARMONIC_WITHOUT_EXPONENTS: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, SHAPE + BEND)
 FAST_MODE: tuple[int, ...] = (FAST_COSINE, FAST_SINE, FAST_RATE, FAST_DAMPING)
-
-_GAIN_PER_TERM = 3.5
+_MIN_GAIN_PER_TERM = 3.5
 """Reduction of chi-square that each additional term must achieve to be accepted."""
-_FAST_MODE_GAIN = 20.0
+_MIN_FAST_MODE_GAIN = 20.0
 """Further reduction of chi-square required of a fast mode, because many frequencies are tried."""
 _MIN_LINE_PROMINENCE = 15.0
 """Smallest power of a fast mode's line, relative to the median power of its neighbourhood."""
@@ -45,7 +44,7 @@ _NEIGHBOURHOOD_FACTOR = 1.6
 """Largest ratio of the frequencies of a line and of its neighbourhood, above and below."""
 _MAX_RESIDUAL_FRACTION = 0.25
 """Fraction of the variance that a damped sinusoid leaves, above which no further term is tried."""
-_FAST_MODE_CHI2 = 1.2
+_MAX_CHI2_WITHOUT_FAST_MODE = 1.2
 """Reduced chi-square above which a fast mode is searched for."""
 
 
@@ -53,10 +52,10 @@ def rough_state(pivots: Sequence[Pivot]) -> Vector:
     """State at the first of the rough turning points: amplitude, frequency, damping and centre."""
     times = seconds(np.array([p.time_ns - pivots[0].time_ns for p in pivots]))
     values = np.array([p.deflection for p in pivots])
-    height = np.abs(np.diff(values))
-    loss = max(0.0, 1.0 - float(height[-1] / height[0]) ** (1.0 / max(len(height) - 1, 1)))
+    ranges = np.abs(np.diff(values))
+    loss = max(0.0, 1.0 - float(ranges[-1] / ranges[0]) ** (1.0 / max(len(ranges) - 1, 1)))
     state = np.zeros(STATES)
-    state[AMPLITUDE] = 0.5 * height[0] * (1.0 + 0.5 * loss)
+    state[AMPLITUDE] = 0.5 * ranges[0] * (1.0 + 0.5 * loss)
     state[RATE] = math.pi * (len(pivots) - 1) / times[-1]
     state[SHAPE + DAMPING] = loss / math.pi
     state[CENTRE] = float(np.mean(0.5 * (values[1:] + values[:-1])))
@@ -114,35 +113,38 @@ def select(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
     fit succeeds.
     """
     if known is not None:
-        return _fit_known_motion(known, start, halves)
+        arc = fit_arc(
+            known.put_into(start),
+            prior(start, anharmonic=False),
+            halves,
+            known.reference,
+            _KNOWN_MOTION_TERMS,
+        )
+        return None if arc is None else _best_with_fast_mode([arc], halves)
     reference = float(start[AMPLITUDE])
-    linear = fit_arc(start, prior(start, anharmonic=False), halves, reference, LINEAR)
+    linear = fit_arc(start, prior(start, anharmonic=False), halves, reference, _LINEAR)
     if linear is None:
         return None
     base = linear.states[0]
-    scatter = np.std(np.concatenate([h.deflection[np.isfinite(h.deflection)] for h in halves]))
-    if linear.reduced_chi2 * _typical_variance(halves) > _MAX_RESIDUAL_FRACTION * scatter**2:
+    deflection = np.concatenate([half.deflection for half in halves])
+    u_deflection = np.concatenate([half.u_deflection for half in halves])
+    is_finite = np.isfinite(deflection)
+    variance = float(np.median(u_deflection[is_finite]) ** 2)
+    if linear.reduced_chi2 * variance > _MAX_RESIDUAL_FRACTION * np.std(deflection[is_finite]) ** 2:
         return linear
     candidates = [linear]
-    expected = prior(base, anharmonic=True)
-    anharmonic = fit_arc(friction_start(base), expected, halves, reference, LINEAR + ANHARMONIC)
+    anharmonic_prior = prior(base, anharmonic=True)
+    anharmonic = fit_arc(friction_start(base), anharmonic_prior, halves, reference, _LINEAR + ANHARMONIC)
     if anharmonic is not None:
         candidates.append(anharmonic)
-    for arc in tuple(candidates):
-        if arc.chi2 > _FAST_MODE_CHI2 * arc.samples:
-            extended = _with_fast_mode(arc, halves)
-            if extended is not None:
-                candidates.append(extended)
-    return best_arc(candidates)
+    return _best_with_fast_mode(candidates, halves)
 
 
-def _fit_known_motion(known: KnownMotion, start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
-    expected = prior(start, anharmonic=False)
-    arc = fit_arc(known.put_into(start), expected, halves, known.reference, KNOWN_MOTION_TERMS)
-    if arc is None or not arc.chi2 > _FAST_MODE_CHI2 * arc.samples:
-        return arc
-    extended = _with_fast_mode(arc, halves)
-    return arc if extended is None else best_arc((arc, extended))
+def _best_with_fast_mode(arcs: list[Arc], halves: Sequence[HalfCycleSamples]) -> Arc:
+    """Best of these arcs and, where they fit poorly, of those with a fast mode added."""
+    poor = [arc for arc in arcs if arc.chi2 > _MAX_CHI2_WITHOUT_FAST_MODE * arc.samples]
+    extended = [_with_fast_mode(arc, halves) for arc in poor]
+    return best_arc([*arcs, *(arc for arc in extended if arc is not None)])
 
 
 def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Ints) -> Arc | None:
@@ -160,24 +162,23 @@ def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, 
     sigma[SHAPE + DAMPING] = math.inf
     mean[[SHAPE + DRY, SHAPE + RISE]] = 0.0
     base[[SHAPE + P, SHAPE + N]] = mean[[SHAPE + P, SHAPE + N]]
-    gain = gain_of_more(plain, base, (mean, sigma), halves, terms + ANHARMONIC_LINEAR)
-    if gain < _GAIN_PER_TERM * len(ANHARMONIC):
+    gain = gain_of_more(plain, base, (mean, sigma), halves, terms + _ANHARMONIC_WITHOUT_EXPONENTS)
+    if gain < _MIN_GAIN_PER_TERM * len(ANHARMONIC):
         return plain
     full = fit_arc(friction_start(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
     return plain if full is None else best_arc((plain, full))
 
 
-def _typical_variance(halves: Sequence[HalfCycleSamples]) -> float:
-    return float(np.median(np.concatenate([h.u_deflection[np.isfinite(h.deflection)] for h in halves])) ** 2)
-
-
 def best_arc(arcs: Sequence[Arc]) -> Arc:
     """The arc with the lowest chi-square after a penalty for each term (like an information criterion)."""
     # chi-square is scaled: if the samples' uncertainties are too small, it would favour every term
-    scale = max(1.0, min(a.chi2 / max(a.samples - len(a.active), 1) for a in arcs))
-    penalty = [_GAIN_PER_TERM * len(a.active) + _FAST_MODE_GAIN * (FAST_COSINE in a.active) for a in arcs]
-    cost = [a.chi2 / scale + t for a, t in zip(arcs, penalty, strict=True)]
-    return arcs[int(np.argmin(cost))]
+    scale = max(1.0, min(arc.chi2 / max(arc.samples - len(arc.active), 1) for arc in arcs))
+
+    def cost(arc: Arc) -> float:
+        penalty = _MIN_GAIN_PER_TERM * len(arc.active) + _MIN_FAST_MODE_GAIN * (FAST_COSINE in arc.active)
+        return arc.chi2 / scale + penalty
+
+    return min(arcs, key=cost)
 
 
 def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
@@ -186,7 +187,7 @@ def _with_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> Arc | None:
         return None
     start = arc.states[0].copy()
     start[FAST_RATE], start[FAST_COSINE], start[FAST_SINE] = guess
-    expected = prior(start, anharmonic=len(arc.active) > len(LINEAR))
+    expected = prior(start, anharmonic=len(arc.active) > len(_LINEAR))
     return fit_arc(start, expected, halves, arc.reference, (*arc.active.tolist(), *FAST_MODE))
 
 
@@ -195,13 +196,13 @@ def _lines(time_s: Vector, residual: Vector, weight: Vector, rates: Vector) -> M
     """Power, cosine and sine amplitude at each of the rates, (n, 3)."""
     lines = np.empty((len(rates), 3))
     for k in range(len(rates)):
-        # one by one: the assignment of a row would compile a text about its shape, which takes 4 s
-        lines[k, 0], lines[k, 1], lines[k, 2] = line(rates[k], time_s, residual, weight)
+        # element by element: the assignment of a row would compile an error message, which takes 4 s
+        lines[k, 0], lines[k, 1], lines[k, 2] = fit_sinusoid(rates[k], time_s, residual, weight)
     return lines
 
 
 def _prominent_line(rates: Vector, power: Vector) -> int | None:
-    """Index of the strongest line if it is prominent, else of the most prominent one; None if none is."""
+    """Index of the strongest line if it is prominent, else of the most prominent line; None without any."""
 
     def prominence(k: int) -> float:
         neighbours = (rates > rates[k] / _NEIGHBOURHOOD_FACTOR) & (rates < rates[k] * _NEIGHBOURHOOD_FACTOR)
@@ -211,8 +212,8 @@ def _prominent_line(rates: Vector, power: Vector) -> int | None:
     if prominence(strongest) > _MIN_LINE_PROMINENCE:
         return strongest
     prominences = [prominence(k) for k in range(len(rates))]
-    best = int(np.argmax(prominences))
-    return best if prominences[best] > _MIN_LINE_PROMINENCE else None
+    index = int(np.argmax(prominences))
+    return index if prominences[index] > _MIN_LINE_PROMINENCE else None
 
 
 def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float, float, float] | None:
@@ -222,10 +223,9 @@ def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float
     ground has no lines, but is strong at low frequencies.
     """
     times, residuals, weights = [], [], []
-    k = len(arc.active)
     for x, half in zip(arc.states, halves, strict=True):
         table, _ = tabulated(x, x, arc.reference, arc.active)
-        residual, jacobian = np.empty(len(half.tau_s)), np.empty((len(half.tau_s), k))
+        residual, jacobian = np.empty(len(half.tau_s)), np.empty((len(half.tau_s), len(arc.active)))
         side = float(half.side)
         linearise(x, side, arc.active, table, half.tau_s, half.deflection, residual, jacobian)
         times.append(half.tau_s + seconds(half.reference_ns - halves[0].reference_ns))
@@ -235,8 +235,8 @@ def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float
     span = float(time_s[-1] - time_s[0])
     rate = float(arc.states[0][RATE])
     nyquist = math.pi * len(time_s) / span
-    highest = min(25.0 * rate, 0.9 * nyquist)
-    rates = np.arange(2.2 * rate, highest, 0.5 * math.pi / span)
+    highest = min(MAX_FAST_RATE_RATIO * rate, 0.9 * nyquist)
+    rates = np.arange(MIN_FAST_RATE_RATIO * rate, highest, 0.5 * math.pi / span)
     if len(rates) == 0:
         return None
     lines = _lines(time_s, np.nan_to_num(residual), weight, rates)

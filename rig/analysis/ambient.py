@@ -22,7 +22,7 @@ from processing.contact import (
 )
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
-from processing.swing import SwingHarmonics
+from processing.swing import PieceHarmonics
 from rig.analysis.run_remarks import CLOCK_SET
 from rig.instrument import balls
 from rig.settings import Configuration
@@ -175,7 +175,7 @@ def drag_of_fit(
     return FittedDrag(prior_s=Estimate(expected.drag_s, u_relative * expected.drag_s)), expected
 
 
-def evidence_of(drag: FittedDrag, harmonics: SwingHarmonics | None) -> Evidence:
+def evidence_of(drag: FittedDrag, harmonics: PieceHarmonics | None) -> Evidence:
     """Evidence of a run's fit: the prior of the drag, and the waveform by the harmonics if there are any."""
     waveform = None if harmonics is None else waveform_of(harmonics)
     return Evidence(waveform, drag.prior_s)

@@ -46,11 +46,11 @@ from processing.fit import (
 from processing.least_squares import Loss
 from processing.position_map import PositionMap, PositionMapSearch
 from processing.swing import (
-    CycleWatch,
+    CycleExtractor,
     HalfCycle,
     HarmonicsMeasurement,
     KnownMotion,
-    SwingHarmonics,
+    PieceHarmonics,
     TurningPoints,
     with_learned_weights,
 )
@@ -93,9 +93,9 @@ def refined_half_cycles(
         motion = fit.motion(first, swings)
     except DataError:
         return Refinement(swings, None, doubt=remark, harmonics=harmonics)
-    watch = CycleWatch(swings, motion)
+    watch = CycleExtractor(swings, motion)
     turns = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
-    search = PositionMapSearch(min(turns), max(turns), watch.cycles)
+    search = PositionMapSearch(min(turns), max(turns), watch.pending_cycles)
     remeasured = second_measurement(swings, _search_errors(blocks, watch, search), motion)
     refined = judge_refinement(swings, remeasured, motion, first, fit)
     doubt = "; ".join(filter(None, [remark, refined.doubt]))
@@ -114,7 +114,7 @@ def refined_half_cycles(
 
 
 def _search_errors(
-    blocks: Iterable[Deflections], watch: CycleWatch, search: PositionMapSearch
+    blocks: Iterable[Deflections], watch: CycleExtractor, search: PositionMapSearch
 ) -> Iterator[Deflections]:
     for block in blocks:
         for cycle in watch.update(block):
@@ -137,7 +137,7 @@ def _without_position_errors(
     without them. The part of the map that the residuals leave open is then adjusted by the fitted law.
     """
     exact, final_map, remeasured = first_fit, position_map, swings
-    harmonics: SwingHarmonics | None = None
+    harmonics: PieceHarmonics | None = None
     try:
         for step in range(3):
             if step == 1:
@@ -169,15 +169,15 @@ def _with_remaining_errors(
     The first map is one of measured deflections, which the errors have shifted, by much where the scale is
     not linear.
     """
-    watch = CycleWatch(swings, motion)
-    search = PositionMapSearch(*position_map.limits, watch.cycles)
+    watch = CycleExtractor(swings, motion)
+    search = PositionMapSearch(*position_map.limits, watch.pending_cycles)
     for _ in _search_errors(map(position_map.corrected, blocks), watch, search):
         pass
     remaining = search.position_map()
     return position_map if remaining is None else position_map.plus(remaining)
 
 
-def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> SwingHarmonics:
+def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> PieceHarmonics:
     measurement = HarmonicsMeasurement(swings)
     for block in blocks:
         measurement.update(block)

@@ -19,7 +19,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import FitMethod, Ground
 from processing.spot import BeamUse
-from processing.swing import HalfCycle, swings_of_blocks
+from processing.swing import HalfCycle, half_cycles_of_blocks
 from processing.units import seconds
 from rig.analysis.ambient import ambient_warnings, recorded_ambient, recorded_seismometer
 from rig.analysis.decay_values import decay_rows, decay_values
@@ -118,7 +118,7 @@ def analyse_run(
     for one in (less, pulled):
         if one is not None and one.used:
             blocks = ChangedDeflections(blocks, one.change)
-            swings = swings_of_blocks(blocks)
+            swings = half_cycles_of_blocks(blocks)
     deflections, ambient = PassingDeflections(blocks, unit), recorded_ambient(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate

@@ -15,7 +15,7 @@ import numpy as np
 from processing.deflections import DeflectionUnit
 from processing.position_map import PositionMap
 from processing.quantity import IN_UNIT, Quantity
-from processing.spot import LONGEST_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
+from processing.spot import MAX_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
 from processing.swing import HalfCycle, TurningPoints
 from processing.units import seconds
 from rig.analysis.encoding import Floats, Integers
@@ -224,7 +224,7 @@ def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
             "it changes with position (something cuts it, dust or fringes on the window) or with time",
             "free the beam's path, clean the window; then rig camera align",
         )
-    if use.judged_frames < LONGEST_CHOICE_FRAMES:
+    if use.judged_frames < MAX_CHOICE_FRAMES:
         return "the run was too short to learn its profile", "measure longer, or clean the optics"
     if not noise_is_known:
         return "the noise of the sensor is assumed, not measured", "rig calibrate sensor"

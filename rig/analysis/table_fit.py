@@ -20,8 +20,8 @@ from processing.swing import (
     SampleScatter,
     estimate_noise,
     estimate_scatter,
-    swings_of,
-    swings_of_blocks,
+    half_cycles_of,
+    half_cycles_of_blocks,
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
@@ -101,7 +101,7 @@ def analyse_trajectory(
     deflection, across = (one * scale for one in along_and_across(trajectory.positions))
     scatter = estimate_scatter(trajectory.times_ns, deflection)
     noise = scatter.noise
-    swings = swings_of(trajectory.times_ns, deflection, scatter.u_deflection)
+    swings = half_cycles_of(trajectory.times_ns, deflection, scatter.u_deflection)
     parts = separate_decays(swings)
     usable = [part for part in parts if len(turning_points(part)) >= _MIN_USABLE_HALF_CYCLES]
     if not usable:
@@ -263,7 +263,7 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
         return followed
     alone = replace(seen, y=seen.y - part * seen.x, u_y=np.hypot(seen.u_y, part * seen.u_x))
     passing = PassingDeflections([alone], DeflectionUnit.RAD)
-    return replace(followed, swings=swings_of_blocks(passing), deflections=passing)
+    return replace(followed, swings=half_cycles_of_blocks(passing), deflections=passing)
 
 
 def _both_deflections(

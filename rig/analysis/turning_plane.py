@@ -14,7 +14,7 @@ from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections
 from processing.instruments import DEGREE_RAD
-from processing.swing import HalfCycle, TurningPoints, swings_of_blocks, turning_points
+from processing.swing import HalfCycle, TurningPoints, half_cycles_of_blocks, turning_points
 from processing.units import seconds
 from rig.analysis.passing_deflections import ChangedDeflections, PassingDeflections
 from rig.terminal import with_uncertainty
@@ -206,4 +206,4 @@ def follow_plane(
         return rotate(block, found.angle_rad(plane, block.times_ns), _oblique_rad(axes))
 
     back = PassingDeflections(ChangedDeflections(deflections, turned_back), deflections.unit)
-    return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)
+    return replace(found, swings=half_cycles_of_blocks(back), deflections=back, plane=plane, is_turned=True)

@@ -21,7 +21,7 @@ from acquisition.record.writer import encode_window
 from processing import spot as spots
 from processing import swing as swings
 from processing.errors import ConfigurationError, RecordError
-from processing.kernel import at_compilation
+from processing.kernel import notify_of_compilation
 from processing.spot import SensorModel, SpotTracker
 from rig.instrument.calibration import calibration_attachments
 from rig.instrument.run_now import U_FREE_RUNNING, U_SYNCHRONISED
@@ -206,7 +206,7 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
         uncached = "at every start: no cache can be written; NUMBA_CACHE_DIR can name one"
         say(f"{_COMPILING}), {'only once after an installation' if is_cached else uncached}")
 
-    with at_compilation(announce):
+    with notify_of_compilation(announce):
         compile_tracker(sensor)
         swings.compile_kernels()
 

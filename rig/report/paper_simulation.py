@@ -18,7 +18,7 @@ from acquisition.simulation.true_path import noisy, true_path, true_turning_poin
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
-from processing.swing import swings_of_blocks, turning_points
+from processing.swing import half_cycles_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import (
     AnalysedRun,
@@ -140,7 +140,7 @@ def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
     for number in range(_RUNS):
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         deflections = slow_deflections(seen.times_ns, seen.y_rad, noise_rad)
-        swings = swings_of_blocks([deflections])
+        swings = half_cycles_of_blocks([deflections])
         refined = refined_half_cycles(swings, [deflections], deflections.unit, pendulum, FitSettings())
         points = turning_points(refined.swings)
         exact = refined.exact or fit_exact(points, pendulum)

@@ -15,7 +15,7 @@ from processing.estimate import WELL_DETERMINED
 from processing.fit import LEAST_UNEXPLAINED, Conditions, FitMethod, waveform_of
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
-from processing.swing import HarmonicsMeasurement, TurningPoints, swings_of_blocks, turning_points
+from processing.swing import HarmonicsMeasurement, TurningPoints, half_cycles_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, nanoseconds
 from rig.analysis import AnalysedRun, Fit, drag_of_fit, read_results, stated_ambient
 from rig.instrument import complete, pendulum_on_ball, sensor_model
@@ -211,7 +211,7 @@ def _half_cycle_uncertainties(
         waves = size * (rng.standard_normal((2, len(at_hz))).T @ [1, 1j])
         swing_rad += np.fft.irfft(np.append(0.0, waves), len(time_s))
     seen = slow_deflections(nanoseconds(time_s), swing_rad, noise_rad)
-    swings = swings_of_blocks([seen])
+    swings = half_cycles_of_blocks([seen])
     points, waveform = turning_points(swings), HarmonicsMeasurement(swings)
     waveform.update(seen)
     if len(points) < _HALF_CYCLES // 2:

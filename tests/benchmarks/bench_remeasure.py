@@ -17,7 +17,7 @@ from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.contact import ContactParameters, PendulumOnBall
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.fit import fit_exact
-from processing.swing import swings_of_blocks, turning_points
+from processing.swing import half_cycles_of_blocks, turning_points
 from rig.analysis import refined_half_cycles
 from rig.analysis.ambient import FittedDrag
 from rig.settings import FitSettings
@@ -102,7 +102,7 @@ def case(
         seen_rad = samples.angle_rad + noise * rng.standard_normal(len(times_ns))
         blocks = [slow_deflections(times_ns, seen_rad, noise)]
         refined = refined_half_cycles(
-            swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, FitSettings(),
+            half_cycles_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, FitSettings(),
             drag=FittedDrag(fitted=drag),
         )  # fmt: skip
         fit = refined.exact or fit_exact(turning_points(refined.swings), samples.pendulum, drag=drag)

@@ -10,7 +10,7 @@ from processing.contact import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit
 from processing.fit import FitResult, Refinement
-from processing.swing import swings_of_blocks
+from processing.swing import half_cycles_of_blocks
 from rig.analysis import refined_half_cycles
 from rig.analysis.ambient import FittedDrag
 from rig.settings import FitSettings
@@ -84,5 +84,5 @@ def in_frames(
 ) -> Refinement:
     """What a session makes of a path that a camera sees: detected, and measured again."""
     samples = seen_in_frames(path_rad, NOISE_ARCSEC * ARCSEC, list(seed), FRAMES_PER_S)
-    swings = swings_of_blocks([samples])
+    swings = half_cycles_of_blocks([samples])
     return refined_half_cycles(swings, [samples], DeflectionUnit.RAD, pendulum, FitSettings(), drag=drag)

@@ -20,7 +20,7 @@ import pytest
 from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
-from processing.kernel import at_compilation, kernel
+from processing.kernel import kernel, notify_of_compilation
 from processing.kernel_compiler import locked
 from tests.rig.long_record import make_long_record
 
@@ -82,7 +82,7 @@ def printed(folder: Path, program: str) -> str:
 def compilations(module: ModuleType, ways: int = 1) -> tuple[float, list[bool]]:
     """Result of `outer`, and what was said of its compilation: one entry if it was compiled."""
     said: list[bool] = []
-    with at_compilation(said.append):
+    with notify_of_compilation(said.append):
         return module.outer(1.0, ways), said
 
 
@@ -116,7 +116,7 @@ def test_compiled_again_after_a_change(folder: Path, name: str, old: str, new: s
 CALLING_AND_CALLED = """
 from typing import NamedTuple
 from inner_kernel import filled
-from processing.kernel import at_compilation, kernel
+from processing.kernel import notify_of_compilation, kernel
 
 class Pair(NamedTuple):
     one: float
@@ -131,7 +131,7 @@ def product(pair):
     return pair.one * pair.other
 
 said = []
-with at_compilation(said.append):
+with notify_of_compilation(said.append):
     print(outer(2.1), filled(2).tolist(), product(Pair(2.0, 10.5)), len(said))
 """
 
@@ -171,7 +171,7 @@ def test_garbage_is_collected_again_after_a_compilation_even_one_that_failed() -
         return x.nothing  # type: ignore[attr-defined,no-any-return]
 
     wrong.__code__ = wrong.__code__.replace(co_filename="<string>")  # nowhere to keep it
-    with at_compilation(lambda _: seen.append(gc.isenabled())), pytest.raises(TypingError):
+    with notify_of_compilation(lambda _: seen.append(gc.isenabled())), pytest.raises(TypingError):
         kernel(wrong)(1.0)
     assert (seen, gc.isenabled()) == ([False], True)
 
@@ -280,9 +280,9 @@ def read_only(folder: Path) -> Path:
 
 PROGRAM = """
 import outer_kernel
-from processing.kernel import at_compilation
+from processing.kernel import notify_of_compilation
 said = []
-with at_compilation(said.append):
+with notify_of_compilation(said.append):
     print(outer_kernel.outer(1.0, 1), said)
 """
 

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from processing.deflections import Deflections, slow_deflections
 from processing.swing import (
     HarmonicsMeasurement,
-    SwingHarmonics,
+    PieceHarmonics,
     TurningPoints,
-    swings_of_blocks,
+    half_cycles_of_blocks,
     turning_points,
 )
 
@@ -22,9 +22,9 @@ def seen_in_frames(
     return slow_deflections(times_ns, path_rad + noise, noise_rad)
 
 
-def points_and_harmonics(samples: Deflections) -> tuple[TurningPoints, SwingHarmonics]:
+def points_and_harmonics(samples: Deflections) -> tuple[TurningPoints, PieceHarmonics]:
     """Turning points of the detector, and the waveform between them."""
-    swings = swings_of_blocks([samples])
+    swings = half_cycles_of_blocks([samples])
     watch = HarmonicsMeasurement(swings)
     watch.update(samples)
     return turning_points(swings), watch.harmonics()

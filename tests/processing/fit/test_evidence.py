@@ -13,7 +13,7 @@ from processing.fit import Evidence, LinearisedFit, compare_laws, drift_term, fi
 from processing.fit.evidence import Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.knocks import fit_with_knocks
-from processing.swing import ORDERS, SwingHarmonics, TurningPoints
+from processing.swing import ORDERS, PieceHarmonics, TurningPoints
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.driven import World, changing_path, driven_path
 from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
@@ -30,7 +30,7 @@ def path_of(q: float, seed: int, last_arcsec: float) -> np.ndarray:
 
 def seen(
     q: float, seed: int, stated: float = 1.0, last_arcsec: float = 2.0
-) -> tuple[TurningPoints, SwingHarmonics]:
+) -> tuple[TurningPoints, PieceHarmonics]:
     """A decay in air as frames show it, with uncertainties that are stated so many times too large."""
     path = path_of(q, seed, last_arcsec)
     samples = seen_in_frames(path, U, [seed, 3], RATE)
@@ -38,18 +38,18 @@ def seen(
 
 
 @pytest.fixture(scope="module")
-def basement() -> tuple[TurningPoints, SwingHarmonics]:
+def basement() -> tuple[TurningPoints, PieceHarmonics]:
     return seen(8e-9, 4, last_arcsec=8.0)
 
 
-def waveform(harmonics: SwingHarmonics) -> Waveform:
+def waveform(harmonics: PieceHarmonics) -> Waveform:
     found = waveform_of(harmonics)
     assert found is not None
     return found
 
 
 def test_the_waveform_tells_air_from_contact_and_counts_each_part_once(
-    basement: tuple[TurningPoints, SwingHarmonics],
+    basement: tuple[TurningPoints, PieceHarmonics],
 ) -> None:
     """On moving ground, with nothing known of the air, where turning points alone leave b open."""
     points, harmonics = basement
@@ -79,7 +79,7 @@ def test_the_waveform_tells_air_from_contact_and_counts_each_part_once(
 
 
 def test_the_waveform_says_the_same_where_the_ground_hides_the_points(
-    basement: tuple[TurningPoints, SwingHarmonics],
+    basement: tuple[TurningPoints, PieceHarmonics],
 ) -> None:
     """As after a draught: steps as long as the points' uncertainty leave the range of the law."""
     points, harmonics = basement
@@ -102,11 +102,11 @@ def test_uncertainties_that_are_stated_wrongly_are_those_of_the_scatter() -> Non
     assert 0.9 < size < 1.4
 
 
-def test_a_disturbed_piece_is_left_out(basement: tuple[TurningPoints, SwingHarmonics]) -> None:
+def test_a_disturbed_piece_is_left_out(basement: tuple[TurningPoints, PieceHarmonics]) -> None:
     _, harmonics = basement
     knocked = harmonics.harmonics.copy()
     knocked[10] += 1j * 50 * U
-    found = waveform(SwingHarmonics(harmonics.amplitude, knocked, harmonics.covariance_sine))
+    found = waveform(PieceHarmonics(harmonics.amplitude, knocked, harmonics.covariance_sine))
     assert len(found.amplitude_rad) == len(harmonics) - 1
 
 
@@ -117,7 +117,7 @@ def test_disturbed_pieces_that_hide_each_other_are_left_out_one_after_the_other(
     seen = 0.1 * amplitude[:, None] + size * np.random.default_rng(5).standard_normal((count, 8))
     for place, knock in ((3, 1e2), (30, 1e4), (50, 1e6), (57, 1e8)):
         seen[place] += knock
-    found = waveform(SwingHarmonics(amplitude, -1j * seen, np.tile(np.diag(size**2), (count, 1, 1))))
+    found = waveform(PieceHarmonics(amplitude, -1j * seen, np.tile(np.diag(size**2), (count, 1, 1))))
     assert len(found.amplitude_rad) == len(found.covariance) == count - 4
 
 
@@ -133,16 +133,16 @@ def test_a_stretch_without_pieces_leaves_the_others_as_they_are() -> None:
     assert np.sum(both**2) == pytest.approx(np.sum(apart**2))
 
 
-def test_few_pieces_are_no_waveform(basement: tuple[TurningPoints, SwingHarmonics]) -> None:
+def test_few_pieces_are_no_waveform(basement: tuple[TurningPoints, PieceHarmonics]) -> None:
     _, whole = basement
     assert (
-        waveform_of(SwingHarmonics(whole.amplitude[:7], whole.harmonics[:7], whole.covariance_sine[:7]))
+        waveform_of(PieceHarmonics(whole.amplitude[:7], whole.harmonics[:7], whole.covariance_sine[:7]))
         is None
     )
 
 
 def test_what_is_known_of_the_air_enters_as_it_is_known(
-    basement: tuple[TurningPoints, SwingHarmonics],
+    basement: tuple[TurningPoints, PieceHarmonics],
 ) -> None:
     """Turning points alone hardly restrain the drag: the result is what was known, with its doubt in b."""
     points, _ = basement
@@ -178,7 +178,7 @@ def test_a_drag_far_above_what_is_known_is_that_of_the_data_alone() -> None:
 
 
 def test_no_drift_moves_nothing_where_points_scatter_more_than_stated(
-    basement: tuple[TurningPoints, SwingHarmonics],
+    basement: tuple[TurningPoints, PieceHarmonics],
 ) -> None:
     """What is known of the air, four u off, counted once more for every unit of scale: b moved by 0.7 u."""
     points, harmonics = basement
@@ -240,7 +240,7 @@ def test_what_is_fitted_to_a_few_pieces_is_as_uncertain_as_it_scatters(louder: f
     pulls = []
     for _ in range(300):
         noise = louder * size * rng.standard_normal((count, orders))
-        found = waveform(SwingHarmonics(amplitude, -1j * (0.1 * amplitude[:, None] + noise), stated))
+        found = waveform(PieceHarmonics(amplitude, -1j * (0.1 * amplitude[:, None] + noise), stated))
         pattern = np.repeat(amplitude[:, None], 4, axis=1)
         weights = np.linalg.solve(found.covariance, pattern[:, :, None])[:, :, 0]
         certainty = float(np.sum(weights * pattern))
@@ -262,7 +262,7 @@ def test_a_drive_by_chance_costs_a_law_no_likelihood() -> None:
 
 
 def test_the_waveform_has_a_slope_at_the_end_of_a_parameters_range(
-    basement: tuple[TurningPoints, SwingHarmonics],
+    basement: tuple[TurningPoints, PieceHarmonics],
 ) -> None:
     """Beyond p = 6 the law has no value: the search may end there, and is linearised there."""
     points, harmonics = basement

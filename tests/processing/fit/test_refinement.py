@@ -20,7 +20,7 @@ from processing.fit.refinement import (
     second_measurement,
     with_enlarged_u,
 )
-from processing.swing import HalfCycle, KnownMotion, estimate_scatter, swings_of_blocks, turning_points
+from processing.swing import HalfCycle, KnownMotion, estimate_scatter, half_cycles_of_blocks, turning_points
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 from tests.processing.fit.measured_again import again_with_fit, contact_truth, in_blocks, in_rad, noisy
@@ -169,7 +169,7 @@ def test_a_drive_that_passes_for_a_rest_position_that_moves_loses_no_second_meas
     assert scatter.jitter_s == pytest.approx(1e-3, rel=0.1)
     samples = slow_deflections(times_ns, position, scatter.u_deflection)
     known = Evidence(drag_s=Estimate(1.7e-3, 1e-5))
-    swings = swings_of_blocks([samples])
+    swings = half_cycles_of_blocks([samples])
     found, fit = fitted_twice(swings, [samples], DecayFit(pendulum, evidence=known))
     assert found.doubt == ""
     assert found.motion is not None

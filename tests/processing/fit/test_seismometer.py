@@ -14,7 +14,7 @@ from processing.estimate import Estimate
 from processing.fit import FitResult, Seismogram, fit_exact, fit_with_seismometer
 from processing.fit.exact_model import DiscrepancyColumns, ExactModel
 from processing.fit.seismometer import SeismometerFit, SeismometerVerdict
-from processing.swing import TurningPoints, swings_of, turning_points
+from processing.swing import TurningPoints, half_cycles_of, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
@@ -199,7 +199,7 @@ def delay_found(seed: int, late_s: float) -> Estimate:
     noise_rad = 0.02 * ARCSEC_RAD
     path = noisy(true_path(settings, 900.0, frame_rate_hz=50.0), noise_rad, noise_rad, seed)
     u = np.full(len(path.times_ns), noise_rad)
-    swings = swings_of(path.times_ns, path.y_rad, u)
+    swings = half_cycles_of(path.times_ns, path.y_rad, u)
     points = turning_points(swings)
     begin_s = next(1e-9 * one.turn_time_ns for one in swings if not one.flags)
     felt = SimulatedSeismometer(settings).until(900.0, 0)

@@ -16,7 +16,7 @@ from processing.fit import (
     waveform_of,
 )
 from processing.fit.refinement import DecayFit, fitted_twice
-from processing.swing import HarmonicsMeasurement, swings_of_blocks
+from processing.swing import HarmonicsMeasurement, half_cycles_of_blocks
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 from tests.processing.fit.frames import seen_in_frames
@@ -36,7 +36,7 @@ def run_of(area_m2: float, seed: int, *, rougher: float = 1.0) -> VanedRun:
     )
     path = driven_path(true, PENDULUM, q=3e-9, seed=seed, frames_per_s=RATE, last_arcsec=25)[2]
     samples = seen_in_frames(path, 0.005 * ARCSEC, [seed, 3], RATE)
-    swings = swings_of_blocks([samples])
+    swings = half_cycles_of_blocks([samples])
     watch = HarmonicsMeasurement(swings)
     watch.update(samples)
     decay = DecayFit(PENDULUM, evidence=Evidence(waveform_of(watch.harmonics())))

@@ -8,7 +8,7 @@ import pytest
 from processing.contact import LAWS, PendulumOnBall, law_harmonics
 from processing.deflections import slow_deflections
 from processing.fit import waveform_of
-from processing.swing import ORDERS, HarmonicsMeasurement, SwingHarmonics, swings_of_blocks
+from processing.swing import ORDERS, HarmonicsMeasurement, PieceHarmonics, half_cycles_of_blocks
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 
@@ -33,11 +33,11 @@ def four_minutes(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(FRAMES) / RATE, path[:FRAMES]
 
 
-def measured(seconds: np.ndarray, seen: np.ndarray, seed: int = 1) -> SwingHarmonics:
+def measured(seconds: np.ndarray, seen: np.ndarray, seed: int = 1) -> PieceHarmonics:
     """The harmonics of angles that are seen with noise."""
     noisy = seen + NOISE * np.random.default_rng(seed + 2).standard_normal(len(seen))
     samples = slow_deflections(np.rint(1e9 * seconds).astype(np.int64), noisy, np.full(len(seen), NOISE))
-    watch = HarmonicsMeasurement(swings_of_blocks([samples]))
+    watch = HarmonicsMeasurement(half_cycles_of_blocks([samples]))
     for begin in range(0, len(samples), 700):
         watch.update(samples[begin : begin + 700])
     return watch.harmonics()

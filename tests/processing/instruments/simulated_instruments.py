@@ -29,7 +29,7 @@ from processing.instruments.damping_fit import ValueWithSharedErrors, damping, r
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS
 from processing.instruments.friction_law import fit_friction_law, herbert_hardness, rolling_friction
 from processing.instruments.turning import refined_turning_points
-from processing.swing import TurningPoints, swings_of, turning_points
+from processing.swing import TurningPoints, half_cycles_of, turning_points
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import complete, pendulum_on_ball
@@ -88,7 +88,7 @@ def samples(settings: SimulationSettings, final_deg: float, seed: int, noise_rad
 
 def detected(found: Samples) -> TurningPoints:
     """Turning points as the rig takes them from samples of a large swing; times from the first sample."""
-    swings = swings_of(found.times_ns, found.y_rad, found.u_rad)
+    swings = half_cycles_of(found.times_ns, found.y_rad, found.u_rad)
     return turning_points(refined_turning_points(found.times_ns, found.y_rad, found.u_rad, swings))
 
 
@@ -152,7 +152,9 @@ def _kuznetsov_one(seed: int) -> Mapping[str, Recovered]:
     noise = found.u_rad
     samples_of_run = Deflections(found.times_ns, found.x_rad, found.y_rad, noise, noise, DeflectionUnit.RAD)
     passing = PassingDeflections([samples_of_run], DeflectionUnit.RAD)
-    followed = follow_plane(swings_of(found.times_ns, found.y_rad, noise), passing, None, along_line=True)
+    followed = follow_plane(
+        half_cycles_of(found.times_ns, found.y_rad, noise), passing, None, along_line=True
+    )
     assert followed.plane is not None
     inside = damping(
         detected(found._replace(y_rad=joined(followed.deflections, DeflectionUnit.RAD).y)),

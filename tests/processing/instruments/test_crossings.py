@@ -9,7 +9,7 @@ from processing.instruments.crossings import inferred_swings, joined_swings
 from processing.instruments.damping_fit import damping
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.instruments.turning import refined_turning_points
-from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints, swings_of, turning_points
+from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints, half_cycles_of, turning_points
 from tests.processing.instruments.simulated_instruments import (
     Samples,
     samples,
@@ -65,7 +65,7 @@ def test_damping_time_where_the_sensor_sees_only_the_end() -> None:
     for seed in range(2):
         found = samples(settings, 2.7, seed=seed, noise_rad=1e-5)
         place = seen(found, 4.0)
-        swings = swings_of(found.times_ns, place, found.u_rad)
+        swings = half_cycles_of(found.times_ns, place, found.u_rad)
         here = refined_turning_points(found.times_ns, place, found.u_rad, swings) if len(swings) > 1 else []
         joined = joined_swings(here, inferred_swings(found.times_ns, place, found.u_rad))
         assert {bool(swing.flags) for swing in joined} == {True, False}

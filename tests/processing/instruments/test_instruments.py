@@ -16,7 +16,7 @@ from processing.instruments.damping_fit import ValueWithSharedErrors, damping, o
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Limits, check
 from processing.instruments.friction_law import fit_friction_law, herbert_hardness, rolling_friction
 from processing.instruments.turning import refined_turning_points
-from processing.swing import TurningPoints, swings_of
+from processing.swing import TurningPoints, half_cycles_of
 from processing.units import ARCSEC_RAD
 from rig.settings import load_configuration
 from tests.processing.fit.decays import without
@@ -286,7 +286,7 @@ def test_swings_without_samples_about_them_are_flagged() -> None:
     times_ns = np.arange(3000) * 10_000_000
     deflection = 0.1 * np.exp(-1e-4 * np.arange(3000)) * np.cos(2 * math.pi * times_ns * 1e-9 / 1.4)
     u = np.full(3000, 1e-5)
-    swings = swings_of(times_ns, deflection + 1e-5 * np.sin(1e3 * times_ns), u)
+    swings = half_cycles_of(times_ns, deflection + 1e-5 * np.sin(1e3 * times_ns), u)
     lost = np.where(np.abs(times_ns - swings[10].turn_time_ns) < 3e8, np.nan, deflection)
     found = refined_turning_points(times_ns, lost, u, swings)
     assert found[10].flags

@@ -12,7 +12,7 @@ from processing.contact import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit import fit_exact, known_motion
 from processing.position_map import PositionMap, PositionMapSearch
-from processing.swing import CycleWatch, HalfCycle, swings_of_blocks, turning_points
+from processing.swing import CycleExtractor, HalfCycle, half_cycles_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
@@ -62,15 +62,16 @@ def run(
     if fast is not None:
         x = fast(time_s) + NOISE * rng.standard_normal(len(path))
         deflections = replace(deflections, x=x, u_x=deflections.u_y)
-    return Run(swings_of_blocks([deflections]), deflections, parameters, pendulum)
+    return Run(half_cycles_of_blocks([deflections]), deflections, parameters, pendulum)
 
 
 def searched(one: Run) -> PositionMap | None:
     """The map that a run gives."""
     fit = fit_exact(turning_points(one.swings), one.pendulum)
     motion = known_motion(fit.parameters, one.pendulum, one.swings[0].amplitude)
-    watch = CycleWatch(one.swings, motion)
-    search = PositionMapSearch(float(one.deflections.y.min()), float(one.deflections.y.max()), watch.cycles)
+    watch = CycleExtractor(one.swings, motion)
+    y = one.deflections.y
+    search = PositionMapSearch(float(y.min()), float(y.max()), watch.pending_cycles)
     for start in range(0, len(one.deflections), 1000):
         for cycle in watch.update(one.deflections[start : start + 1000]):
             search.add(cycle)

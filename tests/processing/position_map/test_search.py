@@ -8,7 +8,7 @@ import pytest
 from processing.fit import fit_exact, known_motion
 from processing.position_map.fixed_pattern import Splines
 from processing.position_map.search import Accumulator
-from processing.swing import CycleWatch, turning_points
+from processing.swing import CycleExtractor, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.position_map.runs import NOISE, PX, Floats, fringes, nothing, run, searched
 
@@ -79,7 +79,7 @@ def test_cycles_add_up() -> None:
     """The same cycle many times: the sums are so many times those of one."""
     one = run(fringes, seed=1)
     fit = fit_exact(turning_points(one.swings), one.pendulum)
-    watch = CycleWatch(one.swings, known_motion(fit.parameters, one.pendulum, one.swings[0].amplitude))
+    watch = CycleExtractor(one.swings, known_motion(fit.parameters, one.pendulum, one.swings[0].amplitude))
     cycle = next(iter(watch.update(one.deflections)))
     splines = Splines.over(-250 * PX, 250 * PX, 60)
     single, many = Accumulator(splines), Accumulator(splines)

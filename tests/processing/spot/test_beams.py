@@ -128,3 +128,15 @@ def test_a_large_spot_is_judged_by_fewer_windows(side_px: int, windows: int) -> 
         seen += 1
     assert choice.model is SpotModel.ONE
     assert seen == 4 * windows
+
+
+def test_a_frame_in_which_an_obstacle_hides_the_spot_has_no_part_in_the_choice() -> None:
+    choice = ModelChoice(PixelNoise(1.0, 0.0, 255.0, 0.0), lambda *_: None)
+    spot = Spot(*[2.0] * 9, chi2_per_dof=0.5, flags=0)
+    lost = Spot(*[math.nan] * 10, flags=int(SpotFlag.LOST))
+    for k in range(4 * 32):
+        choice.add(lost if k == 30 else spot, lambda: (np.zeros((20, 20), np.uint8), (0, 0)))
+    assert choice.model is None
+    choice.add(spot, lambda: (np.zeros((20, 20), np.uint8), (0, 0)))
+    assert choice.model is SpotModel.ONE
+    assert choice.changed(5.0, 300.0)

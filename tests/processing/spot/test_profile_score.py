@@ -11,7 +11,7 @@ from processing.spot.profile import MARGIN_PX, _to_spline
 from processing.spot.profile_fit import (
     CENTRE_X,
     CENTRE_Y,
-    FITTED,
+    PROFILE_PARAMETERS,
     fit_profile,
     score_profile,
     spline_weights,
@@ -44,7 +44,7 @@ def scored(pixels: Floats, gate: float = 1e30, full_scale_dn: float = 1e4) -> tu
     weights = np.empty((4, 4), np.float32)
     spline_weights(PHASE_X, weights[0], weights[1])
     spline_weights(PHASE_Y, weights[2], weights[3])
-    gradient, matrix = np.empty(FITTED), np.empty((FITTED, FITTED))
+    gradient, matrix = np.empty(PROFILE_PARAMETERS), np.empty((PROFILE_PARAMETERS, PROFILE_PARAMETERS))
     values = np.array(NOISE._replace(full_scale_dn=full_scale_dn))
     found = score_profile(
         pixels.astype(np.float32), coefficients(), BASE_X, BASE_Y, weights, P, values, gate,
@@ -64,8 +64,8 @@ def test_gradient_and_information() -> None:
     light = np.maximum(mu - expected(P * [0, 1, 1, 1, 1, 1]), 0)
     dark = max(NOISE.at_zero_dn2 + P[3] * NOISE.dn_per_e, 1 / 12)
     variance = dark + light * (NOISE.dn_per_e + light * NOISE.prnu2)
-    by = np.empty((FITTED, NY, NX))
-    for k, step in enumerate(np.diag([1e-3] * FITTED)):
+    by = np.empty((PROFILE_PARAMETERS, NY, NX))
+    for k, step in enumerate(np.diag([1e-3] * PROFILE_PARAMETERS)):
         by[k] = (expected(P + step) - expected(P - step)) / 2e-3
     (chi2, kept, saturated), gradient, matrix = scored(pixels)
     information = np.einsum("kji,mji->km", by, by / variance)
@@ -99,10 +99,10 @@ def test_the_gate_is_that_of_the_scatter_which_may_be_larger_than_stated(scatter
     # the centre's place in the spline's grid; the start is a little beside it
     centre, p = np.array([BASE_X + 1 + PHASE_X, BASE_Y + 1 + PHASE_Y]), P.copy()
     p[:4] += [9, 0.1, -0.1, 1]
-    done, chi2, kept, saturated, outliers, *u = fit_profile(
+    converged, chi2, kept, saturated, outliers, *u = fit_profile(
         pixels.astype(np.float32), coefficients(), centre, p, np.array(noise)
     )
-    assert done
+    assert converged
     assert (kept, saturated, outliers) == (NY * NX - 1, 0, 1)
     assert chi2 / kept == pytest.approx(scatter**2, rel=0.2)
     assert np.all(np.abs(p - P)[[CENTRE_X, CENTRE_Y]] < 4 * scatter * np.array(u))

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker
-from processing.spot.fit_values import AMPLITUDE, BACKGROUND, PARAMETERS, SIGMA_X, SIGMA_Y, Fitted
+from processing.spot.fit_values import AMPLITUDE, BACKGROUND, PARAMETERS, SIGMA_X, SIGMA_Y, SpotFit
 from processing.spot.outcome import significant
 from tests.processing.spot.frames import EIGHT_BIT, errors_px, exposed, light, rms_tolerance, tilted_light
 
@@ -266,11 +266,11 @@ def test_a_matched_filter_of_four_standard_deviations_decides(read_noise_e: floa
     sensor = SensorModel(1.0, read_noise_e, 4095, pedestal_dn=400.0)
     p = np.zeros(PARAMETERS)
     p[[SIGMA_X, SIGMA_Y, BACKGROUND]] = 4.0, 3.0, 400.0
-    fitted = Fitted(True, 100.0, 100, 0, 29, 6, False, False)
+    fit = SpotFit(True, 100.0, 100, 0, 29, 6, False, False)
     for ratio, seen in ((3.9, False), (4.1, True)):
         p[AMPLITUDE] = ratio * math.sqrt(sensor.dark_variance_dn2 / (math.pi * 12))
-        assert significant(p, sensor.pixel_noise, fitted) is seen
-    assert not significant(p, sensor.pixel_noise, fitted._replace(outliers=31))
+        assert significant(p, sensor.pixel_noise, fit) is seen
+    assert not significant(p, sensor.pixel_noise, fit._replace(outliers=31))
 
 
 def cut_by(

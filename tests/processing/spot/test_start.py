@@ -5,17 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from processing.spot.fit_values import (
-    AMPLITUDE,
-    BACKGROUND,
-    COVARIANCE,
-    PARAMETERS,
-    SIGMA_X,
-    SIGMA_Y,
-    X,
-    Y,
-)
-from processing.spot.start import start_on_areas, start_on_chords
+from processing.spot.fit_values import AMPLITUDE, BACKGROUND, COVARIANCE, PARAMETERS, SIGMA_X, SIGMA_Y, X, Y
+from processing.spot.start import start_from_areas, start_from_chords
 from tests.processing.spot.frames import light, tilted_light
 
 SHAPE = (80, 100)
@@ -27,7 +18,7 @@ def on_areas(image: np.ndarray, background: float, full_scale: float = 255.0) ->
     mask, stack = np.zeros(image.shape, np.uint8), np.zeros(image.size, np.int64)
     y, x = np.unravel_index(np.argmax(image), image.shape)
     peak = float(image.max())
-    assert start_on_areas(image, int(x), int(y), background, peak, full_scale, mask, stack, p)
+    assert start_from_areas(image, int(x), int(y), background, peak, full_scale, mask, stack, p)
     assert not mask.any()  # ready for the next frame
     return p
 
@@ -58,8 +49,8 @@ def test_areas_are_those_of_the_place_alone() -> None:
     thin[40, 50:52] = 200
     p = np.zeros(PARAMETERS)
     mask, stack = np.zeros(SHAPE, np.uint8), np.zeros(thin.size, np.int64)
-    assert not start_on_areas(thin, 50, 40, 0.0, 200.0, 255.0, mask, stack, p)
-    assert not start_on_areas(thin, 50, 40, 200.0, 200.0, 255.0, mask, stack, p)
+    assert not start_from_areas(thin, 50, 40, 0.0, 200.0, 255.0, mask, stack, p)
+    assert not start_from_areas(thin, 50, 40, 200.0, 200.0, 255.0, mask, stack, p)
 
 
 @pytest.mark.parametrize(("from_x", "from_y"), [(58, 38), (55, 38), (58, 42), (61, 35)])
@@ -67,7 +58,7 @@ def test_chords_converge_to_the_centre(from_x: int, from_y: int) -> None:
     beam = light(SHAPE, *PLACE, 6, 200, 4) + 10
     p = np.zeros(PARAMETERS)
     image = np.rint(beam).astype(np.uint8)
-    assert start_on_chords(image, from_x, from_y, 10.0, int(image[from_y, from_x]), p)
+    assert start_from_chords(image, from_x, from_y, 10.0, int(image[from_y, from_x]), p)
     assert p[[X, Y]] == pytest.approx(PLACE, abs=0.3)
     assert (p[SIGMA_X], p[SIGMA_Y]) == pytest.approx((6, 4), rel=0.1)
     assert p[AMPLITUDE] == pytest.approx(200, rel=0.05)
@@ -78,11 +69,11 @@ def test_chords_converge_to_the_centre(from_x: int, from_y: int) -> None:
 def test_chords_that_reach_an_edge_say_so(place: tuple[float, float]) -> None:
     image = np.rint(light(SHAPE, *place, 6, 200)).astype(np.uint8)
     p = np.zeros(PARAMETERS)
-    assert not start_on_chords(image, round(place[0]), round(place[1]), 0.0, 200, p)
+    assert not start_from_chords(image, round(place[0]), round(place[1]), 0.0, 200, p)
 
 
 def test_a_single_pixel_has_no_chord() -> None:
     image = np.zeros(SHAPE, np.uint8)
     image[40, 50] = 200
-    assert not start_on_chords(image, 50, 40, 0.0, 200, np.zeros(PARAMETERS))
-    assert not start_on_chords(image, 51, 40, 0.0, 200, np.zeros(PARAMETERS))
+    assert not start_from_chords(image, 50, 40, 0.0, 200, np.zeros(PARAMETERS))
+    assert not start_from_chords(image, 51, 40, 0.0, 200, np.zeros(PARAMETERS))

@@ -10,15 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.errors import DataError
-from processing.spot import (
-    LONGEST_CHOICE_FRAMES,
-    BeamUse,
-    SensorModel,
-    Spot,
-    SpotFlag,
-    SpotModel,
-    SpotTracker,
-)
+from processing.spot import MAX_CHOICE_FRAMES, BeamUse, SensorModel, Spot, SpotFlag, SpotModel, SpotTracker
 from tests.processing.spot.frames import EIGHT_BIT, TWELVE_BIT, exposed, light
 
 
@@ -177,8 +169,8 @@ def test_a_beam_that_stops_fitting_in_the_run_is_judged_and_its_change_is_told()
 
 
 def test_a_short_run_that_never_fits_is_judged_as_a_whole() -> None:
-    use = used((LONGEST_CHOICE_FRAMES, POOR))
-    assert use.judged_frames == use.poor_frames == LONGEST_CHOICE_FRAMES
+    use = used((MAX_CHOICE_FRAMES, POOR))
+    assert use.judged_frames == use.poor_frames == MAX_CHOICE_FRAMES
 
 
 def test_single_frames_that_the_model_missed_are_no_change() -> None:

@@ -22,7 +22,7 @@ from processing.swing.half_cycle import (
 from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.judgement import judge
 from processing.swing.noise import NoiseLevel
-from processing.swing.swing import HalfCycleFlag
+from processing.swing.turning_point import HalfCycleFlag
 from processing.swing.waveform import BEND, DAMPING, DRY, NODES, RISE, SHAPES, STIFF, N, P
 
 REFERENCE = 100.0
@@ -92,9 +92,9 @@ def fitted(**changed: float) -> HalfCycleFit:
 @pytest.mark.parametrize(
     ("flag", "good", "bad"),
     [
-        (HalfCycleFlag.GAP, {"hole_s": 0.239}, {"hole_s": 0.241}),
+        (HalfCycleFlag.GAP, {"gap_s": 0.239}, {"gap_s": 0.241}),
         # 3.5 times the spacing of 9 samples, 0.2 s
-        (HalfCycleFlag.GAP, {"samples": 9, "chi2": 7.0, "hole_s": 0.69}, {"samples": 9, "hole_s": 0.71}),
+        (HalfCycleFlag.GAP, {"samples": 9, "chi2": 7.0, "gap_s": 0.69}, {"samples": 9, "gap_s": 0.71}),
         (HalfCycleFlag.GAP, {"samples": 7, "chi2": 5.0}, {"samples": 6, "chi2": 4.0}),
         # 5 and 5.5 standard deviations of a normal quantity: 184.6 of 98 degrees of freedom, 60.4 of 12
         (HalfCycleFlag.VIBRATION, {"chi2": 184.0}, {"chi2": 186.0}),

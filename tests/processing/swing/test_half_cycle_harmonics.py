@@ -11,9 +11,9 @@ from processing.deflections import Deflections, slow_deflections
 from processing.swing import (
     ORDERS,
     HarmonicsMeasurement,
-    SwingHarmonics,
+    PieceHarmonics,
     TurningPointDetector,
-    swings_of_blocks,
+    half_cycles_of_blocks,
 )
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
@@ -37,8 +37,8 @@ def samples_of(y: np.ndarray, x: np.ndarray | None = None) -> Deflections:
     return found if x is None else Deflections(found.times_ns, x, y, found.u_y, found.u_y, found.unit)
 
 
-def measured(samples: Deflections, block: int = 500) -> SwingHarmonics:
-    watch = HarmonicsMeasurement(swings_of_blocks([samples]))
+def measured(samples: Deflections, block: int = 500) -> PieceHarmonics:
+    watch = HarmonicsMeasurement(half_cycles_of_blocks([samples]))
     for begin in range(0, len(samples), block):
         watch.update(samples[begin : begin + block])
     return watch.harmonics()
@@ -95,7 +95,7 @@ def test_stated_uncertainties_are_those_of_the_scatter(path: np.ndarray) -> None
 
 def test_a_piece_with_a_disturbed_half_cycle_is_left_out(path: np.ndarray) -> None:
     samples = samples_of(path)
-    swings = swings_of_blocks([samples])
+    swings = half_cycles_of_blocks([samples])
     clean = HarmonicsMeasurement(swings)
     clean.update(samples)
     flagged = [replace(one, flags=2) if one.index == swings[6].index else one for one in swings]

@@ -10,16 +10,16 @@ from processing.balance.estimate import _without_harmonic
 from processing.errors import DataError
 from processing.swing import mode_fit
 from processing.swing.mode_fit import (
-    EVERY,
+    ALL_TERMS,
     FAST_COSINE,
     FAST_SINE,
-    SLOW_ONLY,
+    FIRST_X_TERM,
+    FIRST_Y_TERM,
+    SLOW_TERMS,
     TERMS,
     ModeFit,
-    X,
-    Y,
     _step,
-    fast_mode_seen,
+    fast_mode_is_significant,
 )
 from processing.swing.modes import TwoModes, separate_modes
 
@@ -178,12 +178,12 @@ def test_noise_is_taken_for_a_fast_mode_once_in_ten_million_looks(frequencies: i
     limit = scipy.stats.chi2.isf(1e-7 / frequencies, 4)
     for factor, seen in ((0.999, False), (1.001, True)):
         p = np.zeros(TERMS)
-        p[[X + FAST_COSINE, Y + FAST_SINE]] = np.sqrt(0.5 * factor * limit)
-        fit = ModeFit(p, np.eye(TERMS), EVERY, 0.0, np.zeros(50), np.zeros(50))
-        assert fast_mode_seen(fit, frequencies) is seen
+        p[[FIRST_X_TERM + FAST_COSINE, FIRST_Y_TERM + FAST_SINE]] = np.sqrt(0.5 * factor * limit)
+        fit = ModeFit(p, np.eye(TERMS), ALL_TERMS, 0.0, np.zeros(50), np.zeros(50))
+        assert fast_mode_is_significant(fit, frequencies) is seen
 
 
-@pytest.mark.parametrize("active", [EVERY, SLOW_ONLY])
+@pytest.mark.parametrize("active", [ALL_TERMS, SLOW_TERMS])
 def test_a_step_solves_the_normal_equations_of_terms_with_information(active: list[int]) -> None:
     rng = np.random.default_rng(9)
     design = rng.standard_normal((60, TERMS)) * np.geomspace(1e-6, 1e6, TERMS)
@@ -205,8 +205,8 @@ def test_a_step_solves_the_normal_equations_of_terms_with_information(active: li
 def test_a_step_leaves_out_a_combination_that_samples_do_not_determine() -> None:
     rng = np.random.default_rng(10)
     design = rng.standard_normal((60, TERMS))
-    design[:, Y] = design[:, X]
+    design[:, FIRST_Y_TERM] = design[:, FIRST_X_TERM]
     information, score = design.T @ design, design.T @ rng.standard_normal(60)
-    change, _ = _step(information, score, np.array(EVERY))
+    change, _ = _step(information, score, np.array(ALL_TERMS))
     np.testing.assert_allclose(information @ change, score, rtol=1e-9, atol=1e-9)
-    assert change[X] == pytest.approx(change[Y])
+    assert change[FIRST_X_TERM] == pytest.approx(change[FIRST_Y_TERM])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.swing import estimate_noise, swings_of, turning_points
+from processing.swing import estimate_noise, half_cycles_of, turning_points
 
 
 @pytest.mark.parametrize(
@@ -17,7 +17,7 @@ def test_seismometer(shared_data: Path, name: str, period_s: float, at_least: in
     times_ns = np.round(table[:, 0] * 1e9).astype(np.int64)
     noise = estimate_noise(times_ns, table[:, 1])
     assert 0.001 < noise < 0.01
-    swings = swings_of(times_ns, table[:, 1], np.full(len(table), noise))
+    swings = half_cycles_of(times_ns, table[:, 1], np.full(len(table), noise))
     good = turning_points(swings)
     assert len(good) >= at_least
     assert np.all(np.diff(good.amplitude) < 3.0 * np.hypot(*good.u_amplitude[[0, 1]]))
@@ -40,5 +40,5 @@ def test_torsion_balance_gives_no_wrong_swing(shared_data: Path, column: int) ->
     with gzip.open(shared_data / "ringdown" / "torsion-balance-laser-spot.csv.gz") as lines:
         table = np.genfromtxt(lines, delimiter=",", skip_header=1, usecols=(1, column))
     times_ns = np.round(table[:, 0] * 1e9).astype(np.int64)
-    swings = swings_of(times_ns, table[:, 1], np.full(len(table), estimate_noise(times_ns, table[:, 1])))
+    swings = half_cycles_of(times_ns, table[:, 1], np.full(len(table), estimate_noise(times_ns, table[:, 1])))
     assert len([s for s in swings if not s.flags]) <= 2

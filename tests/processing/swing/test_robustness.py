@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from processing.swing import HalfCycle, HalfCycleFlag, TurningPointDetector, swings_of
+from processing.swing import HalfCycle, HalfCycleFlag, TurningPointDetector, half_cycles_of
 from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect, errors, rms
 
 
@@ -129,7 +129,7 @@ def test_a_faint_swing_before_a_push_is_not_the_first_half_cycle(phase: float, r
     pushed = 124.0 * np.exp(-0.005 * since_s) * np.sin(0.5 * math.pi * since_s)
     noise = 0.0026 * np.random.default_rng(1).standard_normal(len(time_s))
     y = np.where(since_s < 0, 0.0, pushed) + 0.03 * np.cos(0.5 * math.pi * time_s + phase) + noise
-    swings = swings_of(np.round(1e9 * time_s).astype(np.int64), y, np.full(len(y), 0.0026))
+    swings = half_cycles_of(np.round(1e9 * time_s).astype(np.int64), y, np.full(len(y), 0.0026))
     assert min(swing.amplitude for swing in swings if not swing.flags) > 90
     assert swings[0].flags & HalfCycleFlag.START
 

@@ -51,11 +51,7 @@ class Record:
     def plus(self, extra: Floats) -> "Record":
         """Something added to the deflection."""
         return Record(
-            self.times_ns,
-            self.deflection + extra,
-            self.u_deflection,
-            self.turn_time_s,
-            self.turn_amplitude,
+            self.times_ns, self.deflection + extra, self.u_deflection, self.turn_time_s, self.turn_amplitude
         )
 
 

@@ -12,7 +12,7 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import TruePath, noisy, true_path
 from processing.ambient import AmbientConditions
 from processing.deflections import Deflections, DeflectionUnit
-from processing.swing import HalfCycle, swings_of_blocks
+from processing.swing import HalfCycle, half_cycles_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
@@ -98,7 +98,7 @@ def configuration(*overrides: str) -> Configuration:
 def passed(seen: Deflections) -> tuple[list[HalfCycle], PassingDeflections]:
     """Half-cycles of deflections, and the deflections in blocks, as they pass from a record."""
     blocks = [seen[first : first + 4096] for first in range(0, len(seen), 4096)]
-    return swings_of_blocks(blocks), PassingDeflections(blocks, seen.unit)
+    return half_cycles_of_blocks(blocks), PassingDeflections(blocks, seen.unit)
 
 
 def analysed(seen: Deflections, config: Configuration, file: Path) -> AnalysedRun:

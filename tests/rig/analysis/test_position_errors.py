@@ -17,7 +17,7 @@ from processing.fit import (
     second_measurement,
 )
 from processing.spot import SPOT_DTYPE
-from processing.swing import HarmonicsMeasurement, swings_of_blocks, turning_points
+from processing.swing import HarmonicsMeasurement, half_cycles_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, passing_deflections, refined_half_cycles
 from rig.analysis.ambient import FREE_DRAG, evidence_of
@@ -124,7 +124,7 @@ def test_few_noisy_samples_are_measured_again() -> None:
     times_ns = np.arange(len(path), dtype=np.int64) * 40_000_000
     seen = path + noise * np.random.default_rng([0, 9]).standard_normal(len(path))
     blocks = [slow_deflections(times_ns, seen, noise)]
-    swings = swings_of_blocks(blocks)
+    swings = half_cycles_of_blocks(blocks)
     refined = refined_half_cycles(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
     assert refined.motion is not None
     assert not refined.doubt
@@ -151,7 +151,7 @@ def test_the_waveform_ends_where_a_knock_moved_the_rest_position() -> None:
         forcing=lambda time_s: np.where(time_s < at_s, 0.0, rate_rad_per_s**2 * moved),
     )
     blocks = [seen_in_frames(path, 0.005 * ARCSEC_RAD, 1)]
-    swings = swings_of_blocks(blocks)
+    swings = half_cycles_of_blocks(blocks)
     refined = refined_half_cycles(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
     assert "moved the rest position" in refined.doubt
     assert refined.harmonics is not None

@@ -79,7 +79,7 @@ def test_a_compilation_that_is_not_kept_is_said(monkeypatch: pytest.MonkeyPatch)
         call(False)
         yield
 
-    monkeypatch.setattr(provenance, "at_compilation", compiling)
+    monkeypatch.setattr(provenance, "notify_of_compilation", compiling)
     sensor = SensorModel(gain_e_per_dn=40.0, read_noise_e=7.0, full_scale_dn=255.0)
     provenance.prepare_kernels(sensor, said.append)
     (line,) = said

@@ -12,7 +12,7 @@ from acquisition.record.topics import REFERENCE, SPOT
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.errors import ConfigurationError
 from processing.spot import Spot
-from processing.swing import HalfCycle, swings_of_blocks
+from processing.swing import HalfCycle, half_cycles_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record, read_results
 from rig.analysis.passing_deflections import without_beam_motion
@@ -97,7 +97,7 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
         assert less.used
         before = scatter(reader.swings())
         after = scatter(
-            swings_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
+            half_cycles_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
         )
     assert before[0] > 0.02
     assert after[0] < 0.3 * before[0]
@@ -134,7 +134,7 @@ def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None
         assert " y used with a gain of 1." in less.note
         assert less.note.endswith("from the run itself")
         after = scatter(
-            swings_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
+            half_cycles_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
         )
         before = scatter(reader.swings())
     assert after[0] < 0.3 * before[0]

@@ -16,7 +16,7 @@ from processing.deflections import slow_deflections
 from processing.fit import points_in_true_time
 from processing.fit.exact import fit_exact
 from processing.fit.uncertainty import budgets
-from processing.swing import swings_of
+from processing.swing import half_cycles_of
 from processing.units import ARCSEC_RAD
 from rig.analysis import refined_half_cycles
 from rig.analysis.contact_verdicts import rig_quantities
@@ -105,7 +105,7 @@ def measure(seed: int, folder: Path, rate_hz: float = 25.0) -> dict[str, tuple[f
         lever, config.axes, x_px, y_px, u_px, u_px, (lever.reference_x_px, lever.reference_y_px)
     )
     stamps_ns = np.rint(times_s * (1 + 1e-6 * rig.settings.clock.drift_ppm) * 1e9).astype(np.int64)
-    swings = swings_of(stamps_ns, y_rad, u_y_rad)
+    swings = half_cycles_of(stamps_ns, y_rad, u_y_rad)
     swings = [swing for swing in swings if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     pendulum, quantities = pendulum_on_ball(config), rig_quantities(config)
     assert pendulum is not None

@@ -23,7 +23,7 @@ from processing.deflections import slow_deflections
 from processing.errors import DataError
 from processing.fit import FitResult, fit_exact, points_in_true_time
 from processing.spot import Spot
-from processing.swing import swings_of_blocks
+from processing.swing import half_cycles_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis import refined_half_cycles
 from rig.instrument import (
@@ -78,7 +78,7 @@ def fitted(
     assert pendulum is not None
     lever = Lever(arm_m=settings.optics.arm_m, pixel_pitch_m=settings.sensor.pixel_pitch_m)
     at = DeflectionConverter(lever, Axes(), (640, 320), shutter)(frame_ns, spots)
-    swings = [one for one in swings_of_blocks([at]) if one.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
+    swings = [one for one in half_cycles_of_blocks([at]) if one.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     slow = slow_deflections(at.times_ns, at.y, at.u_y)
     refined = refined_half_cycles(swings, [slow], slow.unit, pendulum, FitSettings())
     return fit_exact(points_in_true_time(refined.swings, 1.0), pendulum)

@@ -30,11 +30,7 @@ class HalfCycleFlag(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class HalfCycle:
-    """One half-cycle.
-
-    `amplitude` (positive) and `centre` have the unit of the deflection, which at the turning point is
-    ``centre + side * amplitude``; side is +1 or -1 and alternates. `u_` marks standard uncertainties.
-    """
+    """One half-cycle. `u_` marks standard uncertainties."""
 
     index: int
     """Number since the first half-cycle, missing ones counted: a difference is a number of half periods."""
@@ -42,36 +38,38 @@ class HalfCycle:
     """Time of the turning point on the samples' clock."""
     u_turn_time_s: float
     amplitude: float
+    """Distance of the turning point from the centre, positive, in the unit of the deflection."""
     u_amplitude: float
     half_period_s: float
     """Time since the previous turning point; NaN for the first one and after a missing one."""
     u_half_period_s: float
     centre: float
+    """Rest position at the turning point, in the unit of the deflection."""
     side: int
+    """+1 or -1, alternating: the deflection at the turning point is ``centre + side * amplitude``."""
     flags: int
     """Bits of `HalfCycleFlag`."""
 
-    def since(self, before: "HalfCycle | None") -> "HalfCycle":
-        """The same with its half period since the one before; NaN without it, or after a missing one."""
-        lasts_s = u_s = math.nan
-        if before is not None and self.index - before.index == 1:
-            lasts_s = seconds(self.turn_time_ns - before.turn_time_ns)
-            u_s = math.hypot(self.u_turn_time_s, before.u_turn_time_s)
-        return replace(self, half_period_s=lasts_s, u_half_period_s=u_s)
+    def since(self, previous: "HalfCycle | None") -> "HalfCycle":
+        """Copy with the half period since the previous half-cycle; NaN without it, or after a missing one."""
+        half_period_s = u_half_period_s = math.nan
+        if previous is not None and self.index - previous.index == 1:
+            half_period_s = seconds(self.turn_time_ns - previous.turn_time_ns)
+            u_half_period_s = math.hypot(self.u_turn_time_s, previous.u_turn_time_s)
+        return replace(self, half_period_s=half_period_s, u_half_period_s=u_half_period_s)
 
 
 @dataclass(frozen=True, slots=True)
 class TurningPoints:
-    """Unflagged turning points of a decay, the data of the fits, as arrays of equal length.
-
-    `time_s` is the time since the first turning point. `index` may have gaps. Amplitudes are positive and
-    have the unit of the deflections: rad, which the contact laws require, or px without a calibration.
-    """
+    """Unflagged turning points of a decay, the data of the fits, as arrays of equal length."""
 
     index: Ints
+    """Numbers of the half-cycles; flagged and missing ones leave gaps."""
     time_s: Floats
+    """Time since the first turning point."""
     u_time_s: Floats
     amplitude: Floats
+    """Positive, in the unit of the deflections: rad, which contact laws require, or px without a lever."""
     u_amplitude: Floats
 
     def __len__(self) -> int:
@@ -79,17 +77,17 @@ class TurningPoints:
 
     def first(self, count: int) -> "TurningPoints":
         """The first `count` turning points."""
-        return TurningPoints(*(getattr(self, column.name)[:count] for column in fields(self)))
+        return TurningPoints(*(getattr(self, field.name)[:count] for field in fields(self)))
 
 
-def turning_points(swings: Sequence[HalfCycle]) -> TurningPoints:
+def turning_points(half_cycles: Sequence[HalfCycle]) -> TurningPoints:
     """Unflagged half-cycles as arrays; times are relative to the first of them."""
-    good = [swing for swing in swings if swing.flags == 0]
-    turn_time_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
+    unflagged = [half_cycle for half_cycle in half_cycles if half_cycle.flags == 0]
+    turn_time_ns = np.array([half_cycle.turn_time_ns for half_cycle in unflagged], dtype=np.int64)
     return TurningPoints(
-        index=np.array([swing.index for swing in good], dtype=np.int64),
+        index=np.array([half_cycle.index for half_cycle in unflagged], dtype=np.int64),
         time_s=seconds(turn_time_ns - turn_time_ns[:1]),
-        u_time_s=np.array([swing.u_turn_time_s for swing in good], dtype=np.float64),
-        amplitude=np.array([swing.amplitude for swing in good], dtype=np.float64),
-        u_amplitude=np.array([swing.u_amplitude for swing in good], dtype=np.float64),
+        u_time_s=np.array([half_cycle.u_turn_time_s for half_cycle in unflagged], dtype=np.float64),
+        amplitude=np.array([half_cycle.amplitude for half_cycle in unflagged], dtype=np.float64),
+        u_amplitude=np.array([half_cycle.u_amplitude for half_cycle in unflagged], dtype=np.float64),
     )
