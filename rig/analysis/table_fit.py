@@ -165,7 +165,7 @@ def _analyse(
     seismometer: SeismometerRecord | None,
 ) -> AnalysedRun:
     """Results of one decay, by the same steps as those of a record."""
-    u_common = trajectory.u_common_in_noises * scatter.noise
+    u_common = trajectory.u_common_over_noise * scatter.noise
     edge_ns = _EDGE_HALF_PERIODS * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
     inside = (trajectory.times_ns > swings[0].turn_time_ns - edge_ns) & (
         trajectory.times_ns < swings[-1].turn_time_ns + edge_ns
