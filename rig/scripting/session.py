@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def several(value: Any, *single: type) -> list[Any]:
-    """One value of these types or a path, or a sequence of values, as a list; refused if it is empty."""
-    found = [value] if isinstance(value, (str, os.PathLike, *single)) else list(value)
-    if not found:
+def as_list(value: Any, *single: type) -> list[Any]:
+    """A path or value of the `single` types, or a sequence of these, as a list; an empty one is refused."""
+    values = [value] if isinstance(value, (str, os.PathLike, *single)) else list(value)
+    if not values:
         raise ConfigurationError("nothing is named; name at least one record or session")
-    return found
+    return values
 
 
-def overrides_of(changes: Mapping[str, object] | None) -> list[str]:
-    """Changes as ``KEY=VALUE`` of the command line; numbers of NumPy are numbers."""
+def setting_texts(changes: Mapping[str, object] | None) -> list[str]:
+    """Changes of a configuration as ``KEY=VALUE`` of the command line; NumPy's numbers become Python's."""
     return [
         f"{key}={json.dumps(value.item() if isinstance(value, np.generic) else value)}"
         for key, value in (changes or {}).items()
@@ -82,17 +82,16 @@ class Record:
 
         The names of the fields end in the unit: `amplitude_rad`, or `amplitude_px` without a lever. `flags`
         is 0 for half-cycles that are fitted (see `processing.swing.HalfCycleFlag`). Fits determine the
-        turning
-        points again.
+        turning points again.
         """
         with RecordReader(self.path) as reader:
             return reader.table(SWING.topic)
 
     def balance(self) -> NDArray[Any]:
-        """States of the balance as a structured array (n,), one row each, as they were found during the run.
+        """States of the balance as a structured array (n,), one row each, as determined during the run.
 
-        The names of the fields end in the unit, where they have one: `rest_y_rad` (`rest_y_px` without a
-        lever), `period_ratio` ..., each with its `u_`.
+        The names of the fields end in their unit: `rest_y_rad` (`rest_y_px` without a lever). Those without a
+        unit have none: `period_ratio`. Each quantity has its standard uncertainty, `u_...`.
         """
         with RecordReader(self.path) as reader:
             return reader.table(BALANCE.topic)
@@ -110,7 +109,7 @@ class Record:
         texts = np.array([event.text for event in events], dtype=np.str_)
         fields = np.dtype([("time_ns", np.int64), ("kind", kinds.dtype), ("text", texts.dtype)])
         table = np.empty(len(events), dtype=fields)
-        table["time_ns"], table["kind"], table["text"] = [e.time_ns for e in events], kinds, texts
+        table["time_ns"], table["kind"], table["text"] = [event.time_ns for event in events], kinds, texts
         return table
 
     def windows(self) -> Iterator[RecordedWindow]:
@@ -142,7 +141,7 @@ def figures(source: "str | Path | Session | SessionResults", run: int = 1) -> "M
     Parameters
     ----------
     source
-        Folder of a session, a results file, a session, or what `rig.fit` returned.
+        Folder of a session, a results file, a session, or results such as `rig.fit` returns.
     run
         Number of the run, counted from 1.
 
@@ -162,9 +161,9 @@ def figures(source: "str | Path | Session | SessionResults", run: int = 1) -> "M
         )
     if isinstance(source, Session):
         source = source.folder
-    found = source if isinstance(source, SessionResults) else Path(source)
+    results = source if isinstance(source, SessionResults) else Path(source)
     with styled():
-        return {drawing.name: drawing.figure for drawing in draw_run(found, run)}
+        return {drawing.name: drawing.figure for drawing in draw_run(results, run)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -224,6 +223,6 @@ def write_results(path: str | Path, results: SessionResults) -> None:
     """
     if not isinstance(results, SessionResults):
         raise ConfigurationError(
-            f"results: what rig.fit or rig.fit_table returned is needed, not a {type(results).__name__}"
+            f"results: SessionResults, as of rig.fit, are needed, not a {type(results).__name__}"
         )
     analysis.write_results(path, results)
