@@ -1,6 +1,6 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json.
 
-What analyses is imported at its first use: a command that only reads results.json loads no fit, no
+Modules that analyse are imported at their first use: a command that only reads results.json loads no fit, no
 configuration and no reader of tables.
 """
 
@@ -52,7 +52,6 @@ from rig.analysis.run_values import PositionErrors, StoredTurningPoints, TableDe
 
 if TYPE_CHECKING:
     from rig.analysis.ambient import (
-        HISTORY_KEYS,
         drag_of_fit,
         evidence_of,
         expected_drag,
@@ -89,7 +88,7 @@ else:
     _LAZY = {
         name: module
         for module, names in {
-            "ambient": "HISTORY_KEYS evidence_of expected_drag drag_of_fit recorded_ambient stated_ambient",
+            "ambient": "evidence_of expected_drag drag_of_fit recorded_ambient stated_ambient",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
             "contact_fits": "loss_of refined_half_cycles",
             "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC with_contact",

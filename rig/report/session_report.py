@@ -379,15 +379,15 @@ def _text_to_copy(source: ReportSource, found: RowsByName, quoted: Sequence[RunD
 
 def _run_sentence(run: RunData) -> str:
     """A sentence on the extent of a run: half-cycles, duration, frames, flags."""
-    results, unit = run.results, run.motion.unit.shown
-    left_out = len(run.results.stored.left_out_flags)
+    results = run.results
+    left_out = len(results.stored.left_out_flags)
     taken = (
         f"{results.frames} rows"
         if run.is_table
         else f"{results.frames} frames, {results.dropped_frames} dropped"
     )
     return (
-        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in {_duration_text(run)}; {taken}; "
+        f"{run.title}: {results.half_cycles_text(' from ')} in {_duration_text(run)}; {taken}; "
         f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )
 

@@ -170,7 +170,7 @@ def test_the_table_of_remarks_says_who_has_to_read_what() -> None:
         ("ground", RemarkLevel.RESULT, ground_sentence(_DRIVEN)),
         ("note", RemarkLevel.DETAIL, "a note"),
         ("end", RemarkLevel.CONDITION, "END: none (limit its own); cut; again"),
-        ("warning", RemarkLevel.OF_OTHER_FIT, "asymptotic fit: far"),
+        ("warning", RemarkLevel.OTHER_FIT, "asymptotic fit: far"),
         ("warning", RemarkLevel.WARNING, "late"),
     ]
 
