@@ -14,12 +14,7 @@ from acquisition.record.topics import ENVIRONMENT, SEISMOMETER, SPOT
 from processing.ambient import AmbientConditions, doubtful_humidity, humid_air
 from processing.arrays import Floats
 from processing.arrival_times import sample_times
-from processing.contact import (
-    ExpectedDrag,
-    PendulumOnBall,
-    bar_of,
-    expected_drag_s,
-)
+from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
 from processing.swing import SwingHarmonics

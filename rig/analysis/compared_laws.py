@@ -21,23 +21,10 @@ from processing.contact import (
 from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.decay_summary import Periods, full_periods
 from processing.errors import ConfigurationError, DataError
-from processing.fit import (
-    FitMethod,
-    FitResult,
-    LawComparison,
-    compare_laws,
-    fit_model_free,
-)
+from processing.fit import FitMethod, FitResult, LawComparison, compare_laws, fit_model_free
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
-from rig.analysis.results import (
-    ComparedLaws,
-    Fit,
-    LawFit,
-    LawMoments,
-    ModelFreeMoments,
-    RunResults,
-)
+from rig.analysis.results import ComparedLaws, Fit, LawFit, LawMoments, ModelFreeMoments, RunResults
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"

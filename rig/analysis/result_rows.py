@@ -114,11 +114,7 @@ def named(key: str) -> str:
 
 
 def plain_row(
-    name: str,
-    estimate: Estimate | float,
-    run: str,
-    fit: str = FitMethod.EXACT.value,
-    unit: str = "",
+    name: str, estimate: Estimate | float, run: str, fit: str = FitMethod.EXACT.value, unit: str = ""
 ) -> ResultRow:
     """The row of a number, or of a value with its standard uncertainty."""
     value, u = estimate if isinstance(estimate, Estimate) else (estimate, nan)

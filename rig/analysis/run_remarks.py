@@ -8,16 +8,7 @@ from typing import Final, NamedTuple
 from processing.contact import DRAG
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import Determinacy, Estimate
-from processing.fit import (
-    WAVEFORM,
-    Budget,
-    Drag,
-    DragFinding,
-    FitMethod,
-    Ground,
-    Response,
-    SeismometerUse,
-)
+from processing.fit import WAVEFORM, Budget, Drag, DragFinding, FitMethod, Ground, Response, SeismometerUse
 from rig.analysis.decay_values import DECAY
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series

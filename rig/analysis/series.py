@@ -23,14 +23,7 @@ from processing.fit import (
     budgets,
     drift_effects,
 )
-from processing.instruments import (
-    Check,
-    Description,
-    ValueWithSharedErrors,
-    check,
-    over_places,
-    ratio,
-)
+from processing.instruments import Check, Description, ValueWithSharedErrors, check, over_places, ratio
 from processing.series import CombinedValue, SeriesResult, combine_runs
 from processing.swing import HalfCycle
 from rig.analysis.decay_values import InstrumentSeries

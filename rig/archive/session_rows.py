@@ -16,14 +16,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.quantity import DerivedQuantity, quantities_of
 from processing.units import seconds
-from rig.analysis import (
-    RunIdentity,
-    RunResults,
-    TableDecay,
-    read_results,
-    recorded_ambient,
-    results_path,
-)
+from rig.analysis import RunIdentity, RunResults, TableDecay, read_results, recorded_ambient, results_path
 
 PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
 """Parameters of the contact's laws, as far as results hold them."""

@@ -15,14 +15,7 @@ from typing import Any, Literal, NamedTuple
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError, RigError, optional_module
-from rig.analysis import (
-    analyse_record,
-    chosen_laws,
-    free_path,
-    session_results,
-    with_laws,
-    write_results,
-)
+from rig.analysis import analyse_record, chosen_laws, free_path, session_results, with_laws, write_results
 from rig.archive.listing import (
     forget_sessions,
     hash_condition,

@@ -12,14 +12,7 @@ from processing.units import conversion, seconds
 from rig.intake.cell_text import is_timestamp
 from rig.intake.cells import Cells, read_cells
 from rig.intake.columns import HeaderColumns, RowsOfRun, separate_runs
-from rig.intake.doubts import (
-    judge_clock,
-    judge_moments,
-    judge_size,
-    judge_time_unit,
-    judge_words,
-    unwrapped,
-)
+from rig.intake.doubts import judge_clock, judge_moments, judge_size, judge_time_unit, judge_words, unwrapped
 from rig.intake.times import lines_text, number, read_times
 from rig.intake.trajectory import ANGLE_UNITS, UNSTATED_UNIT, Trajectory
 from rig.intake.units import ASSUMED_SECONDS, unit_of_positions, unit_of_time

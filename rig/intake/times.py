@@ -198,10 +198,7 @@ class _Spectrum(NamedTuple):
 
 
 def _spectrum(
-    times_ns: Ints,
-    deflection: Floats,
-    period_s: float,
-    overtones: int = _LAST_OVERTONE,
+    times_ns: Ints, deflection: Floats, period_s: float, overtones: int = _LAST_OVERTONE
 ) -> _Spectrum | None:
     """The spectrum without the swing and its overtones up to `overtones`; None with too few samples."""
     good = np.isfinite(deflection)
