@@ -40,7 +40,7 @@ from rig.analysis.results_file import (
     results_schema,
     write_results,
 )
-from rig.analysis.run_remarks import Limit, decay_lines, drive_text, main_sources, remarks, whole_result
+from rig.analysis.run_remarks import Limit, decay_lines, drive_text, main_result, main_sources, remarks
 from rig.analysis.run_values import PositionErrors, StoredTurningPoints, TableDecay
 
 if TYPE_CHECKING:

@@ -76,11 +76,11 @@ _REMEDIES: Final[Mapping[str, str]] = {
 }
 
 
-class WholeResult(NamedTuple):
+class MainResult(NamedTuple):
     """The main result of a run as text, and its sources of uncertainty; empty where nothing was fitted."""
 
     text: str = ""
-    of: str = ""
+    uncertainty: str = ""
     """Words on what the uncertainty covers: the whole budget, or the half-cycles alone."""
     limits: Sequence[Limit] = ()
     """Sources of the uncertainty, the largest first."""
@@ -99,30 +99,30 @@ class WholeResult(NamedTuple):
         return list(dict.fromkeys(steps))
 
 
-def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
+def main_result(run: RunResults, series: Series | None = None) -> MainResult:
     """The main result: the surface energy, else the first parameter of the law that the data determine.
 
     The rows are those of a `series` if it has a table, else of the run.
     """
     if run.instrument is not None:
-        return WholeResult(run.instrument.text[0] if run.instrument.text else "", "the swings")
+        return MainResult(run.instrument.text[0] if run.instrument.text else "", "the swings")
     source = series if series is not None and series.table else run
     if not source.contact:
-        return WholeResult()
+        return MainResult()
     rows = source.rows
     names = (name for name in (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=False)) if name in rows)
     row = next((rows[name] for name in names if rows[name].determined), None)
     if row is None:
-        return WholeResult("No parameter is determined", "", [Limit("swings", 1.0)])
+        return MainResult("No parameter is determined", "", [Limit("swings", 1.0)])
     limits = limits_of(source.budget.get(row.quantity))
     symbol = quantity(row.quantity).symbol
     text = row.equation.replace(symbol, named(row.quantity).partition(" / ")[0], 1)
     if not limits:
-        return WholeResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
+        return MainResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
     limits = [limit for limit in limits if limit.share >= _MIN_SHOWN_SHARE]
     exact = run.fits.get(FitMethod.EXACT)
     ground_seen = exact is None or exact.ground is None or exact.ground.seen
-    return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)
+    return MainResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)
 
 
 _FINDINGS = {
@@ -198,7 +198,7 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
         yield Remark("drag", result if run.drag.significant else detail, sentence)
     if exact is not None:
         yield Remark("waveform", detail, _waveform_sentence(exact.information_gain))
-        yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
+        yield Remark("advice", RemarkLevel.ADVICE, _advice(main_result(run)))
     for row in run.contact:
         if not row.determined and row.quantity not in ENERGIES:
             text = f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip()
@@ -214,7 +214,7 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
         yield Remark("warning", RemarkLevel.OTHER_FIT if is_other_fit else RemarkLevel.WARNING, warning)
 
 
-def _advice(result: WholeResult) -> str:
+def _advice(result: MainResult) -> str:
     """Sentence on the main limit of a result and its remedies; empty where nothing was fitted."""
     steps = "; ".join(result.next_steps)
     if not steps:

@@ -12,9 +12,9 @@ from processing.estimate import Estimate
 from processing.swing import HalfCycle
 from rig.analysis import (
     Limit,
+    main_result,
     read_results,
     results_path,
-    whole_result,
 )
 from rig.devices import FrameStream
 from rig.measure.session_file import RunState, SessionState, read_session
@@ -181,14 +181,14 @@ def session_summary(folder: Path) -> SessionSummary:
         return replace(summary, next_steps=[*steps, str(error)])
     # a run that was stopped too early hides no result of one before it
     run = next((one for one in reversed(results.runs) if not one.problem), results.runs[-1])
-    whole = whole_result(run, results.series)
+    whole = main_result(run, results.series)
     rows = results.contact if results.series is not None and results.series.table else run.contact
     unmet = [f"{one.name}: {one.judgement_text}" for one in run.conditions if not one.ok or one.remedy]
     no_fit = [f"no fit of {one.record}: {one.problem}" for one in results.runs if one.problem]
     return replace(
         summary,
         headline="" if run.problem else whole.text,
-        of="" if run.problem else whole.of,
+        of="" if run.problem else whole.uncertainty,
         limits=whole.limits,
         next_steps=[*steps, *whole.next_steps],
         others=[(row.shown.label, row.text) for row in rows],
