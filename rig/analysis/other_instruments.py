@@ -102,7 +102,8 @@ def _damping(report: Reduction) -> None:
     """Add damping time and number of swings, which are also the readings of a series."""
     description = report.description
     if description.report == "decay":
-        _decrements(report)
+        decrement, moment, exponent, law = with_drive(_friction, report.points)
+        _friction_law(replace(law, moment=moment, exponent=exponent), decrement, report)
     values, report.readings = report.evaluate(
         lambda points: damping(points, description.start_amplitude_rad, description.end_amplitude_rad)
     )
@@ -171,11 +172,6 @@ class _Friction(NamedTuple):
 def _friction(points: TurningPoints) -> _Friction:
     law = fit_friction_law(points)
     return _Friction(law.decrement(law.reference_rad), law.moment, law.exponent, law)
-
-
-def _decrements(report: Reduction) -> None:
-    decrement, moment, exponent, law = with_drive(_friction, report.points)
-    _friction_law(replace(law, moment=moment, exponent=exponent), decrement, report)
 
 
 def _friction_law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:

@@ -266,10 +266,8 @@ def _track_again(
     """The spots of some frames, tracked again in their pixels less the light; without those lost."""
     steps = _STEPS_PER_DN if reader.full_scale_dn <= _MAX_SUBDIVIDED_DN else 1
     sensor = sensor_model(config, reader.full_scale_dn)
-    full, subtracted = (
-        steps * int(sensor.full_scale_dn),
-        np.rint(steps * light.subtracted_dn).astype(np.int64),
-    )
+    full = steps * int(sensor.full_scale_dn)
+    subtracted = np.rint(steps * light.subtracted_dn).astype(np.int64)
     tracker = SpotTracker(
         replace(
             sensor,

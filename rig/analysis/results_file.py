@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from acquisition import atomic_write
-from processing.errors import RecordError, require_schema
+from processing.errors import ConfigurationError, RecordError, require_schema
 from processing.fault_text import fault_text
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, RunResults, SessionResults
@@ -33,7 +33,13 @@ def encoded(values: object) -> JsonObject:
 
 
 def write_results(path: str | Path, results: SessionResults) -> None:
-    """Write results.json; never over an existing one. Raises ConfigurationError or RecordError."""
+    """Write results.json, never over an existing file.
+
+    Raises ConfigurationError for an existing file, and for values that are no results; RecordError for a
+    file that cannot be written.
+    """
+    if not isinstance(results, SessionResults):
+        raise ConfigurationError(f"results: SessionResults are needed, not a {type(results).__name__}")
     with written(Path(path)):
         atomic_write.write_new(Path(path), (_text(encoded(results)) + "\n").encode())
 

@@ -50,15 +50,6 @@ def main_sources(row: ResultRow, budget: Mapping[str, Budget]) -> str:
     return ", ".join(map(str, large or limits[:1]))
 
 
-def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
-    """Relative changes of b and c by the drag, as text; none of a parameter that is not determined."""
-    return {
-        name: signed_percent(shift)
-        for name, shift in (("b", drag.relative_shift_b), ("c", drag.relative_shift_c))
-        if name not in rows or rows[name].determined
-    }
-
-
 _MIN_SHOWN_SHARE = 0.02
 """Share of the variance below which a source is not among the limits of the main result."""
 _REMEDIES: Final[Mapping[str, str]] = {
@@ -332,8 +323,13 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
 
     `fitted` is whether the drag is a parameter of the fit.
     """
-    shown, shifts, row = quantity("drag_s"), shifts_by_drag(drag, rows), rows.get("drag_s")
-    changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
+    shown, row = quantity("drag_s"), rows.get("drag_s")
+    shifts = {"b": drag.relative_shift_b, "c": drag.relative_shift_c}
+    changes = " and ".join(
+        f"{name} by {signed_percent(shift)}"
+        for name, shift in shifts.items()
+        if name not in rows or rows[name].determined
+    )
     moved = f"; it changes {changes}" if changes else ""
     match drag.finding:
         case DragFinding.SEEN if row is not None and row.verdict is Determinacy.UNDETERMINED:

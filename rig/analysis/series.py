@@ -23,7 +23,7 @@ from processing.fit import (
     budgets,
     drift_effects,
 )
-from processing.instruments import Check, Description, ValueWithSharedErrors, check, over_places, ratio
+from processing.instruments import ValueWithSharedErrors, check, over_places, ratio
 from processing.series import CombinedValue, SeriesResult, combine_runs
 from processing.swing import HalfCycle
 from rig.analysis.decay_values import InstrumentSeries
@@ -194,19 +194,6 @@ def _reference_problem(settings: InstrumentSettings, numbered: Sequence[tuple[in
     return ""
 
 
-def _acceptance(description: Description, glass: Sequence[_Reading]) -> tuple[Check, ...]:
-    """Checks of the apparatus on glass against the standard."""
-    checks = (
-        ("period on glass", "period_s", description.period_s),
-        ("damping time on glass", "time_s", description.glass_time_s),
-    )
-    return tuple(
-        check(name, _mean(glass, key).estimate, limits, "s")
-        for name, key, limits in checks
-        if limits is not None
-    )
-
-
 def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
     """Results of one or more runs for a file; records are named relative to its folder."""
     return SessionResults(
@@ -247,7 +234,15 @@ def _compared_places(
         return InstrumentSeries(**values, problem=f"{problem}: no ratio")
     values |= {"reference_time_s": reference.estimate, "problem": problem or None}
     if glass:
-        values["acceptance"] = _acceptance(description, glass)
+        standard = (
+            ("period on glass", "period_s", description.period_s),
+            ("damping time on glass", "time_s", description.glass_time_s),
+        )
+        values["acceptance"] = tuple(
+            check(name, _mean(glass, key).estimate, limits, "s")
+            for name, key, limits in standard
+            if limits is not None
+        )
         values["text"] = (f"note: {description.note}",) if description.note else ()
     if places:
         values["ratio"] = ratio(_mean(places, "time_s"), reference)

@@ -66,10 +66,8 @@ def counts_rows(column: Sequence[str]) -> bool:
 def decimal_mark(cells: Iterable[str], where: str) -> str:
     """The only decimal mark that fits all these cells.
 
-    Raises
-    ------
-    ConfigurationError
-        Points and commas are both decimal marks, or all commas may also be marks between thousands.
+    Raises ConfigurationError if points and commas are both decimal marks, or if all commas may also be marks
+    between thousands.
     """
     with_point, commas = "", dict[bool, str]()
     for cell in cells:

@@ -49,12 +49,8 @@ class Cells:
 def read_cells(path: Path) -> Cells:
     """Read a file.
 
-    Raises
-    ------
-    DataError
-        The file holds no rows of numbers, or cannot be read.
-    ConfigurationError
-        The numbers fit two decimal marks.
+    Raises DataError if it cannot be read or holds no rows of numbers, and ConfigurationError if the numbers
+    fit two decimal marks.
     """
     raw = read_bytes_of(path)
     binary = binary_rows(path, raw)

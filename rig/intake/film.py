@@ -68,25 +68,12 @@ def film_trajectory(
 ) -> Trajectory:
     """Track the spot through a film; `progress` is called with the numbers of frames done and of all frames.
 
-    Raises
-    ------
-    DeviceError
-        There is no film, or it cannot be read correctly.
-    DataError
-        Most frames have nothing to track.
-    ConfigurationError
-        The size of a pixel is invalid.
+    Raises DeviceError for a film that does not exist or cannot be read correctly, DataError if most frames
+    have nothing to track, and ConfigurationError for an invalid size of a pixel.
     """
     factor, unit = _pixel(options.size)
-    settings = FilesSettings.model_validate(
-        {
-            "path": path,
-            "frame_rate_hz": options.rate_hz,
-            "force_frame_rate": options.force,
-            "colour": "brightness",
-        }
-    )
-    camera = FilesCamera(settings)
+    stated = {"path": path, "frame_rate_hz": options.rate_hz, "force_frame_rate": options.force}
+    camera = FilesCamera(FilesSettings.model_validate({**stated, "colour": "brightness"}))
     full_dn = camera.open().full_scale_dn
     try:
         camera.configure(CameraSettings())

@@ -42,13 +42,8 @@ class TableColumns:
     def read(self, path: Path) -> Trajectory:
         """Read the table, or the chosen run of it.
 
-        Raises
-        ------
-        DataError
-            The file does not exist, has no numbers, or times do not increase.
-        ConfigurationError
-            A column does not exist, a unit is unknown, two units contradict, or none of several runs is
-            chosen.
+        Raises DataError if the file does not exist, has no numbers, or times do not increase, and
+        ConfigurationError for an unknown column, unit or run, contradicting units, or several runs.
         """
         cells, chosen, all_runs = self._runs(path)
         if len(chosen) > 1:

@@ -15,8 +15,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import BALANCE, SWING, RecordedWindow
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError
-from rig import analysis
-from rig.analysis import ResultRow, SessionResults
+from rig.analysis import ResultRow, SessionResults, read_results
 from rig.report import draw_run, styled
 
 if TYPE_CHECKING:
@@ -197,32 +196,5 @@ def open_session(folder: str | Path) -> Session:
         There are no results (`rig.fit` makes them), or a record is missing.
     """
     folder = Path(folder)
-    results = analysis.read_results(folder)
+    results = read_results(folder)
     return Session(folder, results, tuple(open_record(folder / run.record) for run in results.runs))
-
-
-def read_results(source: str | Path) -> SessionResults:
-    """results.json of a session's folder, or a results file: of records, or of the decays of a table.
-
-    Raises
-    ------
-    RigError
-        No such file, or a key that cannot be understood.
-    """
-    return analysis.read_results(source)
-
-
-def write_results(path: str | Path, results: SessionResults) -> None:
-    """Write results.json; never over an existing file.
-
-    Raises
-    ------
-    RigError
-        There is a file of that name, it cannot be written, or these are no results of `rig.fit`,
-        `rig.fit_table` or `rig.fit_film`.
-    """
-    if not isinstance(results, SessionResults):
-        raise ConfigurationError(
-            f"results: SessionResults, as of rig.fit, are needed, not a {type(results).__name__}"
-        )
-    analysis.write_results(path, results)
