@@ -358,10 +358,8 @@ def _temperature(reader: RecordReader) -> list[Verdict]:
     readings_c = table["temperature_c"][np.isfinite(table["temperature_c"])] if len(table) else np.empty(0)
     if not len(readings_c):
         return []
-    measured, limit = (
-        f"{np.min(readings_c):.2f} to {np.max(readings_c):.2f} °C",
-        f"within {_MAX_TEMPERATURE_CHANGE_K:g} K",
-    )
+    measured = f"{np.min(readings_c):.2f} to {np.max(readings_c):.2f} °C"
+    limit = f"within {_MAX_TEMPERATURE_CHANGE_K:g} K"
     reason, remedy = "it changed during the run", "wait until the room is steady; shield the rig"
     ok = float(np.ptp(readings_c)) <= _MAX_TEMPERATURE_CHANGE_K
     return [_condition("temperature", ok, reason, remedy, measured, limit)]

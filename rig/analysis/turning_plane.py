@@ -24,7 +24,7 @@ MAX_NEGLECTED_CHANGE_U: Final = 0.05
 _FIRST_BALANCES: Final = 10
 """Number of balances at the beginning, where the fast mode is largest."""
 _MIN_SAMPLES_PER_PERIOD: Final = 100
-"""Fewest samples that are used of a slow period for its balance, if it has as many."""
+"""Fewest samples of a slow period that make its balance, where the period has as many."""
 _PER_MIN: Final = 60.0 / DEGREE_RAD
 
 
