@@ -53,7 +53,7 @@ def mean_period_estimate(points: TurningPoints, chi2_per_dof: float) -> Estimate
     return Estimate(mean_period(points), float(2 * u / (points.index[-1] - points.index[0])))
 
 
-_MIN_TURNING_POINTS = 4
+MIN_TURNING_POINTS = 4
 """Fewest turning points: a straight line leaves two degrees of freedom for its scatter."""
 _MIN_OF_PART = 3
 _NOT_CONSTANT = 4.0
@@ -132,9 +132,9 @@ def summarise_decay(points: TurningPoints) -> DecaySummary:
 
     Raises DataError for fewer than four turning points.
     """
-    if len(points) < _MIN_TURNING_POINTS:
+    if len(points) < MIN_TURNING_POINTS:
         raise DataError(
-            f"{len(points)} usable half-cycles, at least {_MIN_TURNING_POINTS} are needed for a "
+            f"{len(points)} usable half-cycles, at least {MIN_TURNING_POINTS} are needed for a "
             "period and a decrement"
         )
     return DecaySummary(

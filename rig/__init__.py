@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from processing.deflections import Deflections
     from processing.errors import RigError
-    from rig.analysis import SessionResults
+    from rig.analysis import SessionResults, read_results, write_results
     from rig.scripting import (
         Campaign,
         Record,
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
         fit_table,
         open_record,
         open_session,
-        read_results,
-        write_results,
     )
 
 __all__ = [
@@ -50,6 +48,8 @@ _PLACES = {
     "Deflections": "processing.deflections",
     "RigError": "processing.errors",
     "SessionResults": "rig.analysis",
+    "read_results": "rig.analysis",
+    "write_results": "rig.analysis",
 }
 """Modules of the names; those that are not listed are in rig.scripting."""
 

@@ -1,6 +1,6 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json.
 
-What analyses is imported at its first use: a command that only reads results.json loads no fit, no
+Modules that analyse are imported at their first use: a command that only reads results.json loads no fit, no
 configuration and no reader of tables.
 """
 
@@ -40,56 +40,26 @@ from rig.analysis.results_file import (
     results_schema,
     write_results,
 )
-from rig.analysis.run_remarks import (
-    Limit,
-    decay_lines,
-    drive_text,
-    main_sources,
-    remarks,
-    whole_result,
-)
+from rig.analysis.run_remarks import Limit, decay_lines, drive_text, main_result, main_sources, remarks
 from rig.analysis.run_values import PositionErrors, StoredTurningPoints, TableDecay
 
 if TYPE_CHECKING:
-    from rig.analysis.ambient import (
-        HISTORY_KEYS,
-        drag_of_fit,
-        evidence_of,
-        expected_drag,
-        recorded_ambient,
-        stated_ambient,
-    )
-    from rig.analysis.compared_laws import (
-        Curves,
-        ModelCurve,
-        chosen_laws,
-        curves_of,
-        model_curves,
-        with_laws,
-    )
+    from rig.analysis.ambient import drag_of_fit, evidence_of, expected_drag, recorded_ambient, stated_ambient
+    from rig.analysis.compared_laws import Curves, ModelCurve, chosen_laws, curves_of, model_curves, with_laws
     from rig.analysis.contact_fits import loss_of, refined_half_cycles
     from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, with_contact
     from rig.analysis.half_cycle_fits import clock_rate_of
     from rig.analysis.passing_deflections import PassingDeflections
     from rig.analysis.record_fit import analyse_record, analyse_run
-    from rig.analysis.screen import (
-        print_results,
-        print_series,
-        print_table,
-    )
-    from rig.analysis.series import (
-        AnalysedRun,
-        fitted_series,
-        refuse_copies,
-        session_results,
-    )
+    from rig.analysis.screen import print_results, print_series, print_table
+    from rig.analysis.series import AnalysedRun, fitted_series, refuse_copies, session_results
     from rig.analysis.table_fit import AnalysedTable, analyse_trajectory, series_of_runs
     from rig.analysis.turning_plane import PlaneBalances, follow_plane
 else:
     _LAZY = {
         name: module
         for module, names in {
-            "ambient": "HISTORY_KEYS evidence_of expected_drag drag_of_fit recorded_ambient stated_ambient",
+            "ambient": "evidence_of expected_drag drag_of_fit recorded_ambient stated_ambient",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
             "contact_fits": "loss_of refined_half_cycles",
             "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC with_contact",

@@ -1,4 +1,4 @@
-"""Ambient conditions of a run, drag and drifts that follow from them, and its seismometer's record."""
+"""Ambient conditions of a run, the drag and drifts that follow from them, and its seismometer's record."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -14,12 +14,7 @@ from acquisition.record.topics import ENVIRONMENT, SEISMOMETER, SPOT
 from processing.ambient import AmbientConditions, doubtful_humidity, humid_air
 from processing.arrays import Floats
 from processing.arrival_times import sample_times
-from processing.contact import (
-    ExpectedDrag,
-    PendulumOnBall,
-    bar_of,
-    expected_drag_s,
-)
+from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
 from processing.swing import PieceHarmonics
@@ -32,7 +27,7 @@ if TYPE_CHECKING:
     from rig.intake import SeismometerRecord
 
 _USUAL_AIR = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
-"""Air of a laboratory, in place of what is not known."""
+"""Air of a laboratory, assumed where a condition is not known."""
 _BAR_SIZES = ("length_m", "width_m")
 _MIN_READINGS = 4
 """Fewest readings that show a change."""
@@ -55,22 +50,32 @@ def table_ambient(config: Configuration, began_s: float | None) -> AmbientCondit
     """
     if began_s is None:
         return stated_ambient(config)
-    started = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
-    history = {name: began_s - moment.timestamp() for name, moment in started.items() if moment}
+    moments = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
+    history = {name: began_s - moment.timestamp() for name, moment in moments.items() if moment}
     return replace(stated_ambient(config), **history)
 
 
 def recorded_ambient(reader: RecordReader, config: Configuration | None = None) -> AmbientConditions:
-    """Ambient conditions of a record: its readings, then what `config` (None: the record) states."""
+    """Ambient conditions of a record: its readings, else those that `config` states, or itself for None."""
     if config is None:
         air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
         session = reader.metadata.get("session", {})
-        times = {name: session.get(key, "") for name, key in HISTORY_KEYS.items()}
+        moments = {
+            name: datetime.fromisoformat(session[key])
+            for name, key in HISTORY_KEYS.items()
+            if session.get(key)
+        }
     else:
         air = asdict(stated_ambient(config))
         stated = {name: getattr(config.session, key) for name, key in HISTORY_KEYS.items()}
-        times = {name: at.isoformat() if at is not None else "" for name, at in stated.items()}
-    return AmbientConditions(**_air_readings(reader, air), **_contact_history(reader, times))
+        moments = {name: moment for name, moment in stated.items() if moment is not None}
+    first = next(iter(reader.messages(SPOT.topic)), None) if moments else None
+    history: dict[str, float] = {}
+    if first is not None:
+        # the log time is UTC already
+        began = utc(first.log_time_ns)
+        history = {name: (began - moment).total_seconds() for name, moment in moments.items()}
+    return AmbientConditions(**_air_readings(reader, air), **history)
 
 
 def _air_readings(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]:
@@ -89,15 +94,6 @@ def _air_readings(reader: RecordReader, stated: Mapping[str, float]) -> dict[str
     return air
 
 
-def _contact_history(reader: RecordReader, times: Mapping[str, str]) -> dict[str, float]:
-    stated = {name: datetime.fromisoformat(text) for name, text in times.items() if text}
-    first = next(iter(reader.messages(SPOT.topic)), None) if stated else None
-    if first is None:
-        return {}
-    # the log time is UTC already
-    return {name: (utc(first.log_time_ns) - moment).total_seconds() for name, moment in stated.items()}
-
-
 def _number(text: str) -> float:
     try:
         return float(text)
@@ -107,14 +103,13 @@ def _number(text: str) -> float:
 
 def ambient_warnings(ambient: AmbientConditions) -> list[str]:
     """Warnings of stated times that are impossible, and of a humidity that was hardly meant."""
-    humidity = doubtful_humidity(ambient.humidity_percent)
-    wrong_order, too_late_s = "", ambient.dwell_s - ambient.age_s
-    if too_late_s > 0:
-        wrong_order = (
-            f"session.surfaces_cleaned lies {too_late_s:.0f} s after session.contact_made, which covers the "
+    warnings = [*filter(None, [doubtful_humidity(ambient.humidity_percent)])]
+    if (delay_s := ambient.dwell_s - ambient.age_s) > 0:
+        warnings.append(
+            f"session.surfaces_cleaned lies {delay_s:.0f} s after session.contact_made, which covers the "
             "surfaces: correct one of them"
         )
-    return [*filter(None, [humidity, wrong_order])] + [
+    return warnings + [
         f"session.{key} lies {-getattr(ambient, name):.0f} s after the run began: correct its date or offset"
         for name, key in HISTORY_KEYS.items()
         if getattr(ambient, name) < 0
@@ -124,14 +119,14 @@ def ambient_warnings(ambient: AmbientConditions) -> list[str]:
 def expected_drag(
     ambient: AmbientConditions, pendulum: PendulumOnBall, period_s: float, config: Configuration
 ) -> ExpectedDrag:
-    """The drag of a bar of the pendulum's size in this air; `_USUAL_AIR` stands for what is unknown."""
+    """The drag of a bar of the pendulum's size in this air; unknown conditions are those of `_USUAL_AIR`."""
     known = {name: value for name, value in ambient.known().items() if name in _USUAL_AIR}
     air = humid_air(**{**_USUAL_AIR, **known})
     stated = config.pendulum
     length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
     bar = bar_of(pendulum, period_s, length, width)
     return ExpectedDrag(
-        # the air acts once on what all balls carry
+        # the air acts once on the pendulum, which all balls carry together
         drag_s=expected_drag_s(air, bar, pendulum, period_s) / balls(config),
         air_density_kg_per_m3=air.density_kg_per_m3,
         air_viscosity_pa_s=air.viscosity_pa_s,
@@ -151,10 +146,12 @@ mirror and weights.
 
 
 class FittedDrag(NamedTuple):
-    """Whether a drag is fitted, and its prior in s, None without one."""
+    """How the fit of a run treats the drag."""
 
     fitted: bool = True
+    """Whether a drag is fitted."""
     prior_s: Estimate | None = None
+    """The prior of the fitted drag; None without one."""
 
 
 FREE_DRAG = FittedDrag()
@@ -163,7 +160,7 @@ FREE_DRAG = FittedDrag()
 def drag_of_fit(
     config: Configuration, air: AmbientConditions, pendulum: PendulumOnBall, period_s: float
 ) -> tuple[FittedDrag, ExpectedDrag]:
-    """The drag as the section [fit] states it, and the one expected of the air."""
+    """The drag of the fit by the section [fit], and the drag expected of the air."""
     expected, settings = expected_drag(air, pendulum, period_s, config), config.fit
     if settings.drag == "vacuum":
         return FittedDrag(fitted=False), expected
@@ -183,8 +180,8 @@ def evidence_of(drag: FittedDrag, harmonics: PieceHarmonics | None) -> Evidence:
 
 _DRAG_PER_K = 2.7e-3
 """Relative growth of the air's viscosity per kelvin."""
-_DRIFTING = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
-"""What each assumed drift changes, as a note names it."""
+_DRIFT_NAMES = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
+"""The quantity that each assumed drift changes, in words."""
 
 
 def assumed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, InputQuantity]:
@@ -204,7 +201,7 @@ def assumed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, I
         "drag_drift": _DRAG_PER_K * change_k if fit.u_drag_drift is None else fit.u_drag_drift,
         "period_drift": expansion * change_k,
     }
-    return {name: InputQuantity(0.0, one) for name, one in u.items()}
+    return {name: InputQuantity(0.0, u_drift) for name, u_drift in u.items()}
 
 
 def drift_note(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit: FitResult) -> str:
@@ -213,7 +210,7 @@ def drift_note(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit:
     `drifts` holds the change of each contact parameter by a drift of 1, `u_drifts` their uncertainties.
     """
     notes = []
-    for source, name in _DRIFTING.items():
+    for source, name in _DRIFT_NAMES.items():
         shifts = []
         for parameter, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
             shift = abs(slope) * u_drifts[source]
@@ -231,7 +228,8 @@ def drift_note(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit:
 
 
 _COMPONENTS = ("first", "second", "third")
-_MIN_ARRIVALS = 3
+_MIN_SAMPLES = 3
+"""Fewest samples of a seismometer's record."""
 
 
 def recorded_seismometer(reader: RecordReader, config: Configuration) -> "SeismometerRecord | None":
@@ -242,7 +240,7 @@ def recorded_seismometer(reader: RecordReader, config: Configuration) -> "Seismo
     if config.seismometer.kind == "none":
         return None
     table = reader.table(SEISMOMETER.topic)
-    if len(table) < _MIN_ARRIVALS:
+    if len(table) < _MIN_SAMPLES:
         return None
     names = config.seismometer.components
     times_ns, steps_s = sample_times(table["time_ns"], table["own_time_s"])

@@ -21,32 +21,20 @@ from processing.contact import (
 from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.decay_summary import Periods, full_periods
 from processing.errors import ConfigurationError, DataError
-from processing.fit import (
-    FitMethod,
-    FitResult,
-    LawComparison,
-    compare_laws,
-    fit_model_free,
-)
+from processing.fit import FitMethod, FitResult, LawComparison, compare_laws, fit_model_free
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
-from rig.analysis.results import (
-    ComparedLaws,
-    Fit,
-    LawFit,
-    LawMoments,
-    ModelFreeMoments,
-    RunResults,
-)
+from rig.analysis.results import ComparedLaws, Fit, LawFit, LawMoments, ModelFreeMoments, RunResults
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"
+"""Name that stands for no law beside the default one."""
 _DISTINCT_LAWS_U, _MAX_PROPOSED_RUNS = 3.0, 100
 """Standard uncertainties by which two laws have to differ, and the most runs that are proposed for it."""
 
 
 def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
-    """The default law and others of the registry by name; "all" stands for all laws, "none" for no further.
+    """The default law and named laws of the registry; "all" stands for all laws, "none" for no other law.
 
     Raises ConfigurationError for a name that no law has.
     """
@@ -64,80 +52,81 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     if exact is None or pendulum is None:
         return run
     like = dict(zip(exact.names, exact.values.tolist(), strict=True))
-    made = [law.of(run.points, pendulum, like) if isinstance(law, StatedLaw) else law for law in laws]
-    compared = compare_laws(run.points, pendulum, made, like=exact)
+    started = [law.of(run.points, pendulum, like) if isinstance(law, StatedLaw) else law for law in laws]
+    compared = compare_laws(run.points, pendulum, started, like=exact)
     free = _model_free_moments(run.points, pendulum, compared, exact)
-    remaining = [trial.law.name for trial in compared.remaining]
+    best = [trial.law.name for trial in compared.remaining][:2]
     verdict = compared.text()
-    if free is not None and len(remaining) > 1 and set(remaining[:2]) <= set(free.laws):
-        verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
+    if free is not None and len(best) > 1 and set(best) <= set(free.laws):
+        verdict = compared.text(_remedy(free, *best))
     return replace(run, laws=ComparedLaws(_law_fits(compared), verdict, free))
 
 
-def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
+def _remedy(free: ModelFreeMoments, first_law: str, second_law: str) -> str:
     """Largest difference of two laws in uncertainties of a run, and the number of runs that separate them."""
-    by_moment = {
-        "friction": np.abs(free.laws[one].friction_n_m - free.laws[other].friction_n_m) / free.u_friction_n_m,
-        "elastic moment": np.abs(free.laws[one].elastic_n_m - free.laws[other].elastic_n_m)
-        / free.u_elastic_n_m,
+    first, second = free.laws[first_law], free.laws[second_law]
+    distances_u = {
+        "friction": np.abs(first.friction_n_m - second.friction_n_m) / free.u_friction_n_m,
+        "elastic moment": np.abs(first.elastic_n_m - second.elastic_n_m) / free.u_elastic_n_m,
     }
-    name, apart = max(by_moment.items(), key=lambda item: float(item[1].max()))
-    most = float(apart.max())
-    runs = np.ceil((_DISTINCT_LAWS_U / most) ** 2)
-    where = f"they differ most in {name} at {free.phi_rad[int(apart.argmax())] / ARCSEC_RAD:.2g} arcsec"
+    name, distance_u = max(distances_u.items(), key=lambda item: float(item[1].max()))
+    largest_u = float(distance_u.max())
+    difference = f"they differ most in {name} at {free.phi_rad[distance_u.argmax()] / ARCSEC_RAD:.2g} arcsec"
+    runs = math.ceil((_DISTINCT_LAWS_U / largest_u) ** 2) if largest_u > 0 else 0
     if not 2 <= runs <= _MAX_PROPOSED_RUNS:
-        return f"{where}; a larger first amplitude or more runs may decide"
+        return f"{difference}; a larger first amplitude or more runs may decide"
     return (
-        f"{where}, by {most:.1f} u of one run: {runs:.0f} such runs, or a larger first amplitude, may decide"
+        f"{difference}, by {largest_u:.1f} u of one run: {runs} such runs, or a larger first amplitude, "
+        "may decide"
     )
 
 
 def _model_free_moments(
     points: TurningPoints, pendulum: PendulumOnBall, compared: LawComparison, exact: FitResult
 ) -> ModelFreeMoments | None:
-    """Moments as splines, and those of the fitted laws in the same terms; None where splines have no fit."""
+    """Moments as splines, and those of the fitted laws; None where splines have no fit."""
     try:
         free = fit_model_free(points, pendulum, like=exact)
     except DataError:
         return None
     assert free.fit.ground is not None  # of every exact fit
-    found = free.moments()
-    same = {}
+    spline_moments = free.moments()
+    laws = {}
     for trial in compared.trials:
         if trial.fit is not None:
-            # none where splines cannot follow a law that does not fit
+            # splines may not be able to follow a law that does not fit
             with suppress(DataError):
-                moments = free.moments_of_law(trial.fit, found.phi_rad)
-                same[trial.law.name] = LawMoments(moments.friction_n_m, moments.elastic_n_m)
+                moments = free.moments_of_law(trial.fit, spline_moments.phi_rad)
+                laws[trial.law.name] = LawMoments(moments.friction_n_m, moments.elastic_n_m)
     return ModelFreeMoments(
-        **{column.name: getattr(found, column.name) for column in fields(found)},
+        **{item.name: getattr(spline_moments, item.name) for item in fields(spline_moments)},
         ground_rad_per_s2_rthz=free.fit.ground.density_rad_per_s2_rthz.value,
-        laws=same,
+        laws=laws,
     )
 
 
 def _law_fits(compared: LawComparison) -> dict[str, LawFit]:
     """The best fit of every law."""
-    found = {}
+    fits = {}
     for trial in compared.trials:
         fit, law = trial.fit, trial.law
-        one = LawFit(title=law.title, source=law.source, problem=trial.problem)
+        fits[law.name] = LawFit(title=law.title, source=law.source, problem=trial.problem)
         if fit is not None and fit.ground is not None and fit.whiteness is not None:
-            one = replace(
-                one,
-                parameters={name: fit.estimate(name) for name in fit.names},
+            fits[law.name] = replace(
+                fits[law.name],
+                parameters=fit.estimates(),
                 bic_above_best=compared.above_best(trial),
                 ground_rad_per_s2_rthz=fit.ground.density_rad_per_s2_rthz.value,
                 residuals_are_noise=not fit.whiteness.correlated,
                 excluded=trial not in compared.remaining,
             )
-        found[law.name] = one
-    return found
+    return fits
 
 
 _MIN_PERIODS = 8
 """Fewest periods for a smooth curve."""
 _MIN_POINTS = 3
+"""Fewest turning points of a run with curves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +135,11 @@ class ModelCurve:
 
     The model is one free decay: on ground that moves the measured amplitudes and times wander about it by
     more than their uncertainties, which the fit allows for. NaN where a law has no value: Eqs. 5 and 6 have
-    no times. `index` is the number of the half-cycle.
+    no times.
     """
 
     index: Ints
+    """Numbers of the half-cycles."""
     time_s: Floats
     u_time_s: Floats
     amplitude_rad: Floats
@@ -176,21 +166,21 @@ class ModelCurve:
 
 @dataclass(frozen=True)
 class Curves:
-    """The curves of both fits of a run, and its periods against the amplitude.
-
-    `period_rad` are the amplitudes at which a full period was measured, `period_s` and `u_period_s` the
-    measured periods; `asymptotic_period_s` and `exact_period_s` are those of the models there, `smooth_s`
-    those of a smooth curve without a model.
-    """
+    """The curves of both fits of a run, and its periods against the amplitude, as arrays (n,)."""
 
     asymptotic: ModelCurve
     exact: ModelCurve
     period_rad: Floats
+    """Amplitudes at which a full period was measured."""
     period_s: Floats
+    """The measured periods."""
     u_period_s: Floats
     asymptotic_period_s: Floats
+    """Periods of the asymptotic model at these amplitudes."""
     exact_period_s: Floats
+    """Periods of the exact model at these amplitudes."""
     smooth_s: Floats
+    """Periods of a smooth curve without a model."""
 
 
 def curves_of(run: RunResults) -> Curves | None:
@@ -198,20 +188,19 @@ def curves_of(run: RunResults) -> Curves | None:
     pendulum, fits, points = run.pendulum, run.fits, run.points
     if pendulum is None or not set(FitMethod) <= set(fits) or len(points) < _MIN_POINTS:
         return None
-    exact = ModelCurve.of(points, *_exact(points, fits[FitMethod.EXACT], pendulum))
-    unknown = np.full(len(points), np.nan)
+    exact = ModelCurve.of(points, *_exact_path(points, fits[FitMethod.EXACT], pendulum))
+    asymptotic = fits[FitMethod.ASYMPTOTIC]
+    no_times = np.full(len(points), np.nan)
     periods = full_periods(points)
-    at = periods.where
-    asymptotic = fits[FitMethod.ASYMPTOTIC].contact()
-    amplitude = points.amplitude[at]
+    amplitude = points.amplitude[periods.where]
     return Curves(
-        asymptotic=ModelCurve.of(points, _asymptotic(points, fits[FitMethod.ASYMPTOTIC]), unknown),
+        asymptotic=ModelCurve.of(points, _asymptotic_path(points, asymptotic), no_times),
         exact=exact,
         period_rad=amplitude,
         period_s=periods.period_s,
         u_period_s=periods.u_period_s,
-        asymptotic_period_s=period(amplitude, asymptotic, pendulum),
-        exact_period_s=exact.model_time_s[at + 1] - exact.model_time_s[at - 1],
+        asymptotic_period_s=period(amplitude, asymptotic.contact(), pendulum),
+        exact_period_s=exact.model_time_s[periods.where + 1] - exact.model_time_s[periods.where - 1],
         smooth_s=_smooth(amplitude, periods),
     )
 
@@ -228,37 +217,36 @@ def _smooth(amplitude: Floats, periods: Periods) -> Floats:
     return np.asarray(spline(np.log(amplitude)))
 
 
-def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Floats, Floats]:
-    """Amplitude and time of the half-swing map at the half-cycles of the data."""
+def _exact_path(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Floats, Floats]:
+    """Amplitudes and times of the half-swing map at the half-cycles of the data."""
     index = points.index - points.index[0]
     start = fit.estimate(AMPLITUDE.key).value
     amplitude, time = turning_points_of(fit.contact(), pendulum, start, int(index[-1]))
     return amplitude[index], time[index] + fit.estimate(TIME.key).value
 
 
-def _asymptotic(points: TurningPoints, fit: Fit) -> Floats:
-    """Eq. 5 (with its linear term where one was fitted) at the times of the data."""
-    known = fit.contact()
-    mean = fit.mean_period_s.value
-    s = (points.time_s - points.time_s[0]) * (4 / mean)
+def _asymptotic_path(points: TurningPoints, fit: Fit) -> Floats:
+    """Amplitudes by Eq. 5 (with its linear term where one was fitted) at the times of the data."""
+    contact, period_s = fit.contact(), fit.mean_period_s.value
+    s = (points.time_s - points.time_s[0]) * (4 / period_s)
     # coefficient of a linear drag in the rate of Eq. 5, in units of T/4
-    linear = known.drag_s * math.pi**2 / (2 * mean)
+    linear = contact.drag_s * math.pi**2 / (2 * period_s)
     start = fit.estimate(AMPLITUDE.key).value
-    path, _ = decay_path(s, start, known.b / (known.p + 1), known.p, known.c, linear)
+    path, _ = decay_path(s, start, contact.b / (contact.p + 1), contact.p, contact.c, linear)
     return np.asarray(path, dtype=np.float64)
 
 
 def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[str, ModelCurve]:
     """The curves of both fits and of the compared laws, by name; a `stated` law has its own name.
 
-    Raises DataError for a run that was not fitted, or not with the stated law.
+    Raises DataError for a run that was not fitted at all, or not with the stated law.
     """
     curves, points = curves_of(run), run.points
     if curves is None or run.pendulum is None:
         raise DataError(
             f"{run.record}: has no fit of the contact's laws: {run.problem or 'no pendulum is stated'}"
         )
-    found = {FitMethod.EXACT.value: curves.exact, FitMethod.ASYMPTOTIC.value: curves.asymptotic}
+    by_name = {FitMethod.EXACT.value: curves.exact, FitMethod.ASYMPTOTIC.value: curves.asymptotic}
     compared = {} if run.laws is None else run.laws.laws
     if stated is not None and stated.name not in compared:
         raise DataError(
@@ -266,16 +254,17 @@ def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[st
         )
     like = {name: estimate.value for name, estimate in run.fits[FitMethod.EXACT].parameters.items()}
     for name, fit in compared.items():
-        own = stated is not None and name == stated.name
-        law = stated.of(points, run.pendulum, like) if own and stated is not None else LAWS.get(name)
+        law = LAWS.get(name)
+        if stated is not None and name == stated.name:
+            law = stated.of(points, run.pendulum, like)
         if law is None or not fit.parameters:
             continue
         values = {key: estimate.value for key, estimate in fit.parameters.items()}
-        columns = law.columns(points, run.pendulum, tuple(values))
-        parameters, _ = columns.map_parameters(columns.from_physical(values))
-        swung = law.half_swing_map(parameters[:-2], points.index - points.index[0])
+        coordinates = law.columns(points, run.pendulum, tuple(values))
+        parameters, _ = coordinates.map_parameters(coordinates.from_physical(values))
+        path = law.half_swing_map(parameters[:-2], points.index - points.index[0])
         period_s, first_s = parameters[-2:].tolist()
-        found[name] = ModelCurve.of(
-            points, swung.amplitude * columns.reference, first_s + period_s * swung.time
+        by_name[name] = ModelCurve.of(
+            points, path.amplitude * coordinates.reference, first_s + period_s * path.time
         )
-    return found
+    return by_name

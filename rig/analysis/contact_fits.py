@@ -73,9 +73,10 @@ def refined_half_cycles(
     once for the harmonics of the motion, once for the measurement, and again where the run shows position
     errors: the harmonics are then those of the corrected deflections.
 
-    Half-cycles stay as detected where the laws cannot be fitted, which need deflections in rad, and where the
-    laws describe the second measurement worse than the first; their uncertainties then contain the difference
-    of both. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
+    Half-cycles stay as detected where the laws cannot be fitted, which need deflections in rad. They also
+    stay where the laws describe the second measurement worse than the first, and their uncertainties then
+    contain the difference of both. One repetition is enough: a second one shifts them by some hundredths of
+    an uncertainty.
     """
     if pendulum is None or unit is not DeflectionUnit.RAD:
         return Refinement(swings, None)
@@ -94,23 +95,22 @@ def refined_half_cycles(
     except DataError:
         return Refinement(swings, None, doubt=remark, harmonics=harmonics)
     watch = CycleExtractor(swings, motion)
-    turns = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
-    search = PositionMapSearch(min(turns), max(turns), watch.pending_cycles)
+    deflections = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
+    search = PositionMapSearch(min(deflections), max(deflections), watch.cycles)
     remeasured = second_measurement(swings, _search_errors(blocks, watch, search), motion)
-    refined = judge_refinement(swings, remeasured, motion, first, fit)
-    doubt = "; ".join(filter(None, [remark, refined.doubt]))
-    refined = refined._replace(doubt=doubt, harmonics=harmonics)
+    refined = judge_refinement(swings, remeasured, motion, first, fit)._replace(harmonics=harmonics)
+    doubts = [remark, refined.doubt]
     errors = search.position_map()
-    if errors is None:
-        return refined
-    corrected = _without_position_errors(swings, blocks, motion, refined.exact or first, errors, fit, drag)
-    if corrected is None:
-        doubt = (
+    if errors is not None:
+        exact = refined.exact or first
+        corrected = _without_position_errors(swings, blocks, motion, exact, errors, fit, drag)
+        if corrected is not None:
+            return corrected._replace(doubt=remark)
+        doubts.append(
             "the residuals show errors of position that are fixed on the sensor, but correcting them does "
             "not improve the fit of the laws: they are left uncorrected"
         )
-        return refined._replace(doubt="; ".join(filter(None, [refined.doubt, doubt])))
-    return corrected._replace(doubt=remark)
+    return refined._replace(doubt="; ".join(filter(None, doubts)))
 
 
 def _search_errors(
@@ -133,8 +133,9 @@ def _without_position_errors(
 ) -> Refinement | None:
     """Half-cycles measured in deflections without the map's errors; None where the laws describe them worse.
 
-    The motion was fitted to deflections with the errors, so that motion and search for errors are repeated
-    without them. The part of the map that the residuals leave open is then adjusted by the fitted law.
+    The motion was fitted to deflections with the errors. The fit of the motion and the search for errors are
+    therefore repeated without them. The fitted law then adjusts the part of the map that residuals leave
+    open.
     """
     exact, final_map, remeasured = first_fit, position_map, swings
     harmonics: PieceHarmonics | None = None
@@ -155,10 +156,10 @@ def _without_position_errors(
                 motion = known_motion(exact.parameters, fit.pendulum, motion.reference, fit.clock_rate)
         if not describes_as_well(exact, first_fit):
             return None
-        remainder = _position_errors(position_map, remeasured, exact, fit).of_parameters
+        remaining = _position_errors(position_map, remeasured, exact, fit).of_parameters
     except DataError:
         return None
-    return Refinement(remeasured, motion, exact.with_term(FIXED_PATTERN, remainder), "", final_map, harmonics)
+    return Refinement(remeasured, motion, exact.with_term(FIXED_PATTERN, remaining), "", final_map, harmonics)
 
 
 def _with_remaining_errors(
@@ -166,8 +167,7 @@ def _with_remaining_errors(
 ) -> PositionMap:
     """The map with the errors that the corrected deflections still show.
 
-    The first map is one of measured deflections, which the errors have shifted, by much where the scale is
-    not linear.
+    The places of the first map are measured deflections, which the errors have shifted.
     """
     watch = CycleExtractor(swings, motion)
     search = PositionMapSearch(*position_map.limits, watch.pending_cycles)
@@ -210,12 +210,12 @@ def fit_decay(
     drifts: Mapping[str, float] | None = None,
     seismometer: Seismogram | None = None,
 ) -> tuple[Mapping[str, FitResult], TurningPoints, SeismometerUse | None]:
-    """Asymptotic and exact fit of turning points, by name; the points fitted; the use of a seismometer.
+    """Asymptotic and exact fit of turning points, by name; the fitted points; the use of a seismometer.
 
     `exact` is an exact fit of these points, if there is one; otherwise `drag` is whether a drag is fitted,
-    and `evidence` restrains the fit. `seismometer` is its record on the clock of the points;
-    Eqs. 5 and 6 keep the paper's procedure.
-    Raises DataError for a decay that cannot be fitted.
+    and `evidence` restrains the fit. `drifts` are the uncertainties of drifts that are terms of the fit.
+    `seismometer` is a record on the clock of the points. Eqs. 5 and 6 keep the paper's procedure. Raises
+    DataError for a decay that cannot be fitted.
     """
     if pendulum is None:
         raise DataError(
@@ -228,23 +228,17 @@ def fit_decay(
     boundary_layer = (
         boundary_layer_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
     )
-    asymptotic = fit_asymptotic(
-        points,
-        pendulum,
-        drag=exact.has_drag,
-        loss=loss,
-        exact=exact,
-    )
+    asymptotic = fit_asymptotic(points, pendulum, drag=exact.has_drag, loss=loss, exact=exact)
 
     def with_findings(fit: FitResult) -> FitResult:
-        # each is estimated about the fit as it ended, so that their order does not matter
+        # each finding is estimated about the finished fit, so that their order does not matter
         linearised = LinearisedFit.of(points, pendulum, fit)
         terms = [] if drifts is None else [drift_term(linearised, drifts)]
         fit = with_rest_position(linearised, alternation, linearised.with_terms(*terms))
         fit = with_discrepancy(linearised, fit)
-        # a deviation that smooth errors of the law explain is no change
-        explained = 0.0 if fit.discrepancy is None else fit.discrepancy.against_law
-        fit = with_changes(linearised, settings.u_ageing, explained, fit)
+        # a deviation that a model discrepancy explains is no change
+        discrepancy = 0.0 if fit.discrepancy is None else fit.discrepancy.against_law
+        fit = with_changes(linearised, settings.u_ageing, discrepancy, fit)
         fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
         return fit if boundary_layer is None else with_boundary_layer_drag(fit, boundary_layer)
 
@@ -265,7 +259,7 @@ def fit_decay(
 def _without_alternation(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
 ) -> tuple[FitResult, TurningPoints, TimeAlternation]:
-    """The fit and its points without alternating turning times, if they show any, and what makes them so."""
+    """The fit and its points without an alternation of the turning times, and that alternation."""
     alternation = time_alternation(LinearisedFit.of(points, pendulum, exact))
     if not alternation.taken_off_texts:
         return exact, points, alternation

@@ -55,7 +55,7 @@ from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, TimebaseSettings
 
 _UNUSED = Material(1e11, 0.3)
-"""Any material, on which nothing depends where the contact's radius is stated."""
+"""Material of bodies whose contact radius is stated, so that nothing depends on it."""
 TABLE4_AMPLITUDE_ARCSEC = 3.1
 """Amplitude of the loops in the paper's Table 4."""
 
@@ -65,14 +65,13 @@ def rig_quantities(
     fast_ratio: float = 0.0,
     rest_rad: float = 0.0,
     u_clock: float = 0.0,
-    **of_run: InputQuantity,
+    **run_inputs: InputQuantity,
 ) -> RigQuantities | None:
     """The apparatus with its standard uncertainties; None without [pendulum].
 
     `fast_ratio` is the fast mode's amplitude over the slow one's, `rest_rad` the mean tilt at rest from the
     lever's reference (see `RigQuantities`), `u_clock` the relative uncertainty of the second by the run
-    itself, which counts where it is larger than the calibration's. `of_run` are inputs of the run itself, by
-    name.
+    itself, which counts where it is larger than the calibration's. `run_inputs` are inputs of the run itself.
     """
     pendulum, lever = config.pendulum, config.lever
     if pendulum is None:
@@ -108,7 +107,7 @@ def rig_quantities(
         rest_rad=rest_rad,
         balls=balls(config),
         row_time_s=InputQuantity(shutter.row_time_s, shutter.u_row_time_s),
-        **of_run,
+        **run_inputs,
     )
 
 
@@ -116,23 +115,22 @@ def with_contact(
     run: AnalysedRun,
     pendulum: PendulumOnBall,
     plane_errors: Floats | None = None,
-    of_air: ExpectedDrag | None = None,
+    air_drag: ExpectedDrag | None = None,
 ) -> AnalysedRun:
     """A run with the results of its fits: their numbers and rows, and verdicts and budget of the exact one.
 
     Parameters
     ----------
     run
-        With its fits and, for a budget, its apparatus (`rig`).
+        A run with its fits and, for a budget, its apparatus (`rig`).
     plane_errors : (points, terms)
-        Independent errors of the amplitudes by the uncertain plane of swing; None: there are none.
-    of_air
-        The drag expected of the air; None: it is not known.
+        Independent errors of the amplitudes by the uncertain plane of swing; None if there are none.
+    air_drag
+        The drag expected of the air; None if it is not known.
 
     Notes
     -----
-    A missing part (by a comparison fit that does not converge, a parameter that the data leave open) is named
-    in `notes`; nothing is raised for it.
+    Nothing is raised for a missing part, such as a comparison fit that does not converge: `notes` name it.
     """
     points, fits, rig, name = run.points, run.fitted, run.rig, Path(run.record).stem
     exact = fits[FitMethod.EXACT]
@@ -140,7 +138,7 @@ def with_contact(
     drag: Drag | None = None
     determinations: tuple[Determination, ...] = ()
     try:
-        drag = replace(drag_verdict(points, pendulum, exact), of_air=of_air)
+        drag = replace(drag_verdict(points, pendulum, exact), of_air=air_drag)
         if drag.significant and not exact.has_drag:
             notes.append("the reported fit leaves that drag out: fit.drag = 'vacuum' asks for it")
     except DataError as error:
@@ -152,12 +150,12 @@ def with_contact(
     tables: Mapping[str, Budget] = {}
     contact: FitResult | None = None
     if rig is not None:
-        at = LinearisedFit.of(points, pendulum, exact)
-        drifts = drift_effects(at)
-        by_inputs = {**drifts, **sensor_derivatives(at, rig)}
+        linearised = LinearisedFit.of(points, pendulum, exact)
+        drifts = drift_effects(linearised)
+        by_inputs = {**drifts, **sensor_derivatives(linearised, rig)}
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
-            by_plane = amplitude_error_effects(at, plane_errors)
-            by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
+            plane_effects = amplitude_error_effects(linearised, plane_errors)
+            by_inputs["plane_of_swing_rad"] = plane_effects / rig.plane_of_swing_rad.u
         contact = replace(exact, by_inputs=by_inputs)
         notes += filter(None, [drift_note(drifts, {name: rig.inputs()[name].u for name in drifts}, exact)])
         tables = budgets(contact, rig)
@@ -167,9 +165,9 @@ def with_contact(
                 "u_youngs_modulus_pa, ...): budgets contain only the scatter of the swings"
             )
     rows = result_rows(name, exact, determinations, tables, pendulum)
-    sees_c = any(row.quantity == "c" and row.determined for row in rows)
+    c_is_determined = any(row.quantity == "c" and row.determined for row in rows)
     adhesion, spots = "", tuple[ResultRow, ...]()
-    if rig is not None and rig.contact_radius_m is None and sees_c:
+    if rig is not None and rig.contact_radius_m is None and c_is_determined:
         adhesion, spots = _adhesion(name, exact.estimate("c").value, pendulum, rows)
     return replace(
         run,
@@ -180,8 +178,8 @@ def with_contact(
         table=(*rows, *spots, *rows_of_others(name, fits, rows)),
         budget=withheld(tables, rows),
         work_per_cycle=tuple(
-            _work(amplitude, exact, pendulum, contact, rig, sees_c=sees_c)
-            for amplitude in _shown_amplitudes(points)
+            _work(amplitude_arcsec, exact, pendulum, contact, rig, c_is_determined=c_is_determined)
+            for amplitude_arcsec in _work_amplitudes_arcsec(points)
         ),
         notes=(*notes, *run.notes),
     )
@@ -201,13 +199,14 @@ def fit_results(fit: FitResult) -> Fit:
 
 
 def _widening(fit: FitResult) -> dict[str, float]:
+    """Standard uncertainties of the contact parameters over those on ground at rest."""
     if MEASUREMENT not in fit.terms:
         return {}
-    at_rest = fit.covariance_by(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER, REST_POSITION)
+    covariance = fit.part(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER, REST_POSITION)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = fit.standard_uncertainty / np.sqrt(np.diag(at_rest))
-    known = dict(zip(fit.names, ratio.tolist(), strict=True))
-    return {name: known[name] for name in fit.contact_names}
+        ratio = fit.standard_uncertainty / np.sqrt(np.diag(covariance))
+    by_name = dict(zip(fit.names, ratio.tolist(), strict=True))
+    return {name: by_name[name] for name in fit.contact_names}
 
 
 def _adhesion(
@@ -219,19 +218,19 @@ def _adhesion(
     """
     if not c > 0:
         return "", ()
-    found = adhesive_contacts(c, pendulum)
-    by_hertz = {row.quantity: row for row in rows}
-    spots = [plain_row("tabor", found.tabor, run, "adhesion")]
-    for theory, spot in (("JKR", found.jkr), ("Maugis-Dugdale", found.maugis), ("DMT", found.dmt)):
+    contacts = adhesive_contacts(c, pendulum)
+    hertz_rows = {row.quantity: row for row in rows}
+    spots = [plain_row("tabor", contacts.tabor, run, "adhesion")]
+    for theory, spot in (("JKR", contacts.jkr), ("Maugis-Dugdale", contacts.maugis), ("DMT", contacts.dmt)):
         values = {"contact_radius_m": spot.radius_m, SURFACE_ENERGY: spot.surface_energy_j_per_m2}
-        for key, value in values.items():
-            hertz, row = by_hertz[key], plain_row(key, value, run, theory)
-            share = value / hertz.value
-            spots.append(replace(row, u=share * hertz.u, u_total=share * hertz.u_total))
-    return found.holds, tuple(spots)
+        for name, value in values.items():
+            hertz, row = hertz_rows[name], plain_row(name, value, run, theory)
+            ratio = value / hertz.value
+            spots.append(replace(row, u=ratio * hertz.u, u_total=ratio * hertz.u_total))
+    return contacts.holds, tuple(spots)
 
 
-def _shown_amplitudes(points: TurningPoints) -> Sequence[float]:
+def _work_amplitudes_arcsec(points: TurningPoints) -> Sequence[float]:
     """Amplitudes of the work in arcsec: that of Table 4, or the nearest measured, and the first."""
     first, last = float(np.max(points.amplitude)), float(np.min(points.amplitude))
     nearest = min(max(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, last), first)
@@ -248,27 +247,27 @@ def _work(
     contact: FitResult | None,
     rig: RigQuantities | None,
     *,
-    sees_c: bool,
+    c_is_determined: bool,
 ) -> Work:
     """Work per cycle, with its standard uncertainty by fit and apparatus; NaN without an apparatus.
 
-    The part of adhesion is not determined where c is not (`sees_c`).
+    The part of adhesion is determined only where c is.
     """
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
-    fitted = {name: np.array(value) for name, value in exact.named_values.items()}
-    work = works_per_cycle_j(amplitude_rad, fitted, np.array(weight_moment(pendulum)))
+    parameters = {name: np.array(value) for name, value in exact.named_values.items()}
+    work = works_per_cycle_j(amplitude_rad, parameters, np.array(weight_moment(pendulum)))
     u = dict.fromkeys(work, math.nan)
     if rig is not None and contact is not None:
-        of_fit, apparatus = contact, rig
+        fit, apparatus = contact, rig
 
         def works(inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
-            reported = reported_quantities(of_fit, inputs, apparatus)
+            reported = reported_quantities(fit, inputs, apparatus)
             return works_per_cycle_j(amplitude_rad, reported, rolling_moment_nm(inputs, apparatus))
 
         u = standard_uncertainties(contact, rig, works)
     return Work(
         amplitude_arcsec,
         Estimate(float(work["dissipated"]), u["dissipated"]),
-        Estimate(float(work["adhesive"]), u["adhesive"]) if sees_c else NOT_DETERMINED,
+        Estimate(float(work["adhesive"]), u["adhesive"]) if c_is_determined else NOT_DETERMINED,
         float(work["drag"]),
     )

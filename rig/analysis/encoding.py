@@ -10,30 +10,30 @@ from typing import Annotated, Any, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, GetCoreSchemaHandler, JsonValue, TypeAdapter
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler, JsonValue, TypeAdapter
 from pydantic_core import CoreSchema, SchemaSerializer, SchemaValidator, core_schema
 
 from processing.quantity import quantities_of
 
 JsonObject: TypeAlias = Mapping[str, JsonValue]
 """A JSON object of no fixed keys."""
-LARGEST_NUMBER = 1e100
-"""Largest number of a file; a larger one is not determined, and null."""
+_MAX_NUMBER = 1e100
+"""Largest number of a file; a larger one is written as null, "not determined"."""
 
 
 def _nan_to_null(value: float) -> float | None:
-    return float(value) if abs(value) <= LARGEST_NUMBER else None
+    return float(value) if abs(value) <= _MAX_NUMBER else None
 
 
 class Codec:
-    """Encoder and decoder of values of one type; a frozen dataclass of any room needs no annotation for it.
+    """Encoder and decoder of the values of one type, such as a frozen dataclass.
 
-    A float is a number in the file, or null where it is not determined. An optional part that is None is left
-    out.
+    A float is a number in the file, or null where it is not determined. A field that is None by default is
+    left out where it is None.
     """
 
     def __init__(self, kind: Any) -> None:
-        schema = _as_stored(TypeAdapter(kind).core_schema)
+        schema = _with_nulls(TypeAdapter(kind).core_schema)
         self._validator, self._serializer = SchemaValidator(schema), SchemaSerializer(schema)
 
     def read(self, tree: object) -> Any:
@@ -45,21 +45,21 @@ class Codec:
         return self._serializer.to_python(value, mode="json")
 
 
-def _as_stored(schema: Any) -> Any:
-    """The same schema, where every float is null for NaN, and None is left out."""
+def _with_nulls(schema: Any) -> Any:
+    """The same schema, in which NaN is null in the file, and fields that are None are left out."""
     if isinstance(schema, list | tuple):
-        return type(schema)(map(_as_stored, schema))
+        return type(schema)(map(_with_nulls, schema))
     if not isinstance(schema, dict):
         return schema
     if schema.get("type") == "float":
-        written = core_schema.plain_serializer_function_ser_schema(_nan_to_null)
+        serializer = core_schema.plain_serializer_function_ser_schema(_nan_to_null)
         return core_schema.no_info_before_validator_function(
-            lambda value: math.nan if value is None else value, schema, serialization=written
+            lambda value: math.nan if value is None else value, schema, serialization=serializer
         )
-    found = {key: _as_stored(value) for key, value in schema.items()}
+    changed = {key: _with_nulls(value) for key, value in schema.items()}
     if schema.get("type") == "dataclass-field" and schema["schema"].get("default", "") is None:
-        found["serialization_exclude_if"] = lambda value: value is None
-    return found
+        changed["serialization_exclude_if"] = lambda value: value is None
+    return changed
 
 
 class _Array:
@@ -72,24 +72,24 @@ class _Array:
         items = handler(tuple[self._kind, ...])  # type: ignore[name-defined]
         dtype = np.float64 if self._kind is float else np.int64
         return core_schema.no_info_after_validator_function(
-            lambda found: np.array(found, dtype=dtype),
+            lambda numbers: np.array(numbers, dtype=dtype),
             items,
             serialization=core_schema.plain_serializer_function_ser_schema(_as_list),
         )
 
 
 def _as_list(values: NDArray[Any]) -> list[Any]:
-    listed: list[Any] = values.tolist()
-    for undetermined in np.flatnonzero(~(np.abs(values) <= LARGEST_NUMBER)).tolist():
-        listed[undetermined] = None
-    return listed
+    numbers: list[Any] = values.tolist()
+    for undetermined in np.flatnonzero(~(np.abs(values) <= _MAX_NUMBER)).tolist():
+        numbers[undetermined] = None
+    return numbers
 
 
 @dataclass(frozen=True)
 class MergedField:
-    """Annotation of a dataclass: the entries of its mapping `field` are among its own keys in the file.
+    """Annotation of a dataclass: in the file, the entries of its mapping `field` are among its own keys.
 
-    The field is marked by `Entries`. So ``fits.exact`` holds ``b``, ``p``, ... next to ``chi2_per_dof``.
+    The mapping is marked by `Entries`. So ``fits.exact`` holds ``b``, ``p``, ... next to ``chi2_per_dof``.
     Objects under keys that the dataclass does not have are read as entries; other unknown keys are ignored.
     """
 
@@ -98,53 +98,54 @@ class MergedField:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         own = {item.name for item in fields(source)} - {self.field}
 
-        def gathered(value: object) -> object:
+        def gather(value: object) -> object:
             if not isinstance(value, Mapping):
                 return value
             entries = {k: v for k, v in value.items() if k not in own and isinstance(v, Mapping)}
             return {**{k: v for k, v in value.items() if k in own}, self.field: entries}
 
-        def spread(value: object, serialised: Callable[[object], dict[str, Any]]) -> dict[str, Any]:
-            tree = serialised(value)
+        def spread(value: object, serialise: Callable[[object], dict[str, Any]]) -> dict[str, Any]:
+            tree = serialise(value)
             return {**tree.pop(self.field), **tree}
 
         inner = handler(source)
-        return core_schema.no_info_before_validator_function(
-            gathered,
-            inner,
-            serialization=core_schema.wrap_serializer_function_ser_schema(spread, schema=inner),
-        )
+        serializer = core_schema.wrap_serializer_function_ser_schema(spread, schema=inner)
+        return core_schema.no_info_before_validator_function(gather, inner, serialization=serializer)
 
 
 def file_schema(kind: Any) -> dict[str, Any]:
-    """JSON schema of the values of a type in their file: a number may be null, and declared ones have a unit.
+    """JSON schema of the values of a dataclass in their file: a number may be null, a quantity has its unit.
 
-    Mappings marked by `Entries` become the additional properties of their object; titles that only repeat a
-    key are left out.
+    A key has the sentence under its field as description. Mappings marked by `Entries` become the additional
+    properties of their object; titles that only repeat a key are left out.
     """
-    schema: dict[str, Any] = TypeAdapter[Any](kind).json_schema()
+    # of a list, because the adapter of a dataclass takes no configuration
+    adapter = TypeAdapter[Any](list[kind], config=ConfigDict(use_attribute_docstrings=True))
+    schema: dict[str, Any] = adapter.json_schema()
     _allow_null(schema)
-    kinds = {found.__name__: found for found in _dataclasses(kind, set())}
+    kinds = {item.__name__: item for item in _dataclasses(kind, set())}
     for title, shape in schema["$defs"].items():
         declared = quantities_of(kinds[title]) if title in kinds else {}
         for name, item in list(shape.get("properties", {}).items()):
             item.pop("title", None)
             if name in declared and declared[name].meaning:
-                item |= {"description": declared[name].meaning, "unit": declared[name].unit}
+                item.setdefault("description", declared[name].meaning)
+                item["unit"] = declared[name].unit
             if item.pop("x-entries", False):
                 shape["additionalProperties"] = shape["properties"].pop(name)["additionalProperties"]
-    return schema
+    root = schema["$defs"].pop(kind.__name__)
+    return {"$defs": schema["$defs"], **root}
 
 
-def _dataclasses(kind: Any, found: set[type]) -> set[type]:
-    """All dataclasses that a type contains, itself included; added to `found`."""
-    if isinstance(kind, type) and is_dataclass(kind) and kind not in found:
-        found.add(kind)
+def _dataclasses(kind: Any, kinds: set[type]) -> set[type]:
+    """All dataclasses that a type contains, itself included; added to `kinds`."""
+    if isinstance(kind, type) and is_dataclass(kind) and kind not in kinds:
+        kinds.add(kind)
         for hint in get_type_hints(kind).values():
-            _dataclasses(hint, found)
+            _dataclasses(hint, kinds)
     for part in get_args(kind):
-        _dataclasses(part, found)
-    return found
+        _dataclasses(part, kinds)
+    return kinds
 
 
 def _allow_null(schema: Any) -> None:

@@ -21,21 +21,23 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     """The table of results of one run; if `full`, also with the other fits and the half-cycles' own u."""
     others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
     by_others = {(row.fit, row.quantity): Estimate(*row) for row in run.table if row.fit in others}
-    named = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
+    main_names = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
     lines = []
-    for row in (row for row in run.contact if full or row.quantity in named):
-        found = [by_others.get((method, row.quantity), NOT_DETERMINED) for method in others]
+    for row in run.contact:
+        if not full and row.quantity not in main_names:
+            continue
         texts = [row.shown.symbol, row.text, row.shown.unit]
         if full:
-            alone = row.u * row.shown.factor
-            texts.append(plain(alone, 2) if alone > 0 else "")
-            texts += ["" if isnan(one.value) else row.shown.text(*one) for one in found]
+            u_half_cycles = row.u * row.shown.factor
+            texts.append(plain(u_half_cycles, 2) if u_half_cycles > 0 else "")
+            estimates = [by_others.get((method, row.quantity), NOT_DETERMINED) for method in others]
+            texts += ["" if isnan(estimate.value) else row.shown.text(*estimate) for estimate in estimates]
         lines.append([*texts, main_sources(row, run.budget)])
     head = ["", "value", "unit", *(["u of the swings", *map(_heading, others)] if full else []), _SOURCES]
     if not any(line[-1] for line in lines):
         head, lines = head[:-1], [line[:-1] for line in lines]
     title = "Parameters of the contact, exact fit"
-    return Table("parameters", title, tuple(head), lines, _whole_result_text(run))
+    return Table("parameters", title, tuple(head), lines, _uncertainty_note(run))
 
 
 _SOURCES = "main sources of its variance"
@@ -46,14 +48,11 @@ _PERIOD_NOTE = (
 )
 
 
-def _whole_result_text(run: RunResults) -> str:
-    whole = any(map(limits_of, run.budget.values()))
-    covered = (
-        "swings and apparatus together"
-        if whole
-        else "the swings alone, since none is stated of the apparatus"
-    )
-    return f"Value ± standard uncertainty of {covered}; 95 % where an interval or a bound."
+def _uncertainty_note(run: RunResults) -> str:
+    has_apparatus = any(map(limits_of, run.budget.values()))
+    alone = "the swings alone, since none is stated of the apparatus"
+    sources = "swings and apparatus together" if has_apparatus else alone
+    return f"Value ± standard uncertainty of {sources}; 95 % where an interval or a bound."
 
 
 def combined_table(results: SessionResults) -> Table | None:
@@ -63,12 +62,12 @@ def combined_table(results: SessionResults) -> Table | None:
     if len(runs) < 2 or series is None or not series.table:
         return None
     lines = []
-    for whole in series.table:
-        found = [run.rows.get(whole.quantity) for _, run in runs] + [whole]
-        texts = ["" if row is None else row.text for row in found]
-        lines.append([whole.shown.symbol, *texts, whole.shown.unit])
+    for mean in series.table:
+        rows = [run.rows.get(mean.quantity) for _, run in runs] + [mean]
+        texts = ["" if row is None else row.text for row in rows]
+        lines.append([mean.shown.symbol, *texts, mean.shown.unit])
     head = ("", *(f"run {number}" for number, _ in runs), "together", "unit")
-    note = f"{_whole_result_text(runs[0][1])} Together, also of what scatters between the runs."
+    note = f"{_uncertainty_note(runs[0][1])} Together, also of what scatters between the runs."
     return Table("combined", "Parameters of the contact, exact fits", head, lines, note)
 
 
@@ -101,9 +100,9 @@ def _in_order(fits: Mapping[str, Fit]) -> list[str]:
     return [*known, *(name for name in fits if name not in known)]
 
 
-def _heading(method: str) -> str:
-    """Heading of a fit's column: a file may hold fits of a method that is not known here."""
-    return {known.value: known.heading for known in FitMethod}.get(method, method)
+def _heading(name: str) -> str:
+    """Heading of a fit's column; a file may hold fits that have no `FitMethod`."""
+    return {method.value: method.heading for method in FitMethod}.get(name, name)
 
 
 def _list_text(items: Sequence[int]) -> str:
@@ -138,13 +137,10 @@ _HIDDEN: Final = ("damping_start_deg", "damping_end_deg")
 
 
 def instrument_rows(results: RunResults) -> list[tuple[str, ResultRow]]:
-    """Rows of the quantities that this kind of pendulum reports, in the order of their declaration.
-
-    Each has its name in words, with its part of the decay.
-    """
-    found = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in _HIDDEN]
-    found.sort(key=lambda row: _ORDER.index(row.quantity))
-    return [(f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}", row) for row in found]
+    """Rows of another kind of pendulum in the order of their declaration, each with its name in words."""
+    rows = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in _HIDDEN]
+    rows.sort(key=lambda row: _ORDER.index(row.quantity))
+    return [(f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}", row) for row in rows]
 
 
 _INSTRUMENT_HEAD: Final = ("", "value ± u", "unit", "standard")
@@ -173,16 +169,16 @@ def instrument_series_rows(series: InstrumentSeries, *, with_places: bool) -> It
     for key, mean in (("damping_time_s", series.time_s), ("damping_swings", series.swings)):
         if mean is not None and with_places:
             row = plain_row(key, Estimate(mean.value, mean.standard_uncertainty), "")
-            many = f"{mean.places} place{'' if mean.places == 1 else f's, spread {mean.spread:.3g}'}"
-            yield f"{row.shown.name}, mean of {many}", row
+            places = f"{mean.places} place{'' if mean.places == 1 else f's, spread {mean.spread:.3g}'}"
+            yield f"{row.shown.name}, mean of {places}", row
 
 
 def instrument_series_table(series: InstrumentSeries) -> Table:
     """Table of means over the places of a sample, their ratio to a reference, and the apparatus on glass."""
-    found = [*instrument_series_rows(series, with_places=True)]
+    rows = [*instrument_series_rows(series, with_places=True)]
     if series.reference_time_s is not None:
         row = plain_row("damping_time_s", series.reference_time_s, "")
-        found.append(("damping time of the reference", row))
-    lines = [[name, row.text, row.shown.unit, ""] for name, row in found]
+        rows.append(("damping time of the reference", row))
+    lines = [[name, row.text, row.shown.unit, ""] for name, row in rows]
     lines += map(_check_line, series.acceptance or ())
     return Table("series", "The series", _INSTRUMENT_HEAD, lines)

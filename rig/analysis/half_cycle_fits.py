@@ -12,7 +12,7 @@ from acquisition.record import pixels_path
 from acquisition.record.digest import cached_sha256
 from calibration import Axes
 from processing.ambient import AmbientConditions
-from processing.decay_summary import mean_period
+from processing.decay_summary import MIN_TURNING_POINTS, mean_period
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, RecordError
 from processing.fit import FitResult, InputQuantity, points_in_true_time, row_delay
@@ -30,11 +30,9 @@ from rig.intake import SeismometerRecord
 from rig.settings import Configuration
 
 _MAX_FAST_RATIO: Final = 3.0
-"""Fast over slow motion above which the pendulum did hardly swing along the stated slow mode."""
+"""Fast over slow motion above which the pendulum hardly swung along the stated slow mode."""
 _MAX_SHOWN_RATIO: Final = 100.0
 """Largest ratio that is shown as a number."""
-_MIN_HALF_CYCLES: Final = 4
-"""Fewest half-cycles that have a period and a decrement (`processing/decay_summary.py`)."""
 
 
 def analyse_swings(
@@ -49,74 +47,85 @@ def analyse_swings(
 ) -> AnalysedRun:
     """Results of one run, or of one decay of a table, for its kind of pendulum; without rows of the decay.
 
-    `path` is their file, `followed` has them in their plane of swing, with their deflections, `air` are the
-    ambient conditions, `u_clock` the relative standard uncertainty of the second of the times, `seismometer`
-    the record of one. `u_common_rad` is the standard uncertainty of an error that all amplitudes share.
+    Parameters
+    ----------
+    path
+        The file of the half-cycles.
+    followed
+        Half-cycles and deflections in their plane of swing.
+    air
+        The ambient conditions.
+    u_clock
+        Relative standard uncertainty of the second of the times.
+    seismometer
+        The record of an auxiliary seismometer.
+    u_common_rad
+        Standard uncertainty of an error that all amplitudes share.
     """
     deflections, unit = followed.deflections, followed.deflections.unit
     if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
         return _reduce_run(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
-    drag, of_air = FREE_DRAG, None
+    drag, air_drag = FREE_DRAG, None
     detected = points_in_true_time(followed.swings, clock_rate)
     if pendulum is not None and len(detected) > 1:
-        drag, of_air = drag_of_fit(config, air, pendulum, mean_period(detected))
-    believed = assumed_drifts(config, air)
+        drag, air_drag = drag_of_fit(config, air, pendulum, mean_period(detected))
+    drifts = assumed_drifts(config, air)
     refined = refined_half_cycles(followed.swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(refined.swings, clock_rate)
-    first_ns = next((swing.turn_time_ns for swing in refined.swings if not swing.flags), None)
+    unflagged = [swing for swing in refined.swings if not swing.flags]
     fits: Mapping[str, FitResult] = {}
-    of_ground, problem = None, followed.problem
+    use, problem = None, followed.problem
     if not problem and unit is not DeflectionUnit.RAD:
         problem = "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
+    seismogram = None
+    if seismometer is not None and unflagged:
+        seismogram = seismometer.seismogram(unflagged[0].turn_time_ns)
     try:
         if not problem:
-            fits, points, of_ground = fit_decay(
+            fits, points, use = fit_decay(
                 points,
                 pendulum,
                 config.fit,
                 refined.exact,
                 drag=drag.fitted,
                 evidence=evidence_of(drag, refined.harmonics),
-                drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
-                seismometer=None
-                if seismometer is None or first_ns is None
-                else seismometer.seismogram(first_ns),
+                drifts={name: drift.u for name, drift in drifts.items()} if config.fit.drifts else None,
+                seismometer=seismogram,
             )
     except DataError as error:
         problem = str(error)
     ratio = deflections.fast_ratio()
-    across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
     errors = None if refined.position_map is None else PositionErrors.of(refined.position_map, unit)
     warnings = list(dict.fromkeys([*_fit_warnings(fits), *filter(None, [refined.doubt])]))
     if refined.harmonics is not None and config.lever is not None and len(points) > 1:
-        of_rows = row_delay(refined.harmonics, mean_period(points))
-        if of_rows.seen:
-            warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
-    rest_rad = float(np.median([swing.centre for swing in refined.swings if not swing.flags] or [0.0]))
+        delay = row_delay(refined.harmonics, mean_period(points))
+        if delay.seen:
+            warnings.append(delay.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
+    rest_rad = float(np.median([swing.centre for swing in unflagged] or [0.0]))
     inputs = {
         "common_amplitude_rad": InputQuantity(0.0, u_common_rad),
         "plane_of_swing_rad": InputQuantity(0.0, followed.u_rad),
-        **({} if config.fit.drifts else believed),
+        **({} if config.fit.drifts else drifts),
     }
-    if of_ground is not None and seismometer is not None:
-        of_ground = replace(of_ground, source=seismometer.name, understood=seismometer.understood)
+    if use is not None and seismometer is not None:
+        use = replace(use, source=seismometer.name, understood=seismometer.understood)
     run = AnalysedRun(
-        **_head(path, points, unit),
+        **_file_fields(path, points, unit),
         measured_again_on=refined.motion,
         position_errors=errors,
-        problem=across or problem,
+        problem=why_no_half_cycles(path.name, ratio, len(points), config.axes) or problem,
         warnings=tuple(warnings),
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, refined.swings, unit, clock_rate),
-        seismometer=of_ground,
+        seismometer=use,
         notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
         fitted=fits,
         rig=rig_quantities(config, ratio, rest_rad, u_clock, **inputs),
     )
     if not fits or pendulum is None:
         return run
-    return with_contact(run, pendulum, followed.amplitude_errors(points), of_air)
+    return with_contact(run, pendulum, followed.amplitude_errors(points), air_drag)
 
 
 def _reduce_run(
@@ -130,7 +139,7 @@ def _reduce_run(
     clock_rate, unit = clock_rate_of(config), DeflectionUnit.RAD
     reduction = reduce_run(config.instrument, followed, air, errors, clock_rate, path.stem)
     return AnalysedRun(
-        **_head(path, reduction.points, unit),
+        **_file_fields(path, reduction.points, unit),
         table=tuple(reduction.rows),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
@@ -143,21 +152,22 @@ def _reduce_run(
 def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -> list[SharedError]:
     """Errors of scale and clock that all turning points of a run share.
 
-    They have names: runs whose configurations state the same arm were measured with one arm, and share it.
+    Runs share an error of the same name: those whose configurations state the same arm were measured with one
+    arm.
     """
-    found = [SharedError("compression", amplitude_rad=u_common_rad)]
+    errors = [SharedError("compression", amplitude_rad=u_common_rad)]
     if (lever := config.lever) is not None:
         u_pitch = lever.u_pixel_pitch_m / lever.pixel_pitch_m
-        found += [
+        errors += [
             SharedError(f"arm {lever.arm_m!r} {lever.u_arm_m!r}", scale=lever.u_arm_m / lever.arm_m),
             # named by its relative value, so that binned pixels of one sensor share it, too
             SharedError(f"pixel pitch {u_pitch:.6g}", scale=u_pitch),
         ]
-    found.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=u_second(config, u_clock)))
-    return [error for error in found if error.scale or error.clock or np.any(error.amplitude_rad)]
+    errors.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=u_second(config, u_clock)))
+    return [error for error in errors if error.scale or error.clock or np.any(error.amplitude_rad)]
 
 
-def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, Any]:
+def _file_fields(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, Any]:
     """Fields of a run's results that name its file, the unit and the number of half-cycles."""
     pixels = pixels_path(path)
     return dict[str, Any](
@@ -171,7 +181,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, 
 
 
 def _sha256_if_readable(path: Path) -> str:
-    """Hash by which results find their record; empty where its disk cannot give all of it."""
+    """Hash by which results find their record; empty where its disk cannot read all of it."""
     try:
         return cached_sha256(path)
     except RecordError:
@@ -190,31 +200,33 @@ def u_second(config: Configuration, u_clock: float) -> float:
 
 def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
     """Warnings of the fits: those of every fit once, others with the name of their fit."""
-    found: dict[str, list[str]] = {}
+    names_by_warning: dict[str, list[str]] = {}
     for name, fit in fits.items():
         for warning in fit.warnings:
-            found.setdefault(warning, []).append(name)
+            names_by_warning.setdefault(warning, []).append(name)
     return [
         warning if len(names) == len(fits) else f"{names[0]} fit: {warning}"
-        for warning, names in found.items()
+        for warning, names in names_by_warning.items()
     ]
 
 
 def why_no_half_cycles(record: str, fast_over_slow: float, half_cycles: int, axes: Axes | None) -> str:
     """Problem of a motion across the slow mode, which gives hardly any half-cycles, with its remedy.
 
-    It is empty where there are enough half-cycles, or the motion is not across. Half-cycles are those along
-    the slow mode, which is the sensor's y where `axes` do not state another direction.
+    The text is empty where there are enough half-cycles, or the motion is not across. Half-cycles are those
+    along the slow mode, which is the sensor's y unless `axes` state another direction.
     """
-    if half_cycles >= _MIN_HALF_CYCLES or not fast_over_slow > _MAX_FAST_RATIO:
+    if half_cycles >= MIN_TURNING_POINTS or not fast_over_slow > _MAX_FAST_RATIO:
         return ""
     stated_rad = 0.0 if axes is None else axes.slow_angle_rad
     # both directions across would do; this one is within the limits of the key
     across_rad = stated_rad + math.copysign(0.5 * math.pi, -stated_rad or 1.0)
-    much = f"{fast_over_slow:.2g}" if fast_over_slow < _MAX_SHOWN_RATIO else f"more than {_MAX_SHOWN_RATIO:g}"
-    along, looked = ("x", "y") if axes is None else ("the fast axis of [axes]", "the slow one")
+    factor = f"{fast_over_slow:.2g}"
+    if fast_over_slow >= _MAX_SHOWN_RATIO:
+        factor = f"more than {_MAX_SHOWN_RATIO:g}"
+    fast, slow = ("x", "y") if axes is None else ("the fast axis of [axes]", "the slow one")
     return (
-        f"the swing is along {along}, {much} times as far as along {looked}, where half-cycles "
+        f"the swing is along {fast}, {factor} times as far as along {slow}, where half-cycles "
         f"are sought: state [axes] slow_angle_rad = {across_rad:.5g}; rig replay {record} --set "
         f"axes.slow_angle_rad={across_rad:.5g} finds them in the record"
     )

@@ -45,38 +45,36 @@ from rig.analysis.turning_plane import FollowedPlane
 from rig.settings import InstrumentSettings
 from rig.terminal import with_uncertainty
 
-Found = TypeVar("Found", bound=NamedTuple)
+_Values = TypeVar("_Values", bound=NamedTuple)
 
 
 class Reduction:
-    """Results of one run of such a pendulum, collected while it is evaluated: rows, curves, lines of text on
-    what no row says.
-
-    `problem` names in one line the quantities that are missing, with the reason. `points` were made of
-    `swings`, `errors` are those that they share. `readings` are the values that a series compares, empty
-    where there are none.
-    """
+    """Results of one run of such a pendulum, collected while it is evaluated."""
 
     def __init__(self, settings: InstrumentSettings, run: str, swings: Sequence[HalfCycle]) -> None:
         self.settings, self.swings, self._run = settings, swings, run
         self.points = turning_points(swings)
         self.errors: Sequence[SharedError] = ()
+        """Errors that the points share."""
         self.lines = [f"{self.description.kind}: {self.description.sentence}"]
+        """Text on what no row says."""
         self.rows: list[ResultRow] = []
         self.curves: dict[str, dict[str, Floats]] = {}
         self.checks: list[Check] = []
         self.problem = ""
+        """The reason why quantities are missing; empty if none is."""
         self.readings: Mapping[str, ValueWithSharedErrors] = {}
+        """Values that a series compares; empty if there are none."""
 
     @property
     def description(self) -> Description:
         """Description of this kind of pendulum."""
         return self.settings.description()
 
-    def evaluated(
-        self, reduce: Callable[[TurningPoints], Found]
-    ) -> tuple[Found, Mapping[str, ValueWithSharedErrors]]:
-        """An evaluation of the points with uncertainties by ground, scale and clock, and its readings."""
+    def evaluate(
+        self, reduce: Callable[[TurningPoints], _Values]
+    ) -> tuple[_Values, Mapping[str, ValueWithSharedErrors]]:
+        """Values of the points with uncertainties by ground, scale and clock, and their readings."""
         return with_shared(reduce, self.points, self.errors, with_drive(reduce, self.points))
 
     def add(self, part: str = "", **numbers: Estimate | float | None) -> None:
@@ -104,16 +102,17 @@ def _damping(report: Reduction) -> None:
     """Add damping time and number of swings, which are also the readings of a series."""
     description = report.description
     if description.report == "decay":
-        _decrements(report)
-    found, report.readings = report.evaluated(
-        lambda at: damping(at, description.start_amplitude_rad, description.end_amplitude_rad)
+        decrement, moment, exponent, law = with_drive(_friction, report.points)
+        _friction_law(replace(law, moment=moment, exponent=exponent), decrement, report)
+    values, report.readings = report.evaluate(
+        lambda points: damping(points, description.start_amplitude_rad, description.end_amplitude_rad)
     )
-    start_deg, end_deg = found.start_rad / DEGREE_RAD, found.end_rad / DEGREE_RAD
+    start_deg, end_deg = values.start_rad / DEGREE_RAD, values.end_rad / DEGREE_RAD
     report.add(
         f"{start_deg:g}° to {end_deg:g}°",
-        damping_time_s=found.time_s,
-        damping_swings=found.swings,
-        missing_half_cycles=found.missing,
+        damping_time_s=values.time_s,
+        damping_swings=values.swings,
+        missing_half_cycles=values.missing,
         damping_start_deg=start_deg,
         damping_end_deg=end_deg,
     )
@@ -121,7 +120,7 @@ def _damping(report: Reduction) -> None:
 
 def _hardness(report: Reduction) -> None:
     divisions = report.settings.scale_divisions
-    hardness, _ = report.evaluated(lambda at: herbert_hardness(at, divisions))
+    hardness, _ = report.evaluate(lambda points: herbert_hardness(points, divisions))
     if hardness.ten_swings_s is None:
         report.lines.append(hardness.missing)
     report.add(
@@ -133,7 +132,7 @@ def _hardness(report: Reduction) -> None:
 
 
 def _circular(report: Reduction) -> None:
-    law, _ = report.evaluated(circular_error)
+    law, _ = report.evaluate(circular_error)
     report.lines.append(law.sentence)
     report.add(period0_s=law.period0_s, circular_factor=law.factor, chi2_per_dof=law.chi2_per_dof)
     report.curves["period"] = {
@@ -151,16 +150,16 @@ def _rolling(report: Reduction) -> None:
     radius = description.support_radius_m and Estimate(
         description.support_radius_m, settings.u_support_radius_m
     )
-    found, _ = report.evaluated(lambda at: rolling_friction(at, lever or None, radius or None))
-    if found.coefficient is not None:
-        at = f"at {found.law.reference_rad / DEGREE_RAD:.3g}°"
-        report.add(at, rolling_friction_coefficient=found.coefficient)
+    friction, _ = report.evaluate(lambda points: rolling_friction(points, lever or None, radius or None))
+    if friction.coefficient is not None:
+        amplitude = f"at {friction.law.reference_rad / DEGREE_RAD:.3g}°"
+        report.add(amplitude, rolling_friction_coefficient=friction.coefficient)
     else:
         report.lines.append(
             "no rolling-friction coefficient: state instrument.lever_m and instrument.support_radius_m"
         )
-    report.lines += found.sentences
-    _law(found.law, found.decrement, report)
+    report.lines += friction.sentences
+    _friction_law(friction.law, friction.decrement, report)
 
 
 class _Friction(NamedTuple):
@@ -175,16 +174,10 @@ def _friction(points: TurningPoints) -> _Friction:
     return _Friction(law.decrement(law.reference_rad), law.moment, law.exponent, law)
 
 
-def _decrements(report: Reduction) -> None:
-    decrement, moment, exponent, law = with_drive(_friction, report.points)
-    _law(replace(law, moment=moment, exponent=exponent), decrement, report)
-
-
-def _law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
-    """Decrement at the reference amplitude and against amplitude, moment and power of the friction."""
-    report.add(
-        f"at {law.reference_rad / DEGREE_RAD:.3g}°", log_decrement=decrement, friction_moment=law.moment
-    )
+def _friction_law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
+    """Add decrement at the reference amplitude and against amplitude, moment and power of the friction."""
+    amplitude = f"at {law.reference_rad / DEGREE_RAD:.3g}°"
+    report.add(amplitude, log_decrement=decrement, friction_moment=law.moment)
     report.add(friction_exponent=law.exponent, chi2_per_dof=law.chi2_per_dof)
     index = report.points.index
     losses = measured_losses(report.points, cycles=max(1, int(index[-1] - index[0]) // 40))
@@ -196,9 +189,7 @@ def _law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
 
 
 _REPORTERS: Final = {"hardness": _hardness, "circular": _circular, "rolling": _rolling}
-"""Functions that add the rows of a kind of report; for all others `_damping`."""
-
-
+"""Functions that add the rows of a kind of report; `_damping` does for all other kinds."""
 _MAX_NEGLIGIBLE_ERROR_U: Final = 0.01
 """Error of an amplitude, in its uncertainties, below which it changes no reported value."""
 
@@ -217,9 +208,9 @@ def reduce_run(
     ----------
     followed
         Half-cycles of the detector, and the deflections in which they were detected, in rad, both in the
-        plane of swing. With deflections turning points are fitted again by a waveform that holds at degrees.
+        plane of swing. Turning points are fitted again to deflections by a waveform that holds at degrees.
     errors
-        Errors that all turning points of the run share, and other runs perhaps as well.
+        Errors that all turning points of the run share, and perhaps other runs.
     clock_rate
         True seconds per second of the deflections' clock.
     run
@@ -236,9 +227,9 @@ def reduce_run(
             swings = refined_turning_points(deflections.times_ns, deflections.y, deflections.u_y, swings)
         swings = _with_inferred(report, swings, deflections)
         if description.report == "hardness":
-            swings = _from_the_release(report, swings, deflections)
+            swings = _with_release(report, swings, deflections)
     report.swings, report.points = swings, points_in_true_time(swings, clock_rate)
-    report.errors = [*errors, *_errors_of_plane(followed, report.points)]
+    report.errors = [*errors, *_plane_errors(followed, report.points)]
     try:
         if followed.problem:
             raise DataError(followed.problem)
@@ -258,58 +249,58 @@ def _swing_plane(followed: FollowedPlane, report: Reduction) -> None:
         report.lines.append("the plane of swing is not known: too few periods were seen along both axes")
         return
     rate = Estimate(plane.mean_rate(), plane.u_mean_rate())
-    per_minute, turned_deg = (
+    rate_deg_per_min, rotation_deg = (
         Estimate(*(factor / DEGREE_RAD * value for value in rate))
         for factor in (60.0, seconds(followed.swings[-1].turn_time_ns - plane.start_ns))
     )
-    angles = np.unwrap([one.line_angle_rad for one in followed.balances], period=math.pi)
-    times_ns = np.array([one.time_ns for one in followed.balances])
+    angles = np.unwrap([balance.line_angle_rad for balance in followed.balances], period=math.pi)
+    times_ns = np.array([balance.time_ns for balance in followed.balances])
     report.curves["plane"] = {
         "direction_deg": angles / DEGREE_RAD,
         "time_s": seconds(times_ns - plane.start_ns),
     }
     report.add(
-        plane_rate_deg_per_min=per_minute,
-        plane_turned_deg=turned_deg,
-        plane_width_ratio=max(one.width_ratio for one in followed.balances),
+        plane_rate_deg_per_min=rate_deg_per_min,
+        plane_turned_deg=rotation_deg,
+        plane_width_ratio=max(balance.width_ratio for balance in followed.balances),
     )
 
 
-def _errors_of_plane(followed: FollowedPlane, points: TurningPoints) -> list[SharedError]:
-    """Errors by the uncertain plane of swing, which are each run's own."""
-    columns = followed.amplitude_errors(points)
-    if columns is None:
+def _plane_errors(followed: FollowedPlane, points: TurningPoints) -> list[SharedError]:
+    """Errors by the uncertain plane of swing, which no other run shares."""
+    errors = followed.amplitude_errors(points)
+    if errors is None:
         return []
-    felt = np.max(np.abs(columns) / points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_ERROR_U
-    return [SharedError("", amplitude_rad=column) for column in columns.T[felt]]
+    matters = np.max(np.abs(errors) / points.u_amplitude[:, None], axis=0) > _MAX_NEGLIGIBLE_ERROR_U
+    return [SharedError("", amplitude_rad=error) for error in errors.T[matters]]
 
 
 def _with_inferred(
     report: Reduction, swings: Sequence[HalfCycle], deflections: Deflections
 ) -> Sequence[HalfCycle]:
-    """Half-cycles with those whose turning point lay off the sensor; a row has the number of these."""
-    off = inferred_swings(deflections.times_ns, deflections.y, deflections.u_y)
-    if not off:
+    """Half-cycles with those whose turning point lay off the sensor, which a row counts."""
+    inferred = inferred_swings(deflections.times_ns, deflections.y, deflections.u_y)
+    if not inferred:
         return swings
-    whole = joined_swings(swings, off)
-    kept = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in whole)
-    report.add(inferred_half_cycles=kept)
-    return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in whole]
+    swings = joined_swings(swings, inferred)
+    count = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in swings)
+    report.add(inferred_half_cycles=count)
+    return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in swings]
 
 
-def _from_the_release(
+def _with_release(
     report: Reduction, swings: Sequence[HalfCycle], deflections: Deflections
 ) -> Sequence[HalfCycle]:
     """Half-cycles with the release as the first turning point, where it was recorded; a line says which."""
-    found = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
-    if found is not None:
-        # deflections may begin anywhere before the first half-cycle, and their times count from anywhere
-        release, turn = found[:2]
-        before_s = float(seconds(turn.turn_time_ns - release.turn_time_ns))
-        before = with_uncertainty(before_s, math.hypot(release.u_turn_time_s, turn.u_turn_time_s))
+    released = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
+    if released is not None:
+        # its time alone says nothing, since deflections may begin at any time before it
+        release, turn = released[:2]
+        delay_s = float(seconds(turn.turn_time_ns - release.turn_time_ns))
+        delay = with_uncertainty(delay_s, math.hypot(release.u_turn_time_s, turn.u_turn_time_s))
         angle = with_uncertainty(release.amplitude / DEGREE_RAD, release.u_amplitude / DEGREE_RAD)
-        report.lines.append(f"released at {angle} degrees, {before} s before the next turning point")
-        return found
+        report.lines.append(f"released at {angle} degrees, {delay} s before the next turning point")
+        return released
     if any(swing.flags & HalfCycleFlag.START for swing in swings):
         report.lines.append(
             "the release itself is disturbed or was not recorded: the first swing is that from the first "
@@ -325,11 +316,13 @@ def _check_conditions(report: Reduction, air: AmbientConditions) -> None:
         ("temperature", air.temperature_c, description.temperature_c, "°C"),
         ("humidity", air.humidity_percent, description.humidity_percent, "%"),
     ):
-        if limits is not None and math.isnan(value):
+        if limits is None:
+            continue
+        if math.isnan(value):
             report.lines.append(
                 f"{name} is not known; the standard wants {limits.value:g} ± {limits.tolerance:g} {unit}"
             )
-        elif limits is not None:
+        else:
             report.check(name, value, limits, unit)
     standard = INSTRUMENTS[settings.kind]
     if not (settings.mass_kg is None or standard.mass_kg is None or standard.mass_tolerance_kg is None):

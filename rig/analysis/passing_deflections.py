@@ -5,11 +5,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import IMAGE, REFERENCE
-from processing.arrays import Ints
+from processing.arrays import Floats, Ints
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -33,9 +32,9 @@ _MAX_FRAMES_IN_MEMORY = 300_000
 class PassingDeflections:
     """The deflections of a run, in order, some thousand frames at a time.
 
-    Of a long run only the coordinates of the frames that have passed stay in memory, 16 bytes a frame: a
-    day's deflections with their times and uncertainties would be several hundred megabytes. A short run stays
-    whole, and is not read again for a second pass.
+    A short run stays in memory, and is not read again for a second pass. Of a long run only the coordinates
+    of the frames that have passed stay, 16 bytes a frame: a day's deflections with their times and
+    uncertainties would be several hundred megabytes.
 
     Parameters
     ----------
@@ -59,20 +58,18 @@ class PassingDeflections:
         self.first_ns = 0
         self.last_ns = 0
         self._source = blocks
-        self._blocks = iter(blocks)
-        self._passed = False
-        self._kept: list[Deflections] | None = []
-        self._x: list[NDArray[np.float64]] = []
-        self._y: list[NDArray[np.float64]] = []
+        self._first_pass = filter(len, blocks)
+        self._has_passed = False
+        self._in_memory: list[Deflections] | None = []
+        self._x: list[Floats] = []
+        self._y: list[Floats] = []
 
     def __iter__(self) -> Iterator[Deflections]:
         """The blocks; the first pass also counts their frames."""
-        if self._passed:
-            yield from filter(len, self._source if self._kept is None else self._kept)
+        if self._has_passed:
+            yield from filter(len, self._source if self._in_memory is None else self._in_memory)
             return
-        for block in self._blocks:
-            if not len(block):
-                continue
+        for block in self._first_pass:
             if not self.frames:
                 self.first_ns = int(block.times_ns[0])
             self.last_ns = int(block.times_ns[-1])
@@ -81,25 +78,25 @@ class PassingDeflections:
             self._x.append(block.x[np.isfinite(block.x)])
             self._y.append(block.y[np.isfinite(block.y)])
             if self.frames > _MAX_FRAMES_IN_MEMORY:
-                self._kept = None
-            if self._kept is not None:
-                self._kept.append(block)
+                self._in_memory = None
+            if self._in_memory is not None:
+                self._in_memory.append(block)
             yield block
-        self._passed = True
+        self._has_passed = True
 
     def fast_ratio(self) -> float:
         """Fast over slow motion (r.m.s. about the median, NaN left out) of all frames; 0 without slow motion.
 
         The first pass is made if it was not. The coordinates are then discarded: call it once.
         """
-        if not self._passed:
+        if not self._has_passed:
             for _ in self:
                 pass
         spread_x, spread_y = _spread(self._x), _spread(self._y)
         return spread_x / spread_y if spread_y > 0 else 0.0
 
 
-def _spread(blocks: list[NDArray[np.float64]]) -> float:
+def _spread(blocks: list[Floats]) -> float:
     """Root mean square about the median; `blocks` is emptied."""
     values = np.concatenate([np.empty(0), *blocks])
     blocks.clear()
@@ -111,100 +108,100 @@ def _spread(blocks: list[NDArray[np.float64]]) -> float:
 
 _MIN_GAIN_U = 4.0
 """Standard uncertainties by which a fitted gain has to differ from zero."""
-_PLACES = ("x_px", "y_px", "u_x_px", "u_y_px")
-_FIELDS = ("sequence", "flags", *_PLACES)
+_POSITION_FIELDS = ("x_px", "y_px", "u_x_px", "u_y_px")
+_FIELDS = ("sequence", "flags", *_POSITION_FIELDS)
 
 
 @dataclass(frozen=True)
 class DeflectionCorrection:
-    """Correction of a record's deflections.
+    """Correction of a record's deflections."""
 
-    `change` corrects those of any of the record's frames. `used` is whether it makes them better, and is
-    therefore applied, `note` says so in one line, `verdict` judges the record's condition.
-    """
-
-    change: Callable[[Deflections], Deflections]
+    correct: Callable[[Deflections], Deflections]
+    """Function that corrects the deflections of any of the record's frames."""
     used: bool
+    """Whether the correction makes the deflections better, and is therefore applied."""
     note: str = ""
+    """Text on whether the correction is used, in one line."""
     verdict: Verdict | None = None
+    """Verdict on the condition of the run that the correction concerns."""
 
 
 def without_beam_motion(reader: RecordReader, config: Configuration) -> DeflectionCorrection | None:
     """The correction for the motion of the beam, by the record's reference spot.
 
-    None without a reference spot, or where it was hardly ever found. It is used where it makes any axis
-    quieter.
+    It is None without a reference spot, or where that was hardly ever found. It is used where it makes any
+    axis quieter.
     """
     if config.reference is None or REFERENCE.topic not in reader.counts:
         return None
-    reference, spots, gain = reader.table(REFERENCE.topic), reader.spots(), config.reference.gain
-    _, ours, theirs = np.intersect1d(
+    reference, spots, stated_gain = reader.table(REFERENCE.topic), reader.spots(), config.reference.gain
+    _, spot_rows, reference_rows = np.intersect1d(
         spots["sequence"], reference["sequence"], assume_unique=True, return_indices=True
     )
     # no frames are known to be at rest, by which a stated gain could be checked
     quiet = np.zeros(len(spots), dtype=np.bool_)
-    found, moved = dict[str, CorrectedPositions](), spots[list(_FIELDS)].copy()
+    by_axis, corrected = dict[str, CorrectedPositions](), spots[list(_FIELDS)].copy()
     for name in ("x_px", "y_px"):
-        place, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
-        place[ours], u[ours] = reference[name][theirs], reference[f"u_{name}"][theirs]
+        position, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
+        position[spot_rows] = reference[name][reference_rows]
+        u[spot_rows] = reference[f"u_{name}"][reference_rows]
         try:
-            common = common_motion(spots["time_ns"], place, u)
+            common = common_motion(spots["time_ns"], position, u)
         except DataError:
             return None
-        of_spot = spots[name], spots[f"u_{name}"]
-        stated = None if gain is None else Estimate(gain, config.reference.u_gain)
-        if stated is None:
+        spot = spots[name], spots[f"u_{name}"]
+        gain = None if stated_gain is None else Estimate(stated_gain, config.reference.u_gain)
+        if gain is None:
             with suppress(DataError):
-                stated = gain_while_swinging(spots["time_ns"], *of_spot, place, u)
-        if stated is None or not stated.value > _MIN_GAIN_U * stated.standard_uncertainty:
-            unknown = stated or Estimate(np.nan, np.inf)
-            less = uncorrected(*of_spot, unknown, ReferenceVerdict.UNKNOWN_GAIN)
+                gain = gain_while_swinging(spots["time_ns"], *spot, position, u)
+        if gain is None or not gain.value > _MIN_GAIN_U * gain.standard_uncertainty:
+            gain = gain or Estimate(np.nan, np.inf)
+            by_axis[name] = uncorrected(*spot, gain, ReferenceVerdict.UNKNOWN_GAIN)
         else:
-            less = subtract_common_motion(*of_spot, common, stated, quiet)
-        found[name] = less
-        moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
-    used = any(one.verdict is ReferenceVerdict.USED for one in found.values())
-    return DeflectionCorrection(
-        deflection_change(config, spots, moved), used, _reference_note(found, is_stated=gain is not None)
-    )
+            by_axis[name] = subtract_common_motion(*spot, common, gain, quiet)
+        corrected[name], corrected[f"u_{name}"] = by_axis[name].position_px, by_axis[name].u_px
+    used = any(positions.verdict is ReferenceVerdict.USED for positions in by_axis.values())
+    note = _reference_note(by_axis, is_stated=stated_gain is not None)
+    return DeflectionCorrection(deflection_change(config, spots, corrected), used, note)
 
 
-def _reference_note(found: Mapping[str, CorrectedPositions], *, is_stated: bool) -> str:
-    """Verdict on the reference spot, in one line; the gain where it `is_stated` by no configuration."""
-    lost = int(np.count_nonzero(next(iter(found.values())).fallen_back))
+def _reference_note(by_axis: Mapping[str, CorrectedPositions], *, is_stated: bool) -> str:
+    """Verdict on the reference spot, in one line, with the gain unless the configuration states it."""
+    lost = int(np.count_nonzero(next(iter(by_axis.values())).fallen_back))
     texts = []
-    for name, one in found.items():
-        own = not is_stated and np.isfinite(one.gain.value)
-        by_run = f" with a gain of {with_uncertainty(*one.gain)} from the run itself" if own else ""
-        texts.append(f"{name[0]} {one.verdict}{by_run}")
-    fallen = f"; {lost} frames without it are unchanged" if lost else ""
-    return f"reference spot: {', '.join(texts)}{fallen}"
+    for name, positions in by_axis.items():
+        gain = positions.gain
+        has_own_gain = not is_stated and np.isfinite(gain.value)
+        own_gain = f" with a gain of {with_uncertainty(*gain)} from the run itself" if has_own_gain else ""
+        texts.append(f"{name[0]} {positions.verdict}{own_gain}")
+    unchanged = f"; {lost} frames without it are unchanged" if lost else ""
+    return f"reference spot: {', '.join(texts)}{unchanged}"
 
 
 def deflection_change(
-    config: Configuration, spots: np.ndarray, moved: np.ndarray
+    config: Configuration, spots: np.ndarray, corrected: np.ndarray
 ) -> Callable[[Deflections], Deflections]:
-    """Function that changes deflections, and their variances, as if the record's spots were at `moved`."""
+    """Function that changes deflections, and their variances, as if the spots were the `corrected` ones."""
     deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
-    before, after = (deflector(spots["time_ns"], _spots(table)) for table in (spots, moved))
+    old, new = (deflector(spots["time_ns"], _spots(table)) for table in (spots, corrected))
     times_ns = spots["time_ns"]
-    by = np.nan_to_num(np.stack([after.x - before.x, after.y - before.y]))
-    variance = np.nan_to_num(np.stack([after.u_x**2 - before.u_x**2, after.u_y**2 - before.u_y**2]), nan=0.0)
+    shift = np.nan_to_num(np.stack([new.x - old.x, new.y - old.y]))
+    variance = np.nan_to_num(np.stack([new.u_x**2 - old.u_x**2, new.u_y**2 - old.u_y**2]), nan=0.0)
 
-    def changed(deflections: Deflections) -> Deflections:
-        behind = np.clip(np.searchsorted(times_ns, deflections.times_ns), 1, len(times_ns) - 1)
-        nearer = deflections.times_ns - times_ns[behind - 1] < times_ns[behind] - deflections.times_ns
-        rows = np.where(nearer, behind - 1, behind)
-        (x, y), (of_x, of_y) = by[:, rows], variance[:, rows]
+    def correct(deflections: Deflections) -> Deflections:
+        after = np.clip(np.searchsorted(times_ns, deflections.times_ns), 1, len(times_ns) - 1)
+        is_nearer = deflections.times_ns - times_ns[after - 1] < times_ns[after] - deflections.times_ns
+        rows = np.where(is_nearer, after - 1, after)
+        (shift_x, shift_y), (variance_x, variance_y) = shift[:, rows], variance[:, rows]
         return replace(
             deflections,
-            x=deflections.x + x,
-            y=deflections.y + y,
-            u_x=np.sqrt(deflections.u_x**2 + of_x),
-            u_y=np.sqrt(deflections.u_y**2 + of_y),
+            x=deflections.x + shift_x,
+            y=deflections.y + shift_y,
+            u_x=np.sqrt(deflections.u_x**2 + variance_x),
+            u_y=np.sqrt(deflections.u_y**2 + variance_y),
         )
 
-    return changed
+    return correct
 
 
 class ChangedDeflections:
@@ -218,23 +215,23 @@ class ChangedDeflections:
 
 
 _LIGHT_PICTURES = 48
-"""Whole frames of a record in which fixed light is sought."""
+"""Number of a record's whole frames in which fixed light is sought."""
 _STEPS_PER_DN = 16
 """Steps a DN in which the light is subtracted from a picture."""
-_MAX_LOST_SHARE = 0.1
-"""Largest share of the affected frames that may have no spot without the light."""
-_LARGEST_FULL_SCALE_DN = 4095
+_MAX_LOST_FRACTION = 0.1
+"""Largest fraction of the affected frames that may have no spot without the light."""
+_MAX_SUBDIVIDED_DN = 4095
 """Largest full scale in DN at which `_STEPS_PER_DN` steps a DN fit into 16 bits."""
 
 
 def without_fixed_light(reader: RecordReader, config: Configuration) -> DeflectionCorrection | None:
     """The correction for fixed light in the whole frames of a record; None where there is none.
 
-    The affected frames are tracked without it, which needs the pixels around the spot: without them it is
-    not used, and the condition is not met, else there is a warning.
+    The affected frames are tracked again without the light, which needs the pixels around the spot. Where
+    they lack, the correction is not used and the condition is not met; else the condition is a warning.
     """
-    every = max(1, reader.counts.get(IMAGE.topic, 0) // _LIGHT_PICTURES)
-    images = {one.sequence: one.image for one in reader.images(every=every)}
+    stride = max(1, reader.counts.get(IMAGE.topic, 0) // _LIGHT_PICTURES)
+    images = {frame.sequence: frame.image for frame in reader.images(every=stride)}
     pictures = []
     for block in reader.spot_blocks(fields=("sequence", *Spot._fields)) if images else ():
         for row in np.flatnonzero(np.isin(block["sequence"], list(images))):
@@ -244,55 +241,57 @@ def without_fixed_light(reader: RecordReader, config: Configuration) -> Deflecti
     if light is None:
         return None
     spots = np.concatenate(list(reader.spot_blocks(fields=_FIELDS)))
-    pulled = light.affects(spots["x_px"], spots["y_px"])
+    is_affected = light.affects(spots["x_px"], spots["y_px"])
     # a learned profile depends on all frames
-    again = pulled | bool(np.any(spots["flags"] & SpotFlag.LEARNED))
-    found = _tracked_again(reader, config, light, spots["sequence"][again])
-    moved, rows = spots.copy(), np.flatnonzero(pulled)
-    kept = [found.get(number) for number in spots["sequence"][rows].tolist()]
-    for name in _PLACES:
-        moved[name][rows] = [np.nan if spot is None else getattr(spot, name) for spot in kept]
-    lost = np.flatnonzero(pulled & ~np.isfinite(moved["x_px"]))
-    used = len(lost) < _MAX_LOST_SHARE * max(len(rows), 1)
-    # a lost spot stays in its place with an uncertainty of 1 px, so that it has hardly any weight
-    for name in _PLACES:
-        moved[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
-    done = "taken off" if used else "not taken off, as the record has no pixels of the spot"
-    measured = f"pulls {len(rows)} of {len(spots)} ({percent(len(rows) / len(spots))}), {done}"
+    is_tracked = is_affected | bool(np.any(spots["flags"] & SpotFlag.LEARNED))
+    tracked = _track_again(reader, config, light, spots["sequence"][is_tracked])
+    corrected, affected = spots.copy(), np.flatnonzero(is_affected)
+    new_spots = [tracked.get(number) for number in spots["sequence"][affected].tolist()]
+    for name in _POSITION_FIELDS:
+        corrected[name][affected] = [np.nan if spot is None else getattr(spot, name) for spot in new_spots]
+    lost = np.flatnonzero(is_affected & ~np.isfinite(corrected["x_px"]))
+    used = len(lost) < _MAX_LOST_FRACTION * max(len(affected), 1)
+    # a lost spot keeps its position with an uncertainty of 1 px, so that it has hardly any weight
+    for name in _POSITION_FIELDS:
+        corrected[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
+    outcome = "taken off" if used else "not taken off, as the record has no pixels of the spot"
+    measured = f"pulls {len(affected)} of {len(spots)} ({percent(len(affected) / len(spots))}), {outcome}"
     verdict = Verdict("fixed light", used, light.text, NO_STRAY_LIGHT, measured, "none")
-    return DeflectionCorrection(deflection_change(config, spots, moved), used, verdict=verdict)
+    return DeflectionCorrection(deflection_change(config, spots, corrected), used, verdict=verdict)
 
 
-def _tracked_again(
+def _track_again(
     reader: RecordReader, config: Configuration, light: FixedLight, sequences: Ints
 ) -> dict[int, Spot]:
     """The spots of some frames, tracked again in their pixels less the light; without those lost."""
-    fine = _STEPS_PER_DN if reader.full_scale_dn <= _LARGEST_FULL_SCALE_DN else 1
-    stated = sensor_model(config, reader.full_scale_dn)
-    full, less = fine * int(stated.full_scale_dn), np.rint(fine * light.subtracted_dn).astype(np.int64)
+    steps = _STEPS_PER_DN if reader.full_scale_dn <= _MAX_SUBDIVIDED_DN else 1
+    sensor = sensor_model(config, reader.full_scale_dn)
+    full = steps * int(sensor.full_scale_dn)
+    subtracted = np.rint(steps * light.subtracted_dn).astype(np.int64)
     tracker = SpotTracker(
         replace(
-            stated,
-            gain_e_per_dn=stated.gain_e_per_dn / fine,
+            sensor,
+            gain_e_per_dn=sensor.gain_e_per_dn / steps,
             full_scale_dn=full,
-            pedestal_dn=stated.pedestal_dn * fine,
+            pedestal_dn=sensor.pedestal_dn * steps,
         )
     )
-    asked, found = set(sequences.tolist()), {}
+    chosen, spots = set(sequences.tolist()), {}
     for window in reader.windows():
-        if window.sequence not in asked:
+        if window.sequence not in chosen:
             continue
         (x0, y0), (ny, nx) = window.origin_px, window.image.shape
-        pixels = fine * window.image.astype(np.int64)
-        left = np.where(pixels >= full, full, np.maximum(pixels - less[y0 : y0 + ny, x0 : x0 + nx], 0))
-        spot = tracker.track(left.astype(np.uint16), window.origin_px, less.shape)
+        pixels = steps * window.image.astype(np.int64)
+        dark = np.maximum(pixels - subtracted[y0 : y0 + ny, x0 : x0 + nx], 0)
+        image = np.where(pixels >= full, full, dark).astype(np.uint16)
+        spot = tracker.track(image, window.origin_px, subtracted.shape)
         if not spot.flags & SpotFlag.LOST:
-            found[window.sequence] = spot
-    return found
+            spots[window.sequence] = spot
+    return spots
 
 
 def _spots(table: np.ndarray) -> list[Spot]:
-    whole = np.zeros(len(table), dtype=SPOT_DTYPE)
-    for name in _PLACES:
-        whole[name] = table[name]
-    return [Spot(*row) for row in whole.tolist()]
+    spots = np.zeros(len(table), dtype=SPOT_DTYPE)
+    for name in _POSITION_FIELDS:
+        spots[name] = table[name]
+    return [Spot(*row) for row in spots.tolist()]

@@ -1,7 +1,6 @@
 """From a closed record to its results: those of its half-cycles, and the conditions of its run."""
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -57,7 +56,7 @@ def analyse_record(
     """Results of one closed record; `overrides` change its configuration (fit settings, pendulum) for them.
 
     Without `air_known` the drag has no prior, whatever the record's own configuration states. `seismometer`
-    is the record of one; without it the one in the run's own record is used, if there is one.
+    is an auxiliary seismometer's record; None: that in the run's own record is used, if there is one.
     """
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
@@ -72,28 +71,27 @@ def analyse_record(
             blocks,
             reader.deflection_unit,
             blocks.beam,
-            lambda frames: blocks.following - frames,
+            lambda frames: blocks.next_sequence - frames,
             seismometer=seismometer,
         )
 
 
 class _RecordedDeflections:
-    """The deflections of a record, read anew at every iteration.
-
-    `following` is the number after the last frame's, `beam` counts flags and models of the spots, each once.
-    """
+    """The deflections of a record, read anew at every iteration."""
 
     def __init__(self, reader: RecordReader) -> None:
-        self.following = 0
+        self.next_sequence = 0
+        """The number after that of the last frame that was read."""
         self.beam = BeamUse()
+        """Counts of flags and models of the spots, each spot counted once."""
         self._reader = reader
 
     def __iter__(self) -> Iterator[Deflections]:
         fields = ("sequence", "flags", *DEFLECTION_FIELDS[self._reader.deflection_unit])
         for spots in self._reader.spot_blocks(fields=fields):
-            if int(spots["sequence"][0]) >= self.following:
+            if int(spots["sequence"][0]) >= self.next_sequence:
                 self.beam.take(spots["sequence"], spots["flags"])
-                self.following = int(spots["sequence"][-1]) + 1
+                self.next_sequence = int(spots["sequence"][-1]) + 1
             yield self._reader.deflections(spots)
 
 
@@ -114,10 +112,10 @@ def analyse_run(
     counts of their spots, and `dropped` gives the number of missing frames from that of the frames present.
     The motion of the beam by a reference spot, and fixed light, are taken off.
     """
-    less, pulled = without_beam_motion(reader, config), without_fixed_light(reader, config)
-    for one in (less, pulled):
-        if one is not None and one.used:
-            blocks = ChangedDeflections(blocks, one.change)
+    beam_motion, fixed_light = without_beam_motion(reader, config), without_fixed_light(reader, config)
+    for correction in (beam_motion, fixed_light):
+        if correction is not None and correction.used:
+            blocks = ChangedDeflections(blocks, correction.correct)
             swings = half_cycles_of_blocks(blocks)
     deflections, ambient = PassingDeflections(blocks, unit), recorded_ambient(reader, config)
     clock = run_clock(reader, config)
@@ -135,10 +133,10 @@ def analyse_run(
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.warnings, *doubts, *reader.doubts(), *ambient_warnings(ambient)]
     end = end_of(reader.events())
-    judged = Beam.of(beam, noise_is_known=config.sensor is not None)
-    light = None if pulled is None else pulled.verdict
-    if light is not None and judged.poor_fit_frames:
-        judged = replace(judged, likely_cause=light.reason, remedy=light.remedy)
+    beam_results = Beam.of(beam, noise_is_known=config.sensor is not None)
+    light = None if fixed_light is None else fixed_light.verdict
+    if light is not None and beam_results.poor_fit_frames:
+        beam_results = replace(beam_results, likely_cause=light.reason, remedy=light.remedy)
     verdicts = [] if light is None else [light]
     if kind.report == "contact":
         verdicts += run_balance_verdicts(balance_of_run(followed.balances, followed.plane), config.balance)
@@ -154,9 +152,9 @@ def analyse_run(
         dropped_frames=dropped(deflections.frames),
         simulated=RecordedCamera.from_metadata(reader.metadata).simulated,
         losses=reader.losses(),
-        beam=judged,
+        beam=beam_results,
         warnings=tuple(warnings),
-        notes=(*run.notes, *([] if less is None else [less.note])),
+        notes=(*run.notes, *([] if beam_motion is None else [beam_motion.note])),
         calibration=calibration,
         ended=None if end is None else end.text,
         inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
@@ -168,8 +166,7 @@ def analyse_run(
 
 
 _MAX_CLOCK_FRAMES = 20_000
-"""Number of frames from twice which on only every second, third, ... one is fitted for the rate of the clock:
-more would not make it better known."""
+"""Number of frames for the rate of the clock: of twice as many only every second is used, and so on."""
 _U_UNKNOWN = 100e-6 / math.sqrt(3.0)
 """Relative standard uncertainty of an unknown rate: a quartz within its usual tolerance, 100 ppm."""
 _MAX_U_STEP_S = 1e-3
@@ -190,19 +187,17 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
     sequence, device_ns, host_ns = (table[name].astype(np.int64) for name in _FIELDS)
     steps = reader.values(RecordedClockStep)
     u_steps_s = seconds(math.sqrt(sum(float(step.u_step_ns) ** 2 for step in steps)))
-    every = max(1, len(sequence) // _MAX_CLOCK_FRAMES)
-    try:
-        relation = relate_clocks(device_ns[::every], host_ns[::every], sequence[::every])
-        rate, u_rate, drift_ppm, u_drift_ppm = (
-            relation.rate, relation.u_rate, relation.drift_ppm, relation.u_drift_ppm,
-        )  # fmt: skip
-    except DataError:
-        rate, u_rate, drift_ppm, u_drift_ppm = 1.0, math.nan, math.nan, math.nan
-    over_s = max(seconds(int(device_ns[-1] - device_ns[0])), 1e-9)
+    stride = max(1, len(sequence) // _MAX_CLOCK_FRAMES)
+    rate, u_rate, drift_ppm, u_drift_ppm = 1.0, math.nan, math.nan, math.nan
+    with suppress(DataError):
+        relation = relate_clocks(device_ns[::stride], host_ns[::stride], sequence[::stride])
+        rate, u_rate = relation.rate, relation.u_rate
+        drift_ppm, u_drift_ppm = relation.drift_ppm, relation.u_drift_ppm
+    duration_s = max(seconds(int(device_ns[-1] - device_ns[0])), 1e-9)
     return RunClock(
         drift_ppm=drift_ppm,
         u_drift_ppm=u_drift_ppm,
-        u_rate=math.hypot(_u_of_rate(config, rate, u_rate, u_host), u_steps_s / over_s),
+        u_rate=math.hypot(_u_of_rate(config, rate, u_rate, u_host), u_steps_s / duration_s),
         steps=len(steps),
         largest_step_s=seconds(max((step.step_ns for step in steps), key=abs, default=0)),
         u_steps_s=u_steps_s,
@@ -219,16 +214,16 @@ def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float)
     u_measured = math.hypot(u_rate, u_host, U_QUARTZ)
     if config.timebase is None:
         return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_measured)
-    deviation, u_known = rate - config.timebase.camera_rate, config.timebase.u_camera_rate
-    contradicted = math.isfinite(u_rate) and abs(deviation) > 3.0 * math.hypot(u_known, u_measured)
-    return math.hypot(deviation, u_measured) if contradicted else u_known
+    deviation, u_calibrated = rate - config.timebase.camera_rate, config.timebase.u_camera_rate
+    is_contradicted = math.isfinite(u_rate) and abs(deviation) > 3.0 * math.hypot(u_calibrated, u_measured)
+    return math.hypot(deviation, u_measured) if is_contradicted else u_calibrated
 
 
 _MAX_TEMPERATURE_CHANGE_K = 1.0
 """Largest change of the air's temperature in a run: the paper's arm, 1 m of steel, grows by 12 um, 2 arcsec,
 with each kelvin."""
-_MAX_LEFT_OUT_SHARE = 0.2
-"""Largest share of half-cycles that the ground moves too much to be fitted."""
+_MAX_LEFT_OUT_FRACTION = 0.2
+"""Largest fraction of half-cycles that the ground moves too much to be fitted."""
 _FORBIDDEN_EVENTS = {
     EventKind.LASER_DARK: (
         "light",
@@ -252,25 +247,30 @@ def run_conditions(
 
     A dropped frame costs as much as a lost spot: the limit of both is that of the preflight for lost spots.
     """
-    frames, dropped, most = run.frames, run.dropped_frames, limits.max_lost_fraction
-    exact = run.fits.get(FitMethod.EXACT)
+    frames, dropped, max_lost = run.frames, run.dropped_frames, limits.max_lost_fraction
+    exact, events = run.fits.get(FitMethod.EXACT), reader.events()
     remedy = "find out where they were lost: camera, bus or computer"
-    of_beam = []
+    beam_verdicts = []
     if run.beam is not None:
-        of_beam.append(_beam(run.beam, limits.max_poor_fit_fraction))
-        # the flanks of saturated spots alone are fitted, which is right only for Gaussian beams
-        saturated, most_saturated = run.beam.flags.get("SATURATED", 0), limits.max_saturated_fraction
-        reason = "pixels at full scale are lost to the fit"
-        lower = "lower the exposure (exposure_us) or the laser's power"
-        of_beam.append(_fraction("saturation", saturated, frames, most_saturated, lower, reason, warns=True))
+        saturated = _fraction(
+            "saturation",
+            run.beam.flags.get("SATURATED", 0),
+            frames,
+            limits.max_saturated_fraction,
+            "lower the exposure (exposure_us) or the laser's power",
+            # the flanks of saturated spots alone are fitted, which is right only for Gaussian beams
+            "pixels at full scale are lost to the fit",
+            warns=True,
+        )
+        beam_verdicts = [_beam(run.beam, limits.max_poor_fit_fraction), saturated]
     return (
-        _end(end_of(reader.events())),
-        _fraction("lost spots", lost_spots, frames, most, "see laser, beam and exposure"),
-        _fraction("dropped frames", dropped, frames + dropped, most, remedy),
-        *of_beam,
-        *_forbidden_events(reader.events()),
+        _end(end_of(events)),
+        _fraction("lost spots", lost_spots, frames, max_lost, "see laser, beam and exposure"),
+        _fraction("dropped frames", dropped, frames + dropped, max_lost, remedy),
+        *beam_verdicts,
+        *_forbidden_events(events),
         *([] if run.clock is None else [_clock(run.clock)]),
-        *_watcher_failures(reader.events()),
+        *_watcher_failures(events),
         *_temperature(reader),
         *_ground(None if exact is None else exact.ground, run.half_cycles),
         *others,
@@ -280,9 +280,9 @@ def run_conditions(
 def _condition(
     name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str, *, warns: bool = False
 ) -> Verdict:
-    """A condition, with reason and remedy where it is not met; not met it `warns`, or else is a fault."""
-    why, do = ("", "") if ok else (reason, remedy)
-    return Verdict(name, ok or warns, why, do, measured=measured, limit=limit)
+    """A condition, with reason and remedy where it is not met: then a warning if `warns`, else a fault."""
+    texts = ("", "") if ok else (reason, remedy)
+    return Verdict(name, ok or warns, *texts, measured=measured, limit=limit)
 
 
 def _end(end: Event | None) -> Verdict:
@@ -300,54 +300,52 @@ def _fraction(
     name: str,
     count: int,
     total: int,
-    most: float,
+    max_fraction: float,
     remedy: str,
     reason: str = "too many",
     *,
     warns: bool = False,
 ) -> Verdict:
-    part = count / total if total else 0.0
-    measured = f"{count} of {total} ({percent(part)})"
-    return _condition(name, part <= most, reason, remedy, measured, f"{100 * most:g} %", warns=warns)
+    fraction, limit = count / total if total else 0.0, f"{100 * max_fraction:g} %"
+    measured = f"{count} of {total} ({percent(fraction)})"
+    return _condition(name, fraction <= max_fraction, reason, remedy, measured, limit, warns=warns)
 
 
-def _beam(beam: Beam, most: float) -> Verdict:
-    """A warning where more than the fraction `most` of the judged spots have the flag POOR_FIT."""
-    why = f"the model does not fit it, and uncertainties are only widened for that: {beam.likely_cause}"
-    part = percent(beam.poor_fit_frames / max(beam.judged_frames, 1))
-    measured = f"{beam.model or 'no spot'}, POOR_FIT in {beam.poor_fit_frames} of {beam.judged_frames}"
-    good = not beam.poor_fit_fraction > most
-    limit = f"{100 * most:g} %"
-    return _condition("beam", good, why, beam.remedy, f"{measured} ({part})", limit, warns=True)
+def _beam(beam: Beam, max_fraction: float) -> Verdict:
+    """A warning where more than a fraction of the judged spots have the flag POOR_FIT."""
+    reason = f"the model does not fit it, and uncertainties are only widened for that: {beam.likely_cause}"
+    fraction = percent(beam.poor_fit_frames / max(beam.judged_frames, 1))
+    counts = f"POOR_FIT in {beam.poor_fit_frames} of {beam.judged_frames}"
+    measured = f"{beam.model or 'no spot'}, {counts} ({fraction})"
+    ok, limit = not beam.poor_fit_fraction > max_fraction, f"{100 * max_fraction:g} %"
+    return _condition("beam", ok, reason, beam.remedy, measured, limit, warns=True)
 
 
 def _forbidden_events(events: Sequence[Event]) -> list[Verdict]:
-    unlit = EventKind.LASER_DARK
-    events = [one._replace(kind=unlit) if one.kind == EventKind.LASER_UNKNOWN else one for one in events]
-    happened = Counter(event.kind for event in events)
-    texts = {event.kind: event.text for event in reversed(events)}
-    times = {0: "never", 1: "once"}
-    return [
-        _condition(
-            name, not happened[kind], f"{reason}: {texts.get(kind, '')}", remedy,
-            times.get(happened[kind], f"{happened[kind]} times"), "never",
-        )
-        for kind, (name, reason, remedy) in _FORBIDDEN_EVENTS.items()
-    ]  # fmt: skip
+    # a laser of unknown state counts as dark
+    kinds = [EventKind.LASER_DARK if e.kind == EventKind.LASER_UNKNOWN else e.kind for e in events]
+    texts = dict(zip(reversed(kinds), (event.text for event in reversed(events)), strict=True))
+    verdicts = []
+    for kind, (name, reason, remedy) in _FORBIDDEN_EVENTS.items():
+        count = kinds.count(kind)
+        measured = {0: "never", 1: "once"}.get(count, f"{count} times")
+        reason = f"{reason}: {texts.get(kind, '')}"
+        verdicts.append(_condition(name, not count, reason, remedy, measured, "never"))
+    return verdicts
 
 
 def _clock(clock: RunClock) -> Verdict:
     """Verdict on the steps that were taken off: a warning if known to `_MAX_U_STEP_S`, else a fault."""
     if not clock.steps:
         return Verdict("camera's clock", True, measured=clock.text, limit=_CLOCK_LIMIT_TEXT)
-    known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
+    reason = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
     remedy = "network clock, supply, cable of the camera; rig calibrate clock"
     ok = clock.u_steps_s <= _MAX_U_STEP_S
-    return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_CLOCK_LIMIT_TEXT)
+    return Verdict("camera's clock", ok, reason, remedy, measured=clock.text, limit=_CLOCK_LIMIT_TEXT)
 
 
 def _watcher_failures(events: Sequence[Event]) -> list[Verdict]:
-    """A warning where a part that only watches the run failed, which leaves the record whole."""
+    """A warning where a part that only watches the run failed, which does not harm the record."""
     texts = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
     if not texts:
         return []
@@ -357,25 +355,24 @@ def _watcher_failures(events: Sequence[Event]) -> list[Verdict]:
 
 def _temperature(reader: RecordReader) -> list[Verdict]:
     table = reader.table(ENVIRONMENT.topic)
-    read_c = table["temperature_c"][np.isfinite(table["temperature_c"])] if len(table) else np.empty(0)
-    if not len(read_c):
+    readings_c = table["temperature_c"][np.isfinite(table["temperature_c"])] if len(table) else np.empty(0)
+    if not len(readings_c):
         return []
-    measured = f"{np.min(read_c):.2f} to {np.max(read_c):.2f} °C"
+    measured = f"{np.min(readings_c):.2f} to {np.max(readings_c):.2f} °C"
+    limit = f"within {_MAX_TEMPERATURE_CHANGE_K:g} K"
     reason, remedy = "it changed during the run", "wait until the room is steady; shield the rig"
-    ok = float(np.ptp(read_c)) <= _MAX_TEMPERATURE_CHANGE_K
-    return [
-        _condition("temperature", ok, reason, remedy, measured, f"within {_MAX_TEMPERATURE_CHANGE_K:g} K")
-    ]
+    ok = float(np.ptp(readings_c)) <= _MAX_TEMPERATURE_CHANGE_K
+    return [_condition("temperature", ok, reason, remedy, measured, limit)]
 
 
 def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
     """Whether the ground, by the exact fit, left most of the half-cycles to be fitted."""
     if ground is None or not half_cycles:
         return []
-    part = ground.left_out_half_cycles / (half_cycles + ground.left_out_half_cycles)
-    widest = max((value for value in ground.widening.values() if np.isfinite(value)), default=1.0)
+    fraction = ground.left_out_half_cycles / (half_cycles + ground.left_out_half_cycles)
+    u_inflation = max((value for value in ground.widening.values() if np.isfinite(value)), default=1.0)
     reason = "it drove the pendulum more than friction braked it"
     remedy = "measure at a quieter time or place; end at a larger amplitude"
-    measured = f"{percent(part)} of the half-cycles left out, uncertainties × {widest:.2g}"
-    limit = f"{100 * _MAX_LEFT_OUT_SHARE:g} % left out"
-    return [_condition("ground", part <= _MAX_LEFT_OUT_SHARE, reason, remedy, measured, limit)]
+    measured = f"{percent(fraction)} of the half-cycles left out, uncertainties × {u_inflation:.2g}"
+    limit = f"{100 * _MAX_LEFT_OUT_FRACTION:g} % left out"
+    return [_condition("ground", fraction <= _MAX_LEFT_OUT_FRACTION, reason, remedy, measured, limit)]

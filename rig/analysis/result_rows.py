@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import exp, floor, hypot, inf, isfinite, isnan, log, log10, nan
 from types import MappingProxyType
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from processing.contact import DRAG, PendulumOnBall, surface_energy
 from processing.errors import ConfigurationError
@@ -24,10 +24,9 @@ _SHORT_NAMES: Final = {
     "a": "contact_radius_m",
 }
 _MAX_LOGARITHMIC_U: Final = 3.0
-"""Relative uncertainty by the apparatus up to which it is added in the logarithm of a parameter: near zero it
-could be any number."""
+"""Largest relative uncertainty by the apparatus that is added in the logarithm of a parameter."""
 _NORMAL_95: Final = 1.959964
-_MAX_BEND: Final = 0.25
+_MAX_NONPARABOLIC_SHIFT: Final = 0.25
 """Largest difference of a run's limits from those of a parabola, over their half-width, at which runs have a
 mean: Student's t of ten half-cycles makes a sixth."""
 _QUANTITY_UNIT = Quantity("", "", unit=OF + "quantity")
@@ -35,30 +34,28 @@ _QUANTITY_UNIT = Quantity("", "", unit=OF + "quantity")
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ResultRow:
-    """One quantity of a run or a series.
-
-    `fit` names the source: the exact fit, the decay alone, a theory of adhesion.
-
-    `value`, `u` and `u_total` are NaN unless the data determine the quantity; `lower` and `upper` are then
-    all that is known. `u` is the standard uncertainty of the half-cycles alone, `u_total` that of half-cycles
-    and apparatus together, `lower` to `upper` the 95 % interval, of both together; a limit that the data do
-    not set is NaN. `unit` is that of the numbers. `by_profile` is whether the interval is by the profile
-    likelihood, else it is by the covariance. `run` is the run's name, "series" for several together.
-
-    It unpacks: ``value, u_total = row``.
-    """
+    """One quantity of a run or a series; it unpacks: ``value, u_total = row``."""
 
     quantity: str
     fit: str = FitMethod.EXACT.value
+    """Source of the row: the exact fit, another fit, the decay alone, a theory of adhesion."""
     value: Annotated[float, _QUANTITY_UNIT] = nan
+    """The value; like `u` and `u_total`, NaN unless the data determine the quantity."""
     u: Annotated[float, _QUANTITY_UNIT] = nan
+    """Standard uncertainty of the half-cycles alone."""
     u_total: Annotated[float, _QUANTITY_UNIT] = nan
+    """Standard uncertainty of half-cycles and apparatus together."""
     lower: Annotated[float, _QUANTITY_UNIT] = nan
+    """Lower end of the 95 % interval of both together; NaN if the data set none."""
     upper: Annotated[float, _QUANTITY_UNIT] = nan
+    """Upper end of this interval; NaN if the data set none."""
     verdict: Determinacy = Determinacy.DETERMINED
     unit: str = ""
+    """Unit of the numbers."""
     run: str = ""
+    """Name of the run; "series" for several runs together."""
     by_profile: bool = False
+    """Whether the interval is by the profile likelihood, else by the covariance."""
 
     def __iter__(self) -> Iterator[float]:
         return iter((self.value, self.u_total))
@@ -99,7 +96,7 @@ class ResultRow:
 
     @property
     def equation(self) -> str:
-        """``b = (3.73 ± 0.02) × 10⁻³ rad⁻ᵖ``, ``c < 1.4 × 10⁻⁸ (95 %)``."""
+        """An equation such as ``b = (3.73 ± 0.02) × 10⁻³ rad⁻ᵖ`` or ``c < 1.4 × 10⁻⁸ (95 %)``."""
         sign = {Determinacy.DETERMINED: "= ", Determinacy.INTERVAL: "in "}.get(self.verdict, "")
         return f"{self.shown.symbol} {sign}{self.text} {self.shown.unit}".rstrip()
 
@@ -117,18 +114,11 @@ def named(key: str) -> str:
 
 
 def plain_row(
-    name: str,
-    found: Estimate | float,
-    run: str,
-    fit: str = FitMethod.EXACT.value,
-    unit: str = "",
-    **known: Any,
+    name: str, estimate: Estimate | float, run: str, fit: str = FitMethod.EXACT.value, unit: str = ""
 ) -> ResultRow:
-    """The row of a number, or of a value with its standard uncertainty; `known` are further numbers of it."""
-    value, u = found if isinstance(found, Estimate) else (found, nan)
-    return ResultRow(
-        quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run, **known
-    )
+    """The row of a number, or of a value with its standard uncertainty."""
+    value, u = estimate if isinstance(estimate, Estimate) else (estimate, nan)
+    return ResultRow(quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run)
 
 
 def result_rows(
@@ -143,15 +133,14 @@ def result_rows(
     A parameter without a determination (its profile failed) is withheld, unless its relative uncertainty is
     so small that it needs none.
     """
-    known = {one.name: one for one in determinations}
-    found = []
+    by_name = {determination.name: determination for determination in determinations}
+    parameters = []
     for name in fit.contact_names:
-        estimate, verdict = fit.estimate(name), Determinacy.UNDETERMINED
+        estimate, verdict, ends = fit.estimate(name), Determinacy.UNDETERMINED, (nan, nan)
         if estimate.standard_uncertainty <= WELL_DETERMINED * abs(estimate.value):
-            verdict = Determinacy.DETERMINED
-        ends = fit.interval(name) if verdict is Determinacy.DETERMINED else (nan, nan)
-        found.append((estimate, known.get(name) or Determination(name, verdict, *ends)))
-    return _with_apparatus(run, found, budget, pendulum)
+            verdict, ends = Determinacy.DETERMINED, fit.interval(name)
+        parameters.append((estimate, by_name.get(name) or Determination(name, verdict, *ends)))
+    return _with_apparatus(run, parameters, budget, pendulum)
 
 
 def rows_of_others(
@@ -161,13 +150,13 @@ def rows_of_others(
 
     A quantity that the data do not determine has no value by any method.
     """
-    left_open = {row.quantity for row in rows if not row.determined}
+    undetermined = {row.quantity for row in rows if not row.determined}
     return tuple(
-        plain_row(key, found, run, method)
+        plain_row(name, estimate, run, method)
         for method, fit in fits.items()
         if method != FitMethod.EXACT
-        for key, found in fit.estimates().items()
-        if key not in left_open
+        for name, estimate in fit.estimates().items()
+        if name not in undetermined
     )
 
 
@@ -175,41 +164,40 @@ def series_rows(
     combined: Mapping[str, CombinedValue],
     budget: Mapping[str, Budget],
     pendulum: PendulumOnBall,
-    of_runs: Mapping[str, Sequence[ResultRow]] = MappingProxyType({}),
+    run_rows: Mapping[str, Sequence[ResultRow]] = MappingProxyType({}),
 ) -> tuple[ResultRow, ...]:
     """The rows of several runs together, each with the interval of the mean.
 
-    `of_runs` are the rows of the runs: a parameter whose chi2 is no parabola in one of them has no mean, and
-    limits by those of all runs.
+    `run_rows` are the runs' rows by parameter. A parameter whose chi2 is no parabola in one of the runs has
+    no mean; its limits are combined from those of all runs.
     """
-    found, bent = [], set[str]()
-    for name, item in combined.items():
+    parameters, nonparabolic = [], set[str]()
+    for name, mean in combined.items():
         parameter = law_parameters()[name]
-        half = item.expanded_uncertainty_95
-        lower, upper = item.value - half, item.value + half
-        is_limited = item.standard_uncertainty > WELL_DETERMINED * abs(item.value)
-        rows = of_runs.get(name, ())
-        runs = [_limits(row, run) for row, run in zip(rows, item.runs, strict=False)]
-        # limits of what is determined are those of a parabola, with the apparatus
-        if any(_bends(*run) for row, run in zip(rows, runs, strict=False) if not row.determined):
-            bent |= {name, *(ENERGIES if name == "c" else ())}
+        half = mean.expanded_uncertainty_95
+        lower, upper = mean.value - half, mean.value + half
+        is_limited = mean.standard_uncertainty > WELL_DETERMINED * abs(mean.value)
+        rows = run_rows.get(name, ())
+        runs = [_limits(row, run) for row, run in zip(rows, mean.runs, strict=False)]
+        # limits of a determined parameter are those of a parabola, with the apparatus
+        if any(_is_nonparabolic(*run) for row, run in zip(rows, runs, strict=False) if not row.determined):
+            nonparabolic |= {name, *(ENERGIES if name == "c" else ())}
             logarithmic = parameter.logarithmic and all(run.value > 0 for run, _ in runs)
             lower, upper = combined_limits(runs, logarithmic=logarithmic)
             is_limited = True
         verdict = Determinacy.DETERMINED
         if is_limited:
-            # beyond the range of the law a limit is none of the data
-            lower, upper = (
-                lower if lower > parameter.lower else nan,
-                upper if upper < parameter.upper else nan,
-            )
+            # the law, and not the data, sets a limit beyond the law's range
+            lower = lower if lower > parameter.lower else nan
+            upper = upper if upper < parameter.upper else nan
             verdict = _verdict(lower, upper)
         if verdict is Determinacy.UPPER_BOUND and parameter.lower == 0:
             lower = 0.0
-        found.append((item.estimate, Determination(name, verdict, lower, upper, name in bent)))
+        determination = Determination(name, verdict, lower, upper, name in nonparabolic)
+        parameters.append((mean.estimate, determination))
     # limits of the runs contain the apparatus already
-    rest = {name: lines for name, lines in budget.items() if name not in bent}
-    return _with_apparatus("series", found, rest, pendulum)
+    remaining = {name: lines for name, lines in budget.items() if name not in nonparabolic}
+    return _with_apparatus("series", parameters, remaining, pendulum)
 
 
 def _verdict(lower: float, upper: float) -> Determinacy:
@@ -220,83 +208,94 @@ def _verdict(lower: float, upper: float) -> Determinacy:
 
 
 def _limits(row: ResultRow, run: Estimate) -> tuple[Estimate, tuple[float, float]]:
-    """Value and 95 % limits of one run; where only physics sets the lower one, as if it might be negative."""
+    """Value and 95 % limits of one run; a lower limit that physics sets is replaced by that of the value."""
     if not (row.verdict is Determinacy.UPPER_BOUND and row.lower == 0):
         return run, (row.lower, row.upper)
-    # the profile of a negative value begins at zero; far above zero it is the data that set no limit
+    # the profile of a negative value begins at zero; far above zero the data set no lower limit
     run, half = replace(run, value=max(run.value, 0.0)), _NORMAL_95 * run.standard_uncertainty
     return run, (run.value - half if run.value <= half else nan, row.upper)
 
 
-def _bends(run: Estimate, limits: tuple[float, float]) -> bool:
-    """Whether a run's limits are other ones than those of its value and standard uncertainty."""
+def _is_nonparabolic(run: Estimate, limits: tuple[float, float]) -> bool:
+    """Whether a run's limits differ from those of its value and standard uncertainty."""
     half = _NORMAL_95 * run.standard_uncertainty
-    return not all(
-        abs(end - parabola) <= _MAX_BEND * half
-        for end, parabola in zip(limits, (run.value - half, run.value + half), strict=True)
-    )
+    shifts = (limits[0] - (run.value - half), limits[1] - (run.value + half))
+    return not all(abs(shift) <= _MAX_NONPARABOLIC_SHIFT * half for shift in shifts)
 
 
 def _with_apparatus(
     run: str,
-    found: list[tuple[Estimate, Determination]],
+    parameters: list[tuple[Estimate, Determination]],
     budget: Mapping[str, Budget],
     pendulum: PendulumOnBall,
 ) -> tuple[ResultRow, ...]:
-    """The rows of what was found, with the apparatus, of surface energies, and of the apparatus alone.
+    """The rows of parameters with the apparatus, of surface energies, and of the apparatus alone.
 
     The apparatus adds to the uncertainty, and to both sides of the interval. A quantity that is not
     determined has neither value nor uncertainty.
     """
-    for estimate, c in [each for each in found if each[1].name == "c"]:
+    quantities = {determination.name: (estimate, determination) for estimate, determination in parameters}
+    if "c" in quantities:
+        estimate, c = quantities["c"]
         # each surface energy is c times a factor of the apparatus
         per_c = surface_energy(Estimate(1.0, 0.0), pendulum)
         for name, factor in zip(ENERGIES, (per_c.table2.value, per_c.eq2.value), strict=True):
             lower, upper = factor * c.lower_95, factor * c.upper_95
             energy = Estimate(*(factor * number for number in estimate))
-            found.append((energy, c._replace(name=name, lower_95=lower, upper_95=upper)))
-    names = {one.name for _, one in found}
-    found += [
-        (Estimate(item.value, 0.0), Determination(name, Determinacy.DETERMINED, item.value, item.value))
-        for name, item in budget.items()
-        if name not in names
-    ]
+            quantities[name] = (energy, c._replace(name=name, lower_95=lower, upper_95=upper))
+    for name, lines in budget.items():
+        exact = Determination(name, Determinacy.DETERMINED, lines.value, lines.value)
+        quantities.setdefault(name, (Estimate(lines.value, 0.0), exact))
     rows = []
-    for estimate, one in found:
-        item, ends = budget.get(one.name), (one.lower_95, one.upper_95)
-        part = 0.0 if item is None else item.apparatus_u
-        if item is not None and part > 0:
-            ends = _wider_ends(one.name, estimate.value, ends, item.coverage_factor_95 * part)
-        numbers = (*estimate, hypot(estimate.standard_uncertainty, part))
-        value, u, u_total = numbers if one.verdict is Determinacy.DETERMINED else (nan, nan, nan)
-        more = dict[str, Any](verdict=one.verdict, by_profile=one.profile_likelihood, run=run)
-        more |= {"quantity": one.name, "unit": unit_of(one.name), "lower": ends[0], "upper": ends[1]}
-        rows.append(ResultRow(value=value, u=u, u_total=u_total, **more))
+    for name, (estimate, determination) in quantities.items():
+        lower, upper, u_apparatus = determination.lower_95, determination.upper_95, 0.0
+        if name in budget and (u_apparatus := budget[name].apparatus_u) > 0:
+            expanded = budget[name].coverage_factor_95 * u_apparatus
+            lower, upper = _wider_interval(name, estimate.value, (lower, upper), expanded)
+        numbers = (*estimate, hypot(estimate.standard_uncertainty, u_apparatus))
+        is_determined = determination.verdict is Determinacy.DETERMINED
+        value, u, u_total = numbers if is_determined else (nan, nan, nan)
+        rows.append(
+            ResultRow(
+                quantity=name,
+                value=value,
+                u=u,
+                u_total=u_total,
+                lower=lower,
+                upper=upper,
+                verdict=determination.verdict,
+                unit=unit_of(name),
+                run=run,
+                by_profile=determination.profile_likelihood,
+            )
+        )
     return tuple(rows)
 
 
-def _wider_ends(name: str, value: float, ends: tuple[float, float], expanded: float) -> tuple[float, float]:
+def _wider_interval(
+    name: str, value: float, ends: tuple[float, float], expanded: float
+) -> tuple[float, float]:
     """The ends of an interval with the apparatus's `expanded` uncertainty added to both sides."""
     parameter = law_parameters().get(name)
     logarithmic = parameter is not None and parameter.logarithmic and ends[0] > 0
     relative = expanded / value if value > 0 else inf
     if logarithmic and relative < _MAX_LOGARITHMIC_U:
         # the unit contains an exponent, so that the interval is symmetric in the logarithm
-        low, high = (_wider(side, relative) for side in (log(value / ends[0]), log(ends[1] / value)))
+        low, high = (_wider(width, relative) for width in (log(value / ends[0]), log(ends[1] / value)))
         return value * exp(-low), value * exp(high)
     lower, upper = value - _wider(value - ends[0], expanded), value + _wider(ends[1] - value, expanded)
     # 0 is a limit by physics, which no apparatus moves
     return 0.0 if ends[0] == 0 or (logarithmic and lower < 0) else lower, upper
 
 
-def _wider(side: float, part: float) -> float:
-    return hypot(max(side, 0.0), part) if isfinite(side) else side
+def _wider(width: float, expanded: float) -> float:
+    return hypot(max(width, 0.0), expanded) if isfinite(width) else width
 
 
 def withheld(budget: Mapping[str, Budget], rows: Sequence[ResultRow]) -> dict[str, Budget]:
     """The budgets; those of undetermined quantities have only the shares of the sources."""
-    known = {row.quantity: row.determined for row in rows}
-    return {name: item if known.get(name, True) else item.shares_only() for name, item in budget.items()}
+    undetermined = {row.quantity for row in rows if not row.determined}
+    return {name: lines.shares_only() if name in undetermined else lines for name, lines in budget.items()}
 
 
 class RowsByName:
@@ -312,10 +311,10 @@ class RowsByName:
     @property
     def rows(self) -> Mapping[str, ResultRow]:
         """The rows by quantity; of a quantity in several rows the first."""
-        found = dict[str, ResultRow]()
+        rows = dict[str, ResultRow]()
         for row in self.table:
-            found.setdefault(row.quantity, row)
-        return found
+            rows.setdefault(row.quantity, row)
+        return rows
 
     @property
     def contact(self) -> Sequence[ResultRow]:
@@ -328,12 +327,12 @@ class RowsByName:
         return NOT_DETERMINED if row is None else Estimate(*row)
 
     def __getitem__(self, name: str) -> ResultRow:
-        found = self.rows.get(_SHORT_NAMES.get(name, name))
-        if found is None:
-            known = ", ".join(self.rows) or "none, since nothing was fitted"
-            raise ConfigurationError(f"{name!r}: no such result; there are {known}")
-        return found
+        row = self.rows.get(_SHORT_NAMES.get(name, name))
+        if row is None:
+            names = ", ".join(self.rows) or "none, since nothing was fitted"
+            raise ConfigurationError(f"{name!r}: no such result; there are {names}")
+        return row
 
-    def _summary(self, head: str) -> str:
-        """A head, then one line for each row."""
-        return "\n".join([head, *(f"  {row}" for row in self.contact or self.table)])
+    def _summary(self, heading: str) -> str:
+        """A heading, then one line for each row."""
+        return "\n".join([heading, *(f"  {row}" for row in self.contact or self.table)])

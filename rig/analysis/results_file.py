@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from acquisition import atomic_write
-from processing.errors import RecordError, require_schema
+from processing.errors import ConfigurationError, RecordError, require_schema
 from processing.fault_text import fault_text
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, RunResults, SessionResults
@@ -25,21 +25,27 @@ def _codec(kind: Any) -> Codec:
 
 def encoded(values: object) -> JsonObject:
     """The JSON tree of results, or of a part of them."""
-    # of an analysed run or table only the part that the file holds
-    stored: tuple[Any, ...] = (RunResults, SessionResults)
-    kind: Any = next((one for one in stored if isinstance(values, one)), type(values))
+    # an analysed run or table has fields that the file does not hold
+    bases: tuple[Any, ...] = (RunResults, SessionResults)
+    kind: Any = next((base for base in bases if isinstance(values, base)), type(values))
     tree: JsonObject = _codec(kind).write(values)
     return tree
 
 
 def write_results(path: str | Path, results: SessionResults) -> None:
-    """Write results.json; never over an existing one. Raises ConfigurationError or RecordError."""
+    """Write results.json, never over an existing file.
+
+    Raises ConfigurationError for an existing file, and for values that are no results; RecordError for a
+    file that cannot be written.
+    """
+    if not isinstance(results, SessionResults):
+        raise ConfigurationError(f"results: SessionResults are needed, not a {type(results).__name__}")
     with written(Path(path)):
         atomic_write.write_new(Path(path), (_text(encoded(results)) + "\n").encode())
 
 
 def _text(value: object, indent: str = "") -> str:
-    """JSON, one line a key; a list of plain values stands on one line."""
+    """JSON with a line for each key; a list of plain values is on one line."""
     inner = indent + "  "
     if isinstance(value, dict) and value:
         rows = [f"{inner}{json.dumps(key)}: {_text(item, inner)}" for key, item in value.items()]
@@ -53,8 +59,9 @@ def results_path(source: Path) -> Path:
     """A results file itself, or the latest one of a folder: results-2.json comes after results.json."""
     if not source.is_dir():
         return source
-    later = [path for path in source.glob("results-*.json") if path.stem.removeprefix("results-").isdecimal()]
-    return max(later, key=lambda path: int(path.stem.removeprefix("results-")), default=source / RESULTS_NAME)
+    files = {path.stem.removeprefix("results-"): path for path in source.glob("results-*.json")}
+    numbered = {int(suffix): path for suffix, path in files.items() if suffix.isdecimal()}
+    return numbered[max(numbered)] if numbered else source / RESULTS_NAME
 
 
 def read_results(source: str | Path) -> SessionResults:
@@ -87,13 +94,13 @@ def decoded(tree: Any, path: Path) -> SessionResults:
         raise RecordError(f"{path}: names no runs; it was not made by rig run or rig fit")
     require_schema(str(path), tree.get("schema"), SCHEMA, RecordError)
     try:
-        found: SessionResults = _codec(SessionResults).read(tree)
+        results: SessionResults = _codec(SessionResults).read(tree)
     except ValidationError as error:
         fault = error.errors()[0]
-        # names of validators, which stand in parentheses, are no keys of the file
-        place = tuple(part for part in fault["loc"] if isinstance(part, int) or "(" not in part)
-        raise RecordError(f"{path}: {fault_text({**fault, 'loc': place})}; {_REMEDY}") from None
-    return found
+        # names of validators, which have parentheses, are no keys of the file
+        keys = tuple(key for key in fault["loc"] if isinstance(key, int) or "(" not in key)
+        raise RecordError(f"{path}: {fault_text({**fault, 'loc': keys})}; {_REMEDY}") from None
+    return results
 
 
 def recorded_results(record: Path, sha256: str) -> tuple[str, RunResults | None]:
@@ -104,14 +111,13 @@ def recorded_results(record: Path, sha256: str) -> tuple[str, RunResults | None]
             runs = read_results(path).runs
         except RecordError:
             continue
-        found = next((run for run in runs if run.sha256 == sha256), None)
-        if found is not None:
-            return path.name, found
+        if run := next((run for run in runs if run.sha256 == sha256), None):
+            return path.name, run
     return "", None
 
 
 def free_path(folder: Path) -> Path:
-    """Path of a new results.json of a folder; where it exists results-2.json, ...: earlier results stay."""
+    """Path of new results in a folder: results.json, or the first free one of results-2.json, ...."""
     path, number = folder / RESULTS_NAME, 2
     while path.exists():
         path, number = folder / f"{Path(RESULTS_NAME).stem}-{number}.json", number + 1

@@ -2,22 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
-from math import isfinite, pi
+from math import inf, isfinite, pi
 from typing import Final, NamedTuple
 
 from processing.contact import DRAG
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import Determinacy, Estimate
-from processing.fit import (
-    WAVEFORM,
-    Budget,
-    Drag,
-    DragFinding,
-    FitMethod,
-    Ground,
-    Response,
-    SeismometerUse,
-)
+from processing.fit import WAVEFORM, Budget, Drag, DragFinding, FitMethod, Ground, Response, SeismometerUse
 from rig.analysis.decay_values import DECAY
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series
@@ -46,31 +37,22 @@ def limits_of(item: Budget | None) -> list[Limit]:
     """The sources of a budget, the largest first; none where no source of the apparatus (type B) counts."""
     if item is None or not any(line.type == "B" and line.share > 0 for line in item.sources):
         return []
-    return [Limit(one.source, one.share) for one in sorted(item.sources, key=lambda line: -line.share)]
+    return [Limit(line.source, line.share) for line in sorted(item.sources, key=lambda line: -line.share)]
 
 
 def main_sources(row: ResultRow, budget: Mapping[str, Budget]) -> str:
     """The sources of most of a row's variance, largest first: `E of the flat 71 %, half-cycles 26 %`.
 
-    It is empty for a row that is not determined, or without contributions of the apparatus.
+    The text is empty for a row that is not determined, or without contributions of the apparatus.
     """
     limits = limits_of(budget.get(row.quantity)) if row.determined else []
-    named = [one for one in limits if one.share >= _MIN_NAMED_VARIANCE_SHARE] or limits[:1]
-    return ", ".join(map(str, named))
-
-
-def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
-    """Relative changes of b and c by the drag, as text; none of a parameter that is not determined."""
-    return {
-        name: signed_percent(shift)
-        for name, shift in (("b", drag.relative_shift_b), ("c", drag.relative_shift_c))
-        if name not in rows or rows[name].determined
-    }
+    large = [limit for limit in limits if limit.share >= _MIN_NAMED_VARIANCE_SHARE]
+    return ", ".join(map(str, large or limits[:1]))
 
 
 _MIN_SHOWN_SHARE = 0.02
-_LIMITS_FROM = 0.25
-_STEPS: Final[Mapping[str, str]] = {
+"""Share of the variance below which a source is not among the limits of the main result."""
+_REMEDIES: Final[Mapping[str, str]] = {
     "swings": "measure longer, or make more runs",
     "ground": "measure while the ground is quieter, or record it beside the run (rig fit --seismometer)",
     "discrepancy": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
@@ -85,54 +67,53 @@ _STEPS: Final[Mapping[str, str]] = {
 }
 
 
-class WholeResult(NamedTuple):
-    """The main result of a run as text, and the sources of its uncertainty; empty where nothing was fitted.
-
-    `of` states whether the uncertainty is the whole or that of the half-cycles alone. `limits` are the
-    sources, the largest first; `symbol` is that of the quantity, empty if none is determined.
-    """
+class MainResult(NamedTuple):
+    """The main result of a run as text, and its sources of uncertainty; empty where nothing was fitted."""
 
     text: str = ""
-    of: str = ""
+    uncertainty: str = ""
+    """Words on what the uncertainty covers: the whole budget, or the half-cycles alone."""
     limits: Sequence[Limit] = ()
+    """Sources of the uncertainty, the largest first."""
     symbol: str = ""
+    """Symbol of the quantity; empty if none is determined."""
     ground_seen: bool = True
     """Whether the run shows a drive of the ground; else it only sets a bound."""
 
     @property
     def next_steps(self) -> list[str]:
-        """Steps against each of the sources of most of the uncertainty."""
-        large = [one for one in self.limits if one.share >= _LIMITS_FROM]
+        """A remedy for each source of much of the uncertainty."""
+        large = [limit for limit in self.limits if limit.share >= _MIN_NAMED_VARIANCE_SHARE]
         # a drive of the ground that is not seen has a bound, which more half-cycles lower
-        do = _STEPS if self.ground_seen else {**_STEPS, "ground": _STEPS["swings"]}
-        steps = [do.get(one.source, f"determine {one.name} more accurately") for one in large]
+        remedies = _REMEDIES if self.ground_seen else {**_REMEDIES, "ground": _REMEDIES["swings"]}
+        steps = [remedies.get(limit.source, f"determine {limit.name} more accurately") for limit in large]
         return list(dict.fromkeys(steps))
 
 
-def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
+def main_result(run: RunResults, series: Series | None = None) -> MainResult:
     """The main result: the surface energy, else the first parameter of the law that the data determine.
 
     The rows are those of a `series` if it has a table, else of the run.
     """
     if run.instrument is not None:
-        return WholeResult(run.instrument.text[0] if run.instrument.text else "", "the swings")
-    found = series if series is not None and series.table else run
-    if not found.contact:
-        return WholeResult()
-    rows = found.rows
+        return MainResult(run.instrument.text[0] if run.instrument.text else "", "the swings")
+    source = series if series is not None and series.table else run
+    if not source.contact:
+        return MainResult()
+    rows = source.rows
     names = (name for name in (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=False)) if name in rows)
     row = next((rows[name] for name in names if rows[name].determined), None)
     if row is None:
-        return WholeResult("No parameter is determined", "", [Limit("swings", 1.0)])
-    limits = limits_of(found.budget.get(row.quantity))
+        return MainResult("No parameter is determined", "", [Limit("swings", 1.0)])
+    limits = limits_of(source.budget.get(row.quantity))
     symbol = quantity(row.quantity).symbol
     text = row.equation.replace(symbol, named(row.quantity).partition(" / ")[0], 1)
     if not limits:
-        return WholeResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
-    limits = [one for one in limits if one.share >= _MIN_SHOWN_SHARE]
+        return MainResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
+    limits = [limit for limit in limits if limit.share >= _MIN_SHOWN_SHARE]
     exact = run.fits.get(FitMethod.EXACT)
     ground_seen = exact is None or exact.ground is None or exact.ground.seen
-    return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)
+    return MainResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)
 
 
 _FINDINGS = {
@@ -151,21 +132,22 @@ class RemarkLevel(StrEnum):
     RESULT = "result"
     """A remark for every reader of the numbers: on a drag, the ground, an auxiliary seismometer."""
     ADVICE = "advice"
-    """The limits of the result, and the steps against them."""
+    """The main source of the result's uncertainty, and remedies."""
     DETAIL = "detail"
     """A detail for the report and for `rig -v`."""
     CONDITION = "condition"
     """A condition of the run that was not met, or is doubtful."""
     WARNING = "warning"
     """A warning of the fits or of the record."""
-    OF_OTHER_FIT = "of another fit"
+    OTHER_FIT = "of another fit"
     """A warning of the asymptotic fit alone: it concerns no number of the exact one."""
 
 
 class Remark(NamedTuple):
-    """A row of the table of remarks: code of its subject, level, text and remedy."""
+    """A row of the table of remarks."""
 
     code: str
+    """The subject."""
     level: RemarkLevel
     text: str
     remedy: str = ""
@@ -177,7 +159,7 @@ class Remark(NamedTuple):
 
 
 def remark_rows(run: RunResults, *levels: RemarkLevel) -> list[Remark]:
-    """The table of remarks of a run in the order of reading; of some `levels`, or of all without any."""
+    """The table of remarks of a run in the order of reading; of the stated `levels`, by default of all."""
     rows = [row for row in _remarks(run) if row.text]
     return [row for row in rows if not levels or row.level in levels]
 
@@ -188,7 +170,6 @@ def remarks(run: RunResults) -> list[str]:
 
 
 def _remarks(run: RunResults) -> Iterator[Remark]:
-    """Remarks on the numbers of a run, on conditions not met or doubtful, and warnings."""
     exact, result, detail = run.fits.get(FitMethod.EXACT), RemarkLevel.RESULT, RemarkLevel.DETAIL
     parameters = {} if exact is None else exact.parameters
     is_fitted, ground = DRAG.key in parameters, None if exact is None else exact.ground
@@ -204,27 +185,28 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
     for line in () if run.seismometer is None else seismometer_sentences(run.seismometer):
         yield Remark("seismometer", result, line)
     if run.drag is not None:
-        said = _drag_sentence(run.drag, run.rows, fitted=is_fitted)
-        yield Remark("drag", result if run.drag.significant else detail, said)
+        sentence = _drag_sentence(run.drag, run.rows, fitted=is_fitted)
+        yield Remark("drag", result if run.drag.significant else detail, sentence)
     if exact is not None:
         yield Remark("waveform", detail, _waveform_sentence(exact.information_gain))
-        yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
+        yield Remark("advice", RemarkLevel.ADVICE, _advice(main_result(run)))
     for row in run.contact:
         if not row.determined and row.quantity not in ENERGIES:
-            unknown = f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip()
-            yield Remark("not determined", detail, f"{unknown}.")
+            text = f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip()
+            yield Remark("not determined", detail, f"{text}.")
     for note in run.notes:
         yield Remark("note", detail, note)
-    for one in run.conditions:
-        if not one.ok or one.remedy:
-            yield Remark(one.name, RemarkLevel.CONDITION, f"{one.name.upper()}: {one.found}", one.remedy)
+    for verdict in run.conditions:
+        if not verdict.ok or verdict.remedy:
+            text = f"{verdict.name.upper()}: {verdict.found}"
+            yield Remark(verdict.name, RemarkLevel.CONDITION, text, verdict.remedy)
     for warning in run.warnings:
-        of_other = warning.startswith(f"{FitMethod.ASYMPTOTIC} fit: ")
-        yield Remark("warning", RemarkLevel.OF_OTHER_FIT if of_other else RemarkLevel.WARNING, warning)
+        is_other_fit = warning.startswith(f"{FitMethod.ASYMPTOTIC} fit: ")
+        yield Remark("warning", RemarkLevel.OTHER_FIT if is_other_fit else RemarkLevel.WARNING, warning)
 
 
-def _advice(result: WholeResult) -> str:
-    """Sentence on the main limit of a result and the steps against it; empty where nothing was fitted."""
+def _advice(result: MainResult) -> str:
+    """Sentence on the main limit of a result and its remedies; empty where nothing was fitted."""
     steps = "; ".join(result.next_steps)
     if not steps:
         return ""
@@ -235,11 +217,8 @@ def _advice(result: WholeResult) -> str:
 
 def ground_sentence(ground: Ground) -> str:
     """Sentence on the drive of the ground: a value, or a bound where the run shows none."""
-    left_out = (
-        f"; the last {ground.left_out_half_cycles} half-cycles are its motion and were not fitted"
-        if ground.left_out_half_cycles
-        else ""
-    )
+    count = ground.left_out_half_cycles
+    left_out = f"; the last {count} half-cycles are its motion and were not fitted" if count else ""
     drive = drive_text(ground.density_rad_per_s2_rthz, ground.upper_95, "rad", seen=ground.seen)
     return f"Ground at the pendulum's frequency: {drive}{left_out}.{_ground_cost(ground)}"
 
@@ -252,23 +231,29 @@ def drive_text(density: Estimate, upper_95: float, unit: str, *, seen: bool) -> 
 
 def _ground_cost(ground: Ground) -> str:
     """Sentence on the ground's part of the uncertainties, with remedies; empty where it is small."""
-    u_inflation = {name: factor for name, factor in ground.widening.items() if factor > _MIN_NAMED_FACTOR}
-    if not u_inflation or not ground.seen:
+    factors = _factors_text(ground.widening, _MIN_NAMED_FACTOR, 2)
+    if not factors or not ground.seen:
         return ""
-    listed = ", ".join(
-        f"{plain(factor, 2)} ({quantity(name).symbol})"
-        for name, factor in sorted(u_inflation.items(), key=lambda item: -item[1])
-    )
     return (
-        f" It enlarges the uncertainties by factors of {listed}. "
+        f" It enlarges the uncertainties by factors of {factors}. "
         "Finer balancing, a quieter hour, a larger first amplitude or more runs would help."
+    )
+
+
+def _factors_text(factors: Mapping[str, float], min_factor: float, digits: int) -> str:
+    """Finite factors above `min_factor` with the symbols of their quantities, the largest first."""
+    large = sorted(factors.items(), key=lambda item: -item[1])
+    return ", ".join(
+        f"{plain(factor, digits)} ({quantity(name).symbol})"
+        for name, factor in large
+        if min_factor < factor and isfinite(factor)
     )
 
 
 CLOCK_SET = "clock set while it was recorded,"
 """Beginning of a line on how a seismometer was read."""
-_NAMED_FACTOR = 1.05
-"""Factor by which an uncertainty is smaller, above which it is named."""
+_MIN_NAMED_SAVING = 1.05
+"""Factor by which a seismometer reduces an uncertainty, above which it is named."""
 
 
 def seismometer_sentences(use: SeismometerUse) -> list[str]:
@@ -280,35 +265,38 @@ def seismometer_sentences(use: SeismometerUse) -> list[str]:
 def _use_sentences(use: SeismometerUse) -> list[str]:
     if not use.used:
         gain = use.gain_of_prediction
-        judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
+        gain_text = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
         reason = f": {use.reason}" if use.reason else ""
-        said = f"Auxiliary seismometer {use.verdict}{reason}{judged}."
-        remedy = "If its clock is off by more than a second, --seismometer-offset states by how much."
-        return [f"{said} The results are the same as without it. {remedy}"]
-    before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
+        lines = (
+            f"Auxiliary seismometer {use.verdict}{reason}{gain_text}.",
+            "The results are the same as without it.",
+            "If its clock is off by more than a second, --seismometer-offset states by how much.",
+        )
+        return [" ".join(lines)]
     explained = (
         f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
-        f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
+        f"{with_uncertainty(*use.ground_alone_rad_per_s2_rthz)} to "
+        f"{with_uncertainty(*use.ground_left_rad_per_s2_rthz)} rad/s²/√Hz"
     )
     responses = "; ".join(map(_response_text, use.responses))
-    lines = [f"Auxiliary seismometer: {explained}. Its response: {responses}."]
-    saved = ", ".join(
+    sentences = [f"Auxiliary seismometer: {explained}. Its response: {responses}."]
+    savings = ", ".join(
         f"{plain(factor, 3)} ({quantity(name).symbol})"
         for name, factor in use.saved.items()
-        if factor > _NAMED_FACTOR
+        if factor > _MIN_NAMED_SAVING
     )
-    if saved:
-        lines.append(f"The seismometer reduces the uncertainties by factors of {saved}.")
-    lines.append(
+    if savings:
+        sentences.append(f"The seismometer reduces the uncertainties by factors of {savings}.")
+    sentences.append(
         f"Clock of the seismometer: {with_uncertainty(*use.delay_s)} s to be added to its times, "
         f"drift {with_uncertainty(*use.clock_drift)} s/s."
     )
     if use.missing_half_cycles:
-        lines.append(
+        sentences.append(
             f"{use.missing_half_cycles} half-swings have no seismometer's record; their drive is treated as "
             "unknown."
         )
-    return lines
+    return sentences
 
 
 def _response_text(response: Response) -> str:
@@ -322,37 +310,37 @@ def _response_text(response: Response) -> str:
 
 def _waveform_sentence(information_gain: Mapping[str, Mapping[str, float]]) -> str:
     """Sentence on the information gain by the waveform; empty where it is small."""
-    gained = {
-        name: one for name, one in information_gain.get(WAVEFORM, {}).items() if one > _MIN_NAMED_FACTOR
-    }
-    if not gained:
-        return ""
-    ordered = sorted(gained.items(), key=lambda item: -item[1])
-    listed = ", ".join(f"{plain(one, 2)} ({quantity(name).symbol})" for name, one in ordered if isfinite(one))
-    effects = [f"the uncertainties would be larger, by factors of {listed}"] if listed else []
-    lost = " and ".join(quantity(name).symbol for name, one in ordered if not isfinite(one))
+    gains = information_gain.get(WAVEFORM, {})
+    factors = _factors_text(gains, _MIN_NAMED_FACTOR, 2)
+    effects = [f"the uncertainties would be larger, by factors of {factors}"] if factors else []
+    lost = " and ".join(quantity(name).symbol for name, factor in gains.items() if factor == inf)
     effects += [f"{lost} would not be determined at all"] if lost else []
-    return f"Without the waveform of the swing {', and '.join(effects)}."
+    return f"Without the waveform of the swing {', and '.join(effects)}." if effects else ""
 
 
 def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
     """Sentence on the drag by the data, or on the prior that is used where they do not determine it.
 
-    `fitted` is whether a drag is among the parameters of the fit.
+    `fitted` is whether the drag is a parameter of the fit.
     """
-    shown, shifts, row = quantity("drag_s"), shifts_by_drag(drag, rows), rows.get("drag_s")
-    changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
+    shown, row = quantity("drag_s"), rows.get("drag_s")
+    shifts = {"b": drag.relative_shift_b, "c": drag.relative_shift_c}
+    changes = " and ".join(
+        f"{name} by {signed_percent(shift)}"
+        for name, shift in shifts.items()
+        if name not in rows or rows[name].determined
+    )
     moved = f"; it changes {changes}" if changes else ""
     match drag.finding:
         case DragFinding.SEEN if row is not None and row.verdict is Determinacy.UNDETERMINED:
             return f"{_FINDINGS[drag.finding]}{moved}.".replace("-", "−")
         case DragFinding.SEEN:
             drag_text = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
-        case DragFinding.OPEN if _by_the_data(drag):
-            counted = "part of every uncertainty" if fitted else "in no uncertainty (fit.drag = vacuum)"
+        case DragFinding.OPEN if _is_determined_by_data(drag):
+            place = "part of every uncertainty" if fitted else "in no uncertainty (fit.drag = vacuum)"
             return (
                 f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "
-                f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is {counted}{moved}."
+                f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is {place}{moved}."
             ).replace("-", "−")
         case DragFinding.OPEN if drag.known_s is not None:
             drag_text = (
@@ -369,7 +357,7 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
     return f"{_FINDINGS[drag.finding]}: {drag_text}.".replace("-", "−")
 
 
-def _by_the_data(drag: Drag) -> bool:
+def _is_determined_by_data(drag: Drag) -> bool:
     """Whether the data determine the drag better than its prior does."""
     u_s = drag.of_data_s.standard_uncertainty
     return isfinite(drag.upper_95_s) and (drag.known_s is None or u_s < drag.known_s.standard_uncertainty)
@@ -377,12 +365,11 @@ def _by_the_data(drag: Drag) -> bool:
 
 def decay_lines(results: RunResults) -> list[str]:
     """Lines on period, decrement, quality factor and damping of a decay, as far as they are known."""
-    names = ("mean_period_s", "log_decrement", "quality_factor")
-    rows = [row for row in results.table if row.fit == DECAY and row.quantity in names]
-    shown_names = {"mean_period_s": "period"}
+    names = {"mean_period_s": "period", "log_decrement": "", "quality_factor": ""}
     lines = [
-        f"{shown_names.get(row.quantity, row.shown.symbol)} {row.text} {row.shown.unit}".rstrip()
-        for row in rows
+        f"{names[row.quantity] or row.shown.symbol} {row.text} {row.shown.unit}".rstrip()
+        for row in results.table
+        if row.fit == DECAY and row.quantity in names
     ]
     if results.damping is not None:
         lines += results.damping.lines(results.amplitude_unit or "")

@@ -1,13 +1,12 @@
-"""Arrays and states among a run's results: turning points, position errors, beam and clock.
+"""Parts of a run's results: turning points, position errors, beam and clock, place in a table.
 
 Field names are keys of results.json; see `rig.analysis.results`.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from math import nan
+from math import isfinite, nan
 from typing import Annotated, Self
 
 import numpy as np
@@ -30,29 +29,29 @@ class TableUnit(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredTurningPoints:
-    """Turning points of the fit, and half-cycles that were left out of it.
-
-    Times are in true seconds from `first_ns`, the record's time of the first turning point. Amplitudes are
-    in `unit`; for a table without an angle, in its `amplitude_unit`. `left_out_flags` are those of
-    `processing.swing.HalfCycleFlag`.
-    """
+    """Turning points of the fit, and half-cycles that were left out of it."""
 
     first_ns: int = 0
+    """The record's time of the first turning point."""
     unit: DeflectionUnit | TableUnit = DeflectionUnit.RAD
+    """Unit of the amplitudes."""
     index: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    """Numbers of the half-cycles."""
     time_s: Floats = field(default_factory=lambda: np.empty(0))
+    """Times in true seconds since `first_ns`."""
     u_time_s: Floats = field(default_factory=lambda: np.empty(0))
     amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
     u_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
     left_out_time_s: Floats = field(default_factory=lambda: np.empty(0))
     left_out_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
     left_out_flags: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    """Flags, those of `processing.swing.HalfCycleFlag`."""
 
     def __post_init__(self) -> None:
         fitted = (self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
         left_out = (self.left_out_time_s, self.left_out_amplitude, self.left_out_flags)
         if len(set(map(len, fitted))) > 1 or len(set(map(len, left_out))) > 1:
-            raise ValueError("columns of equal length")
+            raise ValueError("columns of equal length are needed")
 
     @classmethod
     def of(
@@ -63,13 +62,13 @@ class StoredTurningPoints:
         clock_rate: float,
     ) -> "StoredTurningPoints":
         """The `points` of the half-cycles, and those left out; `clock_rate` is true seconds a second."""
-        fallback_ns = half_cycles[0].turn_time_ns if half_cycles else 0
-        first_ns = next((h.turn_time_ns for h in half_cycles if h.flags == 0), fallback_ns)
         left_out = [h for h in half_cycles if h.flags]
+        first = next((h for h in half_cycles if not h.flags), left_out[0] if left_out else None)
+        first_ns = 0 if first is None else first.turn_time_ns
         return cls(
             first_ns=first_ns,
             unit=unit,
-            **{column.name: getattr(points, column.name) for column in fields(points)},
+            **{item.name: getattr(points, item.name) for item in fields(points)},
             left_out_time_s=np.array([seconds(h.turn_time_ns - first_ns) * clock_rate for h in left_out]),
             left_out_amplitude=np.array([h.amplitude for h in left_out]),
             left_out_flags=np.array([h.flags for h in left_out], dtype=np.int64),
@@ -78,27 +77,27 @@ class StoredTurningPoints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionErrors:
-    """Fixed-pattern position errors of the sensor, by the run itself; they were subtracted before the fits.
-
-    `place` are true deflections along the slow axis, `error` the excess of the measured ones there, `u_error`
-    its standard uncertainty apart from a constant and a scale, which no swing shows; all in `unit`.
-    `correlation_length` is the distance over which the error changes, `significance` the score for it in
-    standard deviations, from `cycles` whole cycles. `noise_scale` is the scatter of the remainder over the
-    uncertainties of the samples.
-    """
+    """Fixed-pattern position errors of the sensor, by the run itself; they are subtracted before the fits."""
 
     unit: DeflectionUnit = DeflectionUnit.RAD
     place: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    """True deflections along the slow axis."""
     error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    """Measured less true deflections."""
     u_error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
-    correlation_length: Annotated[float, IN_UNIT] = float("nan")
-    significance: float = float("nan")
+    """Standard uncertainty of `error` apart from a constant and a scale, which no swing shows."""
+    correlation_length: Annotated[float, IN_UNIT] = nan
+    """Distance over which the error changes."""
+    significance: float = nan
+    """Score of the error in standard deviations."""
     cycles: int = 0
-    noise_scale: float = float("nan")
+    """Number of whole cycles that were used."""
+    noise_scale: float = nan
+    """Scatter of the residuals over the uncertainties of the samples."""
 
     def __post_init__(self) -> None:
         if len({len(self.place), len(self.error), len(self.u_error)}) > 1:
-            raise ValueError("columns of equal length")
+            raise ValueError("columns of equal length are needed")
 
     @classmethod
     def of(cls, position_map: PositionMap, unit: DeflectionUnit) -> "PositionErrors":
@@ -128,17 +127,18 @@ class PositionErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableDecay:
-    """Place of a decay in a table: times of its first and last turning point, from the table's first row.
-
-    `run` is the name of its run, if the file contains several. `columns` are those of its positions.
-    `session` are sample, its history, operator and notes by the configuration.
-    """
+    """Place of a decay in a table."""
 
     began_s: float = nan
+    """Time of the first turning point since the table's first row."""
     ended_s: float = nan
+    """Time of the last turning point since the table's first row."""
     run: str = ""
+    """Name of the run, if the file contains several."""
     columns: tuple[str, ...] = ()
+    """Columns of the positions."""
     session: Mapping[str, str] = field(default_factory=dict)
+    """Sample, its history, operator and notes, by the configuration."""
 
     def overlaps(self, other: "TableDecay") -> bool:
         """Whether both decays of one file have a stretch of one run and a column in common."""
@@ -153,23 +153,25 @@ _MODEL_FLAGS = SpotFlag.MULTIPLE | SpotFlag.LEARNED
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beam:
-    """The beam of a run, by the models and flags of its spots.
-
-    `model` is the model in use at the end, `since_frame` the number of the first frame fitted with it,
-    `changes` how often the model changed after the first choice. `flags` are the numbers of spots with each
-    flag, without zeros. POOR_FIT is judged on the `judged_frames` spots after `choosing_frames`, from which
-    the profile was learned; `poor_fit_frames` of them have it, and `likely_cause` is the most likely reason.
-    """
+    """The beam of a run, by the models and flags of its spots."""
 
     model: str = ""
+    """The model of the spot in use at the end."""
     since_frame: int = -1
+    """Number of the first frame that was fitted with this model."""
     changes: int = 0
+    """Number of changes of the model after the first choice."""
     flags: Mapping[str, int] = field(default_factory=dict)
+    """Number of spots with each flag, without zeros."""
     choosing_frames: int = 0
+    """Number of frames at the beginning from which the profile was learned."""
     judged_frames: int = 0
+    """Number of later spots, on which POOR_FIT is judged."""
     poor_fit_frames: int = 0
+    """Number of these with POOR_FIT."""
     poor_fit_fraction: float = nan
     likely_cause: str = ""
+    """The most likely reason of POOR_FIT."""
     remedy: str = ""
 
     @classmethod
@@ -191,18 +193,18 @@ class Beam:
 
     @property
     def sentence(self) -> str:
-        """`Beam: learned profile since frame 147; POOR_FIT 147 (before it was learned).`"""
+        """A sentence such as `Beam: learned profile since frame 147; spots with POOR_FIT 12.`"""
         if not self.model:
             return "Beam: no spot was found."
         only_at_first = self.choosing_frames > 0 and not self.poor_fit_frames
-        flagged = [
+        counts = [
             f"{name} {count}" + (" (while it was learned)" if name == "POOR_FIT" and only_at_first else "")
             for name, count in self.flags.items()
             if not SpotFlag[name] & _MODEL_FLAGS
         ]
-        changed = f", after {self.changes} changes" if self.changes else ""
-        flags = f"spots with {', '.join(flagged)}" if flagged else "no spot is flagged as faulty"
-        return f"Beam: {self.model} since frame {self.since_frame}{changed}; {flags}."
+        changes = f", after {self.changes} changes" if self.changes else ""
+        flags = f"spots with {', '.join(counts)}" if counts else "no spot is flagged as faulty"
+        return f"Beam: {self.model} since frame {self.since_frame}{changes}; {flags}."
 
 
 def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
@@ -236,20 +238,19 @@ def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunClock:
-    """The clock of a run.
-
-    `drift_ppm` is the camera's rate against the computer's, less 1; NaN if unknown. `u_rate` is the relative
-    uncertainty of the run's second, as in the budget: of the calibrated rate or, without a calibration, of
-    the assumed ideal one. It includes `u_steps_s`, the uncertainty of all steps together. `steps` were
-    subtracted from the times, the largest is `largest_step_s`.
-    """
+    """The clock of a run."""
 
     drift_ppm: Annotated[float, Quantity("clock drift", "rate of the camera's clock against the computer's")]
+    """Rate of the camera's clock against the computer's, less 1; NaN if unknown."""
     u_drift_ppm: float
     u_rate: Annotated[float, Quantity("u(clock)", "standard uncertainty of the run's second, relative")]
+    """Relative standard uncertainty of the run's second, as in the budget: that of the calibrated rate or,
+    without a calibration, of the assumed ideal one. It includes `u_steps_s`."""
     steps: int = 0
+    """Number of steps that were subtracted from the times."""
     largest_step_s: Annotated[float, Quantity("step", "largest step of the camera's clock")] = 0.0
     u_steps_s: float = 0.0
+    """Standard uncertainty of all steps together."""
     synchronised: bool = False
 
     @property
@@ -257,8 +258,8 @@ class RunClock:
         """The clock in one line."""
         from rig.instrument import rate_text
 
-        known = math.isfinite(self.drift_ppm)
-        rate = rate_text(self.drift_ppm, self.u_drift_ppm) if known else "rate unknown"
+        is_known = isfinite(self.drift_ppm)
+        rate = rate_text(self.drift_ppm, self.u_drift_ppm) if is_known else "rate unknown"
         times = "once" if self.steps == 1 else f"{self.steps} times, at most"
-        stepped = f", stepped {times} by {self.largest_step_s:+.4g} s" if self.steps else ""
-        return f"{rate}, second within {1e6 * self.u_rate:.2g} ppm{stepped}"
+        steps = f", stepped {times} by {self.largest_step_s:+.4g} s" if self.steps else ""
+        return f"{rate}, second within {1e6 * self.u_rate:.2g} ppm{steps}"

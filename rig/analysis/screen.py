@@ -30,39 +30,40 @@ logger = logging.getLogger(__name__)
 def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) -> None:
     """Print the runs, then the written `paths` with names of their contents.
 
-    Several fitted runs have one combined table, and each run only its faults. A single run has the exact fit
-    with the whole budget, its limits and the steps against them. With INFO enabled for this logger
-    (``rig -v``), every run has both fits with the half-cycles' own uncertainties, their quality, all remarks.
+    Several fitted runs have one combined table, and each run only its problems. A single run has its exact
+    fit, with the whole budget and advice on what would reduce the uncertainty. With INFO enabled for this
+    logger (``rig -v``), every run has both fits, with the half-cycles' own uncertainties, their quality, and
+    all remarks.
     """
     answer(results=partial(encoded, results), written=[path for _, path in paths])
     combined = combined_table(results)
     short = combined is not None and not logger.isEnabledFor(logging.INFO)
     for number, run in zip(results.numbers, results.runs, strict=True):
         origin = "SIMULATED run" if run.simulated else "run"
-        head = (
-            f"{origin} {number}: {run.half_cycles_text(run.amplitude_unit or '')}, {run.frames} frames, "
-            f"{run.dropped_frames} dropped"
+        heading = (
+            f"{origin} {number}: {run.half_cycles_text()}, {run.frames} frames, {run.dropped_frames} dropped"
         )
         lines = [] if run.ended is None else [f"ended: {run.ended}"]
-        # where a law is fitted, its tables say more
+        # tables of a fit say the same and more
         lines += [] if run.fits or run.instrument is not None else decay_lines(run)
-        print_run(run, head, lines, short=short)
+        print_run(run, heading, lines, short=short)
     if combined is not None:
         print_tables([combined])
     if not logger.isEnabledFor(logging.INFO) and any(run.fits for run in results.runs):
         print_line("  -v, and the report, show both fits of every run, their quality, and more remarks")
     print_series(results.series)
     for name, path in paths:
+        # without the wrapping of print_line, which would cut a path
         print(f"{name:<12} {path}")
 
 
-def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: bool = False) -> None:
-    """Print one run: its head, `lines` of its own, tables of the fits, remarks, conditions and warnings.
+def print_run(run: RunResults, heading: str, lines: Sequence[str] = (), *, short: bool = False) -> None:
+    """Print one run: heading, `lines` of its own, tables of the fits, remarks, conditions and warnings.
 
     `short` leaves out tables of the fits and remarks.
     """
     full = logger.isEnabledFor(logging.INFO)
-    print_line(head)
+    print_line(heading)
     for line in lines:
         print_line(f"  {line}")
     if run.problem:
@@ -75,15 +76,16 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
     if run.laws is not None:
         print_tables([law_table(run.laws)])
         print_line(f"  {run.laws.verdict}")
-    wanted = [RemarkLevel.RESULT, RemarkLevel.DETAIL if full else RemarkLevel.ADVICE] if not short else []
-    lines = [*(run.instrument.text if run.instrument else ())]
-    lines += [row.line for row in remark_rows(run, *wanted, RemarkLevel.CONDITION)]
-    others = [RemarkLevel.WARNING, *([RemarkLevel.OF_OTHER_FIT] if full else [])]
-    for line in (*lines, *(f"note: {row.text}" for row in remark_rows(run, *others))):
+    levels = [RemarkLevel.RESULT, RemarkLevel.DETAIL if full else RemarkLevel.ADVICE] if not short else []
+    remark_lines = [*(run.instrument.text if run.instrument else ())]
+    remark_lines += [row.line for row in remark_rows(run, *levels, RemarkLevel.CONDITION)]
+    warning_levels = [RemarkLevel.WARNING, *([RemarkLevel.OTHER_FIT] if full else [])]
+    remark_lines += [f"note: {row.text}" for row in remark_rows(run, *warning_levels)]
+    for line in remark_lines:
         print_line(f"  {line}")
 
 
-_FLAGS = {
+_FLAG_TEXTS = {
     HalfCycleFlag.GAP: "with too few samples around it",
     HalfCycleFlag.VIBRATION: "disturbed",
     HalfCycleFlag.LOW_AMPLITUDE: "too small",
@@ -106,36 +108,31 @@ def print_table(path: Path, table: AnalysedTable) -> None:
     print_line(
         f"  noise of a sample {table.noise:.3g} {trajectory.unit}, from the scatter about a smooth curve"
     )
-    for part in table.passed_over:
+    for half_cycles in table.short_decays:
         print_line(
-            f"  from {seconds(part[0].turn_time_ns):.4g} s on: {len(turning_points(part))} usable "
-            f"half-cycles of {len(part)}, too few for a decay"
+            f"  from {seconds(half_cycles[0].turn_time_ns):.4g} s on: {len(turning_points(half_cycles))} "
+            f"usable half-cycles of {len(half_cycles)}, too few for a decay"
         )
-    for number, decay in enumerate(table.runs, start=1):
-        _print_decay(number, decay)
+    for number, run in enumerate(table.runs, start=1):
+        _print_decay(number, run, run.decay or TableDecay())
     print_series(table.series)
 
 
 def print_series(series: Series | None) -> None:
-    """Print the comparison of the places on a sample, of another instrument."""
+    """Print the comparison of places on a sample, by another kind of pendulum; else nothing."""
     if series is not None and series.instrument is not None:
         print_tables([instrument_series_table(series.instrument)])
         for line in series.instrument.lines:
             print_line(line)
 
 
-def _print_decay(number: int, decay: AnalysedRun) -> None:
-    usable = len(turning_points(decay.swings))
-    place, (first, last) = decay.decay or TableDecay(), decay.amplitudes
-    head = (
-        f"decay {number}, {place.began_s:.4g} to {place.ended_s:.4g} s: {usable} half-cycles "
-        f"({len(decay.swings) - usable} more flagged and left out{_reasons(decay)}), "
-        f"amplitude {first:.4g} to {last:.4g} {decay.amplitude_unit}"
+def _print_decay(number: int, run: AnalysedRun, decay: TableDecay) -> None:
+    usable, (first, last) = len(turning_points(run.swings)), run.amplitudes
+    counts = Counter(text for swing in run.swings for flag, text in _FLAG_TEXTS.items() if swing.flags & flag)
+    reasons = ", ".join(f"{count} {text}" for text, count in counts.most_common())
+    heading = (
+        f"decay {number}, {decay.began_s:.4g} to {decay.ended_s:.4g} s: {usable} half-cycles "
+        f"({len(run.swings) - usable} more flagged and left out{reasons and f': {reasons}'}), "
+        f"amplitude {first:.4g} to {last:.4g} {run.amplitude_unit}"
     )
-    print_run(decay, head, decay_lines(decay))
-
-
-def _reasons(decay: AnalysedRun) -> str:
-    """Flags of the half-cycles that are left out, with their numbers, the most frequent first."""
-    counts = Counter(name for swing in decay.swings for flag, name in _FLAGS.items() if swing.flags & flag)
-    return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))
+    print_run(run, heading, decay_lines(run))

@@ -1,4 +1,4 @@
-"""Several runs: a series of one contact pair, or places on a sample against a reference; their results."""
+"""Results of several runs: the series of one contact pair, or places on a sample against a reference."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,14 +23,7 @@ from processing.fit import (
     budgets,
     drift_effects,
 )
-from processing.instruments import (
-    Check,
-    Description,
-    ValueWithSharedErrors,
-    check,
-    over_places,
-    ratio,
-)
+from processing.instruments import ValueWithSharedErrors, check, over_places, ratio
 from processing.series import CombinedValue, SeriesResult, combine_runs
 from processing.swing import HalfCycle
 from rig.analysis.decay_values import InstrumentSeries
@@ -45,25 +38,25 @@ _PLANE: Final = "plane_of_swing_rad"
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class AnalysedRun(RunResults):
-    """The results of one run, with what a series of runs needs in addition and no file holds.
-
-    `path` is the file that was analysed, `swings` are the half-cycles that were detected in a table, `fitted`
-    the fits whose numbers are in the results. `reduction` is None unless another pendulum than that of the
-    contact's laws, `rig` is None without [pendulum].
-    """
+    """The results of one run, with values for a series of runs that are in no file."""
 
     path: Path
+    """The file that was analysed."""
     swings: Sequence[HalfCycle] = ()
+    """Half-cycles that were detected in a table."""
     fitted: Mapping[str, FitResult] = field(default_factory=dict)
+    """The fits whose numbers are in the results."""
     rig: RigQuantities | None = None
+    """The apparatus with its uncertainties; None without [pendulum]."""
     reduction: Reduction | None = None
+    """Results of another kind of pendulum, for which no contact law is fitted; else None."""
 
 
 def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
-    """The series of the fitted runs; None for fewer than two. `problems` names what cannot be combined.
+    """The series of the fitted runs; None for fewer than two.
 
-    The apparatus is the first run's. Lines of the runs' budgets for row time, film and plane of swing become
-    the series' own.
+    The apparatus is the first run's. The runs' budget lines for row time, common amplitude error and plane of
+    swing become lines of the series.
     """
     numbers = [number for number, run in enumerate(runs, start=1) if run.fitted]
     fitted = [runs[number - 1] for number in numbers]
@@ -77,45 +70,50 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
             combined[method] = combine_runs([run.fitted[method] for run in fitted])
         except DataError as error:
             problems.append(f"{method}: {error}")
-    default = combined.get(FitMethod.EXACT)
-    measured, rig = None if default is None else default.combined, fitted[0].rig
+    exact = combined.get(FitMethod.EXACT)
+    measured, rig = None if exact is None else exact.measured, fitted[0].rig
     if measured is not None:
         try:
-            exact = [LinearisedFit.of(run.points, pendulum, run.fitted[FitMethod.EXACT]) for run in fitted]
-            drifts = [drift_effects(fit) for fit in exact]
-            # all runs have them alike
-            by_drifts = {name: np.mean([one[name] for one in drifts], axis=0) for name in DRIFTS}
+            fits = [LinearisedFit.of(run.points, pendulum, run.fitted[FitMethod.EXACT]) for run in fitted]
+            drifts = [drift_effects(fit) for fit in fits]
+            # the effects of drifts are the same for all runs
+            by_drifts = {name: np.mean([effects[name] for effects in drifts], axis=0) for name in DRIFTS}
             measured = replace(measured, by_inputs=by_drifts)
         except DataError as error:
             problems.append(f"the budget has no lines for drifts: {error}")
-    of_runs = [run.budget for run in fitted]
-    if measured is not None and rig is not None and all(of_runs):
-        measured, rig = _with_run_sources(of_runs, measured, rig)
+    run_budgets = [run.budget for run in fitted]
+    if measured is not None and rig is not None and all(run_budgets):
+        measured, rig = _with_run_sources(run_budgets, measured, rig)
     budget = budgets(measured, rig) if measured and rig else {}
-    names = () if default is None else default.parameters
-    rows = {name: [run.rows[name] for run in fitted] for name in names}
-    table = () if default is None else series_rows(default.parameters, budget, pendulum, rows)
+    parameters = {} if exact is None else exact.parameters
+    rows = {name: [run.rows[name] for run in fitted] for name in parameters}
+    table = series_rows(parameters, budget, pendulum, rows) if parameters else ()
     return Series(
         runs=len(fitted),
         combined_runs=tuple(numbers),
-        fits={method: _with_means(found.parameters, table) for method, found in combined.items()},
+        fits={method: _without_limited_means(fit.parameters, table) for method, fit in combined.items()},
         table=table,
         budget=withheld(budget, table),
         disagreements=tuple(
-            replace(each, run=numbers[each.run - 1]) for each in (default.disagreements if default else ())
+            replace(item, run=numbers[item.run - 1]) for item in (exact.disagreements if exact else ())
         ),
         problems=tuple(problems),
     )
 
 
-def _with_means(
+def _without_limited_means(
     combined: Mapping[str, CombinedValue], table: Sequence[ResultRow]
 ) -> dict[str, CombinedValue]:
-    """The parameters over runs; those that the runs only limit have no mean by any method."""
+    """The combined parameters, in which one that the runs only limit has no mean by any method."""
     limited = {row.quantity for row in table if row.by_profile}
-    none = CombinedValue(value=nan, standard_uncertainty=nan, by_air=nan)
     return {
-        name: replace(none, degrees_of_freedom=item.degrees_of_freedom, runs=item.runs)
+        name: CombinedValue(
+            value=nan,
+            standard_uncertainty=nan,
+            by_air=nan,
+            degrees_of_freedom=item.degrees_of_freedom,
+            runs=item.runs,
+        )
         if name in limited
         else item
         for name, item in combined.items()
@@ -123,53 +121,54 @@ def _with_means(
 
 
 def _with_run_sources(
-    of_runs: Sequence[Mapping[str, Budget]], measured: FitResult, rig: RigQuantities
+    run_budgets: Sequence[Mapping[str, Budget]], measured: FitResult, rig: RigQuantities
 ) -> tuple[FitResult, RigQuantities]:
-    """The series with sources of its runs' budgets: row time and film, which runs share, and plane of swing.
+    """The series with sources of its runs' budgets: shared row time and amplitude error, and plane of swing.
 
-    The turning of a plane is each run's own and falls in the mean; the angle between the axes is common to
-    all runs and does not.
+    The rotation of the plane of swing is independent in each run and averages down; the non-orthogonality of
+    the axes is common to all runs and does not.
     """
     by_inputs = dict(measured.by_inputs)
     for source in ("row_time_s", "common_amplitude_rad"):
         if (u := rig.inputs()[source].u) > 0:
-            by_inputs[source] = _source_changes(of_runs, measured.names, source).mean(axis=0) / u
-    moved = _source_changes(of_runs, measured.names, _PLANE)
-    size = np.linalg.norm(moved, axis=0) / len(moved)
+            by_inputs[source] = _source_changes(run_budgets, measured.names, source).mean(axis=0) / u
+    changes = _source_changes(run_budgets, measured.names, _PLANE)
+    magnitude = np.linalg.norm(changes, axis=0) / len(changes)
     if rig.non_orthogonality_rad.u > 0:
-        size = np.abs(moved).mean(axis=0)
-    if np.any(size > 0):
-        first = moved[np.flatnonzero(np.any(moved != 0.0, axis=1))[0]]
-        u_rad = max(line.u_source for lines in of_runs for line in _lines(lines, measured.names, _PLANE))
-        by_inputs[_PLANE] = np.copysign(size, first) / u_rad
+        magnitude = np.abs(changes).mean(axis=0)
+    if np.any(magnitude > 0):
+        first = changes[np.flatnonzero(np.any(changes != 0.0, axis=1))[0]]
+        u_rad = max(
+            line.u_source for budget in run_budgets for line in _lines(budget, measured.names, _PLANE)
+        )
+        by_inputs[_PLANE] = np.copysign(magnitude, first) / u_rad
         rig = replace(rig, plane_of_swing_rad=InputQuantity(0.0, u_rad))
     return replace(measured, by_inputs=by_inputs), rig
 
 
-def _source_changes(of_runs: Sequence[Mapping[str, Budget]], names: Sequence[str], source: str) -> Floats:
+def _source_changes(run_budgets: Sequence[Mapping[str, Budget]], names: Sequence[str], source: str) -> Floats:
     """Changes (runs, parameters) by one standard uncertainty of a source; 0 where a run has no such line."""
-    return np.array(
-        [
-            [sum(one.sensitivity * one.u_source for one in _lines(lines, [name], source)) for name in names]
-            for lines in of_runs
-        ],
-        dtype=np.float64,
-    )
+    changes = [
+        [sum(line.sensitivity * line.u_source for line in _lines(budget, [name], source)) for name in names]
+        for budget in run_budgets
+    ]
+    return np.array(changes, dtype=np.float64)
 
 
-def _lines(lines: Mapping[str, Budget], names: Sequence[str], source: str) -> list[BudgetSource]:
-    return [one for name in names if name in lines for one in lines[name].sources if one.source == source]
+def _lines(budget: Mapping[str, Budget], names: Sequence[str], source: str) -> list[BudgetSource]:
+    sources = (line for name in names if name in budget for line in budget[name].sources)
+    return [line for line in sources if line.source == source]
 
 
-_Readings = Sequence[Mapping[str, ValueWithSharedErrors]]
-_NumberedReadings = Sequence[tuple[int, Mapping[str, ValueWithSharedErrors]]]
+_Reading = Mapping[str, ValueWithSharedErrors]
+"""Values of a run that a series compares; empty if it has none."""
 
 
-def _mean(readings: _Readings, name: str) -> ValueWithSharedErrors:
-    return over_places([one[name] for one in readings])[0]
+def _mean(readings: Sequence[_Reading], name: str) -> ValueWithSharedErrors:
+    return over_places([reading[name] for reading in readings])[0]
 
 
-def _reference(settings: InstrumentSettings, glass: _Readings) -> ValueWithSharedErrors | None:
+def _reference(settings: InstrumentSettings, glass: Sequence[_Reading]) -> ValueWithSharedErrors | None:
     if glass:
         return _mean(glass, "time_s")
     if settings.reference_time_s is not None and not settings.reference_runs:
@@ -177,40 +176,26 @@ def _reference(settings: InstrumentSettings, glass: _Readings) -> ValueWithShare
     return None
 
 
-def _reference_fault(settings: InstrumentSettings, numbered: _NumberedReadings) -> str:
+def _reference_problem(settings: InstrumentSettings, numbered: Sequence[tuple[int, _Reading]]) -> str:
     """Problem of the stated reference; empty if it has none."""
     stated = f"instrument.reference_runs = {list(settings.reference_runs)}"
-    there = list(dict.fromkeys(number for number, _ in numbered))
-    if absent := [number for number in settings.reference_runs if number not in there]:
-        return f"{stated}: there is no run {absent[0]}, only {', '.join(map(str, there))}"
-    if failed := [number for number, one in numbered if number in settings.reference_runs and not one]:
-        return f"{stated}: run {failed[0]} has no damping time, as its own line says"
+    numbers = list(dict.fromkeys(number for number, _ in numbered))
+    if absent := [number for number in settings.reference_runs if number not in numbers]:
+        return f"{stated}: there is no run {absent[0]}, only {', '.join(map(str, numbers))}"
+    if failed := [
+        number for number, reading in numbered if number in settings.reference_runs and not reading
+    ]:
+        return f"{stated}: run {failed[0]} has no damping time; see the line of that run"
     if not settings.reference_runs and settings.reference_time_s is None:
         return (
-            "no reference was measured, which instrument.reference_runs names by its runs, or "
-            "instrument.reference_time_s by its time"
+            "no reference was measured: state its runs (instrument.reference_runs) or its damping time "
+            "(instrument.reference_time_s)"
         )
     return ""
 
 
-def _acceptance(description: Description, glass: _Readings) -> tuple[Check, ...]:
-    """Checks of the apparatus on glass against the standard."""
-    wanted = (
-        ("period on glass", "period_s", description.period_s),
-        ("damping time on glass", "time_s", description.glass_time_s),
-    )
-    return tuple(
-        check(name, _mean(glass, key).estimate, limits, "s")
-        for name, key, limits in wanted
-        if limits is not None
-    )
-
-
 def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
-    """Results of one or more runs for a file; records are named relative to its folder.
-
-    Raises ConfigurationError for a changed key that no fit has used.
-    """
+    """Results of one or more runs for a file; records are named relative to its folder."""
     return SessionResults(
         runs=tuple(replace(run, record=relative_record(run.path, folder)) for run in runs),
         series=instrument_series(runs) if any(run.reduction for run in runs) else fitted_series(runs),
@@ -218,34 +203,46 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
 
 
 def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) -> Series | None:
-    """The series of runs of another instrument: places on the sample compared with the reference.
+    """The series of runs of another kind of pendulum: places on the sample compared with the reference.
 
-    None where no run is of such an instrument, or its kind has no such comparison. `numbers` are those by
-    which `reference_runs` names the runs, by default their places from 1. Several decays of one run have its
-    number.
+    It is None where no run is of such a pendulum, or its kind has no such comparison. `numbers` are those by
+    which `reference_runs` names the runs, by default 1, 2, ... in the order of `runs`. Several decays of one
+    run have its number.
     """
-    reduced = [run.reduction for run in runs if run.reduction is not None]
-    if not reduced or reduced[0].description.report not in ("damping", "decay"):
+    reduced = [
+        (number, run.reduction)
+        for number, run in zip(numbers or range(1, len(runs) + 1), runs, strict=True)
+        if run.reduction is not None
+    ]
+    if not reduced or reduced[0][1].description.report not in ("damping", "decay"):
         return None
-    kept = [number for number, run in zip(numbers, runs, strict=False) if run.reduction is not None]
-    numbered = list(zip(kept or range(1, len(reduced) + 1), (run.readings for run in reduced), strict=True))
-    compared = _compared_places(reduced[0].settings, numbered)
-    return Series(runs=len(reduced), instrument=compared)
+    numbered = [(number, reduction.readings) for number, reduction in reduced]
+    return Series(runs=len(reduced), instrument=_compared_places(reduced[0][1].settings, numbered))
 
 
-def _compared_places(settings: InstrumentSettings, numbered: _NumberedReadings) -> InstrumentSeries:
+def _compared_places(
+    settings: InstrumentSettings, numbered: Sequence[tuple[int, _Reading]]
+) -> InstrumentSeries:
     description = settings.description()
-    places = [one for number, one in numbered if one and number not in settings.reference_runs]
-    glass = [one for number, one in numbered if one and number in settings.reference_runs]
+    places = [reading for number, reading in numbered if reading and number not in settings.reference_runs]
+    glass = [reading for number, reading in numbered if reading and number in settings.reference_runs]
     values: dict[str, Any] = {"kind": description.kind}
     if places:
-        values |= {name: over_places([one[name] for one in places])[1] for name in ("time_s", "swings")}
-    reference, problem = _reference(settings, glass), _reference_fault(settings, numbered)
+        values |= {name: over_places([item[name] for item in places])[1] for name in ("time_s", "swings")}
+    reference, problem = _reference(settings, glass), _reference_problem(settings, numbered)
     if reference is None:
         return InstrumentSeries(**values, problem=f"{problem}: no ratio")
     values |= {"reference_time_s": reference.estimate, "problem": problem or None}
     if glass:
-        values["acceptance"] = _acceptance(description, glass)
+        standard = (
+            ("period on glass", "period_s", description.period_s),
+            ("damping time on glass", "time_s", description.glass_time_s),
+        )
+        values["acceptance"] = tuple(
+            check(name, _mean(glass, key).estimate, limits, "s")
+            for name, key, limits in standard
+            if limits is not None
+        )
         values["text"] = (f"note: {description.note}",) if description.note else ()
     if places:
         values["ratio"] = ratio(_mean(places, "time_s"), reference)
@@ -255,7 +252,7 @@ def _compared_places(settings: InstrumentSettings, numbered: _NumberedReadings) 
 
 
 def refuse_copies(paths: Sequence[Path]) -> None:
-    """Raise ConfigurationError where two records are the same run: one was copied."""
+    """Raise ConfigurationError where two records hold the same run, since one was copied."""
     first: dict[str, Path] = {}
     for path in paths if len(paths) > 1 else ():
         if path.is_file() and (other := first.setdefault(sha256_of(path), path)) is not path:

@@ -1,4 +1,4 @@
-"""Decays whose plane of swing turns: deflections turned back, and the uncertainty of that."""
+"""Decays whose plane of swing turns: deflections are turned back, with the uncertainty of the angle."""
 
 import math
 from collections.abc import Sequence
@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration import Axes
-from processing.arrays import Floats
+from processing.arrays import Floats, Ints
 from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, rotate, square_axes
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections
@@ -24,36 +23,35 @@ MAX_NEGLECTED_CHANGE_U: Final = 0.05
 """Largest change of any parameter of a fit, in standard uncertainties, by a rotation that is neglected."""
 _FIRST_BALANCES: Final = 10
 """Number of balances at the beginning, where the fast mode is largest."""
-_SAMPLES_PER_PERIOD: Final = 100
-"""Least number of samples of a slow period, where there are as many, that make its balance."""
+_MIN_SAMPLES_PER_PERIOD: Final = 100
+"""Fewest samples of a slow period that make its balance, where the period has as many."""
 _PER_MIN: Final = 60.0 / DEGREE_RAD
 
 
 @dataclass(frozen=True)
 class FollowedPlane:
-    """Half-cycles and deflections of a decay in its plane of swing.
-
-    `plane` is None where the decay shows none: too short, or along one axis alone. `is_turned` is whether
-    half-cycles and deflections were turned: onto the line of the motion if `along_line`, else by the angle of
-    the plane since the start. `balances` are those of the decay in the original deflections, `axes` the
-    pendulum's. `problem` is the reason why nothing can be fitted, empty if there is none.
-    """
+    """Half-cycles and deflections of a decay in its plane of swing."""
 
     swings: Sequence[HalfCycle]
     deflections: PassingDeflections
     balances: Sequence[Balance] = ()
+    """Balances of the decay in the original deflections."""
     plane: PlaneOfSwing | None = None
+    """The plane of swing; None where the decay shows none, being too short, or along one axis alone."""
     is_turned: bool = False
+    """Whether half-cycles and deflections were turned."""
     along_line: bool = False
+    """Whether they are turned onto the line of the motion, else by the angle of the plane since the start."""
     axes: Axes = _ORTHOGONAL_AXES
     problem: str = ""
+    """The reason why nothing can be fitted; empty if there is none."""
 
     def amplitude_errors(self, points: TurningPoints) -> Floats | None:
         """Independent errors of the amplitudes (points, terms) by the uncertain plane; None if not turned."""
         if self.plane is None or not self.is_turned:
             return None
-        times = {swing.index: swing.turn_time_ns for swing in self.swings}
-        times_ns = np.array([times.get(int(index), 0) for index in points.index], dtype=np.int64)
+        turns_ns = {swing.index: swing.turn_time_ns for swing in self.swings}
+        times_ns = np.array([turns_ns.get(int(index), 0) for index in points.index], dtype=np.int64)
         return self._errors(self.plane, times_ns, points.amplitude)
 
     @property
@@ -83,45 +81,42 @@ class FollowedPlane:
         return text.replace("-", "−")
 
     def matters(self, plane: PlaneOfSwing) -> bool:
-        """Whether half-cycles in this plane, with their uncertainties, change a fit by more than
-        `MAX_NEGLECTED_CHANGE_U`.
+        """Whether the rotation into this plane changes a fit by more than `MAX_NEGLECTED_CHANGE_U`.
 
         If amplitudes change by e_i, no parameter of a least-squares fit changes by more than
         sqrt(sum (e_i/u_i)^2) of its standard uncertainties.
         """
-        good = [swing for swing in self.swings if not swing.flags]
-        times_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
-        amplitude, u = np.array([(swing.amplitude, swing.u_amplitude) for swing in good]).T
+        unflagged = [swing for swing in self.swings if not swing.flags]
+        times_ns = np.array([swing.turn_time_ns for swing in unflagged], dtype=np.int64)
+        amplitude, u = np.array([(swing.amplitude, swing.u_amplitude) for swing in unflagged]).T
         angle = self.angle_rad(plane, times_ns)
         shifts = amplitude * (1.0 - np.cos(angle) + self._motion_across(plane) * np.abs(np.sin(angle)))
         shifts2 = shifts**2 + np.sum(self._errors(plane, times_ns, amplitude) ** 2, axis=1)
         return bool(math.sqrt(float(np.sum(shifts2 / u**2))) > MAX_NEGLECTED_CHANGE_U)
 
-    def angle_rad(self, plane: PlaneOfSwing, times_ns: NDArray[np.int64]) -> Floats:
+    def angle_rad(self, plane: PlaneOfSwing, times_ns: Ints) -> Floats:
         """Angles (n,) by which deflections in this plane are turned back."""
         return plane.direction_rad(times_ns) if self.along_line else plane.turned_rad(times_ns)
 
-    def _errors(self, plane: PlaneOfSwing, times_ns: NDArray[np.int64], amplitude: Floats) -> Floats:
+    def _errors(self, plane: PlaneOfSwing, times_ns: Ints, amplitude: Floats) -> Floats:
         """Errors of amplitudes (n, terms), each by one standard uncertainty of the plane's curve or the axes.
 
         An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where
         the angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta).
         """
-        of_curve = plane.u_direction_rad(times_ns) if self.along_line else plane.u_turned_rad(times_ns)
-        half = 0.5 * np.linalg.norm(of_curve, axis=1)
+        u_curve = plane.u_direction_rad(times_ns) if self.along_line else plane.u_turned_rad(times_ns)
+        half_u = 0.5 * np.linalg.norm(u_curve, axis=1)
         angle = self.angle_rad(plane, times_ns)
-        of_axes = self.axes.u_non_orthogonality_rad * np.sin(angle) * np.cos(angle)
-        columns = [of_curve * np.hypot(self._motion_across(plane), half)[:, None], of_axes[:, None]]
-        return np.asarray(amplitude[:, None] * np.column_stack(columns))
+        by_axes = self.axes.u_non_orthogonality_rad * np.sin(angle) * np.cos(angle)
+        by_curve = u_curve * np.hypot(self._motion_across(plane), half_u)[:, None]
+        return np.asarray(amplitude[:, None] * np.column_stack([by_curve, by_axes[:, None]]))
 
     def _motion_across(self, plane: PlaneOfSwing) -> float:
         """Motion across the target axis over that along it: by the tilt of the line, and by the fast mode."""
         start = np.array([plane.start_ns], dtype=np.int64)
         tilt = 0.0 if self.along_line else math.remainder(float(plane.direction_rad(start)[0]), math.pi)
-        first = [one.transverse_ratio for one in self.balances if one.time_ns >= plane.first_ns][
-            :_FIRST_BALANCES
-        ]
-        fast = float(np.median(first)) if first else 0.0
+        ratios = [balance.transverse_ratio for balance in self.balances if balance.time_ns >= plane.first_ns]
+        fast = float(np.median(ratios[:_FIRST_BALANCES])) if ratios else 0.0
         return math.hypot(min(abs(tilt), 1.0), min(fast, 1.0))
 
 
@@ -132,7 +127,7 @@ def _rate_text(plane: PlaneOfSwing) -> str:
 class PlaneBalances:
     """Balances of deflections in blocks, along axes at a right angle, for the plane of swing.
 
-    They are made of even samples of each period: all samples would reduce their noise only by a fraction.
+    A balance is made of evenly spaced samples of a period: all samples would hardly reduce its noise.
     """
 
     def __init__(self, axes: Axes | None, period_s: float) -> None:
@@ -145,7 +140,7 @@ class PlaneBalances:
         """The balances that are complete with this block, which continues the last one."""
         if not self._stride and len(block) > 1:
             step_s = float(seconds(block.times_ns[-1] - block.times_ns[0])) / (len(block) - 1)
-            self._stride = max(1, int(self._period_s / step_s / _SAMPLES_PER_PERIOD))
+            self._stride = max(1, int(self._period_s / step_s / _MIN_SAMPLES_PER_PERIOD))
         stride = max(self._stride, 1)
         sampled = block[-self._passed % stride :: stride]
         self._passed += len(block)
@@ -171,39 +166,40 @@ def follow_plane(
     swings, deflections
         Half-cycles as detected in the deflections, which pass once, or three times if they are turned.
     axes
-        The pendulum's, in which the deflections are; None: at a right angle.
+        The pendulum's axes, in which the deflections are; None: they are at a right angle.
     along_line
-        Turn onto the line of the motion itself. Otherwise the axes count as calibrated where the decay
-        begins.
+        Whether to turn onto the line of the motion itself. Otherwise the axes count as calibrated at the
+        beginning of the decay.
     balances
-        Those of the whole decay by `PlaneBalances`; None: they are made of the deflections.
+        Balances of the whole decay by `PlaneBalances`; None: they are made of the deflections.
 
     Notes
     -----
     A rotation that does not matter (`FollowedPlane.matters`) is neglected.
     """
     axes = axes or _ORTHOGONAL_AXES
-    good = [swing for swing in swings if not swing.flags]
-    if len(good) < 2:
+    unflagged = [swing for swing in swings if not swing.flags]
+    if len(unflagged) < 2:
         return FollowedPlane(swings, deflections, along_line=along_line, axes=axes)
     if balances is None:
-        estimator = PlaneBalances(axes, mean_period(turning_points(good)))
-        balances = [one for block in deflections for one in estimator.of(block)]
-    balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
-    found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
-    plane = plane_of_swing(balances, np.array([one.turn_time_ns for one in good], dtype=np.int64))
-    if plane is None or not found.matters(plane):
-        return replace(found, plane=plane)
+        estimator = PlaneBalances(axes, mean_period(turning_points(unflagged)))
+        balances = [balance for block in deflections for balance in estimator.of(block)]
+    turns_ns = np.array([swing.turn_time_ns for swing in unflagged], dtype=np.int64)
+    balances = [balance for balance in balances if turns_ns[0] <= balance.time_ns <= turns_ns[-1]]
+    plane = plane_of_swing(balances, turns_ns)
+    followed = FollowedPlane(swings, deflections, balances, plane, along_line=along_line, axes=axes)
+    if plane is None or not followed.matters(plane):
+        return followed
     if plane.doubt:
         problem = (
             f"withheld: the plane of swing turns ({_rate_text(plane)} deg/min in the mean) and "
             f"{plane.doubt}, so that amplitudes are not known; let the pendulum settle before the release "
             "(rig balance)"
         )
-        return replace(found, plane=plane, problem=problem.replace("-", "−"))
+        return replace(followed, problem=problem.replace("-", "−"))
 
-    def turned_back(block: Deflections) -> Deflections:
-        return rotate(block, found.angle_rad(plane, block.times_ns), _oblique_rad(axes))
+    def turn_back(block: Deflections) -> Deflections:
+        return rotate(block, followed.angle_rad(plane, block.times_ns), _oblique_rad(axes))
 
-    back = PassingDeflections(ChangedDeflections(deflections, turned_back), deflections.unit)
-    return replace(found, swings=half_cycles_of_blocks(back), deflections=back, plane=plane, is_turned=True)
+    turned = PassingDeflections(ChangedDeflections(deflections, turn_back), deflections.unit)
+    return replace(followed, swings=half_cycles_of_blocks(turned), deflections=turned, is_turned=True)

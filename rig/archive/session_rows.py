@@ -16,14 +16,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.quantity import DerivedQuantity, quantities_of
 from processing.units import seconds
-from rig.analysis import (
-    RunIdentity,
-    RunResults,
-    TableDecay,
-    read_results,
-    recorded_ambient,
-    results_path,
-)
+from rig.analysis import RunIdentity, RunResults, TableDecay, read_results, recorded_ambient, results_path
 
 PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
 """Parameters of the contact's laws, as far as results hold them."""
@@ -78,18 +71,16 @@ COLUMNS: Final[Mapping[str, str]] = {
 }
 SHORT_NAMES: Final[Mapping[str, str]] = {"temperature": "temperature_c", "humidity": "humidity_percent"}
 """Short names of columns, for conditions."""
-IMPORTANT: Final = ("run", "sample", "began_utc", "b", "c", "state")
+NARROW_COLUMNS: Final = ("run", "sample", "began_utc", "b", "c", "state")
 """Columns that `list` shows on a narrow terminal."""
-SHOWN: Final = (*IMPORTANT[:3], "humidity_percent", "temperature_c", "b", "p", "c", "n", "state")
+WIDE_COLUMNS: Final = (*NARROW_COLUMNS[:3], "humidity_percent", "temperature_c", "b", "p", "c", "n", "state")
 IS_SIMULATED: Final = "coalesce(camera = 'simulated rig', false)"
 """SQL expression for a run of the simulated rig."""
-
-
 Row = dict[str, Any]
 
 
 def session_rows(folder: Path) -> tuple[list[Row], list[str]]:
-    """The rows of a folder with records, results, or both, one for each record, and its flaws in lines.
+    """One row for each record of a folder, or run of its results, and lines on flaws of its files.
 
     Raises RecordError if a file cannot be read.
     """
@@ -103,10 +94,10 @@ def session_rows(folder: Path) -> tuple[list[Row], list[str]]:
         except RecordError as error:
             flaws.append(str(error))
     by_record = {folder / run.record: run for run in results if run.decay is None}
-    found = set(records_in_folder(folder))
+    records = set(records_in_folder(folder))
     # a recovered copy takes the place of its record
-    kept = {path for path in found if recovery_path(path) not in found}
-    for path in sorted(kept | (by_record.keys() - found)):
+    replaced = {path for path in records if recovery_path(path) in records}
+    for path in sorted((records - replaced) | (by_record.keys() - records)):
         run = by_record.get(path)
         name = str(path.relative_to(folder) if path.is_relative_to(folder) else path)
         row = {"run": path.stem, "record": name, "flaw": "", **_record_row(path, run)}
@@ -121,33 +112,34 @@ def session_rows(folder: Path) -> tuple[list[Row], list[str]]:
         elif run is not None:
             row |= results_row(run)
         rows.append(row | source_columns | {"results": source.name if run is not None else None})
-    for decay, identity in zip(results, identities, strict=True):
-        if decay.decay is not None:
-            rows.append(_table_row(folder, decay, identity) | source_columns | {"results": source.name})
+    for run, identity in zip(results, identities, strict=True):
+        if run.decay is not None:
+            columns = _table_row(folder, run, run.decay, identity)
+            rows.append(columns | source_columns | {"results": source.name})
     flaws += [f"{folder / row['record']}: {row['state']}: {row['flaw']}" for row in rows if row["flaw"]]
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
     return [row | {"session": session} for row in rows], flaws
 
 
-def _table_row(folder: Path, decay: RunResults, identity: RunIdentity) -> Row:
+def _table_row(folder: Path, run: RunResults, decay: TableDecay, identity: RunIdentity) -> Row:
     """The row of a decay of a table or a film."""
-    path, place = folder / decay.record, decay.decay or TableDecay()
+    path = folder / run.record
     row: Row = {
         "run": identity.name,
-        "record": decay.record,
+        "record": run.record,
         "sha256": identity.sha256,
         "record_bytes": path.stat().st_size if path.is_file() else None,
-        "duration_s": _number(place.ended_s - place.began_s),
+        "duration_s": _number(decay.ended_s - decay.began_s),
         "state": "whole",
         "flaw": "",
     }
-    row |= {name: text for name, text in place.session.items() if name != "notes"}
-    row |= decay.ambient.known() if decay.ambient is not None else {}
+    row |= {name: text for name, text in decay.session.items() if name != "notes"}
+    row |= run.ambient.known() if run.ambient is not None else {}
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
-    elif cached_sha256(path) != decay.sha256:
+    elif cached_sha256(path) != run.sha256:
         row |= {"state": "damaged", "flaw": "the table has changed since the results were made"}
-    return row | results_row(decay)
+    return row | results_row(run)
 
 
 def _record_row(path: Path, run: RunResults | None) -> Row:
@@ -163,11 +155,8 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
                 row["flaw"] = (
                     "no footer: it is being measured, or was cut short (rig record recover completes it)"
                 )
-            elif not reader.is_sound:
-                row |= {
-                    "state": "damaged",
-                    "flaw": "; ".join(reader.damages) or "its bytes have changed",
-                }
+            elif not reader.sound:
+                row |= {"state": "damaged", "flaw": "; ".join(reader.damages) or "its bytes have changed"}
             elif (end := end_of(reader.events())) is None or end.kind in EARLY_ENDS:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"
                 row |= {"state": "cut short", "flaw": flaw}
@@ -199,7 +188,7 @@ def results_row(run: RunResults) -> Row:
     }
     row |= {name: _number(run.number(name).value) for name in ("initial_amplitude", "final_amplitude")}
     row["configuration_sha256"] = run.inputs_sha256.get("configuration.json")
-    row["conditions_met"] = all(item.ok for item in run.conditions) if run.conditions else None
+    row["conditions_met"] = all(verdict.ok for verdict in run.conditions) if run.conditions else None
     if run.pendulum is not None:
         row |= {"mass_kg": run.pendulum.mass_kg, "ball_radius_m": run.pendulum.ball_radius_m}
     fit = run.fits.get(FitMethod.EXACT)
@@ -207,27 +196,25 @@ def results_row(run: RunResults) -> Row:
         freedom = fit.degrees_of_freedom
         row |= {"law": fit.law, "chi2_per_dof": _number(fit.chi2_per_dof), "degrees_of_freedom": freedom}
     for name in ("mean_period_s", "log_decrement"):
-        found = run.number(name)
-        row |= _estimate(name, found) if found.value > 0 else {}
-    if run.seismometer is not None:
-        row |= {
-            "seismometer": run.seismometer.verdict.value,
-            "seismometer_explained": _number(run.seismometer.explained),
-        }
-    for one in run.contact:
-        if one.quantity in (*PARAMETERS, *DERIVED):
-            numbers = map(_number, (one.value, one.u, one.u_total, one.lower, one.upper))
-            row |= dict(zip(row_columns(one.quantity), numbers, strict=True))
-            row[f"verdict_{one.quantity}"] = one.verdict.value
+        estimate = run.number(name)
+        row |= _estimate(name, estimate) if estimate.value > 0 else {}
+    if (use := run.seismometer) is not None:
+        row |= {"seismometer": use.verdict.value, "seismometer_explained": _number(use.explained)}
+    for result in run.contact:
+        if result.quantity in (*PARAMETERS, *DERIVED):
+            numbers = (result.value, result.u, result.u_total, result.lower, result.upper)
+            row |= dict(zip(row_columns(result.quantity), map(_number, numbers), strict=True))
+            row[f"verdict_{result.quantity}"] = result.verdict.value
     if run.instrument is not None:
         row["instrument"] = run.instrument.kind
-        for one in (one for one in run.table if one.quantity in INSTRUMENT_QUANTITIES):
-            row |= _estimate(one.quantity, Estimate(*one))
+        for result in run.table:
+            if result.quantity in INSTRUMENT_QUANTITIES:
+                row |= _estimate(result.quantity, Estimate(*result))
     return row
 
 
-def _estimate(name: str, item: Estimate) -> Row:
-    return {name: _number(item.value), f"u_{name}": _number(item.standard_uncertainty)}
+def _estimate(name: str, estimate: Estimate) -> Row:
+    return {name: _number(estimate.value), f"u_{name}": _number(estimate.standard_uncertainty)}
 
 
 def _number(value: float) -> float | None:

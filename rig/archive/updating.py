@@ -15,22 +15,15 @@ from typing import Any, Literal, NamedTuple
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError, RigError, optional_module
-from rig.analysis import (
-    analyse_record,
-    chosen_laws,
-    free_path,
-    session_results,
-    with_laws,
-    write_results,
-)
+from rig.analysis import analyse_record, chosen_laws, free_path, session_results, with_laws, write_results
 from rig.archive.listing import (
-    check_is_there,
     forget_sessions,
-    named_runs,
-    reading,
-    selected,
+    hash_condition,
+    open_for_reading,
+    open_for_writing,
+    query_runs,
+    require_archive,
     write_sessions,
-    writing,
 )
 from rig.archive.session_rows import session_rows
 from rig.instrument import code_identity, recorded_configuration
@@ -43,155 +36,157 @@ _COMPARED = ("folder", "record", "run", "sha256", "state", "results", "results_s
 
 
 def add_folders(archive: Path, folders: Sequence[Path], *, read: bool = False) -> str:
-    """Add folders to the archive and read all sessions in and below them; returns a line with counts.
+    """Add folders to the archive and read all sessions in and below them; returns counts as a line of text.
 
     Raises ConfigurationError for a folder without sessions, else like `update_archive`.
     """
     if archive.is_dir():
-        check_is_there(archive)
+        require_archive(archive)
     roots = list(dict.fromkeys(folder.resolve() for folder in folders))
     for root in roots:
-        if not any(True for _ in sessions_below(root, [])):
+        if next(sessions_below(root, []), None) is None:
             raise ConfigurationError(f"{root}: holds no session (no record, no results.json) in any folder")
-    with writing(archive) as connection:
+    with open_for_writing(archive) as connection:
         for root in roots:
             connection.execute("insert or ignore into folders values (?)", [str(root)])
     return update_archive(archive, roots, read=read)
 
 
 def update_archive(archive: Path, folders: Sequence[Path] | None = None, *, read: bool = False) -> str:
-    """Read new and changed sessions in and below folders, by default all that were added; returns a line
-    with counts.
+    """Read new and changed sessions in and below folders, by default all that were added.
 
-    A session whose files have the same names, sizes and times is not read again, unless `read`. Rows of
+    A session whose files have the same names, sizes and times is read again only if `read`. Rows of
     folders that are unavailable now stay. Flaws of records are printed on stderr and stored as `state`.
+    Returns counts as a line of text.
 
     Raises RecordError, after all other sessions are written, if a session's files cannot be read.
     """
-    check_is_there(archive)
-    with writing(archive) as connection:
+    require_archive(archive)
+    with open_for_writing(archive) as connection:
         known = dict(connection.execute("select folder, files from sessions").fetchall())
         added = connection.execute("select folder from folders order by folder").fetchall()
     all_roots = {Path(folder) for (folder,) in added} if folders is None else {*folders}
     roots = sorted(root for root in all_roots if all_roots.isdisjoint(root.parents))
-    seen, hidden, unread = set[str](), list[Path](), list[Path]()
+    present, unavailable, unreadable = set[str](), list[Path](), list[Path]()
     sessions, rows = dict[str, str](), list[dict[str, Any]]()
     read_sessions = read_runs = 0
     written_s = time.monotonic()
-    for folder, files in (session for root in roots for session in sessions_below(root, hidden)):
-        seen.add(str(folder))
+    for folder, files in (session for root in roots for session in sessions_below(root, unavailable)):
+        present.add(str(folder))
         if not read and known.get(str(folder)) == files:
             continue
         try:
-            found, flaws = session_rows(folder)
+            new_rows, flaws = session_rows(folder)
         except RecordError as error:
             say(f"{error}; {folder} stays as it was in the archive")
-            unread.append(folder)
+            unreadable.append(folder)
             continue
         for flaw in flaws:
             say(flaw)
         now = datetime.datetime.now(datetime.UTC).replace(tzinfo=None)
-        rows += [row | {"folder": str(folder), "added_utc": now} for row in found]
-        # changes of a record outside the folder are not noticed, so such a folder is read each time
-        has_own_records = not any(Path(row["record"]).is_absolute() for row in found)
+        rows += [row | {"folder": str(folder), "added_utc": now} for row in new_rows]
+        # the hash tells no change of a record outside the folder, so such a folder is read each time
+        has_own_records = not any(Path(row["record"]).is_absolute() for row in new_rows)
         sessions[str(folder)] = files if has_own_records else ""
-        read_sessions, read_runs = read_sessions + 1, read_runs + len(found)
+        read_sessions, read_runs = read_sessions + 1, read_runs + len(new_rows)
         if time.monotonic() - written_s > _WRITE_INTERVAL_S:
-            with writing(archive) as connection:
+            with open_for_writing(archive) as connection:
                 write_sessions(connection, sessions, rows)
             sessions, rows, written_s = {}, [], time.monotonic()
-    for name in hidden:
-        say(f"{name}: is not here or cannot be read; what the archive has of it stays")
-    removed = [
-        name
-        for name in known.keys() - seen
-        if not (places := {Path(name), *Path(name).parents}).isdisjoint(roots) and places.isdisjoint(hidden)
-    ]
+    for path in unavailable:
+        say(f"{path}: is not here or cannot be read; what the archive has of it stays")
+    removed = []
+    for name in known.keys() - present:
+        ancestors = {Path(name), *Path(name).parents}
+        if ancestors.isdisjoint(unavailable) and not ancestors.isdisjoint(roots):
+            removed.append(name)
     if sessions or removed:
-        with writing(archive) as connection:
+        with open_for_writing(archive) as connection:
             forget_sessions(connection, removed)
             write_sessions(connection, sessions, rows)
     counts = (
         f"{read_sessions} session{'' if read_sessions == 1 else 's'} read "
         f"({read_runs} run{'' if read_runs == 1 else 's'}), "
-        f"{len(seen) - read_sessions - len(unread)} unchanged, {len(removed)} gone"
+        f"{len(present) - read_sessions - len(unreadable)} unchanged, {len(removed)} gone"
     )
-    if unread:
+    if unreadable:
         raise RecordError(
-            f"{len(unread)} sessions cannot be read and stay as they were, the first is {unread[0]}; {counts}"
+            f"{len(unreadable)} sessions cannot be read and stay as they were, the first is "
+            f"{unreadable[0]}; {counts}"
         )
     return counts
 
 
-def sessions_below(root: Path, hidden: list[Path]) -> Iterator[tuple[Path, str]]:
-    """Folders with records or results in and below a root, with a hash of names, sizes and times of their
-    files.
+def sessions_below(root: Path, unavailable: list[Path]) -> Iterator[tuple[Path, str]]:
+    """Folders with records or results in and below a root, with a hash of names, sizes and times of files.
 
-    Folders that cannot be read are appended to `hidden`.
+    Folders that cannot be read are appended to `unavailable`.
     """
-    waiting = [str(root)]
-    while waiting:
-        folder = waiting.pop()
-        files, inner, is_session = [], [], False
+    folders = [str(root)]
+    while folders:
+        folder = folders.pop()
+        files, subfolders, is_session = [], [], False
         try:
             with os.scandir(folder) as entries:
                 for entry in entries:
                     name = entry.name
                     if entry.is_dir(follow_symlinks=False):
-                        inner.append(entry.path)
+                        subfolders.append(entry.path)
                     elif name.endswith((".mcap", ".json")) and entry.is_file():
                         status = entry.stat()
                         files.append(f"{name}\0{status.st_size}\0{status.st_mtime_ns}")
                         is_session |= name.endswith(".mcap") or name.startswith("results")
         except OSError:
-            hidden.append(Path(folder))
+            unavailable.append(Path(folder))
             continue
-        waiting += sorted(inner, reverse=True)
+        folders += sorted(subfolders, reverse=True)
         if is_session:
             yield Path(folder), hashlib.sha256("\n".join(sorted(files)).encode()).hexdigest()
 
 
 def check_archive(archive: Path) -> int:
-    """Read every session again and compare hashes; prints differences, returns 1 if there are any, else 0."""
-    with reading(archive) as connection:
+    """Read every session again, compare hashes and print differences; returns 1 if there are any, else 0."""
+    with open_for_reading(archive) as connection:
         stored = connection.execute(f"select {', '.join(_COMPARED)} from every_run order by all").fetchall()
-    different, said_s = 0, time.monotonic()
+    differences, reported_s = 0, time.monotonic()
     for folder, rows in groupby(stored, key=lambda row: str(row[0])):
         for line in _differences(Path(folder), [row[1:] for row in rows]):
             print(line)
-            different += 1
-        if time.monotonic() - said_s > _WRITE_INTERVAL_S:
-            said_s = time.monotonic()
+            differences += 1
+        if time.monotonic() - reported_s > _WRITE_INTERVAL_S:
+            reported_s = time.monotonic()
             say(f"read up to {folder}")
-    print(f"{len(stored)} runs read, {different} differences")
-    return 1 if different else 0
+    print(f"{len(stored)} runs read, {differences} differences")
+    return 1 if differences else 0
 
 
 def _differences(folder: Path, rows: Sequence[tuple[Any, ...]]) -> Iterator[str]:
     try:
-        now = {(row["record"], row["run"]): row for row in session_rows(folder)[0]}
+        present = {(row["record"], row["run"]): row for row in session_rows(folder)[0]}
     except RecordError as error:
         yield str(error)
         return
     changed = dict[str, None]()
     for record, run, sha256, state, results, results_sha256 in rows:
-        path, found = folder / record, now.get((record, run))
-        if found is None or (found["state"] == "missing" and state != "missing"):
+        path, row = folder / record, present.get((record, run))
+        if row is None or (row["state"] == "missing" and state != "missing"):
             yield f"{path}: is not there any more"
             continue
-        if found["state"] != state:
-            yield f"{path}: was {state} and is {found['state']}: {found['flaw']}"
-        elif found["sha256"] != sha256:
+        if row["state"] != state:
+            yield f"{path}: was {state} and is {row['state']}: {row['flaw']}"
+        elif row["sha256"] != sha256:
             yield f"{path}: has other bytes than when it was read; rig archive update --read"
-        if results and (found["results"], found["results_sha256"]) != (results, results_sha256):
+        if results and (row["results"], row["results_sha256"]) != (results, results_sha256):
             changed[results] = None
     yield from (f"{folder / name}: has changed since it was read; rig archive update" for name in changed)
 
 
 Level = Literal["swings", "spots", "pixels"]
+"""What a refit begins with: recorded half-cycles, recorded spots, or recorded pixels."""
 _PROGRESS_INTERVAL = 100
+"""Number of sessions from one report of the progress to the next."""
 _MAX_WORKER_WAIT_S = 10
-_RECORDS = """
+_RECORDS_SQL = """
 select folder, record, sha256 from every_run
 where ends_with(record, '.mcap') and state not in ('missing', 'unreadable')
   and folder in (select folder from chosen)
@@ -211,11 +206,11 @@ class RefitTask(NamedTuple):
 
 
 Work = Callable[[RefitTask], str]
-"""Carries out a task; returns why it failed, empty if it succeeded."""
+"""Function that carries out a task and returns why it failed, or empty text."""
 
 
 def refit(task: RefitTask) -> str:
-    """Fit the records of one session and write a new results file; returns why it failed, else empty text."""
+    """Fit the records of one session and write a new results file; returns why it failed, or empty text."""
     try:
         for record, sha256 in task.records:
             if sha256_of(record) != sha256:
@@ -248,18 +243,18 @@ def refit_runs(
     """Fit the sessions again whose runs are named or meet a condition (neither: all sessions with records).
 
     Each session gets a new results file next to its records, as by `rig fit`, and new rows in the archive.
-    Returns the exit status: 1 if a session could not be fitted, else 0.
-
-    Raises ConfigurationError for a law or setting that does not exist, before anything is made.
+    Returns the exit status: 1 if a session could not be fitted, else 0. An unknown law or setting raises
+    ConfigurationError before anything is made.
     """
     chosen_laws(laws)
     if names and where:
         raise ConfigurationError(f"--where {where!r}: has no effect beside {names[0]}; leave out one")
     records = dict[str, list[tuple[Path, str]]]()
-    for folder, record, sha256 in selected(archive, "*", where or named_runs(archive, names), _RECORDS)[1]:
+    condition = where or hash_condition(archive, names)
+    for folder, record, sha256 in query_runs(archive, "*", condition, _RECORDS_SQL)[1]:
         records.setdefault(folder, []).append((Path(folder) / record, sha256))
-    recipe = (level, tuple(laws), tuple(settings))
-    tasks = [RefitTask(Path(folder), tuple(listed), *recipe) for folder, listed in records.items()]
+    options = (level, tuple(laws), tuple(settings))
+    tasks = [RefitTask(Path(folder), tuple(paths), *options) for folder, paths in records.items()]
     if tasks and settings:
         # an unknown setting is refused once, not by every session
         with RecordReader(tasks[0].records[0][0]) as reader:
@@ -292,39 +287,39 @@ def _in_processes(
     # each process is to use one processor: libraries that read this variable start no threads
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a fork would copy locks held by threads of this process
-    how, broken = get_context("spawn"), list[RefitTask]()
-    with ProcessPoolExecutor(processes, mp_context=how) as pool:
-        for task, done in _carried_out(pool, work, tasks):
-            if isinstance(done.exception(), BrokenProcessPool):
-                broken.append(task)
+    context, unfinished = get_context("spawn"), list[RefitTask]()
+    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+        for task, future in _completed(pool, work, tasks):
+            if isinstance(future.exception(), BrokenProcessPool):
+                unfinished.append(task)
             else:
-                yield task, _problem(done)
-    for task in broken:
-        with ProcessPoolExecutor(1, mp_context=how) as pool:
+                yield task, _problem(future)
+    for task in unfinished:
+        with ProcessPoolExecutor(1, mp_context=context) as pool:
             yield task, _problem(pool.submit(work, task))
 
 
-def _carried_out(
+def _completed(
     executor: Executor, work: Work, tasks: Sequence[RefitTask]
 ) -> Iterator[tuple[RefitTask, Future[str]]]:
-    running = {executor.submit(work, task): task for task in tasks}
-    for done in as_completed(running):
-        yield running[done], done
+    futures = {executor.submit(work, task): task for task in tasks}
+    for future in as_completed(futures):
+        yield futures[future], future
 
 
-def _problem(done: Future[str]) -> str:
-    error = done.exception()
+def _problem(future: Future[str]) -> str:
+    error = future.exception()
     if isinstance(error, BrokenProcessPool):
         return "its process was ended, also when it ran alone"
     # an unexpected error in one session must not stop the others
-    return done.result() if error is None else f"failed: {error!r}"
+    return future.result() if error is None else f"failed: {error!r}"
 
 
 def _on_cluster(work: Work, tasks: Sequence[RefitTask], address: str) -> Iterator[tuple[RefitTask, str]]:
     """Carry out tasks on a running Dask cluster, whose workers see the same files under the same names.
 
-    Raises ConfigurationError if Dask is not installed, no scheduler answers, no worker exists, or one runs
-    other code.
+    Raises ConfigurationError if Dask is missing, no scheduler answers, no worker exists, or one runs other
+    code.
     """
     distributed = optional_module("distributed", "--cluster", "distributed", "series")
     try:
@@ -343,5 +338,5 @@ def _on_cluster(work: Work, tasks: Sequence[RefitTask], address: str) -> Iterato
             raise ConfigurationError(
                 f"--cluster {address}: {other} runs other code ({codes[other]}) than this program ({own})"
             )
-        for task, done in _carried_out(client.get_executor(pure=False), work, tasks):
-            yield task, _problem(done)
+        for task, future in _completed(client.get_executor(pure=False), work, tasks):
+            yield task, _problem(future)

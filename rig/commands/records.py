@@ -94,7 +94,7 @@ def _print_info(path: Path) -> None:
 
 def _result(path: Path) -> str:
     """The first line of the results next to a record."""
-    from rig.analysis import read_results, results_path, whole_result
+    from rig.analysis import main_result, read_results, results_path
 
     source = results_path(path.parent)
     if not source.exists():
@@ -106,7 +106,7 @@ def _result(path: Path) -> str:
     if run is None:
         return f"none in {source.name}; rig fit {path} makes one"
     problem = f"not fitted: {run.problem}" if run.problem else "nothing was fitted"
-    return f"{whole_result(run).text or problem} ({source.name})"
+    return f"{main_result(run).text or problem} ({source.name})"
 
 
 @in_json

@@ -12,9 +12,4 @@ from rig.intake.film import FilmOptions, film_trajectory, films_in, is_filmed
 from rig.intake.seismometer import FIRST_UTC_S, SeismometerRecord, read_seismometer
 from rig.intake.table import TableColumns
 from rig.intake.times import fast_mode_ratio, fast_oscillation
-from rig.intake.trajectory import (
-    Trajectory,
-    along_and_across,
-    read_positions,
-    write_positions,
-)
+from rig.intake.trajectory import Trajectory, along_and_across, read_positions, write_positions

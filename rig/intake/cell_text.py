@@ -1,6 +1,6 @@
-"""The text of a cell as a number or a moment, with its decimal mark and its unit.
+"""Text of cells as numbers or moments, with decimal mark and unit.
 
-One decimal mark holds for a whole table; where its numbers fit two, nothing is guessed.
+A table has one decimal mark; numbers that would fit two are refused, never guessed.
 """
 
 import re
@@ -22,6 +22,7 @@ _MISSING: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|nat|--?|
 _PLAIN_NUMBER: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
 _WITH_UNIT: Final = re.compile(r"(?P<number>[+-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
 _MIN_COUNTED_ROWS: Final = 8
+"""Fewest rows whose numbers in sequence are row numbers."""
 _MOMENT: Final = re.compile(
     r"(?:\d{4}[-/]\d\d[-/]\d\d|\d\d\.\d\d\.\d{4})(?:[T ]\d{1,2}:\d\d.*)?|\d{1,2}:\d\d:\d\d.*"
 )
@@ -65,10 +66,8 @@ def counts_rows(column: Sequence[str]) -> bool:
 def decimal_mark(cells: Iterable[str], where: str) -> str:
     """The only decimal mark that fits all these cells.
 
-    Raises
-    ------
-    ConfigurationError
-        Points and commas are both decimal marks, or all commas may also be marks between thousands.
+    Raises ConfigurationError if points and commas are both decimal marks, or if all commas may also be marks
+    between thousands.
     """
     with_point, commas = "", dict[bool, str]()
     for cell in cells:
@@ -100,20 +99,22 @@ def python_text(cell: str, decimal: str) -> str:
 
 def split_unit(column: Sequence[str]) -> tuple[str, list[str]]:
     """The unit that follows the numbers of a column (``12.5°``), and the numbers without it."""
-    found = [None if is_number(cell) or is_timestamp(cell) else _WITH_UNIT.fullmatch(cell) for cell in column]
-    found = [match if match is not None and is_number(match["number"]) else None for match in found]
-    units = Counter(match["unit"].strip() for match in found if match is not None)
+    matches = [
+        None if is_number(cell) or is_timestamp(cell) else _WITH_UNIT.fullmatch(cell) for cell in column
+    ]
+    matches = [match if match is not None and is_number(match["number"]) else None for match in matches]
+    units = Counter(match["unit"].strip() for match in matches if match is not None)
     if not units or 2 * units.total() < len(column):
         return "", list(column)
     unit, _ = units.most_common(1)[0]
     return unit, [
         match["number"].strip() if match is not None and match["unit"].strip() == unit else cell
-        for match, cell in zip(found, column, strict=True)
+        for match, cell in zip(matches, column, strict=True)
     ]
 
 
 def timestamps_ns(cells: Sequence[str]) -> list[int | None]:
-    """Times in ns since 1970, or since midnight without a date; None for a cell that is neither.
+    """Times in ns since 1970, or without a date since midnight; None for a cell that is no time.
 
     Times of day without a date continue over midnight: a decrease by more than half a day means that a day
     has passed.
@@ -130,10 +131,10 @@ def timestamps_ns(cells: Sequence[str]) -> list[int | None]:
             times.append(None)
             continue
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-        value = (moment - _EPOCH) // timedelta(microseconds=1) * 1000
+        time_ns = (moment - _EPOCH) // timedelta(microseconds=1) * 1000
         if not has_day:
-            days += previous is not None and value < previous - _DAY_NS // 2
-            previous = value
-            value += days * _DAY_NS
-        times.append(value)
+            days += previous is not None and time_ns < previous - _DAY_NS // 2
+            previous = time_ns
+            time_ns += days * _DAY_NS
+        times.append(time_ns)
     return times

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Floats, Ints
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.errors import ConfigurationError, DataError
 from processing.swing import HalfCycle, turning_points
@@ -17,13 +17,13 @@ from processing.units import conversion, seconds
 from processing.unsigned import unsigned_period_s
 from rig.intake.cell_text import is_missing
 from rig.intake.times import number
-from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
+from rig.intake.trajectory import ANGLE_UNITS, UNSTATED_UNIT, Trajectory
 from rig.intake.units import TIME_UNITS
 from rig.settings import Configuration
 from rig.terminal import plain
 
 _LARGEST_RAD: Final = 1.1 * math.pi
-"""Largest amplitude of a pendulum that swings and returns, with a tenth for the uncertainty of its middle."""
+"""Largest amplitude of a pendulum that swings and returns, with a tenth for the uncertain rest position."""
 _MAX_WORD_FRACTION: Final = 0.25
 """Fraction of a column of positions that may be words, as of an instrument that lost its signal."""
 _MIN_JUMP: Final = 0.7
@@ -48,17 +48,17 @@ def judge_words(path: Path, name: str, cells: Sequence[str], lines: Sequence[int
         )
 
 
-def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
+def judge_size(path: Path, unit: str, table: Floats) -> None:
     """Refuse an angle larger than any swing."""
-    each = float(np.max(np.nanmax(table, axis=0) - np.nanmin(table, axis=0)))
-    if unit in ANGLES and 0.5 * each * conversion(unit, "rad") > _LARGEST_RAD:
+    span = float(np.max(np.nanmax(table, axis=0) - np.nanmin(table, axis=0)))
+    if unit in ANGLE_UNITS and 0.5 * span * conversion(unit, "rad") > _LARGEST_RAD:
         raise ConfigurationError(
-            f"{path}: the position goes over {each:.4g} {unit}, more than a turn: is that its unit? State "
+            f"{path}: the position goes over {span:.4g} {unit}, more than a turn: is that its unit? State "
             "another with --unit, or use a stretch (--from, --to)"
         )
 
 
-def judge_clock(path: Path, name: str, unit: str, first_ns: int, times_ns: NDArray[np.int64]) -> None:
+def judge_clock(path: Path, name: str, unit: str, first_ns: int, times_ns: Ints) -> None:
     """Refuse numbers of a clock in another unit (beyond the year 9999), and its digits written as one number.
 
     At the end of each minute such a number, 235959.95 (HHMMSS) or 59.5995 (MM.SS), jumps by 40.
@@ -71,12 +71,12 @@ def judge_clock(path: Path, name: str, unit: str, first_ns: int, times_ns: NDArr
         )
     times = seconds(times_ns) + first_s
     for minute, form in ((100.0, "HHMMSS"), (1.0, "MM.SS")) if unit == "s" else ():
-        whole, part = np.divmod(times / minute, 1.0)
-        border = np.flatnonzero(np.diff(whole))
-        if not len(border) or np.median(np.diff(times)) > 0.01 * minute or part.max() >= 0.6 + 1e-9:
+        minutes, fraction = np.divmod(times / minute, 1.0)
+        ends = np.flatnonzero(np.diff(minutes))
+        if not len(ends) or np.median(np.diff(times)) > 0.01 * minute or fraction.max() >= 0.6 + 1e-9:
             continue
-        if np.all(part[border] > 0.58) and np.all(part[border + 1] < 0.02):
-            before, after = times[border[0] : border[0] + 2]
+        if np.all(fraction[ends] > 0.58) and np.all(fraction[ends + 1] < 0.02):
+            before, after = times[ends[0] : ends[0] + 2]
             raise ConfigurationError(
                 f"{path}: {name!r} goes from {before:.10g} to {after:.10g} as the digits of a clock do "
                 f"({form}), and is no time in s; write it with colons, or state the rate of the rows "
@@ -84,19 +84,19 @@ def judge_clock(path: Path, name: str, unit: str, first_ns: int, times_ns: NDArr
             )
 
 
-def judge_moments(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -> None:
+def judge_moments(path: Path, cells: Sequence[str], times_ns: Ints) -> None:
     """Refuse moments of which only some have a time zone, and a local clock that is set to summer time."""
-    without = [cell for cell in cells if not _ZONE.search(cell.strip())]
-    if 0 < len(without) < len(cells):
-        zoned = next(cell for cell in cells if _ZONE.search(cell.strip()))
+    zoned = [cell for cell in cells if _ZONE.search(cell.strip())]
+    if 0 < len(zoned) < len(cells):
+        zoneless = next(cell for cell in cells if not _ZONE.search(cell.strip()))
         raise DataError(
-            f"{path}: {zoned!r} has a zone and {without[0]!r} has none; write all times with theirs, "
+            f"{path}: {zoned[0]!r} has a zone and {zoneless!r} has none; write all times with theirs, "
             "or in UTC"
         )
     steps_s = seconds(np.diff(times_ns))
     step_s = float(np.median(steps_s))
     forward = np.flatnonzero(np.abs(steps_s - step_s - _HOUR_S) < step_s)
-    if without and len(forward) == 1 and step_s < 1.0:
+    if not zoned and len(forward) == 1 and step_s < 1.0:
         row = int(forward[0])
         raise DataError(
             f"{path}: {cells[row + 1]!r} follows {cells[row]!r}, an hour and one step later: was the clock "
@@ -104,21 +104,19 @@ def judge_moments(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64])
         )
 
 
-def unwrapped(
-    path: Path, name: str, unit: str, values: NDArray[np.float64], lines: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], int]:
+def unwrapped(path: Path, name: str, unit: str, values: Floats, lines: Ints) -> tuple[Floats, int]:
     """An angle with its jumps by whole turns removed, and the number of jumps.
 
     Raises ConfigurationError for jumps of another size against the motion, as by a turn in another unit.
     """
-    known = np.flatnonzero(np.isfinite(values))
-    steps = np.diff(values[known])
-    span = float(np.ptp(values[known])) if len(known) else 0.0
-    turn = conversion("rad", unit) * 2.0 * math.pi if unit in ANGLES else math.inf
+    finite = np.flatnonzero(np.isfinite(values))
+    steps = np.diff(values[finite])
+    span = float(np.ptp(values[finite])) if len(finite) else 0.0
+    turn = conversion("rad", unit) * 2.0 * math.pi if unit in ANGLE_UNITS else math.inf
     if span <= 1.001 * turn < math.inf and (count := int(np.count_nonzero(np.abs(steps) > 0.5 * turn))):
-        found = values.copy()
-        found[known] = np.unwrap(values[known], period=turn)
-        return found, count
+        continuous = values.copy()
+        continuous[finite] = np.unwrap(values[finite], period=turn)
+        return continuous, count
     jumps = np.flatnonzero(np.abs(steps[1:-1]) > _MIN_JUMP * span) + 1
     others = np.delete(steps, jumps)
     against = steps[jumps] * (steps[jumps - 1] + steps[jumps + 1]) < 0.0
@@ -127,18 +125,20 @@ def unwrapped(
     if both_ways and np.abs(others).max() < (1.0 - _MIN_JUMP) * span and np.mean(against) > 0.8:
         raise ConfigurationError(
             f"{path}: {name} jumps by {np.median(np.abs(steps[jumps])):.4g} {unit} against its motion, "
-            f"{len(jumps)} times, first after line {lines[known[jumps[0]]]}, as an angle does that is "
+            f"{len(jumps)} times, first after line {lines[finite[jumps[0]]]}, as an angle does that is "
             "counted round a turn: state its unit with --unit, or write it without the jumps"
         )
     return values, 0
 
 
-_MAX_PART_LEFT = 0.5
-"""Largest ratio of a position's whole change to the sum of its steps; a swing comes back, at nearly 0."""
-_MIN_SLOW_STEP_S = 1.0
-_USUAL_PERIOD_S = (0.2, 100.0)
-"""Range of plausible periods in s of times without a stated unit; a pendulum of 0.2 s is 1 cm long."""
-_MAX_RATIO = 3.0
+_MAX_NET_FRACTION = 0.5
+"""Largest ratio of a position's whole change to the sum of its steps; that of a swing, which returns, is near
+0."""
+_MAX_PLAUSIBLE_STEP_S = 1.0
+"""Time between rows above which times without a stated unit are hardly in s."""
+_PLAUSIBLE_PERIODS_S = (0.2, 100.0)
+"""Range of plausible periods of times without a stated unit; a pendulum of 0.2 s is 1 cm long."""
+_MAX_PLAUSIBLE_RATIO = 3.0
 """Largest plausible ratio of an amplitude to the first amplitude of a session; 1 arcsec is 5 urad."""
 
 
@@ -147,7 +147,7 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
     if len(trajectory.positions) > 1:
         return
     values = trajectory.positions[0][np.isfinite(trajectory.positions[0])]
-    if len(values) > 1 and abs(values[-1] - values[0]) > _MAX_PART_LEFT * np.abs(np.diff(values)).sum():
+    if len(values) > 1 and abs(values[-1] - values[0]) > _MAX_NET_FRACTION * np.abs(np.diff(values)).sum():
         raise DataError(
             f"{path}: {trajectory.names[0]} goes from {values[0]:.4g} to {values[-1]:.4g} and hardly ever "
             "back: no position of a swing does; name the column of the position (--position)"
@@ -164,45 +164,43 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
 def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[HalfCycle]] = ()) -> None:
     """Refuse times without a stated unit that are hardly in s: ms, row numbers, fractions of a day."""
     step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))
-    periods_s = [summarise_decay(turning_points(part)).period_s.value for part in decays]
-    longest_s = max(periods_s, default=_USUAL_PERIOD_S[0])
-    usual = step_s < _MIN_SLOW_STEP_S and _USUAL_PERIOD_S[0] <= longest_s < _USUAL_PERIOD_S[1]
-    if usual or not trajectory.time_is_assumed:
+    periods_s = [summarise_decay(turning_points(decay)).period_s.value for decay in decays]
+    min_s, max_s = _PLAUSIBLE_PERIODS_S
+    longest_s = max(periods_s, default=min_s)
+    if (step_s < _MAX_PLAUSIBLE_STEP_S and min_s <= longest_s < max_s) or not trajectory.time_is_assumed:
         return
-    lasts = f", a period {longest_s:.4g} s" if periods_s else ""
+    period = f", a period {longest_s:.4g} s" if periods_s else ""
     raise ConfigurationError(
         f"{path}: nothing states the unit of {trajectory.time_name!r}, and in s the rows would be "
-        f"{step_s:.4g} s apart{lasts}; state --time-unit {', '.join(TIME_UNITS)}, or the rows in a second: "
+        f"{step_s:.4g} s apart{period}; state --time-unit {', '.join(TIME_UNITS)}, or the rows in a second: "
         "--rate HZ --position COLUMN"
     )
 
 
-def strange_amplitudes(
-    amplitude_arcsec: NDArray[np.float64], trajectory: Trajectory, config: Configuration
-) -> list[str]:
+def strange_amplitudes(amplitude_arcsec: Floats, trajectory: Trajectory, config: Configuration) -> list[str]:
     """A warning of amplitudes that do not fit the rig, as of angles in another unit; else empty."""
     first, last = config.session.initial_amplitude_arcsec, config.session.final_amplitude_arcsec
     is_rig = trajectory.scale_rad is not None and config.instrument.kind == "single_ball"
-    if not is_rig or (np.median(amplitude_arcsec) >= last and amplitude_arcsec[0] <= _MAX_RATIO * first):
+    is_plausible = amplitude_arcsec[0] <= _MAX_PLAUSIBLE_RATIO * first and np.median(amplitude_arcsec) >= last
+    if not is_rig or is_plausible:
         return []
-    return [
-        (
-            f"amplitudes of {amplitude_arcsec[0]:.3g} to {amplitude_arcsec[-1]:.3g} arcsec are none of this "
-            f"rig, which swings from {first:g} to {last:g} arcsec (session.initial_amplitude_arcsec, "
-            f"final_amplitude_arcsec): are the positions in {trajectory.unit}?"
-        )
-    ]
+    text = (
+        f"amplitudes of {amplitude_arcsec[0]:.3g} to {amplitude_arcsec[-1]:.3g} arcsec are none of this rig, "
+        f"which swings from {first:g} to {last:g} arcsec (session.initial_amplitude_arcsec, "
+        f"final_amplitude_arcsec): are the positions in {trajectory.unit}?"
+    )
+    return [text]
 
 
-_TOO_QUIET = 0.01
-"""Chi-square per degree of freedom below which the stated noise must be too large."""
+_MIN_CHI2_PER_DOF = 0.01
+"""Chi-square per degree of freedom below which the estimated noise must be too large."""
 
 
 def decay_warnings(summary: DecaySummary) -> list[str]:
     """Warnings of a decay that grows, of a period or decrement that is not constant, of too large a noise."""
-    doubts = []
+    warnings = []
     if summary.grows:
-        doubts.append(
+        warnings.append(
             f"the amplitude grows, its log decrement is {plain(summary.decrement.value, 3)} in the mean: "
             "this is no free decay; is time reversed, or does something drive the pendulum?"
         )
@@ -217,53 +215,54 @@ def decay_warnings(summary: DecaySummary) -> list[str]:
                 if np.isfinite(mean.first)
                 else ""
             )
-            doubts.append(
+            warnings.append(
                 f"the {name} is not constant (χ²/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
                 "uncertainty of its mean allows for it"
             )
-    if max(summary.period_s.chi2_per_dof, summary.decrement.chi2_per_dof) < _TOO_QUIET:
-        doubts.append(
+    if max(summary.period_s.chi2_per_dof, summary.decrement.chi2_per_dof) < _MIN_CHI2_PER_DOF:
+        warnings.append(
             "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
             "a swing that estimate is too large): the uncertainties are upper limits"
         )
-    return doubts
+    return warnings
 
 
-def clipping_warnings(name: str, values: NDArray[np.float64]) -> list[str]:
+def clipping_warnings(name: str, values: Floats) -> list[str]:
     """Warnings of a position (n,) whose largest values the sensor has cut off.
 
-    It stays at one value for so many rows that an uncut swing would be larger by over two steps of its
-    digits.
+    Such a position stays at one value for so many rows that an uncut swing would be larger by more than two
+    steps of the last digit.
     """
     values = values[np.isfinite(values)]
-    middle, steps = float(np.median(values)), np.diff(np.unique(values))
-    doubts = []
-    for extreme, what in ((values.max(), "largest"), (values.min(), "smallest")):
+    rest, step = float(np.median(values)), float(np.diff(np.unique(values)).min(initial=np.inf))
+    warnings = []
+    for extreme, extreme_name in ((values.max(), "largest"), (values.min(), "smallest")):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], values == extreme, [0]]).astype(np.int8)))
         begins, rows = edges[::2], np.diff(edges)[::2]
         stays = rows >= _MIN_CUT_ROWS
         if np.count_nonzero(stays) < _MIN_JUMPS:
             continue
         period = float(np.median(np.diff(begins[stays])))
-        level, phase = abs(extreme - middle), math.pi * float(np.median(rows[stays])) / period
-        is_longer = phase < 0.5 * math.pi and level / math.cos(phase) - level > 2.0 * steps.min()
+        level, phase = abs(extreme - rest), math.pi * float(np.median(rows[stays])) / period
+        is_longer = phase < 0.5 * math.pi and level / math.cos(phase) - level > 2.0 * step
         # no swing stays within one step of its digits for half of its period
-        if is_longer or (phase >= 0.5 * math.pi and np.ptp(values) > 4.0 * steps.min()):
-            doubts.append(
-                f"{name} stays at its {what} value, {extreme:.6g}, for up to {rows.max()} rows, "
+        if is_longer or (phase >= 0.5 * math.pi and np.ptp(values) > 4.0 * step):
+            warnings.append(
+                f"{name} stays at its {extreme_name} value, {extreme:.6g}, for up to {rows.max()} rows, "
                 f"{np.count_nonzero(stays)} times: its sensor cuts the swings off, and amplitudes and "
                 "damping are not those of the pendulum there; use a later stretch (--from)"
             )
-    return doubts
+    return warnings
 
 
 def missing_for_laws(trajectory: Trajectory, config: Configuration | None) -> str:
     """Text on what a fit of the contact's laws lacks; empty if nothing is missing."""
     if trajectory.scale_rad is None:
-        if trajectory.unit == NOT_STATED:
-            return f"the unit of the position is not stated; --unit takes {', '.join(ANGLES)}, or any word"
-        near = get_close_matches(trajectory.unit, ANGLES, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"--unit takes {', '.join(ANGLES)}"
+        options = f"--unit takes {', '.join(ANGLE_UNITS)}"
+        if trajectory.unit == UNSTATED_UNIT:
+            return f"the unit of the position is not stated; {options}, or any word"
+        similar = get_close_matches(trajectory.unit, ANGLE_UNITS, n=1)
+        hint = f"did you mean {similar[0]}?" if similar else options
         return f"the laws need an angle, but the unit is {trajectory.unit!r}; {hint}"
     if config is None:
         return "the pendulum is not described; --config FILE with [pendulum] gives mass and ball"

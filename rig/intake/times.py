@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from processing.arrays import Complexes, Flags, Floats, Ints
 from processing.errors import DataError
 from processing.units import conversion, seconds
 from rig.intake.cell_text import timestamps_ns
@@ -19,7 +19,8 @@ _REMEDY: Final = (
     "of the rows (--rate HZ)"
 )
 """Remedy for times that do not increase."""
-_MAX_SPAN_S: Final = 1e9  # thirty years; 64 bits of nanoseconds hold nine times as much
+_MAX_SPAN_S: Final = 1e9
+"""Longest time that the rows may span, thirty years; 64 bits of nanoseconds hold nine times as much."""
 _MAX_EXACT_NS: Final = 2**53
 """Largest number up to which a floating-point number holds every whole number of ns."""
 _MAX_LISTED: Final = 5
@@ -40,51 +41,45 @@ def lines_text(lines: Sequence[int]) -> str:
 
 
 def read_times(
-    path: Path, cells: Sequence[str], unit: str | None
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], int]:
+    path: Path, cells: Sequence[str], lines: Sequence[int], unit: str | None
+) -> tuple[Ints, Flags, int]:
     """Times since the first one in ns, the rows that have a time, and the first time in ns.
 
-    `unit` is that of numbers; None for dates and times of day. Raises DataError if times do not increase.
+    `lines` are the numbers of the lines of the cells. `unit` is that of numbers; None for dates and times of
+    day. Raises DataError if times do not increase.
     """
-    whole_ns: Sequence[int]
     if unit is None:
-        found = timestamps_ns(cells)
-        good, whole_ns = (
-            np.array([one is not None for one in found]),
-            [one for one in found if one is not None],
-        )
+        moments = timestamps_ns(cells)
+        good = np.array([moment is not None for moment in moments])
+        whole_ns = [moment for moment in moments if moment is not None]
+        remedy = "correct the dates"
     else:
         size_ns, values = round(conversion(unit, "ns")), np.array([number(cell) for cell in cells])
         good = np.isfinite(values)
-        values = values[good]
-        span_s = (
-            float(values.max()) * seconds(size_ns) - float(values.min()) * seconds(size_ns)
-            if len(values)
-            else 0
-        )
-        if not span_s <= _MAX_SPAN_S:
-            raise DataError(
-                f"{path}: the times span {span_s:.3g} s, which no decay lasts; state their unit (--time-unit "
-                "ms, us or ns), or name the time column with --time"
-            )
-        if not len(values) or np.abs(values).max() < _MAX_EXACT_NS / size_ns:
-            whole_ns = np.round(values * size_ns).astype(np.int64).tolist()
+        if np.abs(values[good]).max(initial=0.0) < _MAX_EXACT_NS / size_ns:
+            whole_ns = np.round(values[good] * size_ns).astype(np.int64).tolist()
         else:
-            whole_ns = [
-                round(Decimal(cell) * size_ns) for cell, kept in zip(cells, good, strict=True) if kept
-            ]
+            whole_ns = [round(Decimal(cells[k]) * size_ns) for k in np.flatnonzero(good).tolist()]
+        remedy = "state their unit (--time-unit ms, us or ns)"
     if len(whole_ns) < 2:
         raise DataError(
             f"{path}: {len(whole_ns)} rows have a time, {cells[0]!r} is none; write dates as 2024-05-01 "
             "12:00:00, or name another time column with --time"
         )
-    times_ns = np.array([one - whole_ns[0] for one in whole_ns], dtype=np.int64)
-    backwards = np.nonzero(np.diff(times_ns) <= 0)[0]
-    if len(backwards):
-        row = int(backwards[0])
-        before, after = np.asarray(cells)[good][row : row + 2]
+    # a number of 300 digits is no float
+    span_s = float(Decimal(max(whole_ns) - min(whole_ns)).scaleb(-9))
+    if span_s > _MAX_SPAN_S:
         raise DataError(
-            f"{path}: time does not increase after {before} (row {row + 1}): {after} follows; {_REMEDY}"
+            f"{path}: the times span {span_s:.3g} s, which no decay lasts; {remedy}, or name the time column "
+            "with --time"
+        )
+    times_ns = np.array([time_ns - whole_ns[0] for time_ns in whole_ns], dtype=np.int64)
+    backwards = np.flatnonzero(np.diff(times_ns) <= 0)
+    if len(backwards):
+        row, next_row = np.flatnonzero(good)[backwards[0] :][:2]
+        raise DataError(
+            f"{path}: time does not increase after {cells[row]} (line {lines[row]}): {cells[next_row]} "
+            f"follows; {_REMEDY}"
         )
     return times_ns, good, whole_ns[0]
 
@@ -122,75 +117,78 @@ _KAISER_BETA: Final = 12.0
 """Parameter of Kaiser's window: a swing's line reaches four bins to each side and its side lobes lie
 below 1e-4 of it, so that those of a few swings are no second oscillation."""
 _MIN_RELATIVE_SIZE: Final = 3e-4
-"""Smallest second oscillation relative to the swing; below are rounding of the table and side lobes."""
+"""Smallest second oscillation relative to the swing; rounding of the table and side lobes are smaller."""
 
 
-def fast_oscillation(times_ns: NDArray[np.int64], deflection: NDArray[np.float64], period_s: float) -> str:
+def fast_oscillation(times_ns: Ints, deflection: Floats, period_s: float) -> str:
     """A warning of a weaker oscillation that holds most of the power beside the swing; else empty.
 
     Such an oscillation adds to the noise of a sample, and so to every uncertainty, without another sign.
     """
-    found = _spectrum(times_ns, deflection, period_s)
-    power = np.zeros(0) if found is None else np.abs(found.rest) ** 2
+    spectrum = _spectrum(times_ns, deflection, period_s)
+    if spectrum is None:
+        return ""
+    power = np.abs(spectrum.rest) ** 2
     rest = float(power.sum())
-    if found is None or not rest > 0 or not found.swing > 0:
+    if not rest > 0 or not spectrum.swing > 0:
         return ""
-    k = int(np.argmax(power))
-    near = found.near(k)
-    line = float(power[near].sum())
-    size = (line / found.swing) ** 0.5
-    if line < _MIN_REST_FRACTION * rest or size < _MIN_RELATIVE_SIZE:
+    line = spectrum.near(int(np.argmax(power)))
+    line_power = float(power[line].sum())
+    size = (line_power / spectrum.swing) ** 0.5
+    if line_power < _MIN_REST_FRACTION * rest or size < _MIN_RELATIVE_SIZE:
         return ""
-    middle = float(np.average(np.arange(len(power))[near], weights=power[near]))
+    centre = float(np.average(np.arange(len(power))[line], weights=power[line]))
     return (
-        f"the samples hold a second oscillation at {middle / found.span_s:.3g} Hz, {size:.2g} times as large "
-        "as the swing: it counts as noise of the samples and widens every uncertainty; filter or damp it, "
-        "or choose a position that does not see it (--position)"
+        f"the samples hold a second oscillation at {centre / spectrum.span_s:.3g} Hz, {size:.2g} times as "
+        "large as the swing: it counts as noise of the samples and widens every uncertainty; filter or damp "
+        "it, or choose a position that does not see it (--position)"
     )
 
 
-def fast_mode_ratio(
-    times_ns: NDArray[np.int64], along: NDArray[np.float64], across: NDArray[np.float64], period_s: float
-) -> float:
-    """Ratio of the fast mode along the swing to the fast mode across it, if the modes are not at a right
-    angle.
+def fast_mode_ratio(times_ns: Ints, along: Floats, across: Floats, period_s: float) -> float:
+    """Fast mode along the swing over the fast mode across it, for modes that are not at a right angle.
 
-    Positions across, multiplied by it and subtracted from those along, leave the swing alone. It is 0 if no
-    fast mode is seen across, if the motion along is not related to it, or if it is an overtone of the swing,
-    which a swing without a plane has in both positions.
+    Positions across, multiplied by this ratio and subtracted from those along, leave the swing alone. The
+    ratio is 0 if no fast mode is seen across, if the motion along is not related to it, or if it is an
+    overtone of the swing, which a swing without a plane has in both positions.
     """
     good = np.isfinite(along) & np.isfinite(across)
     # across the swing overtones are absent, but a fast mode may lie next to one
-    found = [_spectrum(times_ns[good], one[good], period_s, overtones=1) for one in (along, across)]
-    if found[0] is None or found[1] is None:
+    of_y, of_x = (
+        _spectrum(times_ns[good], values[good], period_s, overtones=1) for values in (along, across)
+    )
+    if of_y is None or of_x is None:
         return 0.0
-    power = np.abs(found[1].rest) ** 2
+    power = np.abs(of_x.rest) ** 2
     k = int(np.argmax(power))
-    turns = found[1].span_s / period_s
-    if abs(k - max(round(k / turns), 1) * turns) < _OVERTONE_BINS:
+    cycles = of_x.span_s / period_s
+    if abs(k - max(round(k / cycles), 1) * cycles) < _OVERTONE_BINS:
         return 0.0
-    line = found[1].near(k)
-    x, y = found[1].rest[line], found[0].rest[line]
+    line = of_x.near(k)
+    x, y = of_x.rest[line], of_y.rest[line]
     if not float(power[line].sum()) > _MIN_REST_FRACTION * float(power.sum()):
         return 0.0
-    weight, part, common = np.ones(len(x)), 0.0, 0.0
+    weight, ratio, coherence = np.ones(len(x)), 0.0, 0.0
     for _ in range(_ITERATIONS):
-        both, power_x, power_y = (
-            float(np.sum(weight * one)) for one in ((x.conj() * y).real, np.abs(x) ** 2, np.abs(y) ** 2)
+        cross, power_x, power_y = (
+            float(np.sum(weight * term)) for term in ((x.conj() * y).real, np.abs(x) ** 2, np.abs(y) ** 2)
         )
-        part, common = both / power_x, both**2 / (power_x * power_y)
-        left = np.abs(y - part * x)
+        ratio, coherence = cross / power_x, cross**2 / (power_x * power_y)
+        residual = np.abs(y - ratio * x)
         # an overtone of the swing may lie near the line, so outlying frequencies get little weight
-        weight = 1.0 / (1.0 + (left / (_OUTLIER_SCALE * float(np.median(left)))) ** 2)
-    return part if len(x) * common > _MIN_COHERENCE_RATIO * (1.0 - common) else 0.0
+        weight = 1.0 / (1.0 + (residual / (_OUTLIER_SCALE * float(np.median(residual)))) ** 2)
+    return ratio if len(x) * coherence > _MIN_COHERENCE_RATIO * (1.0 - coherence) else 0.0
 
 
 class _Spectrum(NamedTuple):
-    """Spectrum of the longest stretch without a gap: its duration, the swing's power, and all other lines."""
+    """Spectrum of the longest stretch without a gap."""
 
     span_s: float
+    """Duration of the stretch."""
     swing: float
-    rest: NDArray[np.complex128]
+    """Power of the swing's line."""
+    rest: Complexes
+    """Amplitudes at all frequencies; 0 at the swing's line, its overtones and lower frequencies."""
 
     @staticmethod
     def near(k: float) -> slice:
@@ -200,10 +198,7 @@ class _Spectrum(NamedTuple):
 
 
 def _spectrum(
-    times_ns: NDArray[np.int64],
-    deflection: NDArray[np.float64],
-    period_s: float,
-    overtones: int = _LAST_OVERTONE,
+    times_ns: Ints, deflection: Floats, period_s: float, overtones: int = _LAST_OVERTONE
 ) -> _Spectrum | None:
     """The spectrum without the swing and its overtones up to `overtones`; None with too few samples."""
     good = np.isfinite(deflection)
@@ -220,11 +215,11 @@ def _spectrum(
     even_s = np.linspace(0.0, time_s[-1], len(time_s))
     even = np.interp(even_s, time_s, values)
     rest = np.fft.rfft((even - even.mean()) * np.kaiser(len(even), _KAISER_BETA))
-    turns = float(even_s[-1]) / period_s
-    swing = float(np.sum(np.abs(rest[_Spectrum.near(turns)]) ** 2))
+    cycles = float(even_s[-1]) / period_s
+    swing = float(np.sum(np.abs(rest[_Spectrum.near(cycles)]) ** 2))
     rest[: _MIN_HALF_WIDTH_BINS + 1] = 0.0
     for overtone in range(1, overtones + 1):
-        rest[_Spectrum.near(overtone * turns)] = 0.0
+        rest[_Spectrum.near(overtone * cycles)] = 0.0
     # slower motion is ground or rest position, which the fits model, or a side lobe of the swing's line
-    rest[: round(_MIN_FAST_RATIO * turns)] = 0.0
+    rest[: round(_MIN_FAST_RATIO * cycles)] = 0.0
     return _Spectrum(float(even_s[-1]), swing, rest)

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from processing.errors import ConfigurationError
 from processing.units import size, unit_of_name
-from rig.intake.trajectory import ANGLES, NOT_STATED
+from rig.intake.trajectory import ANGLE_UNITS, UNSTATED_UNIT
 
 TIME_NAME: Final = re.compile(
     r"(?:t|times?|zeit|uhrzeit|temps|tiempo|tempo|tijd|elapsed|date.*|datum.*|timestamps?|clock|unix|epoch|utc)"
@@ -41,14 +41,14 @@ _FACTOR: Final = re.compile(
 
 
 class ColumnName(NamedTuple):
-    """A column's name without the unit, and the unit in this program's spelling (``us``); empty without one.
-
-    `unknown` is text in the unit's place that is no known unit.
-    """
+    """A column's name, split into a name and a unit."""
 
     name: str
+    """The name without the unit."""
     unit: str
+    """The unit in this program's spelling (``us``); empty without one."""
     unknown: str = ""
+    """Text in the unit's place that is no known unit."""
 
 
 def known_unit(text: str) -> str:
@@ -56,7 +56,7 @@ def known_unit(text: str) -> str:
     text = text.strip().strip(".")
     unit = _WORDS.get(text.lower(), text).replace("µ", "u").replace("μ", "u")
     if unit in ("Ms", "Gs", "Mrad", "Mm"):
-        # probably ms, not really 11 days: left unknown
+        # Ms, 11 days, is hardly meant: probably ms
         return ""
     try:
         size(unit)
@@ -93,24 +93,24 @@ def split_name(name: str) -> ColumnName:
     if "_per_" in plain and (unit := unit_of_name(plain.lower())):
         return ColumnName(text, unit)
     for mark in () if " per " in plain else _MARKS.finditer(plain):
-        rest, sure = plain[mark.end() :], mark[0].strip()
-        # behind a blank only the last of two words
-        if (sure or (len(rest) > 1 and plain.count(" ") == 1)) and (unit := _unit(rest)):
+        rest, is_no_blank = plain[mark.end() :], bool(mark[0].strip())
+        # behind a blank only the last of two words is a unit
+        if (is_no_blank or (len(rest) > 1 and plain.count(" ") == 1)) and (unit := _unit(rest)):
             return ColumnName(plain[: mark.start()] if plain == text else text, unit)
-        first = re.split(r"[\s_.,]", rest)[0]
-        if sure and first.lower() not in _NOT_ALONE and (unit := _unit(first)):
+        word = re.split(r"[\s_.,]", rest)[0]
+        if is_no_blank and word.lower() not in _NOT_ALONE and (unit := _unit(word)):
             return ColumnName(text, unit)
-    of_time = TIME_NAME.fullmatch(plain)
+    is_time_name = TIME_NAME.fullmatch(plain)
     unknown = [
         content
         for (_, end), content in bracketed
         # text in the unit's place must be a known unit: at the end of a name, and anywhere in that of a time
-        if content and not content.isdecimal() and (of_time or end == len(text))
+        if content and not content.isdecimal() and (is_time_name or end == len(text))
     ]
     quantity, slash, denominator = (part.strip() for part in plain.rpartition("/"))
-    if slash and quantity and (of_time or " " not in denominator):
+    if slash and quantity and (is_time_name or " " not in denominator):
         unknown.append(denominator)
-    elif of_time and _COUNTS.fullmatch(plain):
+    elif is_time_name and _COUNTS.fullmatch(plain):
         unknown.append(plain.split()[-1])
     return ColumnName(plain, "", unknown[-1] if unknown else "")
 
@@ -133,8 +133,8 @@ def refuse_contradiction(path: Path, title: str, by_header: str, option: str, by
         )
 
 
-NOT_STATED_TIME: Final = "nothing states another"
-"""Source of the unit of times that are assumed to be in s."""
+ASSUMED_SECONDS: Final = "nothing states another"
+"""The source of the unit of times that are assumed to be in s, in words."""
 TIME_UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
 
 
@@ -158,7 +158,7 @@ def unit_of_time(path: Path, title: str, column: ColumnName, option: str) -> tup
             f"{path}: {column.unknown!r} in {title!r} is not a known unit of time; state "
             f"--time-unit, one of {', '.join(TIME_UNITS)}"
         )
-    return (column.unit, "its header") if column.unit else ("s", NOT_STATED_TIME)
+    return (column.unit, "its header") if column.unit else ("s", ASSUMED_SECONDS)
 
 
 def unit_of_positions(
@@ -170,7 +170,7 @@ def unit_of_positions(
         if column.unknown and not stated:
             raise ConfigurationError(
                 f"{path}: {column.unknown!r} in {title!r} is not a known unit; state --unit, one of "
-                f"{', '.join(ANGLES)} or any word"
+                f"{', '.join(ANGLE_UNITS)} or any word"
             )
         refuse_contradiction(path, title, column.unit, "--unit", stated)
     units = [column.unit for column in columns]
@@ -179,7 +179,7 @@ def unit_of_positions(
             f"{path}: the positions are in {' and '.join(map(repr, units))}; both need the same unit"
         )
     source = "--unit" if stated else "its header" if units[0] else "not stated"
-    return stated or units[0] or NOT_STATED, source
+    return stated or units[0] or UNSTATED_UNIT, source
 
 
 def _are_same_unit(unit: str, other: str) -> bool:

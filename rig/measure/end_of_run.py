@@ -10,7 +10,7 @@ from acquisition.record.events import EventKind
 from processing.errors import RigError, in_one_line
 from processing.estimate import Estimate
 from processing.swing import HalfCycle
-from rig.analysis import Limit, read_results, results_path, whole_result
+from rig.analysis import Limit, read_results, results_path, main_result
 from rig.devices import FrameStream
 from rig.measure.session_file import RunState, SessionState, read_session
 from rig.settings import StopCondition
@@ -181,7 +181,7 @@ def session_summary(folder: Path) -> SessionSummary:
         return replace(summary, next_steps=[*steps, str(error)])
     # a run that was stopped too early hides no result of an earlier one
     run = next((run for run in reversed(results.runs) if not run.problem), results.runs[-1])
-    whole = whole_result(run, results.series)
+    whole = main_result(run, results.series)
     rows = results.contact if results.series is not None and results.series.table else run.contact
     unmet = [
         f"{verdict.name}: {verdict.judgement_text}"
@@ -192,7 +192,7 @@ def session_summary(folder: Path) -> SessionSummary:
     return replace(
         summary,
         headline="" if run.problem else whole.text,
-        u_covers="" if run.problem else whole.of,
+        u_covers="" if run.problem else whole.uncertainty,
         limits=whole.limits,
         next_steps=[*steps, *whole.next_steps],
         other_results=[(row.shown.label, row.text) for row in rows],

@@ -21,11 +21,11 @@ from rig.analysis import (
     SessionResults,
     curves_of,
     decay_lines,
+    main_result,
     main_sources,
     named,
     remarks,
     results_path,
-    whole_result,
 )
 from rig.intake import write_positions
 from rig.report import figures_contact, figures_laws, figures_motion, html
@@ -284,11 +284,11 @@ def _quoted_results(source: ReportSource) -> tuple[Series | RunResults, Sequence
 
 def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     """The result, its largest uncertainties, the next step, and whether conditions were met, as lines."""
-    found = whole_result(_quoted_results(source)[1][0].results, source.series)
-    lines = [(found.text or "Nothing was fitted", "")]
-    if found.limits:
-        limited = ", ".join(map(str, found.limits[:2]))
-        lines.append((f"Its uncertainty: {limited}. Next: {'; '.join(found.next_steps)}.", ""))
+    result = main_result(_quoted_results(source)[1][0].results, source.series)
+    lines = [(result.text or "Nothing was fitted", "")]
+    if result.limits:
+        limits = ", ".join(map(str, result.limits[:2]))
+        lines.append((f"Its uncertainty: {limits}. Next: {'; '.join(result.next_steps)}.", ""))
     judged = [item for run in source.runs for item in run.results.conditions]
     broken = [item for item in judged if not item.ok]
     doubtful = [item for item in judged if item.ok and item.remedy]
@@ -379,15 +379,15 @@ def _text_to_copy(source: ReportSource, found: RowsByName, quoted: Sequence[RunD
 
 def _run_sentence(run: RunData) -> str:
     """A sentence on the extent of a run: half-cycles, duration, frames, flags."""
-    results, unit = run.results, run.motion.unit.shown
-    left_out = len(run.results.stored.left_out_flags)
+    results = run.results
+    left_out = len(results.stored.left_out_flags)
     taken = (
         f"{results.frames} rows"
         if run.is_table
         else f"{results.frames} frames, {results.dropped_frames} dropped"
     )
     return (
-        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in {_duration_text(run)}; {taken}; "
+        f"{run.title}: {results.half_cycles_text(' from ')} in {_duration_text(run)}; {taken}; "
         f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )
 

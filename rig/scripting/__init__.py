@@ -2,12 +2,4 @@
 
 from rig.report import Campaign
 from rig.scripting.fits import campaign, curves, fit, fit_film, fit_table
-from rig.scripting.session import (
-    Record,
-    Session,
-    figures,
-    open_record,
-    open_session,
-    read_results,
-    write_results,
-)
+from rig.scripting.session import Record, Session, figures, open_record, open_session

@@ -19,7 +19,7 @@ from rig.analysis import (
 )
 from rig.intake import FilmOptions, TableColumns, film_trajectory, read_seismometer
 from rig.report import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
-from rig.scripting.session import Record, Session, overrides_of, several
+from rig.scripting.session import Record, Session, as_list, setting_texts
 from rig.settings import Configuration, load_configuration
 
 RecordSource = str | Path | Record | Session
@@ -33,7 +33,7 @@ def fit(
     law: StatedMoment | None = None,
     elastic: StatedMoment | None = None,
 ) -> SessionResults:
-    """Fit the contact laws to records; records of other pendulums give the quantities of their kind.
+    """Fit the contact laws to records; a record of another kind of pendulum is evaluated as its kind is.
 
     Parameters
     ----------
@@ -43,14 +43,15 @@ def fit(
     overrides
         Changes of the recorded configuration for this fit, by dotted key: ``{"fit.drag": "open"}``.
     seismometer
-        What a seismometer or tiltmeter recorded beside the runs: CSV, miniSEED or SAC.
+        File of an auxiliary seismometer or tiltmeter, recorded during the runs: CSV, miniSEED or SAC.
     law
-        A friction of your own, ``f(phi_rad, c=1e-8, k=6e-3)``: its moment against the motion over m g R at
-        angles above 0 (an array), and parameters whose defaults are where the fit begins. It is fitted beside
-        the paper's law, with the same drag and ground, and compared with it: ``results.runs[0].laws``.
+        A friction of your own: a function such as ``f(phi_rad, c=1e-8, k=6e-3)`` that returns the moment
+        against the motion, divided by m g R, for an array of angles above 0. Its other arguments are the
+        fitted parameters; their defaults are the start values. The law is compared with the paper's, with
+        the same drag and ground, in ``results.runs[0].laws``.
     elastic
-        With `law`: the elastic moment in the direction of phi, likewise; None: that of Eq. 3, whose n and
-        gamma are fitted.
+        With `law`: such a function for the elastic moment in the direction of phi; None: that of Eq. 3, whose
+        n and gamma are fitted.
 
     Returns
     -------
@@ -63,11 +64,11 @@ def fit(
     RigError
         A record cannot be read, or a key is unknown.
     """
-    changes = overrides_of(overrides)
-    paths = [path for one in several(source, Record, Session) for path in _paths(one)]
+    settings = setting_texts(overrides)
+    paths = [path for item in as_list(source, Record, Session) for path in _paths(item)]
     refuse_copies(paths)
     ground = None if seismometer is None else read_seismometer(Path(seismometer))
-    runs = [analyse_record(path, changes, seismometer=ground) for path in paths]
+    runs = [analyse_record(path, settings, seismometer=ground) for path in paths]
     if laws := _laws(law, elastic):
         runs = [with_laws(run, laws) for run in runs]
     return session_results(runs, Path.cwd())
@@ -91,11 +92,9 @@ def curves(
         The run was not fitted, or not with this law.
     """
     if not isinstance(run, RunResults):
-        raise ConfigurationError(
-            f"run: a run of results is needed (results.runs[0]), not a {type(run).__name__}"
-        )
-    stated = _laws(law, elastic)
-    return model_curves(run, StatedLaw(law, elastic) if stated and law is not None else None)
+        raise ConfigurationError(f"run: an item of results.runs is needed, not a {type(run).__name__}")
+    laws = _laws(law, elastic)
+    return model_curves(run, next((item for item in laws if isinstance(item, StatedLaw)), None))
 
 
 def fit_film(
@@ -108,7 +107,7 @@ def fit_film(
     end_s: float | None = None,
     configuration: str | Path | None = None,
 ) -> SessionResults:
-    """Follow what swings through a film, and determine decay and period as of a table.
+    """Track a swinging object through a film, and determine decay and period as of a table.
 
     Parameters
     ----------
@@ -119,9 +118,9 @@ def fit_film(
     rate_hz
         Frames a second, of images; a film has its own times.
     dark
-        Whether what swings is darker than its background; None: the first frame tells.
+        Whether the object is darker than its background; None: the first frame decides.
     begin_s, end_s
-        The stretch that is used.
+        Begin and end of the used part of the film, in s since its first frame; None: all of it.
     configuration
         TOML file with [pendulum] and [fit], which fits the contact laws where the pixel is an angle.
 
@@ -130,8 +129,8 @@ def fit_film(
     RigError
         The file is no film, cannot be read as it was recorded, or shows no free decay.
     """
-    asked = FilmOptions(rate_hz=rate_hz, dark=dark, size=pixel, begin_s=begin_s, end_s=end_s)
-    return analyse_trajectory(Path(path), film_trajectory(Path(path), asked), _configuration(configuration))
+    options = FilmOptions(rate_hz=rate_hz, dark=dark, size=pixel, begin_s=begin_s, end_s=end_s)
+    return analyse_trajectory(Path(path), film_trajectory(Path(path), options), _configuration(configuration))
 
 
 def _configuration(path: str | Path | None) -> Configuration | None:
@@ -179,19 +178,19 @@ def fit_table(
     path
         Text file with a table, such as CSV.
     unit
-        Unit of the positions: rad, mrad, urad, arcsec, arcmin or deg. With any other unit the contact laws
-        are not fitted.
+        Unit of the positions: rad, mrad, urad, nrad, mas, arcsec, arcmin or deg. With any other unit the
+        contact laws are not fitted.
     configuration
         TOML file with [pendulum] and [fit], which the contact laws require; None: they are not fitted.
     time, positions
         Columns by name or by number from 1; by default the first column is the time, the second the position.
     time_unit
-        ns, us, ms, s, min or h; empty: the one with which the column's
-        name ends (time_ms), else s. Times may be absolute.
+        ns, us, ms, s, min, h or d; empty: the unit in the column's name (time_ms), else s. Times may be
+        absolute.
     run
-        Which of the runs, where the file holds several.
+        Name of the run to be read from a file of several.
     seismometer
-        What a seismometer or tiltmeter recorded beside the decays, as for `fit`; needs a configuration.
+        File of an auxiliary seismometer or tiltmeter, as for `fit`; needs a configuration.
     law, elastic
         Moments of your own, as for `fit`; need a configuration.
 
@@ -206,8 +205,8 @@ def fit_table(
         The table has no numbers or lacks a column, or the samples are not a free decay; a seismometer
         without a configuration.
     """
-    for name, stated in (("seismometer", seismometer), ("law", law)):
-        if stated is not None and configuration is None:
+    for name, value in (("seismometer", seismometer), ("law", law)):
+        if value is not None and configuration is None:
             raise ConfigurationError(f"{name}: has no effect without configuration, which gives the pendulum")
     ground = None if seismometer is None else read_seismometer(Path(seismometer))
     config = _configuration(configuration)
@@ -223,7 +222,7 @@ def fit_table(
 
 def campaign(
     sessions: Sequence[str | Path | Session],
-    stated: str | Path | None = None,
+    model: str | Path | None = None,
     *,
     sample: bool = False,
     output: str | Path | None = None,
@@ -233,12 +232,12 @@ def campaign(
     Parameters
     ----------
     sessions
-        Folders of sessions, results files, or sessions, in the order in which they were measured. Each is a
-        contact.
-    stated
+        Folders of sessions, results files, or sessions, in the order in which they were measured. Each is
+        one contact, with its own values of the contact's parameters.
+    model
         TOML file with parameters, effects and priors; None: all parameters, no effects.
     sample
-        The full posterior by a sampler (emcee) in the place of Laplace's method.
+        Whether to sample the full posterior (emcee), in place of Laplace's method.
     output
         Folder for campaign.json, page, figures and tables; None: nothing is written.
 
@@ -253,9 +252,11 @@ def campaign(
         Results cannot be read, a run is there twice, or the file names a key, parameter or covariate that
         does not exist.
     """
-    folders = [one.folder if isinstance(one, Session) else Path(one) for one in several(sessions, Session)]
-    known = StatedCampaign() if stated is None else read_campaign(Path(stated))
-    found = fit_model(runs_of_folders(folders), known, sample=sample)
+    folders = [
+        item.folder if isinstance(item, Session) else Path(item) for item in as_list(sessions, Session)
+    ]
+    stated = StatedCampaign() if model is None else read_campaign(Path(model))
+    result = fit_model(runs_of_folders(folders), stated, sample=sample)
     if output is not None:
-        save_campaign(found, Path(output))
-    return found
+        save_campaign(result, Path(output))
+    return result

@@ -15,24 +15,23 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import BALANCE, SWING, RecordedWindow
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError
-from rig import analysis
-from rig.analysis import ResultRow, SessionResults
+from rig.analysis import ResultRow, SessionResults, read_results
 from rig.report import draw_run, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def several(value: Any, *single: type) -> list[Any]:
-    """One value of these types or a path, or a sequence of values, as a list; refused if it is empty."""
-    found = [value] if isinstance(value, (str, os.PathLike, *single)) else list(value)
-    if not found:
+def as_list(value: Any, *single: type) -> list[Any]:
+    """A path or value of the `single` types, or a sequence of these, as a list; an empty one is refused."""
+    values = [value] if isinstance(value, (str, os.PathLike, *single)) else list(value)
+    if not values:
         raise ConfigurationError("nothing is named; name at least one record or session")
-    return found
+    return values
 
 
-def overrides_of(changes: Mapping[str, object] | None) -> list[str]:
-    """Changes as ``KEY=VALUE`` of the command line; numbers of NumPy are numbers."""
+def setting_texts(changes: Mapping[str, object] | None) -> list[str]:
+    """Changes of a configuration as ``KEY=VALUE`` of the command line; NumPy's numbers become Python's."""
     return [
         f"{key}={json.dumps(value.item() if isinstance(value, np.generic) else value)}"
         for key, value in (changes or {}).items()
@@ -82,17 +81,16 @@ class Record:
 
         The names of the fields end in the unit: `amplitude_rad`, or `amplitude_px` without a lever. `flags`
         is 0 for half-cycles that are fitted (see `processing.swing.HalfCycleFlag`). Fits determine the
-        turning
-        points again.
+        turning points again.
         """
         with RecordReader(self.path) as reader:
             return reader.table(SWING.topic)
 
     def balance(self) -> NDArray[Any]:
-        """States of the balance as a structured array (n,), one row each, as they were found during the run.
+        """States of the balance as a structured array (n,), one row each, as determined during the run.
 
-        The names of the fields end in the unit, where they have one: `rest_y_rad` (`rest_y_px` without a
-        lever), `period_ratio` ..., each with its `u_`.
+        The names of the fields end in their unit: `rest_y_rad` (`rest_y_px` without a lever). Those without a
+        unit have none: `period_ratio`. Each quantity has its standard uncertainty, `u_...`.
         """
         with RecordReader(self.path) as reader:
             return reader.table(BALANCE.topic)
@@ -110,7 +108,7 @@ class Record:
         texts = np.array([event.text for event in events], dtype=np.str_)
         fields = np.dtype([("time_ns", np.int64), ("kind", kinds.dtype), ("text", texts.dtype)])
         table = np.empty(len(events), dtype=fields)
-        table["time_ns"], table["kind"], table["text"] = [e.time_ns for e in events], kinds, texts
+        table["time_ns"], table["kind"], table["text"] = [event.time_ns for event in events], kinds, texts
         return table
 
     def windows(self) -> Iterator[RecordedWindow]:
@@ -142,7 +140,7 @@ def figures(source: "str | Path | Session | SessionResults", run: int = 1) -> "M
     Parameters
     ----------
     source
-        Folder of a session, a results file, a session, or what `rig.fit` returned.
+        Folder of a session, a results file, a session, or results such as `rig.fit` returns.
     run
         Number of the run, counted from 1.
 
@@ -162,9 +160,9 @@ def figures(source: "str | Path | Session | SessionResults", run: int = 1) -> "M
         )
     if isinstance(source, Session):
         source = source.folder
-    found = source if isinstance(source, SessionResults) else Path(source)
+    results = source if isinstance(source, SessionResults) else Path(source)
     with styled():
-        return {drawing.name: drawing.figure for drawing in draw_run(found, run)}
+        return {drawing.name: drawing.figure for drawing in draw_run(results, run)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -198,32 +196,5 @@ def open_session(folder: str | Path) -> Session:
         There are no results (`rig.fit` makes them), or a record is missing.
     """
     folder = Path(folder)
-    results = analysis.read_results(folder)
+    results = read_results(folder)
     return Session(folder, results, tuple(open_record(folder / run.record) for run in results.runs))
-
-
-def read_results(source: str | Path) -> SessionResults:
-    """results.json of a session's folder, or a results file: of records, or of the decays of a table.
-
-    Raises
-    ------
-    RigError
-        No such file, or a key that cannot be understood.
-    """
-    return analysis.read_results(source)
-
-
-def write_results(path: str | Path, results: SessionResults) -> None:
-    """Write results.json; never over an existing file.
-
-    Raises
-    ------
-    RigError
-        There is a file of that name, it cannot be written, or these are no results of `rig.fit`,
-        `rig.fit_table` or `rig.fit_film`.
-    """
-    if not isinstance(results, SessionResults):
-        raise ConfigurationError(
-            f"results: what rig.fit or rig.fit_table returned is needed, not a {type(results).__name__}"
-        )
-    analysis.write_results(path, results)

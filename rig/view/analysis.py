@@ -97,8 +97,7 @@ def analysis_curves(run: RunResults) -> list[AnalysisCurve]:
 
 def report_text(results: RunResults) -> str:
     """Results of the fits in Markdown."""
-    parts = [f"## {Path(results.record).stem}"]
-    parts.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
+    parts = [f"## {Path(results.record).stem}", results.half_cycles_text()]
     if results.problem:
         parts.append(f"no fit: {results.problem}")
     if results.fits:

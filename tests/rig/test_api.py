@@ -110,10 +110,10 @@ def test_what_is_not_meant_is_refused_in_one_line(tmp_path: Path) -> None:
         ),
         (lambda: rig.fit([]), "nothing is named"),
         (lambda: rig.fit(UNCALIBRATED, law="none"), "law: a function of the angle is needed, not 'none'"),
-        (lambda: rig.curves(results), r"results.runs\[0\]\), not a SessionResults"),
+        (lambda: rig.curves(results), "an item of results.runs is needed, not a SessionResults"),
     ]
     not_results = (results.runs[0], {"a": 1}, None)
-    said = r"results: what rig\.fit or rig\.fit_table returned"
+    said = "results: SessionResults are needed"
     wrong += [(partial(rig.write_results, path, given), said) for given in not_results]
     for call, said in wrong:
         with pytest.raises(rig.RigError, match=said):

@@ -9,7 +9,7 @@ import pytest
 from processing.errors import ConfigurationError
 from rig.analysis import compared_laws
 from rig.analysis.results import LawMoments, ModelFreeMoments
-from rig.analysis.table_fit import _taken_as_exact
+from rig.analysis.table_fit import _exact_scale_notes
 from rig.commands.fitting import fit_records
 from rig.settings import load_configuration
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -65,7 +65,7 @@ def test_what_a_table_states_no_uncertainty_of_is_said(tmp_path: Path, stated: s
         "[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n"
         f'ball_material = "steel"\nflat_material = "glass_k8"\n{stated}'
     )
-    lines = _taken_as_exact(load_configuration(path, needs_camera=False))
+    lines = _exact_scale_notes(load_configuration(path, needs_camera=False))
     assert [line.split("table's ")[1].split()[0] for line in lines] == said
 
 

@@ -30,9 +30,9 @@ from rig.analysis.results import Fit
 from rig.analysis.run_remarks import (
     RemarkLevel,
     ground_sentence,
+    main_result,
     remark_rows,
     remarks,
-    whole_result,
 )
 from rig.analysis.run_values import StoredTurningPoints
 from rig.analysis.series import AnalysedRun
@@ -170,7 +170,7 @@ def test_the_table_of_remarks_says_who_has_to_read_what() -> None:
         ("ground", RemarkLevel.RESULT, ground_sentence(_DRIVEN)),
         ("note", RemarkLevel.DETAIL, "a note"),
         ("end", RemarkLevel.CONDITION, "END: none (limit its own); cut; again"),
-        ("warning", RemarkLevel.OF_OTHER_FIT, "asymptotic fit: far"),
+        ("warning", RemarkLevel.OTHER_FIT, "asymptotic fit: far"),
         ("warning", RemarkLevel.WARNING, "late"),
     ]
 
@@ -194,7 +194,7 @@ ROW = ResultRow(quantity=SURFACE_ENERGY, value=0.0834, u=0.0007, u_total=0.0013)
 def test_what_is_said_first_is_named_and_has_the_whole_uncertainty() -> None:
     """Sigma stood there without a name."""
     run = RunResults(record="run-1.mcap", table=(ROW,), budget={SURFACE_ENERGY: BUDGET})
-    assert whole_result(run).text == "surface energy σ (Table 2's form) = 83.4 ± 1.3 mJ/m²"
+    assert main_result(run).text == "surface energy σ (Table 2's form) = 83.4 ± 1.3 mJ/m²"
 
 
 def test_nobody_is_sent_to_quieter_ground_by_ground_that_is_not_seen_to_move() -> None:
@@ -203,9 +203,9 @@ def test_nobody_is_sent_to_quieter_ground_by_ground_that_is_not_seen_to_move() -
     run = RunResults(
         record="run-1.mcap", table=(ROW,), budget={SURFACE_ENERGY: budget}, fits={FitMethod.EXACT: still}
     )
-    assert "quieter" not in " ".join(whole_result(run).next_steps)
+    assert "quieter" not in " ".join(main_result(run).next_steps)
     driven = replace(run, fits={FitMethod.EXACT: Fit(ground=_DRIVEN)})
-    assert "quieter" in " ".join(whole_result(driven).next_steps)
+    assert "quieter" in " ".join(main_result(driven).next_steps)
 
 
 def test_a_driven_run_says_what_drives_it_and_what_that_costs() -> None:

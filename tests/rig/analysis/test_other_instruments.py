@@ -12,14 +12,17 @@ import pytest
 from typer.testing import CliRunner
 
 from processing.errors import ConfigurationError
+from processing.instruments import ValueWithSharedErrors
 from processing.instruments.descriptions import INSTRUMENTS
-from rig.analysis import read_results
+from rig.analysis import AnalysedRun, read_results
+from rig.analysis.other_instruments import Reduction
+from rig.analysis.series import instrument_series
 from rig.cli import app
 from rig.commands.fitting import fit_records
 from rig.commands.table_fits import TableOptions, fit_several
 from rig.intake import TableColumns
 from rig.measure import measure_session, record_plainly
-from rig.settings import load_configuration
+from rig.settings import InstrumentSettings, load_configuration
 from rig.terminal import with_uncertainty
 from tests.rig.command_line import CONFIGS, figures_are_drawn
 
@@ -281,6 +284,23 @@ def test_a_ratio_that_cannot_be_had_is_said(
     found = fitted(tmp_path, table, f'kind = "koenig"\n{stated}')
     assert words in found["series"]["instrument"]["problem"]
     assert words in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_run_without_results_of_its_kind_keeps_its_number() -> None:
+    """It was not counted, so that `reference_runs = [3]` named no run of three."""
+    settings = InstrumentSettings(kind="koenig", reference_runs=(3,))
+    sample, glass = Reduction(settings, "sample", ()), Reduction(settings, "glass", ())
+    for reduction, time_s in ((sample, 41.0), (glass, 90.0)):
+        reduction.readings = dict.fromkeys(
+            ("time_s", "swings", "period_s"), ValueWithSharedErrors(time_s, 1.0)
+        )
+    runs = [AnalysedRun(path=Path(), record="", reduction=item) for item in (sample, None, glass)]
+    series = instrument_series(runs)
+    assert series is not None
+    assert series.instrument is not None
+    assert series.instrument.problem is None
+    assert series.instrument.ratio is not None
+    assert series.instrument.ratio.value == pytest.approx(41.0 / 90.0)
 
 
 def test_a_reference_measured_elsewhere_and_a_clock_that_is_wrong(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def test_reading_results_loads_nothing_that_analyses(measured_series: Path) -> N
     code = (
         "import sys, rig.analysis as face; from pathlib import Path; "
         f"run = face.read_results(Path({str(measured_series)!r})).runs[0]; "
-        "assert face.whole_result(run).text; print(*sys.modules); "
+        "assert face.main_result(run).text; print(*sys.modules); "
         "assert all(getattr(face, name) for name in face._LAZY)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -14,8 +14,8 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
-from rig.archive.listing import write_sessions, writing
+from rig.archive import add_folders, check_archive, find_runs, list_runs, query_runs, update_archive
+from rig.archive.listing import open_for_writing, write_sessions
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
 from tests.rig.command_line import SAMPLES, rig
 
@@ -50,7 +50,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def rows(archive: Path, condition: str = "", columns: str = "*") -> list[dict[str, Any]]:
-    names, found = selected(archive, columns, condition)
+    names, found = query_runs(archive, columns, condition)
     return [dict(zip(names, row, strict=True)) for row in found]
 
 
@@ -224,7 +224,7 @@ def test_a_check_finds_what_is_not_as_it_was(
 )
 def test_a_condition_that_is_none_is_said(kept: Path, condition: str, columns: str, why: str) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(why)):
-        selected(kept, columns, condition)
+        query_runs(kept, columns, condition)
 
 
 def test_what_is_no_archive_is_said(sessions: Path, tmp_path: Path) -> None:
@@ -243,9 +243,16 @@ def test_what_is_no_archive_is_said(sessions: Path, tmp_path: Path) -> None:
     assert "none is no folder that may be written" in in_no_folder
 
 
+def test_a_folder_whose_name_is_no_text_is_refused_for_that(sessions: Path, tmp_path: Path) -> None:
+    """The message spoke of a condition, which nobody had stated."""
+    folder = sessions.rename(os.fsdecode(bytes(tmp_path) + b"/caf\xe9"))
+    with pytest.raises(RecordError, match=r"a\.duckdb: cannot be written: .*surrogate"):
+        add_folders(tmp_path / "a.duckdb", [folder])
+
+
 def test_an_archive_of_another_version_is_made_again_from_its_folders(archive: Path) -> None:
     before = rows(archive, "order by sha256", "* exclude added_utc")
-    with writing(archive) as connection:
+    with open_for_writing(archive) as connection:
         connection.execute("drop view runs; alter table every_run drop column gamma_pa")
     with pytest.raises(RecordError, match="another version made it; rig archive update"):
         rows(archive)
@@ -338,7 +345,7 @@ def test_an_archive_that_is_being_made_is_never_found_half_made(
         return connect(file, *settings)
 
     monkeypatch.setattr(duckdb, "connect", watched)
-    with writing(archive):
+    with open_for_writing(archive):
         pass
     assert str(archive) in opened
     assert [path.name for path in tmp_path.iterdir()] == [archive.name]
@@ -346,10 +353,18 @@ def test_an_archive_that_is_being_made_is_never_found_half_made(
 
 def test_numbers_are_kept_to_the_last_digit(tmp_path: Path) -> None:
     values = [0.1, 1 / 3, 6.02214076e23, 5e-324, 1.7976931348623157e308, -2.5e-9]
-    with writing(tmp_path / "archive.duckdb") as connection:
+    with open_for_writing(tmp_path / "archive.duckdb") as connection:
         made = [{"sha256": f"{k}", "folder": "f", "b": value} for k, value in enumerate(values)]
         write_sessions(connection, {"f": ""}, made)
     assert [row["b"] for row in rows(tmp_path / "archive.duckdb", "order by sha256")] == values
+
+
+def test_a_bound_of_zero_is_listed_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    row = {"folder": "/runs", "sha256": "0" * 64, "verdict_c": "upper bound", "upper_c": 0.0}
+    with open_for_writing(tmp_path / "a.duckdb") as connection:
+        write_sessions(connection, {"/runs": ""}, [row])
+    list_runs(tmp_path / "a.duckdb", "", "c, verdict_c, upper_c", None)
+    assert "< 0 (95 %)" in capsys.readouterr().out
 
 
 def test_runs_are_listed_as_they_were_measured(tmp_path: Path) -> None:
@@ -364,7 +379,7 @@ def test_runs_are_listed_as_they_were_measured(tmp_path: Path) -> None:
         {"folder": folder, "run": run, "sha256": f"{folder}{run}", "began_utc": f"2026-11-30 {clock}:00"}
         for folder, run, clock in order
     ]
-    with writing(tmp_path / "archive.duckdb") as connection:
+    with open_for_writing(tmp_path / "archive.duckdb") as connection:
         write_sessions(connection, dict.fromkeys("abc", "hash"), found[::-1])
     for condition, count in (("", 4), ("sha256 <> 'x'", 4), ("limit 3", 3)):
         listed = rows(tmp_path / "archive.duckdb", condition, "folder, run")

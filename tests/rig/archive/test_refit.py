@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from rig.archive import add_folders, refit_runs, selected
+from rig.archive import add_folders, query_runs, refit_runs
 from rig.archive.updating import RefitTask, Work, _in_processes
 from rig.interruption import free_port
 from rig.view import analyse_replayed
@@ -59,7 +59,7 @@ def test_results_made_again_stand_beside_the_earlier_ones_and_are_listed(
     listed = [
         (run["record"][:5], run["fits"]["exact"]["b"]["value"], "results-2.json") for run in tree["runs"]
     ]
-    assert selected(archive, columns, "order by run")[1] == listed
+    assert query_runs(archive, columns, "order by run")[1] == listed
     # the same that rig fit finds of a record
     done = rig("fit", series / "run-2.mcap", "--set", "fit.robust=true", "-o", archive.parent / "fit")
     assert done.returncode == 0, done.stderr

@@ -80,7 +80,7 @@ def test_a_dark_object_is_followed_and_a_pixel_has_a_size(tmp_path: Path) -> Non
     true_mm = 0.2 * (80.3 + 50.0 * np.exp(-t / TAU_S) * np.sin(2.0 * np.pi * t / PERIOD_S))
     assert found.unit == "mm"
     # what amplitudes owe to compression: without a loss nothing
-    assert found.u_common_in_noises == 0.0
+    assert found.u_common_over_noise == 0.0
     assert np.abs(found.positions[0] - true_mm).max() < 0.2 * 0.1
     assert film_trajectory(film, FilmOptions(size="85 mm over 425 px")).positions[0] == pytest.approx(
         found.positions[0]
@@ -126,7 +126,7 @@ def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path:
     trajectory = film_trajectory(write_film(tmp_path / "lossy.mp4", swing(), film), FilmOptions())
     found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).longest
     assert "light that stays" not in " ".join(trajectory.understood)
-    blind = replace(trajectory, u_common_in_noises=0.0)
+    blind = replace(trajectory, u_common_over_noise=0.0)
     of_scatter = analyse_trajectory(tmp_path / "lossy.mp4", blind, None).longest
     error = found.number("log_decrement").value - DECREMENT
     assert abs(error) > 4 * of_scatter.number("log_decrement").standard_uncertainty

@@ -44,6 +44,22 @@ def test_without_a_zone_the_change_of_the_clock_is_refused(tmp_path: Path) -> No
         TableColumns().read(_table(tmp_path / "spring.csv", _local(SPRING, zone=False)))
 
 
+def test_a_date_that_no_clock_had_set_is_refused(tmp_path: Path) -> None:
+    """64 bits of nanoseconds do not reach from the year 1 to today: an OverflowError came out."""
+    begin = datetime(2024, 5, 1, 12)
+    table = _table(tmp_path / "decay.csv", lambda k: f"{begin + k * STEP}" if k else "0001-01-01 00:00:00")
+    with pytest.raises(DataError, match=r"the times span 6\.\d+e\+10 s, which no decay lasts"):
+        TableColumns().read(table)
+
+
+def test_a_step_back_is_named_by_its_line(tmp_path: Path) -> None:
+    """A row without a time and the header were not counted."""
+    times = ["0", "no", "0.1", "0.2", "0.15", *(f"{0.1 * k:.1f}" for k in range(3, N - 2))]
+    table = _table(tmp_path / "decay.csv", times.__getitem__, "time_s,x_mm")
+    with pytest.raises(DataError, match=r"time does not increase after 0\.2 \(line 5\): 0\.15 follows"):
+        TableColumns().read(table)
+
+
 def test_zones_of_some_rows_only_are_refused(tmp_path: Path) -> None:
     """Rows without one would be hours from where they belong."""
 

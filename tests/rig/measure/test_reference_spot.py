@@ -97,7 +97,7 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
         assert less.used
         before = scatter(reader.swings())
         after = scatter(
-            half_cycles_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
+            half_cycles_of_blocks(less.correct(reader.deflections(one)) for one in reader.spot_blocks())
         )
     assert before[0] > 0.02
     assert after[0] < 0.3 * before[0]
@@ -134,7 +134,7 @@ def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None
         assert " y used with a gain of 1." in less.note
         assert less.note.endswith("from the run itself")
         after = scatter(
-            half_cycles_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
+            half_cycles_of_blocks(less.correct(reader.deflections(one)) for one in reader.spot_blocks())
         )
         before = scatter(reader.swings())
     assert after[0] < 0.3 * before[0]
@@ -206,7 +206,7 @@ def test_it_takes_off_the_creep_of_the_camera_which_an_analysis_without_it_shows
         assert less is not None
         blocks = [reader.deflections(one) for one in reader.spot_blocks()]
     off = []
-    for read in (blocks, [less.change(one) for one in blocks]):
+    for read in (blocks, [less.correct(one) for one in blocks]):
         time_s = np.concatenate([one.times_ns for one in read]) * 1e-9 - 1.0
         y = np.concatenate([one.y for one in read])
         error = (y - np.interp(time_s, truth.times_ns * 1e-9, truth.y_rad)) / ARCSEC_RAD
