@@ -274,13 +274,13 @@ def _lever() -> dict[str, Any]:
 def _length(key: str) -> Callable[[str], Keys]:
     """A reader of a number with its standard uncertainty, which has its own key; no keys for no answer."""
     from processing.units import unit_of_name
-    from rig.settings import quantity
+    from rig.settings import read_quantity
 
     def read(text: str) -> Keys:
         if not text:
             return {}
         section, _, name = key.rpartition(".")
-        value, u = quantity(text, unit_of_name(name))
+        value, u = read_quantity(text, unit_of_name(name))
         return _check_keys({key: value} | ({} if u is None else {f"{section}.u_{name}": u}))
 
     return read
@@ -295,8 +295,8 @@ def _check_keys(keys: Keys, *, whole: str = "") -> Keys:
 
     `whole` names a section of which all is stated, so that what holds between its keys is checked, too.
     """
-    from rig.settings import keys_with_faults
+    from rig.settings import key_faults
 
-    if lines := keys_with_faults(keys, whole):
+    if lines := key_faults(keys, whole):
         raise ConfigurationError("; ".join(lines))
     return keys

@@ -28,7 +28,7 @@ from rig.devices import (
     running_sessions,
 )
 from rig.measure import STATE_NAME, RunState, is_in_use, read_session
-from rig.settings import Configuration, unnumbered, validate_configuration
+from rig.settings import Configuration, validate_configuration, without_schema
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
@@ -296,7 +296,7 @@ def _configuration_in(folder: Path) -> Configuration | None:
     """Configuration of the session in a folder; None if there is no session that can be read."""
     path = str(folder / STATE_NAME)
     with suppress(RigError):
-        return validate_configuration(unnumbered(read_session(folder).configuration, path), path)
+        return validate_configuration(without_schema(read_session(folder).configuration, path), path)
     return None
 
 
