@@ -217,7 +217,7 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
         yield Remark("note", detail, note)
     for one in run.conditions:
         if not one.ok or one.remedy:
-            yield Remark(one.name, RemarkLevel.CONDITION, f"{one.name.upper()}: {one.found}", one.remedy)
+            yield Remark(one.name, RemarkLevel.CONDITION, f"{one.name.upper()}: {one.finding}", one.remedy)
     for warning in run.warnings:
         of_other = warning.startswith(f"{FitMethod.ASYMPTOTIC} fit: ")
         yield Remark("warning", RemarkLevel.OF_OTHER_FIT if of_other else RemarkLevel.WARNING, warning)

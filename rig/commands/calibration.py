@@ -197,14 +197,14 @@ def _command(made: Made) -> Callable[..., None]:
 
 def _say(path: Path) -> None:
     """Print the content of the new file."""
-    from rig.prepare import numbers_of, read_calibration_report
+    from rig.prepare import read_calibration_report, scalar_values
     from rig.terminal import answer, print_line, print_tables
 
     made = read_calibration_report(path)
     found = made.calibration
     answer(calibration=found.model_dump(mode="json"), written=[path])
     print_line(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
-    numbers = numbers_of(found)
+    numbers = scalar_values(found)
     open_ends = {name for name, value in numbers.items() if isinstance(value, float) and not isfinite(value)}
     for name, value in numbers.items():
         if {name, f"u_{name}"} & open_ends and not name.endswith("_dof"):

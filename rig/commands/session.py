@@ -65,7 +65,7 @@ def balance(
       rig balance mine.toml --view
       rig balance configs/demo.toml --follow 6
     """
-    from rig.prepare import InJsonLines, balance_rig, show_history
+    from rig.prepare import JsonReporter, balance_rig, show_history
     from rig.terminal import one_json_object
 
     stated = loaded(config, [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])])
@@ -74,7 +74,7 @@ def balance(
             show_history(stated, history_file, forget=forget_last)
         return
     raise typer.Exit(
-        balance_rig(stated, history_file, follow, seed, rrd, reporter=InJsonLines() if json_lines else None)
+        balance_rig(stated, history_file, follow, seed, rrd, reporter=JsonReporter() if json_lines else None)
     )
 
 

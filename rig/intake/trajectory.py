@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acquisition import atomic_write
 from processing.errors import DataError, RecordError
-from rig.terminal import written
+from rig.terminal import translated_file_errors
 
 ANGLES: Final = ("rad", "mrad", "urad", "nrad", "mas", "arcsec", "arcmin", "deg")
 NOT_STATED: Final = "unit"
@@ -105,7 +105,7 @@ def write_positions(trajectory: Trajectory, folder: Path) -> Path:
     for time_ns, *place in zip(trajectory.times_ns.tolist(), *trajectory.positions, strict=True):
         time_s = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
         writer.writerow((time_s, *(f"{value:.10g}" for value in place)))
-    with written(target):
+    with translated_file_errors(target):
         atomic_write.replace(target, rows.getvalue().encode())
     return target
 

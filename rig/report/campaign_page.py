@@ -26,8 +26,8 @@ from rig.terminal import (
     plain,
     plain_values,
     quantity,
+    translated_file_errors,
     with_uncertainty,
-    written,
 )
 
 _MAX_SHOWN_SOURCES = 4
@@ -278,7 +278,7 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
     Raises ConfigurationError if a file exists, RecordError if one cannot be written.
     """
     files, path, target = folder / "campaign", folder / _NAME, folder / "campaign.html"
-    with written(folder):
+    with translated_file_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
         atomic_write.write_new(path, text.encode())

@@ -32,7 +32,7 @@ from rig.analysis import (
 from rig.instrument import CONFIGURATION_NAME
 from rig.intake import read_positions
 from rig.report.tables import run_tables, series_tables
-from rig.terminal import Table, harmless_text, latex_table, say, written
+from rig.terminal import Table, harmless_text, latex_table, say, translated_file_errors
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
         if not made:
             raise RecordError(f"{source}: no run of it has a decay, and so there is no table to export")
         for path, content in made.items():
-            with written(path):
+            with translated_file_errors(path):
                 output.mkdir(parents=True, exist_ok=True)
                 write_new(path, content)
         return list(made)
@@ -197,7 +197,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     for one in exported:
         for note in one.notes if one.columns else ():
             say(f"{one.name}: {note}" if source.is_dir() else note)
-    with written(output, other):
+    with translated_file_errors(output, other):
         if kind == "hdf5":
             output.parent.mkdir(parents=True, exist_ok=True)
             _write_nexus(output, exported)

@@ -34,7 +34,7 @@ from rig.report.figures_contact import instrument_figures
 from rig.report.figures_motion import damped_figure, position_error_figure
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.tables import headline, run_tables, series_tables
-from rig.terminal import latex_rows, plain, quantity, written
+from rig.terminal import latex_rows, plain, quantity, translated_file_errors
 
 _DEFAULT_PERIOD_S = 4.0
 
@@ -53,7 +53,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     name = results_path(folder).stem.replace("results", "report", 1)
     target = output or source.folder / f"{name}.html"
     files = target.parent / target.stem
-    with written(target):
+    with translated_file_errors(target):
         series = [] if source.series is None else _series(source, source.series, files)
         single = len(source.runs) == 1
         runs = [_run(run, files / f"run-{k}", single=single) for k, run in enumerate(source.runs, start=1)]

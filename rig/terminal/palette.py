@@ -1,4 +1,4 @@
-"""Colours of view and report that can be distinguished with colour-deficient vision.
+"""Colours of view and report, which colour-deficient eyes can distinguish.
 
 They are the eight colours of Okabe and Ito, "Color Universal Design" (2008), as hexadecimal sRGB, with
 meanings that are the same in every figure and panel.
@@ -37,12 +37,12 @@ SEQUENCE: Final = (SKY_BLUE, ORANGE, BLUISH_GREEN, VERMILLION, YELLOW, REDDISH_P
 
 def curve_colour(name: str, number: int) -> str:
     """Colour of a curve of the analysis: fixed for data and the two fits, else that of `number`."""
-    for word, colour in (
+    for method, colour in (
         (FitMethod.EXACT, EXACT_FIT_COLOUR),
         (FitMethod.ASYMPTOTIC, ASYMPTOTIC_FIT_COLOUR),
         ("measured", DATA_COLOUR),
     ):
-        if word in name.lower():
+        if method in name.lower():
             return colour
     return SEQUENCE[number % len(SEQUENCE)]
 

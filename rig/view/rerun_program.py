@@ -23,7 +23,7 @@ from typing import Self
 import rerun_cli
 
 from processing.errors import ConfigurationError
-from rig.interruption import LOOPBACK, free_port, own_group
+from rig.interruption import LOOPBACK, free_port, process_group_options
 from rig.view.running_view import ShowMode, no_window, page_address, ports_of_view
 
 _CHECK_INTERVAL_S, _MAX_START_S = 0.05, 30.0
@@ -72,7 +72,7 @@ def start_program(
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        **(own_group() if alone else {}),
+        **(process_group_options() if alone else {}),
     )
 
 

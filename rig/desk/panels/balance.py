@@ -62,7 +62,11 @@ def build(desk: Desk, tab: Tab) -> None:
             with ui.column().classes("box"):
                 way = charts.TrajectoryChart()
             with box("faults against their limits", "scrolls", region="faults"):
-                tab.html(lambda: tables.bars(fault_bars(shown.faults, shown.before), "faults of the balance"))
+                tab.html(
+                    lambda: tables.bars(
+                        fault_bars(shown.faults, shown.earlier_faults), "faults of the balance"
+                    )
+                )
                 tab.button("Forget the last turn", apart(balancing.forget), "dense outline")
     tab.keep(refresh)
     tab.keep(lambda: way.show(shown.x, shown.y, "arcsec"))

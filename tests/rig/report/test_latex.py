@@ -20,7 +20,7 @@ from processing.number_text import (
     with_uncertainty,
 )
 from processing.units import _OTHERS, _PREFIXABLE
-from rig.interruption import spelled
+from rig.interruption import ascii_text
 from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import Table, latex_table
 from rig.terminal.latex import _UNITS
@@ -180,8 +180,8 @@ def test_a_difference_has_its_sign_and_no_exponent_of_programs(fraction: float, 
 
 
 def test_a_terminal_without_the_characters_gets_them_spelled_out() -> None:
-    assert spelled(with_uncertainty(-3.73315e-3, 1e-7)) == "(-3.73315 +- 0.00010) x 10^-3"
-    assert spelled("γ / MPa, b / rad⁻ᵖ, 5°") == "gamma / MPa, b / rad^-p, 5 deg"
+    assert ascii_text(with_uncertainty(-3.73315e-3, 1e-7)) == "(-3.73315 +- 0.00010) x 10^-3"
+    assert ascii_text("γ / MPa, b / rad⁻ᵖ, 5°") == "gamma / MPa, b / rad^-p, 5 deg"
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
