@@ -92,8 +92,8 @@ def _notes(air: MeasuredAir, areas_m2: Sequence[float], runs_not_refined: Sequen
     if runs_not_refined:
         notes.append(
             f"the turning points of run {', '.join(map(str, runs_not_refined))} could not be measured a "
-            "second time: its first half-cycles share an error of time that is not in the uncertainties, which "
-            "may be a third too small; replace that run (rig report says what is wrong with it)"
+            "second time: its first half-cycles share an error of time that is not in the uncertainties, "
+            "which may be a third too small; replace that run (rig report says what is wrong with it)"
         )
     if air.disagree:
         notes.append(
