@@ -13,7 +13,7 @@ from processing.swing import TurningPoints
 from rig.analysis import Curves, ModelCurve
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled, svg
 from rig.report.figures_laws import decay_figure, period_figure, residual_figure
-from rig.report.source import ShownUnit
+from rig.report.source import DisplayUnit
 
 ARCSEC = np.pi / 648000
 
@@ -48,7 +48,7 @@ def test_little_of_a_period_figure_is_blank(first: float, last: float) -> None:
     assert blank(drawn) < 0.1
     low, high = drawn.axes[0].get_xlim()
     assert sum(low <= tick <= high for tick in drawn.axes[0].get_xticks()) >= 3
-    low, high = decay_figure(points, found, ShownUnit("arcsec", ARCSEC)).figure.axes[0].get_ylim()
+    low, high = decay_figure(points, found, DisplayUnit("arcsec", ARCSEC)).figure.axes[0].get_ylim()
     assert (high - low) < 1.2 * max(first - last, 0.0 if low else high)
 
 
