@@ -29,23 +29,9 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "Campaign",
-    "Deflections",
-    "Record",
-    "RigError",
-    "Session",
-    "SessionResults",
-    "campaign",
-    "curves",
-    "figures",
-    "fit",
-    "fit_film",
-    "fit_table",
-    "open_record",
-    "open_session",
-    "read_results",
-    "write_results",
-]
+    "Campaign", "Deflections", "Record", "RigError", "Session", "SessionResults", "campaign", "curves",
+    "figures", "fit", "fit_film", "fit_table", "open_record", "open_session", "read_results", "write_results",
+]  # fmt: skip
 _MODULES = {
     "Deflections": "processing.deflections",
     "RigError": "processing.errors",

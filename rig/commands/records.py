@@ -115,7 +115,7 @@ def check(
     record: Record,
     results: Annotated[
         Path | None,
-        input_option("results.json that names the record's hash; default: the latest one beside it."),
+        input_option("results.json that names the record's hash; default: the one beside the record."),
     ] = None,
 ) -> None:
     """Verify a record: checksums, gaps, times, hash.
