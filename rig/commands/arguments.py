@@ -31,7 +31,12 @@ def existing(paths: _Paths) -> _Paths:
 
 def existing_toml(remedy: str) -> Callable[[Path | None], Path | None]:
     """A check that a TOML file exists which is no configuration; `remedy` says where one comes from."""
-    return functools.partial(_existing, toml_remedy=remedy)
+
+    # a function of the path alone, because typer would pass the path as the last parameter
+    def check(path: Path | None) -> Path | None:
+        return _existing(path, remedy)
+
+    return check
 
 
 def _existing(paths: _Paths, toml_remedy: str) -> _Paths:

@@ -65,7 +65,7 @@ def balance(
       rig balance mine.toml --view
       rig balance configs/demo.toml --follow 6
     """
-    from rig.prepare import JsonReporter, balance_rig, show_history
+    from rig.prepare import JsonReporter, Reporter, balance_rig, show_history
     from rig.terminal import one_json_object
 
     overrides = [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])]
@@ -74,7 +74,7 @@ def balance(
         with one_json_object() if json_lines else nullcontext():
             show_history(configuration, history_file, forget=forget_last)
         return
-    reporter = JsonReporter() if json_lines else None
+    reporter = JsonReporter() if json_lines else Reporter()
     raise typer.Exit(balance_rig(configuration, history_file, follow, seed, rrd, reporter))
 
 

@@ -4,7 +4,7 @@ from rig.prepare.air import calibrate_air
 from rig.prepare.balancing import balance_rig, show_history
 from rig.prepare.calibration_inputs import Filing, next_free
 from rig.prepare.calibration_report import CalibrationReport, read_calibration_report, scalar_values
-from rig.prepare.dialogue import BalanceDialogue, BalanceStage, JsonReporter, balance_dialogue
+from rig.prepare.dialogue import BalanceDialogue, BalanceStage, JsonReporter, Reporter, balance_dialogue
 from rig.prepare.lever import calibrate_lever, check_known_angle
 from rig.prepare.record_calibrations import (
     calibrate_axes,

@@ -176,14 +176,14 @@ def balance_rig(
     path: Path | None,
     follow: int,
     seed: int | None,
-    rrd: Path | None = None,
-    reporter: Reporter | None = None,
+    rrd: Path | None,
+    reporter: Reporter,
 ) -> int:
     """Measure, advise and ask which weight was turned, until the operator ends it.
 
     With the simulated rig, a simulated operator, whose weights are random by `seed`, makes the stated turns;
     with `follow` > 0 it follows the advice, for at most that many turns. All measurements are drawn into the
-    configured live view and into `rrd`, and reported by `reporter`, by default on the terminal.
+    configured live view and into `rrd`, and reported by `reporter`.
     """
     config = complete(config)
     if follow and not config.simulated:
@@ -191,7 +191,6 @@ def balance_rig(
     if seed is not None and not config.simulated:
         raise ConfigurationError(f"--seed {seed} works with the simulated rig only: leave it out")
     operator = SimulatedOperator(config, 1 if seed is None else seed) if config.simulated else None
-    reporter = reporter or Reporter()
     path = _history_path(config, path)
     session = LearnedTurns(config, path)
 

@@ -239,10 +239,10 @@ def file_calibration(
     return write_calibration(filing.folder, calibration, atomic_write.write_new)
 
 
-def next_free(folder: Path, stem: str, suffix: str = "") -> Path:
+def next_free(folder: Path, stem: str) -> Path:
     """The first of STEM-001, STEM-002 ... that does not exist."""
     number = 1
-    while (path := folder / f"{stem}-{number:03d}{suffix}").exists():
+    while (path := folder / f"{stem}-{number:03d}").exists():
         number += 1
     return path
 

@@ -44,8 +44,9 @@ class StatedEffect(BaseModel, frozen=True, extra="forbid"):
     def _has_covariate(self) -> Self:
         if self.form is not Form.DURING and not self.covariate:
             raise ValueError("covariate: is missing; state what the parameter depends on")
-        if self.covariate:
-            _refuse_unknown(self.covariate)
+        if self.covariate and self.covariate not in COVARIATES:
+            known = ", ".join(COVARIATES)
+            raise ValueError(f"there is no covariate {self.covariate!r}; a campaign has {known}")
         if self.form is Form.DURING and self.parameter != FRICTION:
             raise ValueError("form = 'during': is of parameter = 'friction'")
         return self
@@ -99,11 +100,6 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
     def covariates(self) -> set[str]:
         """All covariates of effects."""
         return {effect.covariate for effect in self.effect}
-
-
-def _refuse_unknown(covariate: str) -> None:
-    if covariate not in COVARIATES:
-        raise ValueError(f"there is no covariate {covariate!r}; a campaign has {', '.join(COVARIATES)}")
 
 
 def read_campaign(path: Path) -> StatedCampaign:

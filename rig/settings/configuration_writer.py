@@ -151,14 +151,9 @@ def refuse_existing(path: Path) -> None:
 def copy_shipped(name: str, path: Path) -> list[Path]:
     """Copy a shipped configuration, and those that it extends next to it; returns the files written.
 
-    Extended files keep their names, which the copy states; existing files with the same text stay.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no such configuration, or another file exists. Nothing is written then.
-    RecordError
-        A file cannot be written.
+    Extended files keep their names, which the copy states; existing files with the same text stay. Raises
+    ConfigurationError, and writes nothing, for an unknown name or if another file exists, and RecordError if
+    a file cannot be written.
     """
     texts, source, target = {}, shipped(name), path
     while True:

@@ -291,10 +291,8 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
     def driver_settings(self) -> BaseModel:
         """Section ``[camera.NAME]`` of the chosen driver; its serial number defaults to ``camera.serial``.
 
-        Raises
-        ------
-        ConfigurationError
-            The section is missing and has no defaults, or the driver has no serial numbers.
+        Raises ConfigurationError if a section without defaults is missing, or for a serial number of a
+        driver that has none.
         """
         section: BaseModel | None = getattr(self, self.driver)
         if section is None:

@@ -47,7 +47,7 @@ def curve_colour(name: str, number: int) -> str:
     return SEQUENCE[number % len(SEQUENCE)]
 
 
-def rgba(colour: str, opacity: float = 1.0) -> tuple[int, int, int, int]:
-    """Red, green, blue and opacity, each 0 to 255, of a ``#RRGGBB`` colour."""
+def rgba(colour: str) -> tuple[int, int, int, int]:
+    """Red, green, blue and opacity, each 0 to 255, of an opaque ``#RRGGBB`` colour."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return red, green, blue, round(255 * opacity)
+    return red, green, blue, 255

@@ -171,7 +171,7 @@ def test_the_parameters_of_every_law_are_shown_as_the_law_says() -> None:
 
 def test_the_palette_is_told_apart_by_its_lightness_or_hue() -> None:
     assert len(set(palette.SEQUENCE)) == len(palette.SEQUENCE)
-    assert palette.rgba("#E69F00", 0.5) == (230, 159, 0, 128)
+    assert palette.rgba("#E69F00") == (230, 159, 0, 255)
     assert palette.curve_colour("exact fit", 3) == palette.curve_colour("exact", 0)
 
 
