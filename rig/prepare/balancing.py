@@ -115,10 +115,7 @@ _MIN_SWING_ARCSEC = 10.0
 
 
 class SimulatedOperator:
-    """A simulated operator, who turns the weights of the simulated pendulum and lets it swing.
-
-    Without given `weights` they deviate at random (`seed`) from their drawings.
-    """
+    """A simulated operator, who turns weights; if none are given they deviate at random from drawings."""
 
     def __init__(
         self, config: Configuration, seed: int, weights: dict[str, TrimWeight] | None = None

@@ -87,7 +87,7 @@ def _steps(details: Mapping[str, Any]) -> Table:
     return _table(
         "residuals",
         "residuals of the steps",
-        ("step", f"reference, {unit}", "x, px", "y, px", "scale without it, u"),
+        ("step", f"reference, {unit}", "x, px", "y, px", "change of scale without it, u"),
         [
             (number, reference / size, *residual, scale_without)
             for number, (reference, residual, scale_without) in enumerate(

@@ -80,10 +80,7 @@ def binning_of_record(record: Path) -> int:
 
 
 def _sound_spots(record: Path) -> tuple[NDArray[Any], datetime.datetime]:
-    """The table of a record's complete, unsaturated spots, and the start of the record.
-
-    Raises DataError if there are fewer than `_MIN_SPOTS`, or if too many of all spots are saturated.
-    """
+    """The complete, unsaturated spots of a record, and its start; raises DataError for too few of them."""
     with RecordReader(record) as reader:
         table = reader.spots()
         began = _start_utc(reader, table)

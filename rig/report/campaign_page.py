@@ -275,10 +275,7 @@ _NAME = "campaign.json"
 
 
 def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
-    """Write all files of a campaign into a folder, which is made; returns campaign.json and the page.
-
-    Raises ConfigurationError if a file exists, RecordError if one cannot be written.
-    """
+    """Write all files of a campaign into a folder, which is made; returns campaign.json and the page."""
     figure_folder, path, target = folder / "campaign", folder / _NAME, folder / "campaign.html"
     with translated_file_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)

@@ -123,10 +123,7 @@ def _fields(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
 def _exported_series(
     source: Path, series: Series, runs: Sequence[tuple[ExportData, RunResults]]
 ) -> ExportData:
-    """The series of a results file, with the hashes of the file and of the combined records.
-
-    Records are in the order of the series' lists of runs.
-    """
+    """The series of a results file, with the hashes of the file and, in order, of the combined records."""
     runs = series.combined(runs)
     path = results_path(source)
     provenance = {"results": path.name, "sha256": sha256_of(path)}
@@ -209,10 +206,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
 
 
 def latex_tables(folder: Path) -> Mapping[str, str]:
-    """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`).
-
-    Raises RecordError for a folder without results.
-    """
+    """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`)."""
     results, tables = read_results(folder), dict[str, Table]()
     for number, run in enumerate(results.runs, start=1):
         tables |= {f"run-{number}-{table.name}.tex": table for table in run_tables(run)}

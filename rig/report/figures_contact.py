@@ -19,10 +19,7 @@ from rig.terminal import palette, plain, quantity
 
 
 def loop_figure(parameters: ContactParameters, pendulum: PendulumOnBall, work: Work) -> ReportFigure:
-    """The three loops of Table 4 at a measured amplitude, with their works.
-
-    The rectangle of the work of adhesion is drawn if the data determine c.
-    """
+    """The three loops of Table 4 at a measured amplitude; with the work of adhesion if c is determined."""
     amplitude_arcsec, has_c = work.amplitude_arcsec, not isnan(work.adhesive_4at_j.value)
     amplitude_rad, is_paper = (amplitude_arcsec * ARCSEC_RAD, amplitude_arcsec == TABLE4_AMPLITUDE_ARCSEC)
     loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)

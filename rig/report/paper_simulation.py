@@ -118,10 +118,7 @@ class PairSeries:
 
 
 def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
-    """Simulate three runs of one pair, detect half-cycles, make both fits, and combine the runs.
-
-    The runs differ only in their noise.
-    """
+    """Simulate three runs of a pair, with different noise, make both fits of each, and combine them."""
     pendulum, settings = pair.pendulum, pair.settings
     end_s = float(true_turning_points(settings, _LAST_ARCSEC).time_s[-1])
     motion = true_path(settings, end_s + 0.6 * pair.period0_s)

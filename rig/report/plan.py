@@ -14,10 +14,7 @@ from rig.terminal import Table, percent, plain, quantity
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Planned runs of an assumed contact.
-
-    Runs that last longer than the time limit are still planned to their last amplitude.
-    """
+    """Planned runs of an assumed contact, also those that last longer than the time limit."""
 
     contact: PlannedContact
     runs: tuple[PlannedRun, ...]

@@ -98,10 +98,7 @@ def planned_contact_of_run(run: AnalysedRun) -> PlannedContact:
 
 
 def planned_contact_of_table(results: Path) -> PlannedContact:
-    """Contact, noise and ground of the longest decay of a table or film, from its results.
-
-    Raises DataError if no decay has a fit of the contact.
-    """
+    """The assumptions from the longest decay of a table or film; raises DataError without a fit."""
     fitted = _fitted_runs(results, "rig fit TABLE --unit arcsec --config CONFIG makes one")
     exact, pendulum, points = max(fitted, key=lambda decay: len(decay[2]))
     ground = exact.ground
@@ -115,10 +112,7 @@ def planned_contact_of_table(results: Path) -> PlannedContact:
 
 
 def _fitted_runs(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, TurningPoints]]:
-    """Exact fit, pendulum and turning points of the fitted runs or decays of a results file.
-
-    Raises DataError if there are none.
-    """
+    """Exact fit, pendulum and turning points of the fitted runs of a file; raises DataError for none."""
     fitted = [
         (run.fits[FitMethod.EXACT], run.pendulum, run.points)
         for run in read_results(results).runs

@@ -202,10 +202,7 @@ def _provenance(source: ReportSource) -> list[str]:
 
 
 def make_table_report(table: AnalysedTable, folder: Path) -> Sequence[tuple[str, Path]]:
-    """Write positions.csv and the report of the results in a folder; returns the files with their names.
-
-    Raises RecordError if a file cannot be written.
-    """
+    """Write positions.csv and the report of the results in a folder; returns the files with their names."""
     return [("positions", write_positions(table.positions, folder)), ("report", make_report(folder))]
 
 

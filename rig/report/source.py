@@ -207,10 +207,7 @@ def _flat(tree: JsonObject, prefix: str = "") -> dict[str, str]:
 
 
 def _decay_of_table(folder: Path, table: SessionResults, decay: RunResults, number: int) -> RunData:
-    """A decay, counted from 1, of the table whose results are in a folder.
-
-    Its motion is read from positions.csv in the folder; empty, with a note, if that is missing.
-    """
+    """A decay of a table by its results; the motion is empty, with a note, if it cannot be read."""
     table_decay, stored = decay.decay or TableDecay(), decay.stored
     is_angle = stored.unit is DeflectionUnit.RAD
     unit = DisplayUnit(table.unit, conversion(table.unit, "rad") if is_angle else 1.0)

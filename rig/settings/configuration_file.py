@@ -106,10 +106,7 @@ def read_toml_tree(path: Path, visited: tuple[Path, ...] = ()) -> dict[str, Any]
 
 
 def without_schema(tree: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """The tables of a configuration without the number of its schema, which a person may leave out.
-
-    Raises ConfigurationError for the number of another version.
-    """
+    """The tables without the number of their schema; raises ConfigurationError for another version."""
     require_schema(source, tree.get(SCHEMA_KEY, SCHEMA), SCHEMA, ConfigurationError)
     return {key: value for key, value in tree.items() if key != SCHEMA_KEY}
 
@@ -233,10 +230,7 @@ def shipped_names() -> list[str]:
 
 
 def shipped(name: str) -> Path:
-    """The file of a configuration that comes with the program, ``basement`` for ``basement.toml``.
-
-    Raises ConfigurationError with the known names for an unknown one.
-    """
+    """The file of a configuration of the program; raises ConfigurationError for an unknown name."""
     if name not in (names := shipped_names()):
         raise ConfigurationError(
             f"example {name}: there is no such configuration; there are {', '.join(names)}"

@@ -96,10 +96,7 @@ def validate(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None
 
 
 def number_faults(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> Iterator[KeyFault]:
-    """Faults of keys with `true`, `"3"`, `inf` or `nan` in place of a number.
-
-    Pydantic would take `true` for 1.0, and the number in quotes.
-    """
+    """Faults of keys with `true` or `"3"`, which pydantic would take for a number, or with `inf` or `nan`."""
     for key, value in tree.items():
         field = section_fields(root).get(key)
         if field is None:

@@ -111,10 +111,7 @@ def _unit(text: str) -> str:
 
 
 def _siunitx(unit: str) -> str:
-    """A unit by siunitx's names.
-
-    Raises ConfigurationError if it is no unit, KeyError if siunitx has no name for it (ppm, counts).
-    """
+    """A unit by siunitx's names; raises ConfigurationError if it is no unit, KeyError without a name."""
     commands = []
     for symbol, power in factors(unit):
         prefix, rest = split_prefix(symbol.replace("μ", "u").replace("µ", "u"))

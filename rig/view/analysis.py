@@ -126,10 +126,7 @@ def _markdown(table: Table) -> str:
 
 
 def draw_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], text: str, unit: str) -> None:
-    """Draw axes and curves of each panel, and the report's text (Markdown).
-
-    The entities are static (without a time), because they describe the whole run.
-    """
+    """Draw axes and curves of each panel, and the report's text (Markdown), as entities without a time."""
     for panel, (x_title, y_title) in PANEL_TITLES.items():
         curves = [curve for curve in all_curves if curve.panel == panel]
         if not curves:

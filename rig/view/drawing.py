@@ -180,10 +180,7 @@ class Drawing:
         self.text(layout.BALANCE_TABLE, time_s, balance_table(numbers, unit))
 
     def estimates(self, time_s: float, numbers: Mapping[str, Estimate]) -> None:
-        """Draw parameters of the contact at one moment, by key, in the unit in which they are stored.
-
-        Only values that `is_drawn` accepts are drawn.
-        """
+        """Draw parameters of the contact that `is_drawn` accepts, by key, in the stored unit."""
         for number, (key, label) in enumerate(self.setup.parameters.items()):
             factor = parameter_display(key).factor
             value, u = (factor * number for number in numbers.get(key, Estimate(np.nan, np.nan)))

@@ -194,10 +194,7 @@ class RecordDrawer:
         self._drawing.text(layout.STATE, self._run_s(self._last_ns), self._state())
 
     def _state(self) -> str:
-        """Phase, amplitude, frames and losses, in Markdown.
-
-        It begins with the time of day, which shows how far a page lags behind.
-        """
+        """Phase, amplitude, frames and losses in Markdown; the time of day shows how far a page lags."""
         state, unit = self._now, self._reader.deflection_unit
         clock = time.localtime(seconds(self._last_ns + self._reader.epoch_offset_ns))
         lines = [f"state of {time.strftime('%H:%M:%S', clock)}", f"time {self._run_s(self._last_ns):.1f} s"]

@@ -211,10 +211,7 @@ def spot_cross(x_px: float, y_px: float, shape: tuple[int, int]) -> rr.LineStrip
 
 
 def faded(colour: str, fraction: float) -> tuple[int, int, int]:
-    """Red, green and blue of this fraction of a colour, mixed with the background.
-
-    The result is opaque, because transparent lines would be brighter at their crossings.
-    """
+    """A fraction of a colour over the background; opaque, because lines would brighten at crossings."""
     channels = zip(palette.rgba(colour)[:3], BACKGROUND, strict=True)
     red, green, blue = (round(fraction * c + (1 - fraction) * background) for c, background in channels)
     return red, green, blue

@@ -75,10 +75,7 @@ def _start_program(*arguments: str, outlives_group: bool) -> subprocess.Popen[by
 
 
 class _GuardedPage(ThreadingHTTPServer):
-    """Serves the page of the viewer's server at `inner_port`, with a policy against contacts to other hosts.
-
-    `stream_port` is the port of the stream, which the page may read.
-    """
+    """Serves the page of `inner_port` with a policy: the browser contacts only it and `stream_port`."""
 
     daemon_threads = True
 

@@ -219,10 +219,7 @@ def _identity(file: Path | int) -> _Identity | None:
 
 
 def _await_record(path: Path, previous: _Identity | None, viewer: "ViewerProgram | None") -> bool:
-    """Wait for a record at this path other than the previous one.
-
-    Returns False if the measuring program or the viewer has ended.
-    """
+    """Wait for another record at this path; returns False if measurement or viewer has ended."""
     parent = os.getppid()
     while (identity := _identity(path)) is None or identity == previous:
         if os.getppid() != parent or (viewer is not None and not viewer.is_open):

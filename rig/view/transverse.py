@@ -81,10 +81,7 @@ class TransverseCurves:
 
 
 class Decimator:
-    """Chooses the samples to be drawn: the first of each interval ``1 / rate_hz``, and all with a flag.
-
-    The record contains every sample.
-    """
+    """Chooses the samples to be drawn: the first of each interval ``1 / rate_hz``, and all with a flag."""
 
     def __init__(self, rate_hz: float) -> None:
         self._rate_hz = rate_hz
@@ -121,10 +118,7 @@ class GapBreaker:
 
 
 class SendBuffer:
-    """Columns of values that wait to be sent to one stream, by the path of their entity.
-
-    They are sent after `limit_s` seconds of real time, or when there are `limit_rows` of them.
-    """
+    """Values that wait to be sent, until `limit_s` have passed or there are `limit_rows` of them."""
 
     def __init__(self, stream: rr.RecordingStream, limit_s: float, limit_rows: int) -> None:
         self._stream = stream
