@@ -169,6 +169,8 @@ def loss_figure(
     try:
         losses = measured_losses(points, cycles=cycles)
     except DataError:
+        # gaps in the turning points
+        cycles = 1
         losses = measured_losses(points)
     alpha = losses.amplitude_rad / ARCSEC_RAD
     left.errorbar(alpha, losses.log_decrement, losses.u_log_decrement, fmt=".", color=DATA, elinewidth=0.5)

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from processing.swing import TurningPoints
 from rig.analysis import Curves, ModelCurve
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled, svg
-from rig.report.figures_laws import decay_figure, period_figure, residual_figure
+from rig.report.figures_laws import decay_figure, loss_figure, period_figure, residual_figure
+from rig.report.paper_simulation import PAIRS
 from rig.report.source import DisplayUnit
 
 ARCSEC = np.pi / 648000
@@ -31,6 +32,15 @@ def curves(first: float, last: float) -> tuple[TurningPoints, Curves]:
         smooth_s=period,
     )  # fmt: skip
     return points, found
+
+
+def test_losses_are_of_the_cycles_that_are_stated() -> None:
+    """With gaps the losses were those of one cycle, and called those of two."""
+    index = np.delete(np.arange(340, dtype=np.int64), np.s_[4::4])
+    amplitude = 100.0 * ARCSEC * np.exp(-0.003 * index)
+    points = TurningPoints(index, 2.0 * index, np.full(256, 1e-5), amplitude, np.full(256, 1e-9))
+    axes = loss_figure(points, PAIRS[0].parameters, PAIRS[0].pendulum).figure.axes[1]
+    assert "measured, 1 cycle each" in axes.get_legend_handles_labels()[1]
 
 
 def blank(figure: Figure) -> float:
