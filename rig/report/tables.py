@@ -40,15 +40,9 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
             if line.share < _MIN_LISTED_SHARE:
                 small.append(line)
                 continue
-            source = [SOURCES.get(line.source, line.source), line.type]
-            lines.append(
-                [
-                    *head,
-                    *source,
-                    _contribution_text(line.contribution * display.factor),
-                    f"{100 * line.share:.1f} %",
-                ]
-            )
+            source = SOURCES.get(line.source, line.source)
+            contribution = _contribution_text(line.contribution * display.factor)
+            lines.append([*head, source, line.type, contribution, f"{100 * line.share:.1f} %"])
             head = [""] * 3
         if small:
             rest = math.hypot(*(line.contribution for line in small)) * display.factor

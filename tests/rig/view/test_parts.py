@@ -32,15 +32,15 @@ from rig.view.graticule import Graticule, reach_beyond, tick_label, ticks, traje
 from rig.view.transverse import Decimator, Trail, TransverseCurves
 
 
-@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6), st.integers(3, 12))
-def test_ticks_are_round_few_and_inside(low: float, span: float, about: int) -> None:
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
+def test_ticks_are_round_few_and_inside(low: float, span: float) -> None:
     high = low + span
     if not high > low:
         return
-    places = ticks(low, high, about)
+    places = ticks(low, high)
     # a tick is a product of doubles: it is known to a few units in the last place of the larger limit
     slack = 1e-6 * (high - low) + 8 * np.spacing(max(abs(low), abs(high)))
-    assert len(places) <= about + 2
+    assert len(places) <= 8
     assert (places >= low - slack).all()
     assert (places <= high + slack).all()
 
