@@ -27,8 +27,8 @@ _IMPORT_FILE = "<frozen importlib._bootstrap>"
 class Terminated(KeyboardInterrupt):
     """Raised if the program must end without asking the user; holds the reason and the signal's number."""
 
-    def __init__(self, why: str, number: int = signal.SIGTERM) -> None:
-        super().__init__(why)
+    def __init__(self, reason: str, number: int = signal.SIGTERM) -> None:
+        super().__init__(reason)
         self.number = number
 
 
@@ -50,7 +50,7 @@ def terminated_by_signals() -> Iterator[None]:
     afterwards. An interrupt during an import waits for the end of the import: an interrupted module may raise
     ImportError instead, and may never be importable again. Enter it in the main thread.
     """
-    known = [getattr(signal, name) for name in _REASONS if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in _REASONS if hasattr(signal, name)]
     terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
 
     signalled = False
@@ -86,7 +86,7 @@ def terminated_by_signals() -> Iterator[None]:
         # an interrupt raised inside this hook would be lost again
         _raise_again(number)
 
-    handlers = {number: signal.getsignal(number) for number in known}
+    handlers = {number: signal.getsignal(number) for number in numbers}
     # None is a handler that was not set from Python and could not be restored
     replaced = {number: old for number, old in handlers.items() if old not in (None, signal.SIG_IGN)}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -176,16 +176,16 @@ def process_group_options() -> dict[str, Any]:
     return {"start_new_session": True}
 
 
-def start_python(*words: str, **options: Any) -> "subprocess.Popen[Any]":
+def start_python(*arguments: str, **options: Any) -> "subprocess.Popen[Any]":
     """Start this interpreter in a process group of its own, with this program importable.
 
     `options` are those of `Popen`; the variables of `env` are added to the environment of this process.
     """
     project = str(Path(__file__).resolve().parents[1])
-    path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
+    path = os.pathsep.join(folder for folder in (project, os.environ.get("PYTHONPATH")) if folder)
     environment = {**os.environ, **options.get("env", {}), "PYTHONPATH": path}
     options |= {"env": environment, **process_group_options()}
-    return subprocess.Popen([sys.executable, "-P", *words], **options)
+    return subprocess.Popen([sys.executable, "-P", *arguments], **options)
 
 
 def free_port(preferred: int) -> int:

@@ -194,8 +194,8 @@ def _camera(cameras: Sequence["PluggedCamera"]) -> Keys:
             keys[answer]["camera.serial"] = camera.serial
         elif is_ambiguous and camera.driver == "v4l2":
             keys[answer]["camera.v4l2.device"] = camera.place
-        words = [camera.name, camera.serial and f"serial {camera.serial}", camera.place, camera.problem]
-        choices.append((answer, ", ".join(filter(None, words))))
+        details = [camera.name, camera.serial and f"serial {camera.serial}", camera.place, camera.problem]
+        choices.append((answer, ", ".join(filter(None, details))))
     for driver, text in _UNPLUGGED.items():
         if driver in DRIVERS and driver not in drivers:
             keys[driver] = {"camera.driver": driver}

@@ -173,8 +173,8 @@ def _list_devices(*, json_lines: bool) -> None:
         print_json_line("devices", values)
         return
     for camera in cameras:
-        words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
-        print_line("camera  " + "  ".join(word for word in words if word))
+        details = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.place]
+        print_line("camera  " + "  ".join(detail for detail in details if detail))
         for mode in camera.modes:
             print_line(f"          {mode}")
         if camera.problem:
@@ -183,8 +183,8 @@ def _list_devices(*, json_lines: bool) -> None:
         print_line("no camera is plugged in; camera.driver = 'simulated' and 'files' need none")
     for port in ports:
         usb = f"USB {port.vendor:04x}:{port.product:04x}" if port.vendor >= 0 else ""
-        words = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
-        print_line("serial  " + "  ".join(word for word in words if word))
+        details = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
+        print_line("serial  " + "  ".join(detail for detail in details if detail))
     for note in notes:
         print_line(f"note    {note}")
 

@@ -120,11 +120,11 @@ def show_turns(config: Configuration, path: Path) -> None:
     responses = WeightResponses(nominal_effects(config), config.balance)
     rows, learned = [], []
     for effect in read_turns(path):
-        why = _refusal(config, responses, effect)
+        refusal = _refusal(config, responses, effect)
         change = effect.after - effect.before
         numbers = [f"{change[0]:+.1f}", f"{change[1]:+.1f}", f"{change[2] * 1e6:+.1f}"]
-        rows.append([effect.utc, effect.weight, _turns(effect.parts), *numbers, why or "yes"])
-        if not why:
+        rows.append([effect.utc, effect.weight, _turns(effect.parts), *numbers, refusal or "yes"])
+        if not refusal:
             responses.learn(effect.weight, effect.parts, effect.before, effect.after, np.nan_to_num(effect.u))
     for name, count in responses.learned_turns.items():
         if count:
@@ -300,13 +300,13 @@ class LearnedTurns:
         parts = tuple(part for _, turns in self._noted_turns for part in turns)
         weight = next(iter(weights))
         effect = TurnEffect("", weight, parts, self._state, state, np.nan_to_num(u_state))
-        why = (
+        refusal = (
             f"weights {' and '.join(sorted(weights))} were turned between two measurements"
             if len(weights) > 1
             else _refusal(self._config, self.responses, effect)
         )
-        if why:
-            say(f"nothing is learned from this turn: {why}")
+        if refusal:
+            say(f"nothing is learned from this turn: {refusal}")
             for name, turns in self._noted_turns:
                 self.responses.follow_turns(name, turns)
             return
@@ -349,8 +349,8 @@ class LearnedTurns:
         self.responses = WeightResponses(nominal_effects(self._config), self.limits)
         count = 0
         for effect in read_turns(self._path):
-            if why := _refusal(self._config, self.responses, effect):
-                say(f"{self._path}: the turn of {effect.utc} is not used: {why}")
+            if refusal := _refusal(self._config, self.responses, effect):
+                say(f"{self._path}: the turn of {effect.utc} is not used: {refusal}")
                 continue
             self.responses.learn(
                 effect.weight, effect.parts, effect.before, effect.after, np.nan_to_num(effect.u)

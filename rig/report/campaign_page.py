@@ -128,13 +128,13 @@ def _runs_table(results: CampaignResults) -> Table:
 
 
 def _budget_table(results: CampaignResults) -> Table:
-    """Table of the largest parts of the variance of every level."""
+    """Table of the largest shares of the variance of every level."""
     rows = []
     for contact, budgets in results.budgets.items():
-        for rank, (name, parts) in enumerate(budgets.items()):
+        for rank, (name, shares) in enumerate(budgets.items()):
             text = "; ".join(
                 f"{_source_text(source)} {100 * share:.0f} %"
-                for source, share in list(parts.items())[:_MAX_LISTED_SOURCES]
+                for source, share in list(shares.items())[:_MAX_LISTED_SOURCES]
                 if share > 0.005
             )
             rows.append([contact if not rank else "", quantity(name).symbol, text])

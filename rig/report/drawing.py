@@ -122,19 +122,19 @@ def three_columns(count: int, rows_in: Callable[[int], float]) -> tuple[Figure, 
 
 def svg(drawing: ReportFigure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
-    out = io.StringIO()
+    buffer = io.StringIO()
     with styled():
         metadata = {"Date": None, "Creator": None, "Format": None, "Type": None, "Title": drawing.title}
-        drawing.figure.savefig(out, format="svg", metadata=metadata)
-    return _shorten(out.getvalue()).encode()
+        drawing.figure.savefig(buffer, format="svg", metadata=metadata)
+    return _shorten(buffer.getvalue()).encode()
 
 
 def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
     """The figure as PNG."""
-    out = io.BytesIO()
+    buffer = io.BytesIO()
     with styled():
-        drawing.figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
-    return out.getvalue()
+        drawing.figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def _shorten(svg_text: str) -> str:
@@ -173,8 +173,8 @@ def envelope(x: Floats, y: Floats, columns: int = 900) -> tuple[Floats, Floats, 
 
     Returns x, low, high; intervals without a finite y are left out. x must increase.
     """
-    good = np.isfinite(y)
-    x, y = x[good], y[good]
+    is_finite = np.isfinite(y)
+    x, y = x[is_finite], y[is_finite]
     if len(x) == 0:
         return x, y, y
     edges = np.linspace(x[0], x[-1], min(columns, len(x)) + 1)

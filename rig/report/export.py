@@ -146,11 +146,11 @@ def _read_table_decay(folder: Path, decay: RunResults, table_decay: TableDecay, 
     is_angle = stored.unit is DeflectionUnit.RAD
     unit, size = ("rad", conversion(table_unit, "rad")) if is_angle else (table_unit, 1.0)
     time_s, positions = read_positions(folder)
-    inside = (time_s >= table_decay.began_s) & (time_s <= table_decay.ended_s)
+    is_inside = (time_s >= table_decay.began_s) & (time_s <= table_decay.ended_s)
     suffix = re.sub(r"\W", "_", unit)
-    spots: dict[str, NDArray[Any]] = {"time_s": time_s[inside]}
+    spots: dict[str, NDArray[Any]] = {"time_s": time_s[is_inside]}
     for number, position in enumerate(positions, start=1):
-        spots[f"position_{number}_{suffix}"] = position[inside] * size
+        spots[f"position_{number}_{suffix}"] = position[is_inside] * size
     provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": table_unit}
     provenance |= {f"session.{name}": text for name, text in table_decay.session.items()}
     air = {} if decay.ambient is None else decay.ambient.known()

@@ -113,9 +113,11 @@ def _damping_figure(rows: Mapping[str, ResultRow], points: TurningPoints) -> Rep
     amplitude = points.amplitude / DEGREE_RAD
     time, swings = rows["damping_time_s"], rows["damping_swings"]
     start_deg, end_deg = rows["damping_start_deg"].value, rows["damping_end_deg"].value
-    inside = (amplitude <= start_deg) & (amplitude >= end_deg)
-    axes.plot(points.time_s[~inside], amplitude[~inside], "o", mfc="none", mec=DATA, label="turning points")
-    axes.plot(points.time_s[inside], amplitude[inside], "o", color=DATA, label="those that count")
+    is_inside = (amplitude <= start_deg) & (amplitude >= end_deg)
+    axes.plot(
+        points.time_s[~is_inside], amplitude[~is_inside], "o", mfc="none", mec=DATA, label="turning points"
+    )
+    axes.plot(points.time_s[is_inside], amplitude[is_inside], "o", color=DATA, label="those that count")
     for level in (start_deg, end_deg):
         axes.axhline(level, color=EXACT, lw=0.9)
         xycoords = ("axes fraction", "data")

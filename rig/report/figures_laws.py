@@ -38,8 +38,8 @@ _MAX_RINGS = 90
 def decay_figure(points: TurningPoints, curves: Curves | None, unit: DisplayUnit) -> ReportFigure:
     """alpha(t), the paper's Fig. 12, with residuals below; only the data without a fit."""
     figure = canvas(4.2 if curves else 2.8)
-    shown = thinned_indices(len(points), _MAX_DOTS)
-    time, size = points.time_s[shown], unit.shown_size
+    plotted = thinned_indices(len(points), _MAX_DOTS)
+    time, size = points.time_s[plotted], unit.shown_size
     if curves is None:
         top = figure.subplots()
         top.set_xlabel("t / s")
@@ -47,8 +47,8 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: DisplayUnit
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
         residual = curves.asymptotic.amplitude_residual_rad / size * 1e3
         exact_residual = curves.exact.amplitude_residual_rad / size * 1e3
-        plot_dots(bottom, time, residual[shown], ASYMPTOTIC)
-        plot_dots(bottom, time, exact_residual[shown], EXACT)
+        plot_dots(bottom, time, residual[plotted], ASYMPTOTIC)
+        plot_dots(bottom, time, exact_residual[plotted], EXACT)
         bottom.axhline(0, color=INK, lw=0.6)
         set_y_range(bottom, np.concatenate([residual, exact_residual]), 0.002, 0.1)
         bottom.set(xlabel="t / s", ylabel=f"data − fit / 10⁻³ {unit.shown}")
@@ -74,9 +74,9 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: DisplayUnit
 
 def _rings(axes: Axes, x: Floats, y: Floats, label: str) -> None:
     """Draw some of the data as rings over the curves."""
-    shown = thinned_indices(len(x), _MAX_RINGS)
+    plotted = thinned_indices(len(x), _MAX_RINGS)
     label += " (some)" if len(x) > _MAX_RINGS else ""
-    axes.plot(x[shown], y[shown], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, label=label, zorder=5)
+    axes.plot(x[plotted], y[plotted], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, label=label, zorder=5)
 
 
 def period_figure(curves: Curves) -> ReportFigure:
@@ -91,7 +91,7 @@ def period_figure(curves: Curves) -> ReportFigure:
     order = np.argsort(curves.period_rad)
     alpha = curves.period_rad[order] / ARCSEC_RAD
     period, u = curves.period_s[order], curves.u_period_s[order]
-    shown = thinned_indices(len(order), _MAX_DOTS)
+    plotted = thinned_indices(len(order), _MAX_DOTS)
     bars = thinned_indices(len(order), _MAX_BARS)
     top.errorbar(alpha[bars], period[bars], u[bars], fmt="none", ecolor=palette.SKY_BLUE, elinewidth=0.5)
     _rings(top, alpha, period, "measured")
@@ -99,7 +99,7 @@ def period_figure(curves: Curves) -> ReportFigure:
     is_uncertain = u > 4 * np.median(u)
     for label, (values, colour, width) in models.items():
         top.plot(alpha, values[order], color=colour, lw=width, label=label)
-        plot_dots(bottom, alpha[shown], ((period - values[order]) * 1e3)[shown], colour)
+        plot_dots(bottom, alpha[plotted], ((period - values[order]) * 1e3)[plotted], colour)
     set_y_range(top, np.concatenate([period[~is_uncertain], *(values for values, _, _ in models.values())]))
     residuals = [(period - values[order])[~is_uncertain] * 1e3 for values, _, _ in models.values()]
     set_y_range(bottom, np.concatenate(residuals), 0.005, 0.25)
@@ -126,14 +126,14 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
         "amplitude": curves.exact.amplitude_residual_rad / points.u_amplitude,
         "time": curves.exact.time_residual_s / points.u_time_s,
     }
-    shown = thinned_indices(len(points), 1200)
+    plotted = thinned_indices(len(points), 1200)
     outlying = np.isin(points.index, outliers)
     z = np.linspace(-4.5, 4.5, 181)
     normal = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
     for row, (name, values) in enumerate(residuals.items()):
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
-        plot_dots(left, points.index[shown], values[shown], DATA)
+        plot_dots(left, points.index[plotted], values[plotted], DATA)
         left.plot(points.index[outlying], np.clip(values[outlying], -4.4, 4.4), "x", color=EXACT, ms=4)
         left.axhline(0, color=INK, lw=0.6)
         left.set(ylim=(-4.5, 4.5), ylabel=f"{name}, (data − fit)/u", xlim=(points.index[0], points.index[-1]))
@@ -174,10 +174,10 @@ def loss_figure(
         losses = measured_losses(points)
     alpha = losses.amplitude_rad / ARCSEC_RAD
     left.errorbar(alpha, losses.log_decrement, losses.u_log_decrement, fmt=".", color=DATA, elinewidth=0.5)
-    known = np.isfinite(losses.quality) & np.isfinite(losses.u_quality)
+    is_known = np.isfinite(losses.quality) & np.isfinite(losses.u_quality)
     right.errorbar(
-        alpha[known], losses.quality[known], losses.u_quality[known], fmt=".", color=DATA, elinewidth=0.5,
-        label=f"measured, {cycles} cycle{'s' if cycles > 1 else ''} each",
+        alpha[is_known], losses.quality[is_known], losses.u_quality[is_known], fmt=".", color=DATA,
+        elinewidth=0.5, label=f"measured, {cycles} cycle{'s' if cycles > 1 else ''} each",
     )  # fmt: skip
     amplitudes = np.geomspace(points.amplitude[-1], points.amplitude[0], 80)
     model = model_losses(amplitudes, parameters, pendulum)
@@ -185,7 +185,7 @@ def loss_figure(
     left.plot(x, model.log_decrement, color=EXACT)
     right.plot(x, model.quality, color=EXACT, label=FitMethod.EXACT)
     set_y_range(left, np.concatenate([losses.log_decrement, model.log_decrement]), 0.01)
-    set_y_range(right, np.concatenate([losses.quality[known], model.quality]), 0.01)
+    set_y_range(right, np.concatenate([losses.quality[is_known], model.quality]), 0.01)
     left.set_ylabel("logarithmic decrement per cycle")
     right.set_ylabel("quality factor Q")
     for axes in (left, right):

@@ -125,30 +125,30 @@ def _motion_figure(
 ) -> Figure:
     figure = canvas(3.5)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.25, 1.0])
-    whole = figure.add_subplot(grid[0, :])
+    whole_axes = figure.add_subplot(grid[0, :])
     cycles = float(time_s[-1] - time_s[0]) / period_s
     # either every oscillation is resolved or none: anything between draws beats that do not exist
     columns = round(8 * cycles) if 8 * cycles <= _MAX_COLUMNS else round(min(cycles, _MAX_COLUMNS))
     x, low, high = break_at_gaps(*envelope(time_s, values, max(columns, 300)))
-    whole.fill_between(x, low, high, color=colour, lw=0.3)
-    whole.set_xlim(time_s[0], time_s[-1])
+    whole_axes.fill_between(x, low, high, color=colour, lw=0.3)
+    whole_axes.set_xlim(time_s[0], time_s[-1])
     zoom_s = min(_ZOOM_CYCLES * period_s, float(time_s[-1] - time_s[0]))
-    first = figure.add_subplot(grid[1, 0])
-    last = figure.add_subplot(grid[1, 1])
-    _zoom(first, time_s, values, float(time_s[0]), zoom_s, colour)
-    _zoom(last, time_s, values, float(time_s[-1]) - zoom_s, zoom_s, colour)
-    for axes in (whole, first, last):
+    first_axes = figure.add_subplot(grid[1, 0])
+    last_axes = figure.add_subplot(grid[1, 1])
+    _zoom(first_axes, time_s, values, float(time_s[0]), zoom_s, colour)
+    _zoom(last_axes, time_s, values, float(time_s[-1]) - zoom_s, zoom_s, colour)
+    for axes in (whole_axes, first_axes, last_axes):
         axes.set_xlabel("t / s")
-    for axes in (whole, first):
+    for axes in (whole_axes, first_axes):
         axes.set_ylabel(f"{name} / {unit}")
-    figure.align_ylabels([whole, first])
+    figure.align_ylabels([whole_axes, first_axes])
     return figure
 
 
 def _zoom(axes: Axes, time_s: Floats, values: Floats, start_s: float, duration_s: float, colour: str) -> None:
-    inside = np.nonzero((time_s >= start_s) & (time_s <= start_s + duration_s))[0]
-    inside = inside[thinned_indices(len(inside), _MAX_LINE_POINTS)]
-    axes.plot(*break_at_gaps(time_s[inside], values[inside]), color=colour, lw=0.8)
+    indices = np.nonzero((time_s >= start_s) & (time_s <= start_s + duration_s))[0]
+    indices = indices[thinned_indices(len(indices), _MAX_LINE_POINTS)]
+    axes.plot(*break_at_gaps(time_s[indices], values[indices]), color=colour, lw=0.8)
     axes.set_xlim(start_s, start_s + duration_s)
 
 
@@ -163,9 +163,9 @@ def _trajectory_figure(motion: ReportTrajectory, period_s: float) -> ReportFigur
         "last three periods": (end_s - window_s, palette.VERMILLION),
     }
     for label, (start_s, colour) in windows.items():
-        inside = np.nonzero((motion.time_s >= start_s) & (motion.time_s <= start_s + window_s))[0]
-        inside = inside[thinned_indices(len(inside), _MAX_LINE_POINTS)]
-        _, x, y = break_at_gaps(motion.time_s[inside], motion.x[inside], motion.y[inside])
+        indices = np.nonzero((motion.time_s >= start_s) & (motion.time_s <= start_s + window_s))[0]
+        indices = indices[thinned_indices(len(indices), _MAX_LINE_POINTS)]
+        _, x, y = break_at_gaps(motion.time_s[indices], motion.x[indices], motion.y[indices])
         for axes in (left, right):
             axes.plot(x, y, color=colour, lw=0.6, label=label)
     left.set_aspect("equal", adjustable="datalim")
@@ -203,9 +203,9 @@ def damped_figure(results: RunResults, unit: DisplayUnit) -> ReportFigure:
     amplitude_axes.set(yscale="log", ylabel=f"amplitude / {unit.shown}")
     damping = results.damping
     if damping is not None and damping.curve:
-        parts = [part.value for part in (damping.constant, damping.linear, damping.quadratic)]
+        coefficients = [term.value for term in (damping.constant, damping.linear, damping.quadratic)]
         # the amplitudes of the curve are stored in the displayed unit
-        model = amplitude_at(points.time_s - points.time_s[0], damping.curve[0].amplitude, *parts)
+        model = amplitude_at(points.time_s - points.time_s[0], damping.curve[0].amplitude, *coefficients)
         amplitude_axes.plot(points.time_s, model, color=EXACT)
         residual_axes.errorbar(points.time_s, amplitude - model, u_amplitude, fmt=".", **bars)
         curve_amplitude = np.array([point.amplitude for point in damping.curve])

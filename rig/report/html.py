@@ -148,10 +148,10 @@ def check_report(results: Path) -> list[Finding]:
         page_text = report.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise RecordError(f"{report}: cannot be read: {error.strerror or error}") from None
-    stated = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', page_text)
-    if stated is None:
+    match = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', page_text)
+    if match is None:
         return [Finding("note", f"{report.name} does not say which results it was made from")]
-    if stated[1] != sha256_of(results):
+    if match[1] != sha256_of(results):
         return [
             Finding("error", f"{report.name} was made from other results than {results.name}; run rig report")
         ]

@@ -73,19 +73,21 @@ def compress(candidate: CandidateRun, reference_rad: float) -> tuple[CompressedR
     }
     growth = {source: shifts[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
     shared |= growth
-    own, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
+    own_covariance, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
     u_air = _u_air(run, fit)
     if u_air > 0 and DRAG.key in names:
         # the prior knowledge of the drag moves all parameters along the drag's column of the covariance
         drag = names.index(DRAG.key)
-        part = jacobian @ covariance[:, drag] * (u_air / covariance[drag, drag])
-        share = float(part @ np.linalg.solve(own, part))
-        shared[_AIR] = part = part * min(1.0, (_MAX_SHARED_FRACTION / share) ** 0.5) if share > 0 else part
-        own = own - np.outer(part, part)
+        air_shift = jacobian @ covariance[:, drag] * (u_air / covariance[drag, drag])
+        share = float(air_shift @ np.linalg.solve(own_covariance, air_shift))
+        shared[_AIR] = air_shift = (
+            air_shift * min(1.0, (_MAX_SHARED_FRACTION / share) ** 0.5) if share > 0 else air_shift
+        )
+        own_covariance = own_covariance - np.outer(air_shift, air_shift)
     shared |= law_shared
     for source in _RUN_SOURCES:
         if source in shifts:
-            own = own + np.outer(shifts[source], shifts[source])
+            own_covariance = own_covariance + np.outer(shifts[source], shifts[source])
     time_s = run.stored.time_s
     duration_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     return (
@@ -94,7 +96,7 @@ def compress(candidate: CandidateRun, reference_rad: float) -> tuple[CompressedR
             contact=candidate.contact,
             names=tuple(names),
             values=values,
-            covariance=0.5 * (own + own.T),
+            covariance=0.5 * (own_covariance + own_covariance.T),
             shared=shared,
             bounds=bounds,
             covariates=_covariates(run, fit, duration_s),
@@ -177,10 +179,10 @@ def _without_model_discrepancy(
     factors, shared = np.ones(len(names)), {}
     for index, name in enumerate(names):
         sources = _budget_sources(run, name)
-        part = sum(line.share for line in sources if line.source == _DISCREPANCY)
-        total = sum(line.share for line in sources if line.type == "A" or line.source == _AIR)
-        if part > 0 and isfinite(total):
-            share = min(part / total, _MAX_SHARED_FRACTION)
+        discrepancy_share = sum(line.share for line in sources if line.source == _DISCREPANCY)
+        total_share = sum(line.share for line in sources if line.type == "A" or line.source == _AIR)
+        if discrepancy_share > 0 and isfinite(total_share):
+            share = min(discrepancy_share / total_share, _MAX_SHARED_FRACTION)
             factors[index] = (1 - share) ** 0.5
             unit_vector = np.eye(len(names))[index]
             shared[f"{_DISCREPANCY} of {name}"] = (share * covariance[index, index]) ** 0.5 * unit_vector

@@ -222,13 +222,13 @@ def _half_cycle_uncertainties(
 def _slow_density(config: Configuration, frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
     """One-sided density in rad^2/Hz of the slow deflection of the beam by air and a wandering laser."""
     disturbances = config.simulation.disturbances
-    inside = (frequency_hz >= disturbances.air_from_hz) & (frequency_hz <= disturbances.air_to_hz)
+    is_inside = (frequency_hz >= disturbances.air_from_hz) & (frequency_hz <= disturbances.air_to_hz)
     air_rad2 = (disturbances.air_arcsec * ARCSEC_RAD) ** 2 / math.log(
         disturbances.air_to_hz / disturbances.air_from_hz
     )
     walk_rad = disturbances.pointing_walk_px_per_sqrt_s * _rad_per_px(config)
     air, walk = (
-        np.where(inside, air_rad2 / frequency_hz, 0.0),
+        np.where(is_inside, air_rad2 / frequency_hz, 0.0),
         2 * walk_rad**2 / (2 * math.pi * frequency_hz) ** 2,
     )
     shared, noise = _reference_share_and_noise(config)
@@ -243,8 +243,8 @@ def _reference_share_and_noise(config: Configuration) -> tuple[float, float]:
 
     The fraction is 0 without a reference, and if the simulated rig has none.
     """
-    truth, stated = config.simulation.reference, config.reference
-    if stated is None or not truth.relative > 0:
+    truth, reference = config.simulation.reference, config.reference
+    if reference is None or not truth.relative > 0:
         return 0.0, math.inf
     optics, sensor = config.simulation.optics, sensor_model(config, _FULL_SCALE_DN)
     peak_dn = truth.relative * optics.peak_dn / 255 * sensor.full_scale_dn

@@ -226,6 +226,6 @@ def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: DisplayUnit) -
     """The motion of a table: Y along it, X across it, NaN if only one position was measured."""
     time_s, positions = read_positions(folder)
     margin_s = _MARGIN * (decay.ended_s - decay.began_s)
-    inside = (time_s >= decay.began_s - margin_s) & (time_s <= decay.ended_s + margin_s)
+    is_inside = (time_s >= decay.began_s - margin_s) & (time_s <= decay.ended_s + margin_s)
     along, across = along_and_across(positions)
-    return ReportTrajectory(time_s[inside] - zero_s, across[inside], along[inside], unit)
+    return ReportTrajectory(time_s[is_inside] - zero_s, across[is_inside], along[is_inside], unit)

@@ -136,12 +136,12 @@ def validate_configuration(
     for fault in faults:
         is_stated, place = _is_from_overrides(fault, with_u), fault.place
         siblings = [key.rstrip(".") for key in sorted(set_keys) if place and key.startswith(f"{place[0]}.")]
-        why = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
+        hint = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
         positions = {text: fault.line.find(key) for key, text in overrides.items()}
         # of keys that contradict each other, the line may begin with one that --set does not state
         is_first = place or 0 in positions.values()
-        named = "" if is_first else "".join(f"{text}: " for text in positions if positions[text] > 0)
-        lines.append(f"{f'--set {named}' if is_stated else f'{source}: '}{fault.line}{why}")
+        prefix = "" if is_first else "".join(f"{text}: " for text in positions if positions[text] > 0)
+        lines.append(f"{f'--set {prefix}' if is_stated else f'{source}: '}{fault.line}{hint}")
     raise ConfigurationError("\n".join(lines))
 
 

@@ -119,14 +119,14 @@ def _configuration_text(values: ValuesByKey, now: datetime.datetime) -> str:
     )
 
 
-def write_configuration(path: Path, stated: ValuesByKey) -> Configuration:
+def write_configuration(path: Path, values: ValuesByKey) -> Configuration:
     """Write the file and read it back; no file is left if that fails.
 
     Raises ConfigurationError for a file that exists already, or answers that contradict each other, and
     RecordError if it cannot be written.
     """
     refuse_existing(path)
-    text = _configuration_text(stated, datetime.datetime.now().astimezone())
+    text = _configuration_text(values, datetime.datetime.now().astimezone())
     try:
         with atomic_write.being_written(path) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -51,9 +51,9 @@ class Verdict:
         judgement = (
             "NO-GO" if not self.ok else "caution" if self.remedy else "go" if self.made else "not checked"
         )
-        why = "; ".join(text for text in (self.reason, self.remedy) if text)
+        reasons = "; ".join(text for text in (self.reason, self.remedy) if text)
         text = f"{judgement}, {self.measured}" if self.measured else judgement
-        return f"{text}: {why}" if why else text
+        return f"{text}: {reasons}" if reasons else text
 
 
 def failures(verdicts: Sequence[Verdict]) -> str:
@@ -77,8 +77,8 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
     for verdict in verdicts:
         if verdict.remedy:
             kind = "warning" if verdict.ok else "NO-GO"
-            why = "; ".join(text for text in (verdict.reason, verdict.remedy) if text)
-            _print(console, f"{kind} {verdict.name}: {why}")
+            reasons = "; ".join(text for text in (verdict.reason, verdict.remedy) if text)
+            _print(console, f"{kind} {verdict.name}: {reasons}")
     for reason in dict.fromkeys(v.reason for v in verdicts if not v.made and v.reason):
         names = ", ".join(v.name for v in verdicts if v.reason == reason)
         _print(console, f"not checked: {names}: {reason}")

@@ -60,8 +60,8 @@ class AnalysisCurve(NamedTuple):
 
 def run_analysis(record: Path) -> RunResults:
     """The results next to the record if they were made from this file, else a new fit."""
-    _, known = recorded_results(record, sha256_of(record))
-    return analyse_record(record) if known is None else known
+    _, stored = recorded_results(record, sha256_of(record))
+    return analyse_record(record) if stored is None else stored
 
 
 def analysis_curves(run: RunResults) -> list[AnalysisCurve]:
@@ -96,17 +96,17 @@ def analysis_curves(run: RunResults) -> list[AnalysisCurve]:
 
 def report_text(results: RunResults) -> str:
     """Results of the fits in Markdown."""
-    parts = [f"## {Path(results.record).stem}"]
-    parts.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
+    paragraphs = [f"## {Path(results.record).stem}"]
+    paragraphs.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
     if results.problem:
-        parts.append(f"no fit: {results.problem}")
+        paragraphs.append(f"no fit: {results.problem}")
     if results.fits:
-        parts.append(_markdown(parameter_table(results, full=False)))
-        parts.append(_markdown(quality_table(results)))
+        paragraphs.append(_markdown(parameter_table(results, full=False)))
+        paragraphs.append(_markdown(quality_table(results)))
     instrument = instrument_table(results)
     if instrument.shown:
-        parts.append(_markdown(instrument))
-    return "\n\n".join([*parts, *(f"- {line}" for line in (*remarks(results), *results.warnings))])
+        paragraphs.append(_markdown(instrument))
+    return "\n\n".join([*paragraphs, *(f"- {line}" for line in (*remarks(results), *results.warnings))])
 
 
 def _markdown(table: Table) -> str:
@@ -169,20 +169,20 @@ def _draw_curve(
     """
     path = f"{root}/{rr.escape_entity_path_part(curve.name)}"
     points = graticule.to_plane(curve.x, curve.y)
-    inside = graticule.inside(curve.x, curve.y)
+    is_inside = graticule.inside(curve.x, curve.y)
     if curve.style == "points":
         radius = rr.Radius.ui_points(1.2 + 0.7 * lines_above)
-        dots = rr.Points2D(points[inside], colors=palette.rgba(colour), radii=radius, draw_order=5.0)
+        dots = rr.Points2D(points[is_inside], colors=palette.rgba(colour), radii=radius, draw_order=5.0)
         stream.log(path, dots, static=True)
     else:
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], is_inside, [False])).astype(np.int8)))
         strips = [points[start:stop] for start, stop in edges.reshape(-1, 2)]
         radius = rr.Radius.ui_points(0.8 + 0.8 * lines_above)
         order = 20.0 - lines_above
         line = rr.LineStrips2D(strips, colors=palette.rgba(colour), radii=radius, draw_order=order)
         stream.log(path, line, static=True)
     if curve.u_y is not None:
-        rows = np.flatnonzero(inside)[:: max(1, int(inside.sum()) // MAX_BARS)]
+        rows = np.flatnonzero(is_inside)[:: max(1, int(is_inside.sum()) // MAX_BARS)]
         low = np.maximum(curve.y[rows] - curve.u_y[rows], graticule.y_low)
         high = np.minimum(curve.y[rows] + curve.u_y[rows], graticule.y_high)
         ends = graticule.to_plane(curve.x[rows], low), graticule.to_plane(curve.x[rows], high)
@@ -193,7 +193,9 @@ def _draw_curve(
             draw_order=-5.0,
         )
         stream.log(f"{path}/u", bars, static=True)
-    return int(np.count_nonzero(np.isfinite(curve.x + curve.y) & ~inside)) if curve.style == "points" else 0
+    return (
+        int(np.count_nonzero(np.isfinite(curve.x + curve.y) & ~is_inside)) if curve.style == "points" else 0
+    )
 
 
 def _legend(entries: list[tuple[str, str]], graticule: Graticule, *, is_low: bool) -> rr.Points2D:

@@ -128,9 +128,9 @@ class Drawing:
 
     def _draw_transverse(self, time_s: Floats, x: Floats, y: Floats) -> None:
         """Draw the two parts of X: the fast mode, and the leakage of the slow mode."""
-        parts = self._transverse.samples(time_s, x, y)
-        if parts is not None:
-            time_s, fast, leakage = parts
+        separated = self._transverse.samples(time_s, x, y)
+        if separated is not None:
+            time_s, fast, leakage = separated
             self._curve(layout.LEAKAGE, "slow mode's leakage", palette.BLUE, time_s, leakage)
             self._curve(layout.FAST, "fast mode", palette.X_COLOUR, time_s, fast)
 
@@ -159,9 +159,9 @@ class Drawing:
             (layout.AMPLITUDE, amplitudes, palette.AMPLITUDE_COLOUR, self.setup.unit),
             (layout.PERIOD, periods_s, palette.PERIOD_COLOUR, "s"),
         ):
-            good = np.isfinite(value)
-            if good.any():
-                columns = time_s[good], value[good], u[good]
+            is_finite = np.isfinite(value)
+            if is_finite.any():
+                columns = time_s[is_finite], value[is_finite], u[is_finite]
                 self._curve(path, f"{path[1:]} / {unit}", colour, *columns, max_gap=_MAX_POINT_GAP)
 
     def balance(self, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:

@@ -51,12 +51,12 @@ class Replay:
         # only the tracker uses the sensor's noise, and it runs only with --retrack
         config = config if retrack else config.model_copy(update={"sensor": recorded.sensor})
         if retrack and not reader.counts.get(WINDOW.topic):
-            why = "" if recorded.record.windows else " (it was made with record.windows = false)"
+            reason = "" if recorded.record.windows else " (it was made with record.windows = false)"
             if recorded.record.windows and len(reader.files) == 1:
-                why = f" ({pixels_beside(reader.path).name} is not beside it)"
+                reason = f" ({pixels_beside(reader.path).name} is not beside it)"
             raise RecordError(
-                f"{reader.path}: contains no windows of raw pixels{why}, the spot cannot be tracked again; "
-                "replay it without --retrack"
+                f"{reader.path}: contains no windows of raw pixels{reason}, the spot cannot be tracked "
+                "again; replay it without --retrack"
             )
         self._same_deflections = (config.lever, config.axes, shutter_of(config)) == (
             recorded.lever,

@@ -125,12 +125,12 @@ class ViewerProgram:
         self._is_page = mode == "web"
         port, web_port = ports or ports_of_view()
         self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        words = ["--port", str(port), "--hide-welcome-screen"]
+        arguments = ["--port", str(port), "--hide-welcome-screen"]
         if self._is_page:
             inner_port = free_port(web_port + 1)
-            words += ["--serve-web", "--web-viewer-port", str(inner_port)]
-            words += ["--server-memory-limit", _SERVER_MEMORY]
-        self._process = _start_program(*words, outlives_group=not self._is_page)
+            arguments += ["--serve-web", "--web-viewer-port", str(inner_port)]
+            arguments += ["--server-memory-limit", _SERVER_MEMORY]
+        self._process = _start_program(*arguments, outlives_group=not self._is_page)
         if self._is_page:
             self._await_page(inner_port)
             _GuardedPage(web_port, inner_port, port)

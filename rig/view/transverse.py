@@ -75,8 +75,8 @@ class TransverseCurves:
 
     def _line_at(self, time_s: float) -> _Line:
         """The line nearest to a time."""
-        after = bisect_right(self._lines, time_s, key=lambda line: line.time_s)
-        neighbours = self._lines[max(after - 1, 0) : after + 1]
+        index = bisect_right(self._lines, time_s, key=lambda line: line.time_s)
+        neighbours = self._lines[max(index - 1, 0) : index + 1]
         return min(neighbours, key=lambda line: abs(line.time_s - time_s))
 
 
@@ -176,14 +176,14 @@ class Trail:
         path = np.concatenate((self._last_point, points))
         ends: list[float] = []
         strips: list[Floats] = []
-        good = np.isfinite(path[:, 0] + path[:, 1])
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])).astype(np.int8)))
+        is_finite = np.isfinite(path[:, 0] + path[:, 1])
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], is_finite, [False])).astype(np.int8)))
         for start, stop in edges.reshape(-1, 2):
             for first in range(start, stop - 1, _MAX_STRIP_STEPS):
                 last = min(first + _MAX_STRIP_STEPS, stop - 1)
                 ends.append(float(times[last]))
                 strips.append(path[first : last + 1])
-        keep = len(path) - 1 if len(path) and good[-1] else len(path)
+        keep = len(path) - 1 if len(path) and is_finite[-1] else len(path)
         self._last_time_s, self._last_point = times[keep:], path[keep:]
         return np.array(ends), strips
 
