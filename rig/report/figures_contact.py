@@ -86,8 +86,8 @@ def series_figure(series: Series) -> ReportFigure:
     return ReportFigure(
         "series",
         "Runs of the series",
-        f"{method.capitalize()} fit of each run with its standard uncertainty; line and band: combined value, "
-        "95 % interval.",
+        f"{method.capitalize()} fit of each run with its standard uncertainty; line and band: combined "
+        "value, 95 % interval.",
         figure,
     )
 
