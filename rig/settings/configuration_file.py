@@ -26,9 +26,9 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     Raises ConfigurationError with one line if the file is missing, a folder, unreadable or not TOML.
     """
     if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
-        content = "a folder with records" if path.is_dir() else "a record"
+        content = "is a folder with records" if path.is_dir() else "is a record"
         raise ConfigurationError(
-            f"{path}: is {content}, not a {kind}; rig record info {path} says how it was made"
+            f"{path}: {content}, not a {kind}; rig record info {path} says how it was made"
         )
     try:
         text = path.read_text(encoding="utf-8-sig")
