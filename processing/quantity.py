@@ -125,5 +125,5 @@ class InstrumentQuantities:
     chi2_per_dof: Annotated[float, Quantity("χ²/dof", "χ² per degree of freedom", unit="1")]
     plane_turned_deg: Annotated[float, Quantity("turned", "turned in all", "deg", "deg")]
     plane_width_ratio: Annotated[float, Quantity("width", "width of the swing over its length", unit="1")]
-    inferred_half_cycles: Annotated[float, Quantity("inferred", "turning points off the sensor", unit="1")]
+    inferred_swings: Annotated[float, Quantity("inferred", "turning points off the sensor", unit="1")]
     mean_period_s: Annotated[float, Quantity("T", "mean period", "s")]

@@ -27,24 +27,10 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "Campaign",
-    "Deflections",
-    "Record",
-    "RigError",
-    "Session",
-    "SessionResults",
-    "campaign",
-    "curves",
-    "figures",
-    "fit",
-    "fit_film",
-    "fit_table",
-    "open_record",
-    "open_session",
-    "read_results",
-    "write_results",
-]
-_PLACES = {
+    "Campaign", "Deflections", "Record", "RigError", "Session", "SessionResults", "campaign", "curves",
+    "figures", "fit", "fit_film", "fit_table", "open_record", "open_session", "read_results", "write_results",
+]  # fmt: skip
+_MODULES = {
     "Deflections": "processing.deflections",
     "RigError": "processing.errors",
     "SessionResults": "rig.analysis",
@@ -54,26 +40,26 @@ _PLACES = {
 """Modules of the names; those that are not listed are in rig.scripting."""
 
 
-def _refuse_strangers() -> None:
-    """Raise ImportError where one of the program's other packages, whose names are common, is another's."""
-    ours = Path(__file__).resolve().parent.parent
+def _refuse_foreign_packages() -> None:
+    """Raise ImportError if another project's package hides one of this program with the same, common name."""
+    root = Path(__file__).resolve().parent.parent
     for name in ("processing", "calibration", "acquisition"):
         spec = find_spec(name)
-        place = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
-        if place is None or place.parent.parent != ours:
+        path = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
+        if path is None or path.parent.parent != root:
             raise ImportError(
-                f"the package {name!r} found first is {place or 'missing'}, not that beside {ours / 'rig'}; "
+                f"the package {name!r} found first is {path or 'missing'}, not that beside {root / 'rig'}; "
                 "rename the other, or install optical-pendulum-rig into an environment of its own"
             )
 
 
-_refuse_strangers()
+_refuse_foreign_packages()
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'rig' has no attribute {name!r}")
-    return getattr(importlib.import_module(_PLACES.get(name, "rig.scripting")), name)
+    return getattr(importlib.import_module(_MODULES.get(name, "rig.scripting")), name)
 
 
 def __dir__() -> list[str]:

@@ -10,7 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Annotated, Any
 
 import typer
@@ -21,7 +21,7 @@ from rig.commands import archive, calibration, camera, fitting, init, measure, r
 from rig.commands.arguments import ListingCommand
 from rig.interruption import reason_of, replace_missing_characters, terminated_by_signals
 
-_MADE_BETWEEN_COLLECTIONS = 10_000
+_OBJECTS_BETWEEN_COLLECTIONS = 10_000
 
 _COMMANDS: Mapping[str, tuple[typer.Typer | Callable[..., None], ...]] = {
     "Measure": (
@@ -45,7 +45,7 @@ _COMMANDS: Mapping[str, tuple[typer.Typer | Callable[..., None], ...]] = {
     ),
     "Care": (init.init, session.doctor),
 }
-"""The commands, and those with commands of their own, in the order and under the headings of `rig --help`."""
+"""The commands and groups of commands, under the headings of `rig --help` and in its order."""
 
 
 def _name(command: typer.Typer | Callable[..., None]) -> str:
@@ -56,7 +56,7 @@ GROUPS = {heading: tuple(map(_name, commands)) for heading, commands in _COMMAND
 """Names of the commands under each heading."""
 
 
-class _InGroups(TyperGroup):
+class _GroupedCommands(TyperGroup):
     """Lists the commands under the headings of `GROUPS`."""
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -71,7 +71,7 @@ class _InGroups(TyperGroup):
 
 app = typer.Typer(
     name="rig",
-    cls=_InGroups,
+    cls=_GroupedCommands,
     help=(
         "Optical pendulum rig: measure, replay, view and analyse the free decay of a pendulum on one ball."
         "\n\nBegin with rig demo, a whole measurement on a simulated rig, or with rig init for your own."
@@ -81,16 +81,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for _each in (each for commands in _COMMANDS.values() for each in commands):
-    if isinstance(_each, typer.Typer):
-        app.add_typer(_each)
+for _command in chain.from_iterable(_COMMANDS.values()):
+    if isinstance(_command, typer.Typer):
+        app.add_typer(_command)
     else:
-        app.command(cls=ListingCommand)(_each)
+        app.command(cls=ListingCommand)(_command)
 
 
-def _version(asked: bool) -> None:
-    if asked:
-        # imported here because it reads e-mail headers, which takes longer than the rest of this module
+def _version(is_requested: bool) -> None:
+    if is_requested:
+        # imported here: it imports the parser of e-mail headers, which takes longer than the rest
         from importlib import metadata
 
         print(f"optical-pendulum-rig {metadata.version('optical-pendulum-rig')}")
@@ -111,12 +111,12 @@ def _options(
     logging.basicConfig(
         level=logging.DEBUG if debug else logging.WARNING,
         format="%(levelname)s %(name)s: %(message)s" if debug else "%(message)s",
-        handlers=[_PresentStderr()],
+        handlers=[_CurrentStderr()],
     )
 
 
-class _PresentStderr(logging.Handler):
-    """Logs to the current `sys.stderr`, which a live screen replaces in order to print above itself."""
+class _CurrentStderr(logging.Handler):
+    """Logs to the current `sys.stderr`; a live screen replaces it, so that lines appear above the screen."""
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
@@ -128,27 +128,27 @@ class _PresentStderr(logging.Handler):
 def main() -> None:
     """Entry point of the ``rig`` script.
 
-    Exit status 2 for what was not begun (wrong usage, no such file), 1 for what failed, 130 after Ctrl-C,
-    SIGTERM or SIGHUP.
+    The exit status is 2 if nothing was begun (wrong usage, no such file), 1 after a failure, and 130 after
+    Ctrl-C, SIGTERM or SIGHUP.
     """
-    # Matrices here have a few columns: OpenBLAS's threads only spin, at the expense of the frames', and
-    # make the last digits depend on the number of cores.
+    # For matrices of a few columns OpenBLAS's threads only take time from those of the frames, and make the
+    # last digits depend on the number of cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Imports make a hundred thousand objects that stay: to look through them for garbage as often as Python
-    # does by itself takes a twentieth of the time of `rig fit`.
-    gc.set_threshold(_MADE_BETWEEN_COLLECTIONS)
+    # Imports make a hundred thousand objects that stay: searching them for garbage as often as Python does
+    # by default takes a twentieth of the time of `rig fit`.
+    gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     replace_missing_characters()
     debug = "--debug" in sys.argv
     # accepted anywhere, because users append them to the command that has just said too little
-    moved = [word for word in sys.argv[1:] if word in ("--debug", "-v", "--verbose")]
-    sys.argv = [sys.argv[0], *moved, *(word for word in sys.argv[1:] if word not in moved)]
+    global_options = [word for word in sys.argv[1:] if word in ("--debug", "-v", "--verbose")]
+    words = [word for word in sys.argv[1:] if word not in global_options]
     try:
-        sys.argv = _complete(sys.argv)
+        sys.argv = [sys.argv[0], *global_options, *_checked_words(words)]
         with terminated_by_signals():
             status = app(prog_name="rig", standalone_mode=False)
-    except (typer.Abort, KeyboardInterrupt) as ended:
+    except (typer.Abort, KeyboardInterrupt) as error:
         # typer turns KeyboardInterrupt into Abort
-        interrupt = ended.__cause__ if isinstance(ended, typer.Abort) else ended
+        interrupt = error.__cause__ if isinstance(error, typer.Abort) else error
         reason = reason_of(interrupt if isinstance(interrupt, KeyboardInterrupt) else KeyboardInterrupt())
         print(f"rig: {reason}", file=sys.stderr)
         status = 130
@@ -158,42 +158,41 @@ def main() -> None:
     except Exception as error:
         if debug:
             raise
-        status = _say(error)
+        status = _report_error(error)
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _complete(words: list[str]) -> list[str]:
-    """The words, with `--view` alone said in full; raises ConfigurationError for an empty one.
+def _checked_words(words: list[str]) -> list[str]:
+    """The words after `rig`, with the value `window` after a `--view` without a value.
 
-    Conditions of the archive may be empty.
+    Raises ConfigurationError for an empty word; conditions of the archive may be empty.
     """
-    found: list[str] = []
-    for word, following in pairwise([*words, "--"]):
+    result: list[str] = []
+    for previous, word, following in zip(["", *words], words, [*words[1:], "--"], strict=False):
         if not word.strip() or re.fullmatch(r"--[\w-]+=\s*", word):
-            before = f" after {found[-1]}" if found[-1].startswith("-") else ""
-            if before or "archive" not in words[1:]:
-                raise ConfigurationError(f"an argument{before} is empty; state a value, or leave it out")
-        found += [word, "window"] if word == "--view" and not _is_way_to_view(following) else [word]
-    return found
+            option = f" after {previous}" if previous.startswith("-") else ""
+            if option or "archive" not in words:
+                raise ConfigurationError(f"an argument{option} is empty; state a value, or leave it out")
+        result += [word, "window"] if word == "--view" and not _is_view_mode(following) else [word]
+    return result
 
 
-def _is_way_to_view(word: str) -> bool:
-    """Whether a word behind `--view` is meant as its value, right or wrong: no option, no file."""
+def _is_view_mode(word: str) -> bool:
+    """Whether a word after `--view` is its value, valid or not; an option or a file is not."""
     return word in ("window", "web") or (word.isalpha() and not os.path.lexists(word))
 
 
 def _example(words: list[str]) -> str:
     """The first example of the command's own help; empty where it has none."""
-    named = [word for word in words[1:] if not word.startswith("-")]
     command: object = typer.main.get_command(app)
-    for word in named:
-        inner = getattr(command, "commands", {}).get(word)
-        if inner is None:
+    for word in (word for word in words[1:] if not word.startswith("-")):
+        subcommand = getattr(command, "commands", {}).get(word)
+        if subcommand is None:
             break
-        command = inner
+        command = subcommand
     lines = [line.strip() for line in (getattr(command, "help", None) or "").splitlines()]
-    shown = next((line for line in lines if line.startswith("rig ")), "")
-    return f", for example {shown}" if shown else ""
+    example = next((line for line in lines if line.startswith("rig ")), "")
+    return f", for example {example}" if example else ""
 
 
 def _usage_message(text: str, words: list[str]) -> str:
@@ -217,31 +216,32 @@ def _usage_message(text: str, words: list[str]) -> str:
         return f"{text.rstrip('.')}; --help lists the choices"
     if text.startswith("Got unexpected extra argument"):
         return f"{text.replace('(s)', '')}; put a name with spaces in quotes"
-    found = re.match(r"Invalid value for ([^:]*): (.*)", text, re.DOTALL)
-    if found is None:
+    match = re.match(r"Invalid value for ([^:]*): (.*)", text, re.DOTALL)
+    if match is None:
         return text
-    names = re.findall(r"'(-[^']*)'", found[1])
+    names = re.findall(r"'(-[^']*)'", match[1])
     for word, following in pairwise([*words, ""]):
         option, equals, value = word.partition("=")
         if option in names:
-            reason = found[2].rstrip(".")
+            reason = match[2].rstrip(".")
             choices = reason.partition(" is not one of ")[2]
-            meant = get_close_matches((value or following).lower(), re.findall(r"'([^']*)'", choices), 1)
-            reason += f"; did you mean {meant[0]}?" if meant else ""
-            return f"{option} {value if equals else following}: {reason}"
+            stated = value if equals else following
+            close = get_close_matches(stated.lower(), re.findall(r"'([^']*)'", choices), 1)
+            reason += f"; did you mean {close[0]}?" if close else ""
+            return f"{option} {stated}: {reason}"
     return text
 
 
-def _say(error: Exception) -> int:
+def _report_error(error: Exception) -> int:
     """Print a line on stderr for an error, or for each fault of a file; returns the exit status."""
     if type(error).__name__ == "NoArgsIsHelpError":
-        # click's private way to ask for the help of a command that was given nothing
+        # click's private exception for the help of a command without arguments
         print(str(error), file=sys.stderr)
         return 2
     if isinstance(error, RigError):
         text, status = str(error), 2 if isinstance(error, ConfigurationError) else 1
     elif isinstance(error, OSError) and error.strerror:
-        # what no command foresaw: a disk that fills up, a folder that is taken away
+        # an error that no command handles: a full disk, a removed folder
         text, status = f"{error.filename or 'a file or device'}: {error.strerror} (--debug shows where)", 1
     elif hasattr(error, "format_message"):
         # wrong usage, reported by typer

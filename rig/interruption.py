@@ -1,4 +1,4 @@
-"""Ctrl-C, signals and hang-up, child processes in groups of their own, missing characters."""
+"""Interruption by Ctrl-C, signals and hang-up; child processes; ports; characters that an encoding lacks."""
 
 import _thread
 import codecs
@@ -20,14 +20,15 @@ BY_USER = "stopped by the user"
 _REASONS = {"SIGTERM": "terminated", "SIGHUP": "terminated: the terminal was closed"}
 _RAISE_AGAIN_S = 0.05
 """Delay after which a lost or postponed interrupt is raised again: the callback has then returned."""
-_IMPORTING = "<frozen importlib._bootstrap>"
+_IMPORT_FILE = "<frozen importlib._bootstrap>"
+"""Name of the file, in a stack frame, of Python's import."""
 
 
 class Terminated(KeyboardInterrupt):
     """Raised if the program must end without asking the user; holds the reason and the signal's number."""
 
-    def __init__(self, why: str, number: int = signal.SIGTERM) -> None:
-        super().__init__(why)
+    def __init__(self, reason: str, number: int = signal.SIGTERM) -> None:
+        super().__init__(reason)
         self.number = number
 
 
@@ -49,7 +50,7 @@ def terminated_by_signals() -> Iterator[None]:
     afterwards. An interrupt during an import waits for the end of the import: an interrupted module may raise
     ImportError instead, and may never be importable again. Enter it in the main thread.
     """
-    known = [getattr(signal, name) for name in _REASONS if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in _REASONS if hasattr(signal, name)]
     terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
 
     signalled = False
@@ -85,61 +86,60 @@ def terminated_by_signals() -> Iterator[None]:
         # an interrupt raised inside this hook would be lost again
         _raise_again(number)
 
-    before = {each: signal.getsignal(each) for each in known}
+    handlers = {number: signal.getsignal(number) for number in numbers}
     # None is a handler that was not set from Python and could not be restored
-    replaced = {each: handler for each, handler in before.items() if handler not in (None, signal.SIG_IGN)}
+    replaced = {number: old for number, old in handlers.items() if old not in (None, signal.SIG_IGN)}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         replaced[signal.SIGINT] = signal.default_int_handler
     try:
         sys.unraisablehook = raise_lost_again
-        for each in replaced:
-            signal.signal(each, end)
+        for number in replaced:
+            signal.signal(number, end)
         yield
     finally:
         sys.unraisablehook = default_hook
-        for each, handler in replaced.items():
-            signal.signal(each, handler)
+        for number, handler in replaced.items():
+            signal.signal(number, handler)
 
 
 def _imports(frame: FrameType | None) -> int:
     """Number of calls of Python's import on the stack."""
-    found = 0
+    count = 0
     while frame is not None:
-        found += frame.f_code.co_filename == _IMPORTING
+        count += frame.f_code.co_filename == _IMPORT_FILE
         frame = frame.f_back
-    return found
+    return count
 
 
 def _raise_again(number: int) -> None:
-    again = threading.Timer(_RAISE_AGAIN_S, _interrupt_main, (number,))
-    again.daemon = True
-    again.start()
+    timer = threading.Timer(_RAISE_AGAIN_S, _interrupt_main, (number,))
+    timer.daemon = True
+    timer.start()
 
 
 @contextlib.contextmanager
-def call_on_hang_up(do: Callable[[], None]) -> Iterator[None]:
-    """A context within `terminated_by_signals` that calls `do`, and raises nothing, when the terminal is
-    closed.
+def call_on_hang_up(callback: Callable[[], None]) -> Iterator[None]:
+    """Call `callback`, and raise nothing, when the terminal is closed, within `terminated_by_signals`.
 
     An event loop that is left by an exception leaves threads that wait for it for ever. A hang-up that is
     ignored stays ignored. Enter it in the main thread.
     """
     number = getattr(signal, "SIGHUP", None)
-    before = None if number is None else signal.getsignal(number)
-    if number is None or before in (None, signal.SIG_IGN):
+    old_handler = None if number is None else signal.getsignal(number)
+    if number is None or old_handler in (None, signal.SIG_IGN):
         yield
         return
     terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
 
     def end(_number: int, _frame: FrameType | None) -> None:
         _silence(terminals)
-        do()
+        callback()
 
     signal.signal(number, end)
     try:
         yield
     finally:
-        signal.signal(number, before)
+        signal.signal(number, old_handler)
 
 
 def _interrupt_main(number: int) -> None:
@@ -169,23 +169,23 @@ def _silence(descriptors: list[int]) -> None:
 LOOPBACK = "127.0.0.1"
 
 
-def own_group() -> dict[str, Any]:
+def process_group_options() -> dict[str, Any]:
     """Arguments of `subprocess.Popen` for a process in a process group of its own, without a console."""
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
     return {"start_new_session": True}
 
 
-def start_python(*words: str, **how: Any) -> "subprocess.Popen[Any]":
-    """Start this interpreter in a process group of its own, with this program importable; `how` as for
-    `Popen`.
+def start_python(*arguments: str, **options: Any) -> "subprocess.Popen[Any]":
+    """Start this interpreter in a process group of its own, with this program importable.
 
-    The variables of `env` are added to the environment of this process.
+    `options` are those of `Popen`; the variables of `env` are added to the environment of this process.
     """
     project = str(Path(__file__).resolve().parents[1])
-    path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
-    environment = {**os.environ, **how.pop("env", {}), "PYTHONPATH": path}
-    return subprocess.Popen([sys.executable, "-P", *words], env=environment, **how, **own_group())
+    path = os.pathsep.join(folder for folder in (project, os.environ.get("PYTHONPATH")) if folder)
+    environment = {**os.environ, **options.get("env", {}), "PYTHONPATH": path}
+    options |= {"env": environment, **process_group_options()}
+    return subprocess.Popen([sys.executable, "-P", *arguments], **options)
 
 
 def free_port(preferred: int) -> int:
@@ -204,34 +204,34 @@ def free_port(preferred: int) -> int:
 
 
 _SUPERSCRIPTS: Final = dict(zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ", "-0123456789p", strict=True))
-_SPELLED: Final = {
+_ASCII_TEXTS: Final = {
     "±": "+-", "×": "x", "−": "-", "–": "-", "…": "...", "°": " deg", "µ": "u", "₀": "0", "ₜ": "t",
     "α": "alpha", "γ": "gamma", "κ": "kappa", "σ": "sigma", "χ": "chi", "ν": "nu", "φ": "phi",
 }  # fmt: skip
 
 
-def spelled(text: str) -> str:
+def ascii_text(text: str) -> str:
     """The text in ASCII; a character without a replacement becomes a question mark."""
     parts = []
-    raised = False
+    in_exponent = False
     for character in text:
         if character in _SUPERSCRIPTS:
-            parts.append(("" if raised else "^") + _SUPERSCRIPTS[character])
+            parts.append(("" if in_exponent else "^") + _SUPERSCRIPTS[character])
         else:
-            parts.append(character if character.isascii() else _SPELLED.get(character, "?"))
-        raised = character in _SUPERSCRIPTS
+            parts.append(character if character.isascii() else _ASCII_TEXTS.get(character, "?"))
+        in_exponent = character in _SUPERSCRIPTS
     return "".join(parts)
 
 
 def replace_missing_characters() -> None:
     """Make stdout and stderr replace characters that their encoding lacks, instead of raising an error."""
-    codecs.register_error("spelled", _spell)
+    codecs.register_error("ascii_text", _replace)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="spelled")
+            stream.reconfigure(errors="ascii_text")
 
 
-def _spell(error: UnicodeError) -> tuple[str, int]:
+def _replace(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    return spelled(error.object[error.start : error.end]), error.end
+    return ascii_text(error.object[error.start : error.end]), error.end

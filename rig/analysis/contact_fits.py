@@ -96,7 +96,7 @@ def refined_half_cycles(
         return Refinement(swings, None, doubt=remark, harmonics=harmonics)
     watch = CycleExtractor(swings, motion)
     deflections = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
-    search = PositionMapSearch(min(deflections), max(deflections), watch.cycles)
+    search = PositionMapSearch(min(deflections), max(deflections), watch.pending_cycles)
     remeasured = second_measurement(swings, _search_errors(blocks, watch, search), motion)
     refined = judge_refinement(swings, remeasured, motion, first, fit)._replace(harmonics=harmonics)
     doubts = [remark, refined.doubt]

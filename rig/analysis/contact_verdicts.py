@@ -202,7 +202,7 @@ def _widening(fit: FitResult) -> dict[str, float]:
     """Standard uncertainties of the contact parameters over those on ground at rest."""
     if MEASUREMENT not in fit.terms:
         return {}
-    covariance = fit.part(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER, REST_POSITION)
+    covariance = fit.covariance_by(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER, REST_POSITION)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = fit.standard_uncertainty / np.sqrt(np.diag(covariance))
     by_name = dict(zip(fit.names, ratio.tolist(), strict=True))

@@ -284,7 +284,7 @@ def _with_inferred(
         return swings
     swings = joined_swings(swings, inferred)
     count = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in swings)
-    report.add(inferred_half_cycles=count)
+    report.add(inferred_swings=count)
     return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in swings]
 
 

@@ -12,7 +12,7 @@ from processing.errors import ConfigurationError, RecordError, require_schema
 from processing.fault_text import fault_text
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, RunResults, SessionResults
-from rig.terminal import plain_values, written
+from rig.terminal import plain_values, translated_file_errors
 
 RESULTS_NAME = "results.json"
 _REMEDY = "rig fit makes it again from the record"
@@ -36,11 +36,11 @@ def write_results(path: str | Path, results: SessionResults) -> None:
     """Write results.json, never over an existing file.
 
     Raises ConfigurationError for an existing file, and for values that are no results; RecordError for a
-    file that cannot be written.
+    file that cannot be translated_file_errors.
     """
     if not isinstance(results, SessionResults):
         raise ConfigurationError(f"results: SessionResults are needed, not a {type(results).__name__}")
-    with written(Path(path)):
+    with translated_file_errors(Path(path)):
         atomic_write.write_new(Path(path), (_text(encoded(results)) + "\n").encode())
 
 

@@ -198,7 +198,7 @@ def _remarks(run: RunResults) -> Iterator[Remark]:
         yield Remark("note", detail, note)
     for verdict in run.conditions:
         if not verdict.ok or verdict.remedy:
-            text = f"{verdict.name.upper()}: {verdict.found}"
+            text = f"{verdict.name.upper()}: {verdict.finding}"
             yield Remark(verdict.name, RemarkLevel.CONDITION, text, verdict.remedy)
     for warning in run.warnings:
         is_other_fit = warning.startswith(f"{FitMethod.ASYMPTOTIC} fit: ")

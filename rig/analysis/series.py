@@ -71,7 +71,7 @@ def fitted_series(runs: Sequence[AnalysedRun]) -> Series | None:
         except DataError as error:
             problems.append(f"{method}: {error}")
     exact = combined.get(FitMethod.EXACT)
-    measured, rig = None if exact is None else exact.measured, fitted[0].rig
+    measured, rig = None if exact is None else exact.combined, fitted[0].rig
     if measured is not None:
         try:
             fits = [LinearisedFit.of(run.points, pendulum, run.fitted[FitMethod.EXACT]) for run in fitted]

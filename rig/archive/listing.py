@@ -34,8 +34,8 @@ from rig.terminal import (
     print_json_line,
     print_tables,
     screen_width,
+    translated_file_errors,
     with_uncertainty,
-    written,
 )
 
 _TABLES_SQL: Final = f"""
@@ -216,7 +216,7 @@ def list_runs(
         return
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([names, *(map(_csv_cell, row) for row in rows)])
-    with written(output, "name"):
+    with translated_file_errors(output, "name"):
         atomic_write.write_new(output, text.getvalue().encode())
 
 

@@ -155,7 +155,7 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
                 row["flaw"] = (
                     "no footer: it is being measured, or was cut short (rig record recover completes it)"
                 )
-            elif not reader.sound:
+            elif not reader.is_sound:
                 row |= {"state": "damaged", "flaw": "; ".join(reader.damages) or "its bytes have changed"}
             elif (end := end_of(reader.events())) is None or end.kind in EARLY_ENDS:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"

@@ -12,7 +12,7 @@ Archive = Annotated[
     Path,
     typer.Option("--archive", envvar="RIG_ARCHIVE", help="The archive: a DuckDB file; or RIG_ARCHIVE."),
 ]
-PLACE = Path("archive.duckdb")
+DEFAULT_ARCHIVE = Path("archive.duckdb")
 Names = Annotated[
     list[str] | None,
     typer.Argument(help="First characters of a run's or a session's hash.", show_default=False),
@@ -23,7 +23,7 @@ Read = Annotated[bool, typer.Option("--read", help="Also read files that look un
 def add(
     folders: Annotated[list[Path], input_argument("Folders with sessions in or below them.")],
     read: Read = False,
-    archive: Archive = PLACE,
+    archive: Archive = DEFAULT_ARCHIVE,
 ) -> None:
     """Remember folders and read the sessions in them that are new or have changed."""
     from rig.archive import add_folders
@@ -31,7 +31,7 @@ def add(
     print(add_folders(archive, folders, read=read))
 
 
-def update(read: Read = False, archive: Archive = PLACE) -> None:
+def update(read: Read = False, archive: Archive = DEFAULT_ARCHIVE) -> None:
     """Read the sessions that are new or have changed in all folders that were added."""
     from rig.archive import update_archive
 
@@ -45,7 +45,7 @@ def list_(
     ] = "",
     output: Annotated[Path | None, output_option("CSV file to write.", new_file(".csv"))] = None,
     json: JsonLines = False,
-    archive: Archive = PLACE,
+    archive: Archive = DEFAULT_ARCHIVE,
 ) -> None:
     """List the runs that meet a condition."""
     from rig.archive import list_runs
@@ -59,7 +59,7 @@ def show(
     names: Annotated[
         list[str], typer.Argument(help="First characters of a run's or a session's hash.", show_default=False)
     ],
-    archive: Archive = PLACE,
+    archive: Archive = DEFAULT_ARCHIVE,
 ) -> None:
     """Show everything known about runs."""
     from rig.archive import show_runs
@@ -67,7 +67,7 @@ def show(
     show_runs(archive, names)
 
 
-def check(archive: Archive = PLACE) -> None:
+def check(archive: Archive = DEFAULT_ARCHIVE) -> None:
     """Read all records and results again and compare their hashes."""
     from rig.archive import check_archive
 
@@ -90,7 +90,7 @@ def refit(
     processes: Annotated[
         int | None, typer.Option(min=1, help="Processes on this machine; default: one per processor.")
     ] = None,
-    archive: Archive = PLACE,
+    archive: Archive = DEFAULT_ARCHIVE,
 ) -> None:
     """Fit many sessions again; each gets a new results file, and keeps the earlier ones."""
     from rig.archive import refit_runs

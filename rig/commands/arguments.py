@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 _Paths = TypeVar("_Paths", Path, list[Path], Path | None, list[Path] | None)
 _KINDS = {"": "file or folder", ".mcap": "record", ".toml": "file", ".rrd": "Rerun file"}
 _MAX_LISTED = 5
+"""Names that a message on a missing file lists."""
 PAGES = (".html", ".htm")
-"""Suffixes of a page."""
+"""Suffixes of an HTML page."""
 
 
 def existing(paths: _Paths) -> _Paths:
@@ -31,10 +32,11 @@ def existing(paths: _Paths) -> _Paths:
 def existing_toml(remedy: str) -> Callable[[Path | None], Path | None]:
     """A check that a TOML file exists which is no configuration; `remedy` says where one comes from."""
 
-    def checked(path: Path | None) -> Path | None:
+    # a function of the path alone, because typer would pass the path as the last parameter
+    def check(path: Path | None) -> Path | None:
         return _existing(path, remedy)
 
-    return checked
+    return check
 
 
 def _existing(paths: _Paths, toml_remedy: str) -> _Paths:
@@ -48,30 +50,31 @@ def _existing(paths: _Paths, toml_remedy: str) -> _Paths:
                     f"{path}: no such file; a key of the configuration is changed by --set {path}"
                 ) from None
             kind = _KINDS.get(path.suffix.lower(), "file")
-            raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path, toml_remedy)}") from None
+            raise ConfigurationError(f"{path}: no such {kind}{_alternatives(path, toml_remedy)}") from None
         except (OSError, ValueError):
-            continue  # inaccessible, or not a valid name: the reader's message is better
+            # inaccessible, or not a valid name: the reader's message is better
+            continue
     return paths
 
 
-def _each(check: Callable[[Path], object], *, is_read: bool = True) -> Callable[[_Paths], _Paths]:
-    """A check of every path of a parameter; of one that is read after the check that it exists."""
+def _check_each(check: Callable[[Path], object], *, is_read: bool = True) -> Callable[[_Paths], _Paths]:
+    """A check of every path of a parameter; a path that is read must also exist."""
 
-    def checked(paths: _Paths) -> _Paths:
+    def check_all(paths: _Paths) -> _Paths:
         for path in _path_list(existing(paths) if is_read else paths):
             check(path)
         return paths
 
-    return checked
+    return check_all
 
 
-@_each
+@_check_each
 def record_input(path: Path) -> None:
     """Check that records exist; a folder must hold one."""
     resolve_records(path)
 
 
-@_each
+@_check_each
 def fit_input(path: Path) -> None:
     """Check the input of `rig fit`: records, a table, a film, or folders of them exist."""
     if kind_of(path) == "records":
@@ -79,7 +82,7 @@ def fit_input(path: Path) -> None:
 
 
 def kind_of(path: Path) -> Literal["records", "table", "film"]:
-    """The kind of input that a path is for `rig fit`, by its name, and for an array by its dimensions.
+    """The kind of the input of `rig fit` at a path, by its name; of an array by its dimensions.
 
     A folder without records, images or films counts as a folder of records.
     """
@@ -96,7 +99,7 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
     return "film" if is_filmed(path) else "table"
 
 
-@_each
+@_check_each
 def record_or_results(path: Path) -> None:
     """Check that records exist, or results that rig fit made of a table or a film."""
     if not is_of_table(path):
@@ -113,7 +116,7 @@ def is_of_table(path: Path) -> bool:
     )
 
 
-@_each
+@_check_each
 def results_folder(path: Path) -> None:
     """Check that files exist, and that folders of sessions, or of several sessions, hold results."""
     # the folder of a list of sessions has results in its subfolders
@@ -142,9 +145,9 @@ def _path_list(paths: Path | list[Path] | None) -> Sequence[Path]:
     return paths if isinstance(paths, list) else [] if paths is None else [paths]
 
 
-def _instead_of(path: Path, toml_remedy: str) -> str:
-    """Words on a missing file: others of its kind in the folder, and how such a file is made."""
-    how = {
+def _alternatives(path: Path, toml_remedy: str) -> str:
+    """End of the message on a missing file: others of its kind in the folder, and how to make one."""
+    remedy = {
         "": "; put a name with spaces in quotes",
         ".toml": f"; {toml_remedy or 'rig init writes a configuration'}",
         ".mcap": "; give the path of a record, which rig run makes",
@@ -153,16 +156,17 @@ def _instead_of(path: Path, toml_remedy: str) -> str:
         from rig.settings import shipped_names
 
         if path.stem in shipped_names():
-            how = f"; rig init --example {path.stem} writes {path.name} here"
+            remedy = f"; rig init --example {path.stem} writes {path.name} here"
     if not path.parent.is_dir():
-        return f"; there is no folder {path.parent}{how}"
+        return f"; there is no folder {path.parent}{remedy}"
     try:
-        beside = [o for o in path.parent.iterdir() if o.suffix == path.suffix and o.name != "pyproject.toml"]
+        others = [other for other in path.parent.iterdir() if other.suffix == path.suffix]
     except OSError:
-        return how
-    names = sorted(other.name for other in beside if path.suffix or other.is_dir())
-    shown = ", ".join([*names[:_MAX_LISTED], *(["..."] if len(names) > _MAX_LISTED else [])])
-    return (f"; {path.parent} has {shown}" if names else "") + how
+        return remedy
+    names = sorted(other.name for other in others if path.suffix or other.is_dir())
+    names = [name for name in names if name != "pyproject.toml"]
+    listed = ", ".join([*names[:_MAX_LISTED], *(["..."] if len(names) > _MAX_LISTED else [])])
+    return (f"; {path.parent} has {listed}" if names else "") + remedy
 
 
 Check = Callable[[Path | None], Path | None]
@@ -170,7 +174,7 @@ Check = Callable[[Path | None], Path | None]
 
 def _output(check: Callable[[Path], object]) -> Check:
     """A check of a path to write, if one is stated."""
-    return _each(check, is_read=False)
+    return _check_each(check, is_read=False)
 
 
 def new_file(*suffixes: str, makes_folders: bool = False) -> Check:
@@ -203,7 +207,7 @@ def new_page(path: Path) -> None:
         )
 
 
-_ENDINGS_OF_FILES = {
+_FILE_SUFFIXES = {
     ".csv", ".h5", ".hdf5", ".html", ".json", ".mcap", ".nxs", ".parquet", ".pdf", ".png", ".rrd", ".tex",
     ".toml", ".tsv", ".txt", ".xlsx", ".zip",
 }  # fmt: skip
@@ -216,13 +220,13 @@ def folder_without(*patterns: str) -> Check:
     def check(path: Path) -> None:
         if path.exists() and not path.is_dir():
             raise ConfigurationError(f"{path}: is a file; name a folder")
-        if not path.exists() and path.suffix.lower() in _ENDINGS_OF_FILES:
+        if not path.exists() and path.suffix.lower() in _FILE_SUFFIXES:
             raise ConfigurationError(
                 f"{path}: is the name of a file, and a folder is written; name it without {path.suffix}"
             )
         for pattern in patterns:
-            for taken in sorted(path.glob(pattern)):
-                _refuse_existing(taken, "folder")
+            for file in sorted(path.glob(pattern)):
+                _refuse_existing(file, "folder")
         _refuse_unwritable(path)
 
     return check
@@ -246,11 +250,11 @@ def new_folder(path: Path) -> None:
 
 
 @_output
-def old_folder(path: Path) -> None:
+def present_folder(path: Path) -> None:
     """Check that a folder exists."""
     if not path.is_dir():
-        what = "is a file" if path.exists() else "no such folder"
-        raise ConfigurationError(f"{path}: {what}; name a folder that is there")
+        problem = "is a file" if path.exists() else "no such folder"
+        raise ConfigurationError(f"{path}: {problem}; name a folder that is there")
     _refuse_unwritable(path)
 
 
@@ -262,39 +266,41 @@ def appended_file(path: Path) -> None:
     _refuse_unwritable(path)
 
 
-def _refuse_existing(path: Path, what: str = "name") -> None:
+def _refuse_existing(path: Path, alternative: str = "name") -> None:
     if os.path.lexists(path):
-        raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {what}")
-
-
-def _refuse_unwritable(path: Path) -> None:
-    """Raise ConfigurationError if the path, or the folder in which it would be made, is read-only."""
-    place = path.absolute()
-    while not os.path.lexists(place) and place != place.parent:
-        place = place.parent
-    if place != path.absolute() and not place.is_dir():
-        raise ConfigurationError(f"{path}: {place} is not a folder; name another place")
-    if not os.access(place, os.W_OK | (os.X_OK if place.is_dir() else 0)):
         raise ConfigurationError(
-            f"{path}: cannot be written: {place} is read-only for you; name another place"
+            f"{path}: exists already and is not overwritten; choose another {alternative}"
         )
 
 
-def input_argument(help_: str, check: Callable[..., object] = existing, **stated: Any) -> Any:
+def _refuse_unwritable(path: Path) -> None:
+    """Raise ConfigurationError if the path, or the nearest folder above it that exists, is read-only."""
+    ancestor = path.absolute()
+    while not os.path.lexists(ancestor) and ancestor != ancestor.parent:
+        ancestor = ancestor.parent
+    if ancestor != path.absolute() and not ancestor.is_dir():
+        raise ConfigurationError(f"{path}: {ancestor} is not a folder; name another place")
+    if not os.access(ancestor, os.W_OK | (os.X_OK if ancestor.is_dir() else 0)):
+        raise ConfigurationError(
+            f"{path}: cannot be written: {ancestor} is read-only for you; name another place"
+        )
+
+
+def input_argument(help_: str, check: Callable[..., object] = existing, **options: Any) -> Any:
     """The argument for a path that a command reads."""
-    return typer.Argument(help=help_, show_default=False, callback=check, **stated)
+    return typer.Argument(help=help_, show_default=False, callback=check, **options)
 
 
-def input_option(help_: str, *names: str, check: Callable[..., object] = existing, **stated: Any) -> Any:
+def input_option(help_: str, *names: str, check: Callable[..., object] = existing, **options: Any) -> Any:
     """The option for a path that a command reads."""
-    return typer.Option(*names, help=help_, show_default=False, callback=check, **stated)
+    return typer.Option(*names, help=help_, show_default=False, callback=check, **options)
 
 
 def output_option(
-    help_: str, check: Check | None = None, *, names: Sequence[str] = ("-o", "--output"), **stated: Any
+    help_: str, check: Check | None = None, *, names: Sequence[str] = ("-o", "--output"), **options: Any
 ) -> Any:
     """The option for a path to which a command writes."""
-    return typer.Option(*names, help=help_, callback=check, **stated)
+    return typer.Option(*names, help=help_, callback=check, **options)
 
 
 Config = Annotated[Path, input_argument("Configuration (TOML file).")]
@@ -334,48 +340,49 @@ def in_json(command: Callable[..., None]) -> Callable[..., None]:
     """The command with the option ``--json``, which prints the values given to `rig.terminal.answer`."""
 
     @functools.wraps(command)
-    def with_option(*words: Any, as_json: bool = False, **named: Any) -> None:
+    def with_option(*args: Any, as_json: bool = False, **kwargs: Any) -> None:
         if not as_json:
-            command(*words, **named)
+            command(*args, **kwargs)
             return
         from rig.terminal import one_json_object
 
         status = 0
         with one_json_object():
             try:
-                command(*words, **named)
-            except typer.Exit as end:
-                status = end.exit_code
+                command(*args, **kwargs)
+            except typer.Exit as error:
+                status = error.exit_code
         raise typer.Exit(status)
 
-    stated = inspect.signature(command)
+    signature = inspect.signature(command)
     option = inspect.Parameter("as_json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_AsJson)
-    vars(with_option)["__signature__"] = stated.replace(parameters=[*stated.parameters.values(), option])
+    parameters = [*signature.parameters.values(), option]
+    vars(with_option)["__signature__"] = signature.replace(parameters=parameters)
     return with_option
 
 
 class ListingCommand(TyperCommand):
-    """A command whose help names what each of several values is, not Python's list of them."""
+    """A command whose help shows the type of each of several values instead of Python's `list[...]`."""
 
-    def __init__(self, *arguments: Any, **named: Any) -> None:
-        super().__init__(*arguments, **named)
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
         for parameter in self.params:
             annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
             if get_origin(annotation) is list:
-                one = get_args(annotation)[0]
-                shown = "<path>" if one is Path else f"<{one.__name__}>"
-                vars(parameter)["display_type"] = lambda _context, shown=shown: shown
+                entry_type = get_args(annotation)[0]
+                text = "<path>" if entry_type is Path else f"<{entry_type.__name__}>"
+                vars(parameter)["display_type"] = lambda _context, text=text: text
 
 
 def group(name: str, help_: str, *commands: Callable[..., None]) -> typer.Typer:
-    """A command with commands of its own, which have the names of their functions."""
-    made = typer.Typer(name=name, help=help_, no_args_is_help=True)
+    """A command with subcommands, which have the names of their functions."""
+    app = typer.Typer(name=name, help=help_, no_args_is_help=True)
     for command in commands:
-        made.command(command.__name__.rstrip("_"), cls=ListingCommand)(command)
-    return made
+        app.command(command.__name__.rstrip("_"), cls=ListingCommand)(command)
+    return app
 
 
-def loaded(config: Path, set_: Sequence[str] | None) -> "Configuration":
+def configuration_of(config: Path, set_: Sequence[str] | None) -> "Configuration":
     """The configuration of a file and of `--set`."""
     from rig.settings import load_configuration
 
@@ -391,8 +398,8 @@ def print_written(*paths: Path) -> None:
         print(path)
 
 
-def refuse_stated(reason: str, *options: Mapping[str, object]) -> None:
-    """Raise ConfigurationError for the first of the options that is stated."""
-    for name, value in (pair for stated in options for pair in stated.items()):
+def refuse_options(reason: str, *groups: Mapping[str, object]) -> None:
+    """Raise ConfigurationError for the first option, by name, that is stated."""
+    for name, value in (option for options in groups for option in options.items()):
         if value:
             raise ConfigurationError(f"{name}: has no effect {reason}")

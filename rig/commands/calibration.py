@@ -1,4 +1,4 @@
-"""`rig calibrate`."""
+"""Commands that calibrate: `rig calibrate lever`, `axes` and the others."""
 
 import inspect
 from collections.abc import Callable
@@ -23,24 +23,26 @@ from rig.commands.arguments import (
 if TYPE_CHECKING:
     from rig.prepare import Filing
 
-_SHOWN = "(TOML file); docs/calibrate.md shows one."
+_INPUT_FILE = "(TOML file); docs/calibrate.md shows one."
+_LIST = existing_toml("docs/calibrate.md shows such a list")
 Folder = Annotated[Path, output_option("Folder for the calibration file.", folder_without())]
 Days = Annotated[
     float, typer.Option("--valid-days", help="Number of days for which the calibration is valid.")
 ]
-_LIST = existing_toml("docs/calibrate.md shows such a list")
 By = Annotated[str, typer.Option("--by", help="Who made the calibration; default: the user's name.")]
 Side = Annotated[
     Literal["+", "-"] | None,
     typer.Option(help="Sign of this mode's deflection in the first frame of the record."),
 ]
-Made = Callable[..., Path]
-"""A function that makes a calibration from a file or record, a `Filing` and options of its own, in the order
-of the command's help; its docstring is that help."""
+Calibrate = Callable[..., Path]
+"""A function that makes a calibration from a file or record, a `Filing` and options of its own.
+
+Its parameters stand in the order of the command's help; its docstring is that help.
+"""
 
 
 def lever(
-    ladder: Annotated[Path, input_argument(f"Steps or geometry of the lever {_SHOWN}", _LIST)],
+    ladder: Annotated[Path, input_argument(f"Steps or geometry of the lever {_INPUT_FILE}", _LIST)],
     filing: "Filing",
 ) -> Path:
     """Calibrate pixels to radians.
@@ -71,7 +73,7 @@ def axes(record: Record, filing: "Filing", slow_began: Side = None, fast_began: 
 
 
 def sensor(
-    frames: Annotated[Path, input_argument(f"List of dark and evenly lit frames {_SHOWN}", _LIST)],
+    frames: Annotated[Path, input_argument(f"List of dark and evenly lit frames {_INPUT_FILE}", _LIST)],
     filing: "Filing",
 ) -> Path:
     """Measure the sensor: gain, read noise, dark level.
@@ -119,7 +121,7 @@ def shutter(record: Record, filing: "Filing") -> Path:
 
 
 def air(
-    vanes: Annotated[Path, input_argument(f"Runs with the areas of their vanes {_SHOWN}", _LIST)],
+    vanes: Annotated[Path, input_argument(f"Runs with the areas of their vanes {_INPUT_FILE}", _LIST)],
     filing: "Filing",
 ) -> Path:
     """Measure the drag of the air.
@@ -148,7 +150,7 @@ def pointing(record: Record, filing: "Filing") -> Path:
 
 
 def check(
-    ladder: Annotated[Path, input_argument(f"Known tilts {_SHOWN}", _LIST)],
+    ladder: Annotated[Path, input_argument(f"Known tilts {_INPUT_FILE}", _LIST)],
     *,
     lever: Annotated[
         Path,
@@ -178,46 +180,48 @@ def _filing(output: Folder = Path("calibrations"), valid_days: Days = 90.0, by: 
     return Filing(output, valid_days, by)
 
 
-def _command(made: Made) -> Callable[..., None]:
-    """The command of a calibration, whose options are those of `made` and of `_filing`."""
-    of_filing = inspect.signature(_filing).parameters
+def _command(calibrate: Calibrate) -> Callable[..., None]:
+    """The command of a calibration, whose options are those of `calibrate` and of `_filing`."""
+    filing_parameters = inspect.signature(_filing).parameters
 
-    def command(**stated: Any) -> None:
-        filing = _filing(**{name: stated.pop(name) for name in of_filing})
-        _say(made(filing=filing, **stated))
+    def command(**kwargs: Any) -> None:
+        filing = _filing(**{name: kwargs.pop(name) for name in filing_parameters})
+        _print_calibration(calibrate(filing=filing, **kwargs))
 
     parameters: list[inspect.Parameter] = []
-    for parameter in inspect.signature(made).parameters.values():
-        parameters += of_filing.values() if parameter.name == "filing" else [parameter]
-    kind = inspect.Parameter.KEYWORD_ONLY
-    command.__name__, command.__doc__ = made.__name__, made.__doc__
-    vars(command)["__signature__"] = inspect.Signature([one.replace(kind=kind) for one in parameters])
+    for parameter in inspect.signature(calibrate).parameters.values():
+        parameters += filing_parameters.values() if parameter.name == "filing" else [parameter]
+    keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters]
+    command.__name__, command.__doc__ = calibrate.__name__, calibrate.__doc__
+    vars(command)["__signature__"] = inspect.Signature(keywords)
     return command
 
 
-def _say(path: Path) -> None:
+def _print_calibration(path: Path) -> None:
     """Print the content of the new file."""
-    from rig.prepare import numbers_of, read_calibration_report
+    from rig.prepare import read_calibration_report, scalar_values
     from rig.terminal import answer, print_line, print_tables
 
-    made = read_calibration_report(path)
-    found = made.calibration
-    answer(calibration=found.model_dump(mode="json"), written=[path])
-    print_line(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
-    numbers = numbers_of(found)
-    open_ends = {name for name, value in numbers.items() if isinstance(value, float) and not isfinite(value)}
-    for name, value in numbers.items():
-        if {name, f"u_{name}"} & open_ends and not name.endswith("_dof"):
+    report = read_calibration_report(path)
+    calibration = report.calibration
+    answer(calibration=calibration.model_dump(mode="json"), written=[path])
+    print_line(f"{calibration.kind}: {calibration.method}, valid until {calibration.valid_until:%Y-%m-%d}")
+    scalars = scalar_values(calibration)
+    undetermined = {
+        name for name, value in scalars.items() if isinstance(value, float) and not isfinite(value)
+    }
+    for name, value in scalars.items():
+        if {name, f"u_{name}"} & undetermined and not name.endswith("_dof"):
             print_line(f"  {name:24} not determined")
         elif isinstance(value, bool | str):
             print_line(f"  {name:24} {value}")
         else:
             print_line(f"  {name:24} {value:.6g}")
-    print_tables([table for table in made.tables if table.name != "values"])
-    for note in found.notes:
+    print_tables([table for table in report.tables if table.name != "values"])
+    for note in calibration.notes:
         print_line(f"note: {note}")
     print(path)
 
 
-_KINDS = (lever, axes, sensor, clock, shutter, air, pointing, check)
-commands = group("calibrate", "Make a calibration file.", *(in_json(_command(made)) for made in _KINDS))
+_CALIBRATIONS: tuple[Calibrate, ...] = (lever, axes, sensor, clock, shutter, air, pointing, check)
+commands = group("calibrate", "Make a calibration file.", *map(in_json, map(_command, _CALIBRATIONS)))

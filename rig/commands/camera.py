@@ -10,9 +10,9 @@ import typer
 from rig.commands.arguments import (
     Config,
     Set,
+    configuration_of,
     group,
     in_json,
-    loaded,
     new_file,
     new_folder,
     output_option,
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def _opened_camera(config: "Configuration") -> Iterator["OpenCamera"]:
-    """The configured camera; settings that differ from the requested ones are printed on stderr."""
+    """The configured camera; its settings that differ from the requested ones are printed on stderr."""
     from rig.devices import Devices
 
     with Devices(config).camera(config) as opened:
@@ -50,7 +50,7 @@ def show(config: Config, set_: Set = None) -> None:
     from rig.devices import feature_lines
     from rig.terminal import answer, print_line
 
-    with _opened_camera(loaded(config, set_)) as opened:
+    with _opened_camera(configuration_of(config, set_)) as opened:
         camera, info, applied = opened.camera, opened.info, opened.applied
         print_line(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
         print_line(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
@@ -91,17 +91,19 @@ def snap(
     from rig.instrument import complete, optics_of
     from rig.terminal import answer, print_line
 
-    stated = complete(loaded(config, set_))
-    with _opened_camera(stated) as opened:
+    complete_config = complete(configuration_of(config, set_))
+    with _opened_camera(complete_config) as opened:
         full_scale_dn = opened.info.full_scale_dn
-        image = picture.average(picture.read_frames(opened.camera, average, stated.camera.patience_s))
+        image = picture.average(
+            picture.read_frames(opened.camera, average, complete_config.camera.patience_s)
+        )
         try:
             atomic_write.remove_leftovers(output.parent, output.name)
             atomic_write.write_new(output, picture.png_of(image, output))
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
-        trackers = optics_of(stated, full_scale_dn).dual_tracker()
-        look = take_look(image, full_scale_dn, trackers, None, opened.applied, stated.preflight)
+        trackers = optics_of(complete_config, full_scale_dn).dual_tracker()
+        look = take_look(image, full_scale_dn, trackers, None, opened.applied, complete_config.preflight)
         for name, text in look.rows():
             print_line(f"{name:<20}{text}")
         if look.reference is not None:
@@ -127,7 +129,7 @@ def frames(
     """
     from rig.measure import take_frames
 
-    print_written(take_frames(loaded(config, set_), output, number))
+    print_written(take_frames(configuration_of(config, set_), output, number))
 
 
 @in_json
@@ -148,7 +150,7 @@ def align(
     from rig.devices import align_camera
     from rig.instrument import complete
 
-    align_camera(complete(loaded(config, set_)), seconds=seconds)
+    align_camera(complete(configuration_of(config, set_)), seconds=seconds)
 
 
 @in_json
@@ -168,11 +170,11 @@ def expose(
     from rig.devices import find_exposure
     from rig.terminal import answer, print_line
 
-    with _opened_camera(loaded(config, set_)) as opened:
-        found = find_exposure(opened.camera, opened.info, opened.applied, target)
-        answer(found=found)
-        print_line(f"peak {100 * found.peak:.1f} % of full scale; in the configuration, below [camera]:")
-        print_line(f"exposure_us = {found.exposure_us:.6g}")
+    with _opened_camera(configuration_of(config, set_)) as opened:
+        exposure = find_exposure(opened.camera, opened.info, opened.applied, target)
+        answer(found=exposure)
+        print_line(f"peak {100 * exposure.peak:.1f} % of full scale; in the configuration, below [camera]:")
+        print_line(f"exposure_us = {exposure.exposure_us:.6g}")
 
 
 commands = group("camera", "Show and test the camera.", show, snap, frames, align, expose)

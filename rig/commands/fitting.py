@@ -1,4 +1,4 @@
-"""`rig fit`."""
+"""`rig fit`: records, tables and films."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -17,7 +17,7 @@ from rig.commands.arguments import (
     input_argument,
     input_option,
     kind_of,
-    refuse_stated,
+    refuse_options,
 )
 
 if TYPE_CHECKING:
@@ -117,33 +117,33 @@ def fit(
       rig fit runs/first --seismometer ground.csv
       rig fit swing.mp4 --pixel '0.142 mm' -o runs/swing
     """
-    of_seismometer = {
-        "--seismometer-column": seismometer_column, "--seismometer-offset": seismometer_offset is not None,
-    }  # fmt: skip
     if seismometer is None:
-        refuse_stated("without --seismometer", of_seismometer)
+        has_offset = seismometer_offset is not None
+        seismometer_options = {"--seismometer-column": seismometer_column, "--seismometer-offset": has_offset}
+        refuse_options("without --seismometer", seismometer_options)
     read = partial(_seismometer, seismometer, seismometer_column or (), seismometer_offset)
-    columns = {
-        "--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit,
-    }  # fmt: skip
-    of_films = {"--pixel": pixel, "--force-rate": force_rate, "--dark": dark is not None}
-    both = {"--config": config, "--rate": rate, "--from": begin, "--to": end, "--run": run}
+    table_options = {"--time": time, "--time-unit": time_unit, "--position": position, "--unit": unit}
+    film_options = {"--pixel": pixel, "--force-rate": force_rate, "--dark": dark is not None}
+    common_options = {"--config": config, "--rate": rate, "--from": begin, "--to": end, "--run": run}
     kind = "records" if len(files) > 1 else kind_of(files[0])
     if kind == "records":
-        refuse_stated("on records, only on a table or a film; leave it out", columns, of_films, both)
+        refuse_options(
+            "on records, only on a table or a film; leave it out", table_options, film_options, common_options
+        )
         records = [record for path in files for record in resolve_records(path)]
-        same = [one for one in records if sum(one.resolve() == other.resolve() for other in records) > 1]
-        if same:
-            raise ConfigurationError(f"{same[0]}: named twice; a run counts once in a series")
+        targets = [record.resolve() for record in records]
+        for record, target in zip(records, targets, strict=True):
+            if targets.count(target) > 1:
+                raise ConfigurationError(f"{record}: named twice; a run counts once in a series")
         raise typer.Exit(fit_records(records, output, set_ or [], law or [], read()))
     if rate is not None and not rate > 0:
         raise ConfigurationError(f"--rate {rate:g}: the number of rows or frames per second must be above 0")
     if kind == "film":
         from rig.intake import FilmOptions
 
-        refuse_stated("on a film; leave it out", columns, {"--seismometer": seismometer})
-        asked = FilmOptions(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
-        raise typer.Exit(fit_film(files[0], asked, output, config, run, set_ or [], law or []))
+        refuse_options("on a film; leave it out", table_options, {"--seismometer": seismometer})
+        options = FilmOptions(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
+        raise typer.Exit(fit_film(files[0], options, output, config, run, set_ or [], law or []))
     if files[0].suffix.lower() in (".json", ".toml"):
         raise ConfigurationError(
             f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
@@ -151,17 +151,18 @@ def fit(
     from rig.commands.table_fits import TableOptions, fit_several
     from rig.intake import TableColumns
 
-    refuse_stated("on a table; leave it out", of_films)
+    refuse_options("on a table; leave it out", film_options)
     if law and config is None:
         raise ConfigurationError(f"--law {law[0]}: laws need swings and --config CONFIG with [pendulum]")
     if set_ and config is None:
         raise ConfigurationError(f"--set {set_[0]}: has no effect without --config")
-    asked_of = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, run)
+    columns = TableColumns(time, tuple(position or ()), unit, time_unit, rate, begin, end, run)
     if seismometer is not None and config is None:
         raise ConfigurationError("--seismometer: has no effect without --config, which gives the pendulum")
-    wanted = TableOptions(config, set_ or [], law or [], read())
-    inputs = [(each.run, files[0], lambda each=each: each) for each in asked_of.read_runs(files[0])]
-    raise typer.Exit(fit_several(inputs, output, wanted))
+    inputs = [
+        (one_run.run, files[0], lambda one_run=one_run: one_run) for one_run in columns.read_runs(files[0])
+    ]
+    raise typer.Exit(fit_several(inputs, output, TableOptions(config, set_ or [], law or [], read())))
 
 
 def _seismometer(
@@ -181,7 +182,7 @@ def fit_records(
 ) -> int:
     """Fit records; results.json in `output` or beside the first record. Returns the exit status.
 
-    `laws` are names of the registry, to be compared with the default one; `seismometer` saw the ground.
+    `laws` are names of the registry, to be compared with the default law; `seismometer` recorded the ground.
     """
     from rig.analysis import (
         RESULTS_NAME,
@@ -217,7 +218,7 @@ def fit_records(
 
 def fit_film(
     film: Path,
-    asked: "FilmOptions",
+    options: "FilmOptions",
     output: Path | None,
     config: Path | None,
     run: str,
@@ -226,7 +227,7 @@ def fit_film(
 ) -> int:
     """Follow the object in each film and fit its motion; returns the exit status.
 
-    `run` is the one of a folder of films, by name or number; empty: all.
+    `run` selects a film of a folder by its name or number; if it is empty, all films are fitted.
     """
     from rig.commands.table_fits import TableOptions, fit_several
     from rig.intake import film_trajectory, films_in
@@ -236,24 +237,25 @@ def fit_film(
         raise ConfigurationError(f"--set {overrides[0]}: has no effect without --config")
     if laws and config is None:
         raise ConfigurationError(f"--law {laws[0]}: laws need --config CONFIG with [pendulum], and an angle")
-    if asked.force and asked.rate_hz is None:
+    if options.force and options.rate_hz is None:
         raise ConfigurationError("--force-rate: needs --rate, the rate to enforce")
     films = _chosen_films(film, films_in(film), run)
     if len(films) > 1:
-        print_line(f"{film}: {len(films)} films: {', '.join(each.name for each in films)}")
+        print_line(f"{film}: {len(films)} films: {', '.join(path.name for path in films)}")
     inputs = [
-        (one.stem, one, partial(film_trajectory, one, asked, ProgressLine(f"{one}: frames"))) for one in films
+        (path.stem, path, partial(film_trajectory, path, options, ProgressLine(f"{path}: frames")))
+        for path in films
     ]
     return fit_several(inputs, output, TableOptions(config, overrides, laws))
 
 
-def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:
-    """The film itself, or the films of a folder, or only the one that `run` names."""
-    if len(inside) < 2 and run:
+def _chosen_films(film: Path, films: Sequence[Path], run: str) -> list[Path]:
+    """The film itself, or the `films` of a folder, or only the one that `run` names."""
+    if len(films) < 2 and run:
         raise ConfigurationError(f"--run {run}: {film} holds one film; leave the option out")
-    by_number = [inside[int(run) - 1]] if run.isdecimal() and 0 < int(run) <= len(inside) else []
-    chosen = [each for each in inside if run in ("", each.name, each.stem)] or by_number
-    if inside and not chosen:
-        names = ", ".join(each.name for each in inside)
+    by_number = [films[int(run) - 1]] if run.isdecimal() and 0 < int(run) <= len(films) else []
+    chosen = [path for path in films if run in ("", path.name, path.stem)] or by_number
+    if films and not chosen:
+        names = ", ".join(path.name for path in films)
         raise ConfigurationError(f"--run {run}: {film} holds no such film; there are {names}")
     return chosen or [film]

@@ -1,4 +1,4 @@
-"""`rig init`: a first configuration."""
+"""`rig init`: the questions of a first configuration, and copies of shipped ones."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -61,12 +61,12 @@ def init(
     refuse_existing(file)
     # nothing is printed before the first question
     cameras, _ = find_cameras()
-    stated = ask(cameras, [(port.device, port.description) for port in list_serial_ports()])
-    config = write_configuration(file, stated)
+    keys = ask(cameras, [(port.device, port.description) for port in list_serial_ports()])
+    config = write_configuration(file, keys)
     sys.stderr.flush()
     print_written(file)
-    lit = config.laser.kind != "none"
-    for line in ("next:", *(f"  {step}" for step in _next_steps(file, stated, lit=lit))):
+    has_laser = config.laser.kind != "none"
+    for line in ("next:", *(f"  {step}" for step in _next_steps(file, keys, has_laser=has_laser))):
         say(line)
 
 
@@ -74,7 +74,7 @@ def _list_instruments() -> None:
     from processing.instruments import INSTRUMENTS
     from rig.terminal import answer, print_line
 
-    answer(instruments={each.kind: each.sentence for each in INSTRUMENTS.values()})
+    answer(instruments={kind: description.sentence for kind, description in INSTRUMENTS.items()})
     for description in INSTRUMENTS.values():
         print_line(f"{description.kind:<15} {description.sentence}")
 
@@ -91,23 +91,22 @@ def _write_example(name: str, file: Path | None) -> None:
     say(f"  rig run {file} -o runs/{file.stem}: measure")
 
 
-def _next_steps(file: Path, stated: Mapping[str, Any], *, lit: bool) -> list[str]:
+def _next_steps(file: Path, keys: Mapping[str, Any], *, has_laser: bool) -> list[str]:
     """The next steps with a new configuration."""
-    simulated = stated["camera.driver"] == "simulated"
-    edited = "[pendulum] (mass, radius, materials)" + (" and the limits of [laser]" if lit else "")
-    steps = [f"edit {file}: {edited}", f"rig doctor {file}: is everything there"]
-    if not simulated:
+    sections = "[pendulum] (mass, radius, materials)" + (" and the limits of [laser]" if has_laser else "")
+    steps = [f"edit {file}: {sections}", f"rig doctor {file}: is everything there"]
+    if keys["camera.driver"] != "simulated":
         steps.append(f"rig camera expose {file}, then rig camera align {file}: the light on the sensor")
-        if "lever.arm_m" not in stated:
+        if "lever.arm_m" not in keys:
             steps.append("rig calibrate lever geometry.toml: px to radians (docs/calibrate.md)")
     return [*steps, f"rig run {file} -o runs/{file.stem}: measure"]
 
 
 Keys = Mapping[str, Any]
 """Values by dotted key of the configuration."""
-_FRAMES = {"camera.exposure_us": 100.0, "camera.frame_rate_hz": 100.0, "camera.pixel_format": "mono8"}
+_FRAME_KEYS = {"camera.exposure_us": 100.0, "camera.frame_rate_hz": 100.0, "camera.pixel_format": "mono8"}
 """First settings of a camera; Video4Linux cameras keep theirs, because most lack such rates and exposures."""
-_LATER = {
+_UNPLUGGED = {
     "usb3vision": "a USB3 Vision camera, plugged in later",
     "pylon": "a Basler camera through the vendor's pypylon, plugged in later",
     "aravis": "a GigE Vision camera through libaravis, plugged in later",
@@ -119,32 +118,21 @@ _LATER = {
 def ask(cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """Ask all questions at the terminal; returns the stated keys.
 
-    Parameters
-    ----------
-    cameras
-        The cameras that were found.
-    ports
-        Name and description of each serial port that was found.
-
-    Raises
-    ------
-    ConfigurationError
-        The input ends too early, or an answer cannot be and nobody sits at the keyboard.
-    KeyboardInterrupt
-        After Ctrl-C.
+    `cameras` are the plugged-in ones, `ports` name and description of each serial port. Raises
+    ConfigurationError if the input ends too early, or if a line from a file or pipe is a wrong answer.
     """
     from rig.terminal import say
 
     say("A configuration for your rig. Enter accepts the value in brackets, Ctrl-C ends and writes nothing.")
-    stated = dict(_camera(cameras))
-    if stated["camera.driver"] != "simulated":
-        stated |= _devices(ports)
-        stated |= _lever()
-    stated |= _ask_keys(
+    keys = dict(_camera(cameras))
+    if keys["camera.driver"] != "simulated":
+        keys |= _devices(ports)
+        keys |= _lever()
+    keys |= _ask_keys(
         "Ball and flat (steel ball on K8 glass, cleaned with ethanol):", _text("session.sample"), ""
     )
-    stated |= _ask_keys("Folder to record in:", _text("session.output"), "runs")
-    return stated
+    keys |= _ask_keys("Folder to record in:", _text("session.output"), "runs")
+    return keys
 
 
 def _ask_keys(
@@ -155,11 +143,11 @@ def _ask_keys(
     *,
     is_open: bool = False,
 ) -> Keys:
-    """The keys that the answer to a question states, which `read` makes of it.
+    """Ask a question; returns the keys that `read` makes of the answer.
 
-    A wrong answer is asked for again; where lines come from a file or pipe, it ends the questions. Enter
-    gives the one `suggested`, if there is one. `choices` are answers and what each of them is, to be chosen
-    by name or number; if the choice `is_open` other answers are taken, too.
+    After a wrong answer the question is asked again; if lines come from a file or pipe, a wrong answer ends
+    the questions. Enter gives the answer `suggested`, if there is one. `choices` are answers with their
+    descriptions, to be chosen by name or number; if the choice `is_open`, other answers are accepted, too.
     """
     from rig.terminal import say
 
@@ -167,8 +155,8 @@ def _ask_keys(
     prompt = f"{question}{f' [{suggested}]' if suggested else ''} "
     answers = [answer for answer, _ in choices]
     while True:
-        for number, (answer, what) in enumerate(choices, 1):
-            say(f"  {number}  {answer}{f': {what}' if what else ''}")
+        for number, (answer, description) in enumerate(choices, 1):
+            say(f"  {number}  {answer}{f': {description}' if description else ''}")
         if not at_terminal:
             say(prompt)
         try:
@@ -194,46 +182,49 @@ def _camera(cameras: Sequence["PluggedCamera"]) -> Keys:
     """The choice of a camera; plugged-in cameras are chosen by number, several may have one driver."""
     from acquisition.cameras.drivers import DRIVERS
 
-    choices, keys = [], {}
+    choices: list[tuple[str, str]] = []
+    keys: dict[str, dict[str, Any]] = {}
     drivers = [camera.driver for camera in cameras]
-    for place, camera in enumerate(cameras, 1):
-        several = drivers.count(camera.driver) > 1
-        answer = f"{camera.driver} {camera.serial or camera.connection}" if several else camera.driver
-        answer = answer if answer not in keys else f"{answer} {place}"
-        keys[answer] = _identity(camera, several=several)
-        words = [camera.name, camera.serial and f"serial {camera.serial}", camera.connection, camera.problem]
-        choices.append((answer, ", ".join(part for part in words if part)))
-    for driver, text in _LATER.items():
+    for number, camera in enumerate(cameras, 1):
+        is_ambiguous = drivers.count(camera.driver) > 1
+        answer = f"{camera.driver} {camera.serial or camera.connection}" if is_ambiguous else camera.driver
+        answer = answer if answer not in keys else f"{answer} {number}"
+        keys[answer] = {"camera.driver": camera.driver}
+        if is_ambiguous and camera.serial:
+            keys[answer]["camera.serial"] = camera.serial
+        elif is_ambiguous and camera.driver == "v4l2":
+            keys[answer]["camera.v4l2.device"] = camera.connection
+        details = [
+            camera.name,
+            camera.serial and f"serial {camera.serial}",
+            camera.connection,
+            camera.problem,
+        ]
+        choices.append((answer, ", ".join(filter(None, details))))
+    for driver, text in _UNPLUGGED.items():
         if driver in DRIVERS and driver not in drivers:
             keys[driver] = {"camera.driver": driver}
             choices.append((driver, text))
-    for answer, found in keys.items():
-        if found["camera.driver"] != "v4l2":
-            keys[answer] = found | _FRAMES
+    for answer, values in keys.items():
+        if values["camera.driver"] != "v4l2":
+            keys[answer] = values | _FRAME_KEYS
     suggested = choices[0][0] if cameras else "simulated"
     return _ask_keys("Which camera:", lambda answer: _check_keys(keys[answer]), suggested, choices)
 
 
-def _identity(camera: "PluggedCamera", *, several: bool) -> dict[str, Any]:
-    keys: dict[str, Any] = {"camera.driver": camera.driver}
-    if several and camera.serial:
-        keys["camera.serial"] = camera.serial
-    elif several and camera.driver == "v4l2":
-        keys["camera.v4l2.device"] = camera.connection
-    return keys
-
-
 def _devices(ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Which of controller and laser this program switches, and their ports."""
+    """Keys of the controller and of the laser that this program switches."""
     from rig.control import LASERS
 
-    stated = dict(
+    keys = dict(
         _ask_keys(
             "Serial port of the controller, a Pico with this program's firmware (another board: none):",
             lambda text: (
                 {}
                 if text == "none"
-                else _check_keys({"controller.kind": "serial", "controller.port": text}, whole="controller")
+                else _check_keys(
+                    {"controller.kind": "serial", "controller.port": text}, complete_section="controller"
+                )
             ),
             "none",
             (("none", "everything is switched by hand"), *ports),
@@ -241,22 +232,22 @@ def _devices(ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
         )
     )
     kinds = {"none": "it is not switched by this program"}
-    if stated:
+    if keys:
         kinds["controller"] = "a diode that the controller feeds"
     kinds |= dict.fromkeys(LASERS, "has a serial port of its own")
-    stated |= _ask_keys(
+    keys |= _ask_keys(
         "The laser:",
         lambda text: {} if text == "none" else _check_keys({"laser.kind": text}),
         "none",
         tuple(kinds.items()),
     )
-    if stated.get("laser.kind") in LASERS:
-        stated |= _ask_keys("Serial port of the laser:", _text("laser.port"), choices=ports, is_open=True)
-    return stated
+    if keys.get("laser.kind") in LASERS:
+        keys |= _ask_keys("Serial port of the laser:", _text("laser.port"), choices=ports, is_open=True)
+    return keys
 
 
 def _lever() -> dict[str, Any]:
-    """Both lengths of the light lever; without them amplitudes are in px."""
+    """Keys of the light lever's arm and pixel pitch; without them amplitudes are in px."""
     arm = _ask_keys(
         "Distance from mirror to sensor along the beam, in m (1 m ± 1 mm; Enter: not measured yet):",
         _length("lever.arm_m"),
@@ -272,15 +263,15 @@ def _lever() -> dict[str, Any]:
 
 
 def _length(key: str) -> Callable[[str], Keys]:
-    """A reader of a number with its standard uncertainty, which has its own key; no keys for no answer."""
+    """A function that makes keys of a length and its standard uncertainty; no keys of an empty answer."""
     from processing.units import unit_of_name
-    from rig.settings import quantity
+    from rig.settings import read_quantity
 
     def read(text: str) -> Keys:
         if not text:
             return {}
         section, _, name = key.rpartition(".")
-        value, u = quantity(text, unit_of_name(name))
+        value, u = read_quantity(text, unit_of_name(name))
         return _check_keys({key: value} | ({} if u is None else {f"{section}.u_{name}": u}))
 
     return read
@@ -290,13 +281,13 @@ def _text(key: str) -> Callable[[str], Keys]:
     return lambda text: _check_keys({key: text}) if text else {}
 
 
-def _check_keys(keys: Keys, *, whole: str = "") -> Keys:
+def _check_keys(keys: Keys, *, complete_section: str = "") -> Keys:
     """The keys, if the models accept them; raises ConfigurationError with the models' message if not.
 
-    `whole` names a section of which all is stated, so that what holds between its keys is checked, too.
+    `complete_section` has all of its keys, so that relations between them are checked, too.
     """
-    from rig.settings import keys_with_faults
+    from rig.settings import key_faults
 
-    if lines := keys_with_faults(keys, whole):
+    if lines := key_faults(keys, complete_section):
         raise ConfigurationError("; ".join(lines))
     return keys

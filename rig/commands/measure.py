@@ -14,13 +14,13 @@ from rig.commands.arguments import (
     ResultsFolder,
     Set,
     View,
+    configuration_of,
     existing,
     folder_or_record,
     folder_without_run,
     in_json,
     input_argument,
     input_option,
-    loaded,
     new_file,
     one_record,
     output_option,
@@ -105,20 +105,20 @@ def run(
       rig run steel.toml silicon.toml -o runs/night
       rig run mine.toml --record-only -o clamped.mcap --seconds 120
     """
-    named = configs or []
+    configs = configs or []
     if record_only:
-        _refuse_all_but_a_record(named, output, runs, resume, view)
+        _check_record_options(configs, output, runs, resume, view)
     elif seconds is not None:
         raise ConfigurationError(f"--seconds {seconds:g}: has no effect without --record-only")
     elif output is not None and output.suffix.lower() == ".mcap":
         raise ConfigurationError(f"{output}: one record is written with --record-only; else name a folder")
     if instead is not None and resume is None:
         raise typer.BadParameter("--config goes with --resume DIR; else name the file as CONFIG")
-    if not named and resume is None:
+    if not configs and resume is None:
         raise typer.BadParameter("Missing argument 'CONFIG'.")
 
     if resume is not None:
-        if named or output is not None or runs is not None or view:
+        if configs or output is not None or runs is not None or view:
             raise typer.BadParameter(
                 "--resume takes its configuration from DIR: leave out CONFIG and options but --set, --force, "
                 "--json, --config FILE"
@@ -132,13 +132,13 @@ def run(
         overrides.append(f"session.runs={runs}")
     if view:
         overrides.append(f'view.mode="{MODES[view]}"')
-    if len(named) > 1:
+    if len(configs) > 1:
         from rig.measure import measure_sessions
 
-        raise typer.Exit(measure_sessions(named, overrides, output, force=force, json_lines=json_lines))
+        raise typer.Exit(measure_sessions(configs, overrides, output, force=force, json_lines=json_lines))
 
-    (config,) = named
-    stated = loaded(config, overrides)
+    (config,) = configs
+    configuration = configuration_of(config, overrides)
     # imported after the configuration is checked, because it takes a second
     from rig.measure import measure_session, record_plainly
     from rig.terminal import one_json_object
@@ -146,16 +146,14 @@ def run(
     if record_only:
         assert output is not None
         with one_json_object() if json_lines else nullcontext():
-            record_plainly(stated, config, output, seconds)
+            record_plainly(configuration, config, output, seconds)
         return
-    raise typer.Exit(measure_session(stated, config, output, force=force, json_lines=json_lines))
+    raise typer.Exit(measure_session(configuration, config, output, force=force, json_lines=json_lines))
 
 
-def _refuse_all_but_a_record(
-    configs: list[Path], output: Path | None, runs: int | None, *others: object
-) -> None:
-    """Raise ConfigurationError if `--record-only` is not with one configuration and one new record."""
-    if len(configs) != 1 or output is None or runs is not None or any(others):
+def _check_record_options(configs: list[Path], output: Path | None, *others: object) -> None:
+    """Raise an error if `--record-only` is not with one configuration and one new record alone."""
+    if len(configs) != 1 or output is None or any(others):
         raise typer.BadParameter(
             "--record-only takes CONFIG, -o NAME.mcap, --seconds and --set alone: it records one run"
         )
@@ -208,9 +206,9 @@ def view(
     if rrd is not None and view:
         raise ConfigurationError(f"--view {view} --rrd {rrd}: written or shown, not both; leave one out")
     # a followed record may not exist yet
-    found = record if follow else one_record(existing(record))
+    path = record if follow else one_record(existing(record))
     mode: Literal["spawn", "web"] = "web" if view == "web" else "spawn"
-    show_record(found, mode=mode, rrd=rrd, layout=layout, follow=follow, ports=ports)
+    show_record(path, mode=mode, rrd=rrd, layout=layout, follow=follow, ports=ports)
     if rrd is not None and not follow:
         from rig.terminal import answer
 

@@ -1,4 +1,4 @@
-"""`rig record info`, `check` and `recover`."""
+"""Commands on records: `rig record info`, `check` and `recover`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +9,7 @@ from acquisition.record import recovery_path, resolve_records
 from processing.errors import RigError
 from rig.commands.arguments import Record, group, in_json, input_option, new_file, one_record, output_option
 
-_HIDDEN = {"record"}
+_HIDDEN_SECTIONS = {"record"}
 """Sections of a record's metadata that are not printed."""
 
 
@@ -21,8 +21,8 @@ def info(record: Record) -> None:
     Example:
       rig record info runs/first
     """
-    for each in resolve_records(record):
-        _print_info(each)
+    for path in resolve_records(record):
+        _print_info(path)
 
 
 def _print_info(path: Path) -> None:
@@ -33,68 +33,69 @@ def _print_info(path: Path) -> None:
     from rig.terminal import answer, print_line
 
     with RecordReader(path) as reader:
-        numbers, metadata = reader.numbers, reader.metadata
+        numbers_file, metadata = reader.numbers, reader.metadata
         losses, counts, files = reader.losses(), reader.counts, reader.files
-        swings, unit = reader.swings(), reader.deflection_unit
-        attachments = {name: len(next(numbers.copies(name), b"")) for name in numbers.attachments}
-        damage = reader.damages
-    clean = [swing.amplitude / unit.shown_size for swing in swings if not swing.flags]
-    amplitude = f"{clean[0]:.2f} to {clean[-1]:.2f} {unit.shown}" if clean else "none"
-    half_cycles = f"{len(swings)}, {len(swings) - len(clean)} of them flagged"
-    result = _result(path)
+        half_cycles, unit = reader.swings(), reader.deflection_unit
+        attachments = {name: len(next(numbers_file.copies(name), b"")) for name in numbers_file.attachments}
+        damages = reader.damages
+    amplitudes = [swing.amplitude / unit.shown_size for swing in half_cycles if not swing.flags]
+    amplitude = f"{amplitudes[0]:.2f} to {amplitudes[-1]:.2f} {unit.shown}" if amplitudes else "none"
+    count = f"{len(half_cycles)}, {len(half_cycles) - len(amplitudes)} of them flagged"
+    result = _result_summary(path)
     sizes = []
     for file in files:
-        cut = f"cut short after {_size(file.readable_bytes)} (see rig record recover)"
-        sizes.append(f"{file.path}: {_size(file.size)}, {'whole' if file.is_complete else cut}")
+        truncation = f"cut short after {_size(file.readable_bytes)} (see rig record recover)"
+        sizes.append(f"{file.path}: {_size(file.size)}, {'whole' if file.is_complete else truncation}")
     print_line(sizes[0])
-    for name, text in (("amplitude", amplitude), ("half-cycles", half_cycles), ("result", result)):
+    for name, text in (("amplitude", amplitude), ("half-cycles", count), ("result", result)):
         print_line(f"{name:<12} {text}")
     for line in sizes[1:]:
         print_line(line)
-    print_line(f"schema {int(metadata['record']['schema_version'])}, written by {numbers.library}")
-    if numbers.start_ns:
-        when = " of simulated time" if RecordedCamera.from_metadata(metadata).simulated else ""
-        lasted_s = seconds(numbers.end_ns - numbers.start_ns)
-        print_line(f"{utc_text(numbers.start_ns)} to {utc_text(numbers.end_ns)}, {lasted_s:.1f} s{when}")
-    for topic, count in counts.items():
-        print_line(f"  {topic:<20} {count}")
+    print_line(f"schema {int(metadata['record']['schema_version'])}, written by {numbers_file.library}")
+    start_ns, end_ns = numbers_file.start_ns, numbers_file.end_ns
+    if start_ns:
+        clock = " of simulated time" if RecordedCamera.from_metadata(metadata).simulated else ""
+        duration_s = seconds(end_ns - start_ns)
+        print_line(f"{utc_text(start_ns)} to {utc_text(end_ns)}, {duration_s:.1f} s{clock}")
+    for topic, messages in counts.items():
+        print_line(f"  {topic:<20} {messages}")
     if losses is not None:
         print_line(f"frames lost: {losses}")
     for section, texts in metadata.items():
-        filled = {key: text for key, text in texts.items() if text}
-        if section not in _HIDDEN and filled:
+        stated = {key: text for key, text in texts.items() if text}
+        if section not in _HIDDEN_SECTIONS and stated:
             print_line(f"{section}")
-            for key, text in filled.items():
+            for key, text in stated.items():
                 print_line(f"  {key:<20} {text}")
     for name, size in attachments.items():
         print_line(f"attachment {name} ({_size(size)})")
-    for problem in damage:
-        print_line(f"problem: {problem}")
+    for damage in damages:
+        print_line(f"problem: {damage}")
     answer(
         records=[
             {
                 "path": path,
-                "amplitudes": clean[:1] + clean[-1:],
+                "amplitudes": amplitudes[:1] + amplitudes[-1:],
                 "amplitude_unit": unit.shown,
-                "half_cycles": len(swings),
+                "half_cycles": len(half_cycles),
                 "result": result,
                 "size_bytes": sum(file.size for file in files),
                 "whole": all(file.is_complete for file in files),
-                "start_ns": numbers.start_ns,
-                "end_ns": numbers.end_ns,
+                "start_ns": start_ns,
+                "end_ns": end_ns,
                 "messages": dict(counts),
                 "frames_lost": losses,
                 "metadata": metadata,
                 "attachments": attachments,
-                "damage": damage,
+                "damage": damages,
             }
         ]
     )
 
 
-def _result(path: Path) -> str:
-    """The first line of the results next to a record."""
-    from rig.analysis import main_result, read_results, results_path
+def _result_summary(path: Path) -> str:
+    """One line on the result next to a record, or why there is none."""
+    from rig.analysis import read_results, results_path, main_result
 
     source = results_path(path.parent)
     if not source.exists():
@@ -123,16 +124,17 @@ def check(
     Example:
       rig record check runs/first
     """
-    raise typer.Exit(max([_print_check(each, results) for each in resolve_records(record)]))
+    raise typer.Exit(max([_print_check(path, results) for path in resolve_records(record)]))
 
 
 def _print_check(path: Path, results: Path | None) -> int:
     """Print one line for each finding; returns the exit status, 1 if there is an error."""
     from acquisition.record.check import check_record
+    from rig.analysis import results_path
     from rig.terminal import answer, print_line
 
-    if results is None and (path.parent / "results.json").exists():
-        results = path.parent / "results.json"
+    if results is None and (latest := results_path(path.parent)).exists():
+        results = latest
     findings = check_record(path, results)
     if results is not None:
         from rig.report import check_report
@@ -142,8 +144,8 @@ def _print_check(path: Path, results: Path | None) -> int:
         print_line(f"{finding.severity}: {finding.text}")
     answer(records=[{"path": path, "findings": list(findings)}])
     errors = sum(finding.severity == "error" for finding in findings)
-    found = "is sound" if not errors else "1 error" if errors == 1 else f"{errors} errors"
-    print_line(f"{path}: {found}")
+    summary = "is sound" if not errors else "1 error" if errors == 1 else f"{errors} errors"
+    print_line(f"{path}: {summary}")
     return 1 if errors else 0
 
 

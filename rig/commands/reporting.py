@@ -140,16 +140,16 @@ def compare(
         from rig.archive import ordered_runs
 
         runs = runs_of_archive(ordered_runs(archive, where))
-    if output is None and not any(one.run.fits for one in runs):
+    if output is None and not any(run.run.fits for run in runs):
         print_tables([decays_table(runs)])
         return
-    found = fit_model(runs, stated, sample=sample)
-    answer(campaign=lambda: encoded(found.results))
-    print_tables(campaign_tables(found))
-    for line in (*found.results.left_out, *found.results.warnings):
+    campaign = fit_model(runs, stated, sample=sample)
+    answer(campaign=lambda: encoded(campaign.results))
+    print_tables(campaign_tables(campaign))
+    for line in (*campaign.results.left_out, *campaign.results.warnings):
         say(line)
     if output is not None:
-        for path in save_campaign(found, output):
+        for path in save_campaign(campaign, output):
             answer(written=[path])
             print(f"{'campaign':<12} {path}")
 
@@ -223,14 +223,14 @@ def plan(
     from rig.terminal import answer, print_tables, say
 
     if source.suffix.lower() == ".toml":
-        expected = planned_contact_of_file(source, set_ or [], noise, contact)
+        planned_contact = planned_contact_of_file(source, set_ or [], noise, contact)
     elif is_of_table(source):
         if noise is not None or contact is not None or set_:
             raise ConfigurationError(
                 f"{source}: a table's results have their own noise, contact and configuration; leave out "
                 "--noise, --contact and --set"
             )
-        expected = planned_contact_of_table(source)
+        planned_contact = planned_contact_of_table(source)
         say("without the waveform of the swings, which results do not hold: uncertainties are upper limits")
     else:
         from rig.analysis import analyse_record
@@ -239,7 +239,7 @@ def plan(
             raise ConfigurationError(
                 f"{source}: a record has its own noise and contact; leave out --noise and --contact"
             )
-        expected = planned_contact_of_run(analyse_record(one_record(source), set_ or []))
-    planned = make_plan(expected, firsts, lasts, ground, counts, seismometer)
-    answer(plan=planned.numbers)
-    print_tables([plan_table(planned)])
+        planned_contact = planned_contact_of_run(analyse_record(one_record(source), set_ or []))
+    result = make_plan(planned_contact, firsts, lasts, ground, counts, seismometer)
+    answer(plan=result.rows)
+    print_tables([plan_table(result)])

@@ -1,4 +1,4 @@
-"""`rig desk`, `rig balance`, `rig doctor`, `rig light`: before a measurement, and its light."""
+"""Commands around a measurement: `rig desk`, `rig balance`, `rig doctor` and `rig light`."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, MissingPackage
-from rig.commands.archive import PLACE, Archive
+from rig.commands.archive import DEFAULT_ARCHIVE, Archive
 from rig.commands.arguments import (
     MODES,
     Config,
@@ -15,13 +15,13 @@ from rig.commands.arguments import (
     Set,
     View,
     appended_file,
+    configuration_of,
     group,
     in_json,
     input_argument,
-    loaded,
     new_file,
-    old_folder,
     output_option,
+    present_folder,
 )
 
 
@@ -65,17 +65,17 @@ def balance(
       rig balance mine.toml --view
       rig balance configs/demo.toml --follow 6
     """
-    from rig.prepare import InJsonLines, balance_rig, show_history
+    from rig.prepare import JsonReporter, Reporter, balance_rig, show_history
     from rig.terminal import one_json_object
 
-    stated = loaded(config, [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])])
+    overrides = [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])]
+    configuration = configuration_of(config, overrides)
     if history or forget_last:
         with one_json_object() if json_lines else nullcontext():
-            show_history(stated, history_file, forget=forget_last)
+            show_history(configuration, history_file, forget=forget_last)
         return
-    raise typer.Exit(
-        balance_rig(stated, history_file, follow, seed, rrd, reporter=InJsonLines() if json_lines else None)
-    )
+    reporter = JsonReporter() if json_lines else Reporter()
+    raise typer.Exit(balance_rig(configuration, history_file, follow, seed, rrd, reporter))
 
 
 def desk(
@@ -84,7 +84,7 @@ def desk(
         int, typer.Option(help="Port; 0: the last one, 8642, or any that is free.", min=0, max=65535)
     ] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
-    archive: Archive = PLACE,
+    archive: Archive = DEFAULT_ARCHIVE,
     set_: Set = None,
 ) -> None:
     """Open a page in the browser to run the rig from.
@@ -117,7 +117,7 @@ def doctor(
     ] = False,
     udev_folder: Annotated[
         Path | None,
-        output_option("Folder for those rules, instead of /etc/udev/rules.d.", old_folder, names=()),
+        output_option("Folder for those rules, instead of /etc/udev/rules.d.", present_folder, names=()),
     ] = None,
     json_lines: JsonLines = False,
     set_: Set = None,
@@ -137,12 +137,12 @@ def doctor(
     from rig.terminal import print_json_line, say
 
     if install_udev or udev_folder is not None:
-        path, then = install_rules(udev_folder or RULES_FOLDER)
+        path, next_step = install_rules(udev_folder or RULES_FOLDER)
         if json_lines:
-            print_json_line("udev", {"written": str(path), "next": then})
+            print_json_line("udev", {"written": str(path), "next": next_step})
         else:
             print(path)
-            say(f"next: {then}")
+            say(f"next: {next_step}")
         if config is None:
             return
     if config is None:
@@ -150,12 +150,12 @@ def doctor(
             raise ConfigurationError("rig doctor: --preflight and --set need the configuration to check")
         _list_devices(json_lines=json_lines)
         return
-    stated = loaded(config, set_)
+    configuration = configuration_of(config, set_)
     if preflight:
         from rig.measure import preflight_rig
 
-        raise typer.Exit(preflight_rig(stated, json_lines=json_lines))
-    raise typer.Exit(examine(stated, json_lines=json_lines))
+        raise typer.Exit(preflight_rig(configuration, json_lines=json_lines))
+    raise typer.Exit(examine(configuration, json_lines=json_lines))
 
 
 def _list_devices(*, json_lines: bool) -> None:
@@ -168,12 +168,13 @@ def _list_devices(*, json_lines: bool) -> None:
     cameras, notes = find_cameras()
     ports = list_serial_ports()
     if json_lines:
-        listed = {"cameras": [one._asdict() for one in cameras], "serial_ports": list(map(asdict, ports))}
-        print_json_line("devices", {**listed, "notes": list(notes)})
+        camera_values = [camera._asdict() for camera in cameras]
+        values = {"cameras": camera_values, "serial_ports": list(map(asdict, ports)), "notes": list(notes)}
+        print_json_line("devices", values)
         return
     for camera in cameras:
-        words = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.connection]
-        print_line("camera  " + "  ".join(word for word in words if word))
+        details = [camera.driver, camera.name, camera.serial and f"serial {camera.serial}", camera.connection]
+        print_line("camera  " + "  ".join(detail for detail in details if detail))
         for mode in camera.modes:
             print_line(f"          {mode}")
         if camera.problem:
@@ -182,8 +183,8 @@ def _list_devices(*, json_lines: bool) -> None:
         print_line("no camera is plugged in; camera.driver = 'simulated' and 'files' need none")
     for port in ports:
         usb = f"USB {port.vendor:04x}:{port.product:04x}" if port.vendor >= 0 else ""
-        words = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
-        print_line("serial  " + "  ".join(word for word in words if word))
+        details = [port.device, port.description, usb, port.serial and f"serial {port.serial}"]
+        print_line("serial  " + "  ".join(detail for detail in details if detail))
     for note in notes:
         print_line(f"note    {note}")
 
@@ -198,7 +199,7 @@ def show(config: Config, set_: Set = None) -> None:
     """
     from rig.measure import show_light
 
-    raise typer.Exit(show_light(loaded(config, set_)))
+    raise typer.Exit(show_light(configuration_of(config, set_)))
 
 
 @in_json
@@ -211,12 +212,12 @@ def off(config: Config, set_: Set = None) -> None:
     """
     from rig.control import darken_directly
 
-    stated = loaded(config, set_)
-    # before the imports that follow, which take longer than all that was done so far
-    darken_directly(stated.laser, stated.controller)
+    configuration = configuration_of(config, set_)
+    # before the next imports, which take longer than everything up to here
+    darken_directly(configuration.laser, configuration.controller)
     from rig.measure import light_off
 
-    raise typer.Exit(light_off(stated))
+    raise typer.Exit(light_off(configuration))
 
 
 def _trip_number(text: str) -> int:
@@ -242,7 +243,7 @@ def acknowledge(
     """
     from rig.measure import acknowledge_trip
 
-    raise typer.Exit(acknowledge_trip(loaded(config, set_), number))
+    raise typer.Exit(acknowledge_trip(configuration_of(config, set_), number))
 
 
 light = group("light", "Switch the laser off; show and acknowledge why it is dark.", off, show, acknowledge)

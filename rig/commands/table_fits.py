@@ -26,7 +26,7 @@ from rig.report import make_table_report
 from rig.settings import FITTED, load_configuration, refuse_without_effect
 from rig.terminal import answer, print_line
 
-_OF_TABLES = {
+_TABLE_KEYS = {
     **FITTED,
     "session": (*FITTED["session"], "contact_history", "notes", "operator", "sample", "initial_", "final_"),
 }
@@ -34,24 +34,26 @@ _OF_TABLES = {
 
 
 class TableOptions(NamedTuple):
-    """Options of a fit of tables: configuration with overrides, laws to compare, auxiliary seismometer."""
+    """Options of a fit of tables."""
 
     config_path: Path | None = None
     overrides: Sequence[str] = ()
     laws: Sequence[str] = ()
+    """Names of the laws to compare with the paper's."""
     seismometer: SeismometerRecord | None = None
 
 
 def fit_several(
-    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableOptions
+    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, options: TableOptions
 ) -> int:
-    """Analyse runs, each given by its name, file and a function that reads it; several have a folder each.
+    """Analyse runs, each given by its name, its file and a function that reads it.
 
-    A run of several that cannot be analysed does not stop the others; 1 is returned if there was such a run.
+    Of several runs each has its own folder, and one that cannot be analysed does not stop the others; the
+    exit status is then 1.
     """
     if len(inputs) == 1:
         ((_, path, read),) = inputs
-        _fit(path, read(), output, wanted, alone=True)
+        _fit(path, read(), output, options, is_only=True)
         return 0
     folders = [None if output is None else output / _folder_name(name) for name, _, _ in inputs]
     for folder in (output, *folders):
@@ -59,57 +61,57 @@ def fit_several(
             raise ConfigurationError(
                 f"{folder / RESULTS_NAME}: exists already and is not overwritten; choose another folder"
             )
-    failed, tables = 0, dict[str, AnalysedTable]()
+    has_failed, tables = False, dict[str, AnalysedTable]()
     for (name, path, read), folder in zip(inputs, folders, strict=True):
         print_line(f"--- run {name}")
         try:
-            tables[name] = _fit(path, read(), folder, wanted)
+            tables[name] = _fit(path, read(), folder, options)
         except MissingPackage:
             # no other run can be read either
             raise
         except (DataError, DeviceError) as error:
-            failed += 1
+            has_failed = True
             answer(not_analysed=[{"run": name, "reason": str(error)}])
             print_line(f"not analysed: {error}")
-    together = series_of_runs(inputs[0][1], tables)
-    if together is not None:
+    combined = series_of_runs(inputs[0][1], tables)
+    if combined is not None:
         print_line(f"--- runs {', '.join(tables)}")
-        print_series(together.series)
-        answer(series=lambda: encoded(together)["series"])
+        print_series(combined.series)
+        answer(series=lambda: encoded(combined)["series"])
         if output is not None:
-            _save(output, together)
-    return int(failed > 0)
+            _save(output, combined)
+    return int(has_failed)
 
 
 def _folder_name(name: str) -> str:
-    """Name of the folder of a run: its name without characters that a folder's should not have."""
+    """Name of the folder of a run: the run's name without characters that paths should not have."""
     plain = re.sub(r"[^\w.-]+", "-", name).strip("-.")
     return f"run-{plain}" if plain.isdigit() or not plain else plain
 
 
 def _fit(
-    path: Path, trajectory: Trajectory, output: Path | None, wanted: TableOptions, *, alone: bool = False
+    path: Path, trajectory: Trajectory, output: Path | None, options: TableOptions, *, is_only: bool = False
 ) -> AnalysedTable:
-    """Analyse one run, print and write it; with the series of its decays if it is `alone`."""
-    laws = wanted.laws
+    """Analyse one run, print and write it; the only run with the series of its decays."""
+    laws = options.laws
     compared = chosen_laws(laws) if laws else ()
-    if wanted.config_path:
-        stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
-        refuse_without_effect(wanted.overrides, _OF_TABLES, "a table holds neither frames nor spots")
-        table = analyse_trajectory(path, trajectory, fill_from_files(stated), compared, wanted.seismometer)
+    if options.config_path:
+        config = load_configuration(options.config_path, options.overrides, needs_camera=False)
+        refuse_without_effect(options.overrides, _TABLE_KEYS, "a table holds neither frames nor spots")
+        table = analyse_trajectory(path, trajectory, fill_from_files(config), compared, options.seismometer)
     else:
         table = analyse_trajectory(path, trajectory, None)
     if laws and table.longest.problem:
         raise ConfigurationError(f"--law {laws[0]}: {table.longest.problem}")
-    if not alone:
+    if not is_only:
         # the series of several runs is another result
         table = replace(table, series=None)
     print_table(path, table)
     _write(path, output, table)
     if output is not None:
-        for name, made in make_table_report(table, output):
-            answer(written=[made])
-            print(f"{name:<12} {made}")
+        for name, file in make_table_report(table, output):
+            answer(written=[file])
+            print(f"{name:<12} {file}")
     return table
 
 

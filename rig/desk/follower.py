@@ -28,7 +28,7 @@ from rig.devices import (
     running_sessions,
 )
 from rig.measure import STATE_NAME, RunState, is_in_use, read_session
-from rig.settings import Configuration, unnumbered, validate_configuration
+from rig.settings import Configuration, without_schema, validate_configuration
 
 _LOOK_INTERVAL_S = 0.2
 _SEARCH_INTERVAL_S = 1.0
@@ -292,7 +292,7 @@ def _configuration_in(folder: Path) -> Configuration | None:
     """Configuration of the session in a folder; None if there is no session that can be read."""
     path = str(folder / STATE_NAME)
     with suppress(RigError):
-        return validate_configuration(unnumbered(read_session(folder).configuration, path), path)
+        return validate_configuration(without_schema(read_session(folder).configuration, path), path)
     return None
 
 

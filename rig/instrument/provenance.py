@@ -30,8 +30,8 @@ from rig.settings import (
     apply_overrides,
     fault_line,
     stored_configuration,
-    unnumbered,
     validate_configuration,
+    without_schema,
 )
 
 CONFIGURATION_NAME = "configuration.json"
@@ -172,7 +172,7 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
             )
         raise RecordError(f"{reader.path}: contains no configuration; it was not made by rig run")
     try:
-        tree = unnumbered(json.loads(attachment), f"{reader.path}: its configuration")
+        tree = without_schema(json.loads(attachment), f"{reader.path}: its configuration")
         config = Configuration.model_validate(tree)
     except ConfigurationError as error:
         raise RecordError(str(error)) from None

@@ -11,7 +11,7 @@ import numpy as np
 from acquisition import atomic_write
 from processing.arrays import Floats, Ints
 from processing.errors import DataError, RecordError
-from rig.terminal import written
+from rig.terminal import translated_file_errors
 
 ANGLE_UNITS: Final = ("rad", "mrad", "urad", "nrad", "mas", "arcsec", "arcmin", "deg")
 UNSTATED_UNIT: Final = "unit"
@@ -103,7 +103,7 @@ def write_positions(trajectory: Trajectory, folder: Path) -> Path:
     for time_ns, *position in zip(trajectory.times_ns.tolist(), *trajectory.positions, strict=True):
         time_s = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
         writer.writerow((time_s, *(f"{value:.10g}" for value in position)))
-    with written(target):
+    with translated_file_errors(target):
         atomic_write.replace(target, rows.getvalue().encode())
     return target
 

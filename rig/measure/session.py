@@ -41,8 +41,8 @@ from rig.settings import (
     apply_overrides,
     load_configuration,
     stored_configuration,
-    unnumbered,
     validate_configuration,
+    without_schema,
 )
 from rig.terminal import failures, print_json_line, say
 
@@ -95,7 +95,9 @@ def resume_session(
     with closing(SessionFile.opened(folder)) as file:
         source = replacement or Path(file.state.source)
         if replacement is None:
-            tree = unnumbered(deepcopy(file.state.configuration), f"{folder / STATE_NAME}: its configuration")
+            tree = without_schema(
+                deepcopy(file.state.configuration), f"{folder / STATE_NAME}: its configuration"
+            )
             apply_overrides(tree, overrides)
             config = validate_configuration(tree, str(folder / STATE_NAME), overrides)
             config = config.remember_file(source, overrides)

@@ -47,21 +47,20 @@ def measure(
 ) -> BalanceMeasurement:
     """Measure the balance until all of it is known, or `balance.seconds` have passed.
 
-    `show` is called with each balance.
-
-    The starter or magnet that starts runs also starts this swing, the starter with at most `swing_arcsec`.
-    Raises DataError without frames, DeviceError if the laser goes dark or the camera fails.
+    `show` is called with each balance. The starter or magnet that starts runs also starts this swing, the
+    starter with at most `swing_arcsec`. Raises DataError without frames, DeviceError if the laser goes
+    dark or the camera fails.
     """
     if config.lever is None:
         raise ConfigurationError("rig balance needs [lever], because its limits are in arcsec")
-    found: Balance | None = None
+    balance: Balance | None = None
     with devices.camera(config) as camera:
         optics = optics_of(config, camera.info.full_scale_dn)
         prepare_kernels(optics.sensor, say)
         # lit only while frames are taken: at other times the operator's hands may be at the pendulum
         ask_acknowledgement(devices)
-        if lit := devices.light():
-            say(lit)
+        if message := devices.light():
+            say(message)
         stream = devices.stream(config, camera)
         light = LightWatch(devices)
         try:
@@ -75,42 +74,41 @@ def measure(
             lost = taken = 0
             begin_ns = first.time_ns + nanoseconds(_start_swing(config, devices, swing_arcsec))
             end_ns = begin_ns + nanoseconds(config.balance.seconds)
-            held = begin_ns > first.time_ns
+            is_held = begin_ns > first.time_ns
             while not stream.drained:
                 frames = stream.take(32, 0.1)
                 light.look()
                 if light.alarm:
                     raise DeviceError(light.alarm)
-                if held and frames and frames[-1].time_ns >= begin_ns:
+                if is_held and frames and frames[-1].time_ns >= begin_ns:
                     wait_for_command(devices.required_control("the magnet").submit(lambda c: c.release()))
-                    held = False
-                if not frames or held:
+                    is_held = False
+                if not frames or is_held:
                     continue
                 block = pipeline.process(frames)
                 view.block(frames, block)
                 taken += len(frames)
                 lost += sum(bool(spot.flags & _BAD_SPOT) for spot in block.spots)
                 for balance in block.balances:
-                    found = balance
                     show(balance)
-                # the turning of the line is the last that becomes known
-                whole = found is not None and math.isfinite(found.rotation_rad_per_s)
-                if whole or frames[-1].time_ns >= end_ns:
+                # the rotation of the line is the last quantity that becomes known
+                is_complete = balance is not None and math.isfinite(balance.rotation_rad_per_s)
+                if is_complete or frames[-1].time_ns >= end_ns:
                     break
         finally:
             devices.darken()
             stream.close()
-    if found is None and stream.failure is not None:
+    if balance is None and stream.failure is not None:
         raise stream.failure
-    return BalanceMeasurement(found, lost / max(taken, 1), shape)
+    return BalanceMeasurement(balance, lost / max(taken, 1), shape)
 
 
 def _start_swing(config: Configuration, devices: Devices, swing_arcsec: float) -> float:
     """Let the starter push or the magnet hold; returns the time in s after which the magnet must release."""
     start = config.start
     if start.way == "starter":
-        part = min(1.0, swing_arcsec / config.session.initial_amplitude_arcsec)
-        pulse_s = max(part * start.starter_pulse_s, _MIN_PULSE_S)
+        fraction = min(1.0, swing_arcsec / config.session.initial_amplitude_arcsec)
+        pulse_s = max(fraction * start.starter_pulse_s, _MIN_PULSE_S)
         wait_for_command(devices.required_control("the starter").submit(lambda c: c.starter_pulse(pulse_s)))
     if start.way != "magnet":
         return 0.0
@@ -120,13 +118,11 @@ def _start_swing(config: Configuration, devices: Devices, swing_arcsec: float) -
 
 _MAX_MEASUREMENTS_PER_TURN = 5
 _MIN_SWING_ARCSEC = 10.0
+"""Amplitude to which a swing is reduced at most."""
 
 
 class SimulatedOperator:
-    """A simulated operator, who turns the weights of the simulated pendulum and lets it swing.
-
-    Without given `weights` they deviate at random (`seed`) from their drawings.
-    """
+    """A simulated operator, who turns weights; if none are given they deviate at random from drawings."""
 
     def __init__(
         self, config: Configuration, seed: int, weights: dict[str, TrimWeight] | None = None
@@ -162,20 +158,20 @@ class SimulatedOperator:
         return True
 
 
-def history_path(config: Configuration, stated: Path | None) -> Path:
+def _history_path(config: Configuration, path: Path | None) -> Path:
     """The file in which turns are stored; simulated turns have their own, because they teach nothing."""
     name = "balance-history-simulated.jsonl" if config.simulated else "balance-history.jsonl"
-    return stated or config.session.output / name
+    return path or config.session.output / name
 
 
-def show_history(config: Configuration, stated: Path | None, *, forget: bool) -> None:
+def show_history(config: Configuration, path: Path | None, *, forget: bool) -> None:
     """Print what was learned from earlier turns; with `forget` discard the last turn first."""
     config = complete(config)
-    path = history_path(config, stated)
+    path = _history_path(config, path)
     if forget:
-        said = forget_last_turn(path)
-        say(said)
-        answer(forgotten=said)
+        message = forget_last_turn(path)
+        say(message)
+        answer(forgotten=message)
     show_turns(config, path)
 
 
@@ -184,14 +180,14 @@ def balance_rig(
     path: Path | None,
     follow: int,
     seed: int | None,
-    rrd: Path | None = None,
-    reporter: Reporter | None = None,
+    rrd: Path | None,
+    reporter: Reporter,
 ) -> int:
     """Measure, advise and ask which weight was turned, until the operator ends it.
 
     With the simulated rig, a simulated operator, whose weights are random by `seed`, makes the stated turns;
     with `follow` > 0 it follows the advice, for at most that many turns. All measurements are drawn into the
-    configured live view and into `rrd`, and reported by `reporter`, by default on the terminal.
+    configured live view and into `rrd`, and reported by `reporter`.
     """
     config = complete(config)
     if follow and not config.simulated:
@@ -199,22 +195,20 @@ def balance_rig(
     if seed is not None and not config.simulated:
         raise ConfigurationError(f"--seed {seed} works with the simulated rig only: leave it out")
     operator = SimulatedOperator(config, 1 if seed is None else seed) if config.simulated else None
-    reporter = reporter or Reporter()
-    session = LearnedTurns(config, history_path(config, path))
-    stated = config
+    path = _history_path(config, path)
+    session = LearnedTurns(config, path)
 
     def advise(balance: Balance) -> str:
-        return advice_for(stated, balance, session.responses, session.room).markdown
+        return advice_for(config, balance, session.responses, session.room).markdown
 
     def show(balance: Balance) -> None:
         reporter.report_live(balance_checks(balance, mass_centre_height(config, balance), config.balance))
 
     turns = measurements = 0
     swing_arcsec = math.inf
-    folder = history_path(config, path).parent
     with (
-        Devices(config, folder, "rig balance") as devices,
-        light_shown_to_desk(devices, folder),
+        Devices(config, path.parent, "rig balance") as devices,
+        light_shown_to_desk(devices, path.parent),
         BalanceView(config, rrd, advise, reporter.report_trajectory) as view,
     ):
         while True:
@@ -222,29 +216,29 @@ def balance_rig(
                 config = config.model_copy(update={"simulation": operator.simulation})
             measurements += 1
             try:
-                why = session.take(measure(config, devices, show, view, swing_arcsec))
+                rejection = session.take(measure(config, devices, show, view, swing_arcsec))
             except DataError as error:
-                why = str(error)
-            if why:
-                turn = _after_rejection(session, why, reporter)
+                rejection = str(error)
+            if rejection:
+                turn = _after_rejection(session, rejection, reporter)
                 ended = False
                 # the starter can follow the hint by itself
                 smaller = 0.5 * min(swing_arcsec, config.session.initial_amplitude_arcsec)
                 swing_arcsec = max(smaller, _MIN_SWING_ARCSEC)
             else:
                 advice = session.advice()
-                reporter.report_measurement(session.checks, session.before, advice)
-                # what no weight cures is wrong all the same
+                reporter.report_measurement(session.checks, session.earlier_checks, advice)
+                # a fault that no weight cures remains a fault
                 ended = advice is None and all(check.ok for check in session.checks if check.is_known)
                 turn = advice if isinstance(advice, Turn) else None
                 swing_arcsec = math.inf if turn is None else turn.swing_arcsec
             if operator is None or not follow:
-                stated_turn = _ask(session, devices, reporter, is_sound=not why)
+                stated_turn = _ask(session, devices, reporter, is_sound=not rejection)
                 if stated_turn is None:
                     return 0 if ended else 1
                 if operator is not None and stated_turn.weight:
                     operator.follow(stated_turn)
-            elif why and not session.spot_is_gone and operator.swing_less():
+            elif rejection and not session.spot_is_gone and operator.swing_less():
                 continue
             elif turn is None or turns >= follow or measurements > _MAX_MEASUREMENTS_PER_TURN * follow:
                 return 0 if ended else 1
@@ -255,26 +249,27 @@ def balance_rig(
                 turns += 1
 
 
-def _after_rejection(session: LearnedTurns, why: str, reporter: Reporter) -> Turn | None:
+def _after_rejection(session: LearnedTurns, reason: str, reporter: Reporter) -> Turn | None:
     """Report why a measurement was rejected, and the remedy; returns a turn back that may help."""
     turn = session.way_back()
     hint = ""
     if not session.spot_is_gone:
         hint = "let it swing by half as much, and measure again"
         hint += "; if that does not help:" if turn else ""
-    reporter.report_rejection(why, hint, turn)
+    reporter.report_rejection(reason, hint, turn)
     return turn
 
 
 _MAX_TURNS = 50.0
-"""Largest number of turns: no thread is longer, so that more is a typing error."""
+"""Largest number of turns: no thread is longer, so that a larger number is a typing error."""
 _NO_TURN = Turn("", 0.0, "")
 
 
 def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter, *, is_sound: bool) -> Turn | None:
     """Ask the operator for the turn made; returns a turn without a weight for none, None to end.
 
-    The advice after a measurement that `is_sound` is given again if a turn is forgotten on which it rests.
+    After a sound measurement the advice is given again if a turn is forgotten, because it may rest on that
+    turn.
     """
     while True:
         try:
@@ -288,7 +283,7 @@ def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter, *, is_soun
         if words[0] == "f":
             reporter.report_forgotten(session.forget())
             if is_sound:
-                reporter.report_measurement(session.checks, session.before, session.advice())
+                reporter.report_measurement(session.checks, session.earlier_checks, session.advice())
             continue
         try:
             weight, parts = words[0].lower(), [float(word) for word in words[1:]]

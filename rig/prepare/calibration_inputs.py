@@ -1,4 +1,4 @@
-"""Input files (TOML) of calibrations, frames of a source, and the writing of calibration files."""
+"""Input files (TOML) of calibrations, frames for them, and the writing of calibration files."""
 
 import datetime
 import getpass
@@ -49,21 +49,23 @@ class LadderStep(BaseModel, frozen=True, extra="forbid"):
 class LadderFile(BaseModel, frozen=True, extra="forbid"):
     """A ladder of known tilts or shifts, or the geometry of the lever instead.
 
-    `pixel_pitch_m` is that of the sensor; `binning` is the camera's for stated spots (records state their
-    own). Steps are in the order of the measurement. `u_reference` is the standard uncertainty of one setting,
-    in `unit`; `u_reference_relative` that of the scale of the reference. Paths of records are relative to the
-    file.
+    Paths of records are relative to the file.
     """
 
     kind: Literal["tilt", "shift"] = "tilt"
     unit: str = "arcsec"
     u_reference: float = Field(default=0.0, ge=0)
+    """Standard uncertainty of one setting of the reference, in `unit`."""
     u_reference_relative: float = Field(default=0.0, ge=0, lt=1)
+    """Relative standard uncertainty of the scale of the reference."""
     pixel_pitch_m: float | None = Field(default=None, gt=0, lt=1e-3)
+    """Pitch of the sensor's pixels."""
     arm_m: float | None = Field(default=None, gt=0, lt=100)
     u_arm_m: float = Field(default=0.0, ge=0)
     binning: int = Field(default=1, ge=1, le=16)
+    """Binning of the camera for stated spots; records state their own."""
     step: tuple[LadderStep, ...] = ()
+    """Steps in the order of the measurement."""
     geometry: LeverGeometry | None = None
 
     @model_validator(mode="after")
@@ -94,17 +96,18 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
 
 
 class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
-    """One run: its record, and the area of the vanes on the pendulum."""
+    """One run with vanes on the pendulum."""
 
     record: Path
     area_m2: float = Field(ge=0, lt=10)
+    """Sum of the areas of all vanes, one face of each; 0 without vanes."""
 
 
 class VaneFile(BaseModel, frozen=True, extra="forbid"):
-    """Runs of one contact with vanes of different areas, all at one place.
+    """Runs of one contact, all on the same spot, with vanes of different areas.
 
-    `area_m2` is the sum over all vanes, one face of each, 0 without vanes; drag is proportional to it, so
-    that only its ratios enter the drag of the pendulum itself. Paths of records are relative to the file.
+    The drag of vanes is proportional to their area, so that only ratios of areas enter the drag of the
+    pendulum itself. Paths of records are relative to the file.
     """
 
     run: tuple[VanesOfRun, ...]
@@ -132,7 +135,7 @@ class TransferFile(BaseModel, frozen=True, extra="forbid"):
 
 
 def frames_of(path: Path) -> tuple[list[Image], int]:
-    """Whole frames (at most 64) and full scale in DN of a record, a folder of images or a stack.
+    """Whole frames (at most `_MAX_FRAMES`) and full scale in DN of a record, a folder of images or a stack.
 
     Raises DataError if there are none, or if they are in colour.
     """
@@ -145,14 +148,14 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
         return images, full_scale
     source = open_source(path)
     try:
-        stored = [source.read(index) for index in range(min(source.count, _MAX_FRAMES))]
+        frames = [source.read(index) for index in range(min(source.count, _MAX_FRAMES))]
     except (UnreadableFrame, OSError) as error:
         raise DataError(f"{path}: {error}") from None
     finally:
         source.close()
-    if not stored or any(item.pixels.ndim != 2 for item in stored):
+    if not frames or any(frame.pixels.ndim != 2 for frame in frames):
         raise DataError(f"{path}: grey frames are needed")
-    return [item.pixels for item in stored], stored[0].full_scale
+    return [frame.pixels for frame in frames], frames[0].full_scale
 
 
 def read_input(path: Path, model: type[_Model]) -> _Model:
@@ -168,11 +171,11 @@ def read_input(path: Path, model: type[_Model]) -> _Model:
             f"{path}: is a calibration that rig calibrate made; the list of values measured for it is "
             "needed here, docs/calibrate.md shows one"
         )
-    found, faults = validate(model, tree)
-    if found is None:
+    content, faults = validate(model, tree)
+    if content is None:
         problem = "; ".join(fault.line for fault in faults)
         raise ConfigurationError(f"{path}: {problem}; docs/calibrate.md shows such a file")
-    return found
+    return content
 
 
 _MIN_DAYS, _MAX_DAYS = 0.01, 36_525.0
@@ -187,7 +190,7 @@ class Filing:
     made_by: str = ""
 
     def __post_init__(self) -> None:
-        # a NaN is in no range, and so refused
+        # in this form NaN is refused, too
         if not _MIN_DAYS <= self.valid_days <= _MAX_DAYS:
             raise ConfigurationError(
                 f"valid for {self.valid_days:g} days: should be from {_MIN_DAYS:g} to {_MAX_DAYS:g}"
@@ -218,7 +221,7 @@ def file_calibration(
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     measured_at = measured_at or now
     valid_until = measured_at + datetime.timedelta(days=filing.valid_days)
-    used = [Source(name=path.name, sha256=sha256_of(path)) for path in sources if path.is_file()]
+    source_files = [Source(name=path.name, sha256=sha256_of(path)) for path in sources if path.is_file()]
     calibration = CalibrationFile(
         kind=kind,
         made_by=filing.made_by or _user(),
@@ -228,7 +231,7 @@ def file_calibration(
         host=socket.gethostname(),
         software=f"optical-pendulum-rig {versions()['optical-pendulum-rig']}",
         method=method,
-        sources=tuple(used),
+        sources=tuple(source_files),
         notes=tuple(notes),
         values=dict(values),
         details=stored_details,
@@ -236,25 +239,25 @@ def file_calibration(
     return write_calibration(filing.folder, calibration, atomic_write.write_new)
 
 
-def next_free(folder: Path, stem: str, suffix: str = "") -> Path:
+def next_free(folder: Path, stem: str) -> Path:
     """The first of STEM-001, STEM-002 ... that does not exist."""
     number = 1
-    while (path := folder / f"{stem}-{number:03d}{suffix}").exists():
+    while (path := folder / f"{stem}-{number:03d}").exists():
         number += 1
     return path
 
 
-def details_of(found: Any, *left_out: str) -> dict[str, Any]:
-    """Fields of a dataclass as plain values for a calibration file: arrays as lists, parts as tables."""
-    return {name: _plain(value) for name, value in asdict(found).items() if name not in left_out}
+def details_of(result: Any, *omitted: str) -> dict[str, Any]:
+    """Fields of a dataclass as plain values for a calibration file: arrays are lists, parts tables."""
+    return {name: _plain(value) for name, value in asdict(result).items() if name not in omitted}
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+        return {name: _plain(entry) for name, entry in value.items()}
+    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 
 
 def _user() -> str:

@@ -12,50 +12,41 @@ from rig.terminal import Table
 
 @dataclass(frozen=True, slots=True)
 class CalibrationReport:
-    """A calibration file prepared for display.
-
-    Parameters
-    ----------
-    path, calibration
-        The file and its content.
-    tables
-        Values, and budget, steps of a ladder or jumps of a clock where its kind has them.
-    configuration
-        The lines of the configuration that use it.
-    """
+    """A calibration file prepared for display."""
 
     path: Path
     calibration: CalibrationFile
     tables: Sequence[Table]
+    """Values, and budget, steps of a ladder or jumps of a clock where its kind has them."""
     configuration: str
+    """Lines of a configuration that use the file."""
 
 
 def read_calibration_report(path: Path) -> CalibrationReport:
     """The report of a calibration file; raises ConfigurationError if it cannot be read."""
     calibration = read_calibration(path)
     name = toml_value(path.as_posix())
-    stated = f"checks = [{name}]" if calibration.kind == "check" else f"{calibration.kind} = {name}"
+    line = f"checks = [{name}]" if calibration.kind == "check" else f"{calibration.kind} = {name}"
     tables = [table for table in (_values(calibration), *_kind_tables(calibration)) if table.shown]
-    return CalibrationReport(path, calibration, tables, f"[calibration]\n{stated}")
+    return CalibrationReport(path, calibration, tables, f"[calibration]\n{line}")
 
 
-def numbers_of(calibration: CalibrationFile) -> dict[str, bool | str | int | float]:
-    """Single values of a calibration by name: its values, then its details."""
-    numbers: dict[str, bool | str | int | float] = {}
+def scalar_values(calibration: CalibrationFile) -> dict[str, bool | str | int | float]:
+    """Values and details of a calibration that are single values, by name."""
+    scalars: dict[str, bool | str | int | float] = {}
     for name, value in (*calibration.values.items(), *calibration.details.items()):
         # a pointing calibration has values for each axis
-        for inner, part in value.items() if isinstance(value, Mapping) else (("", value),):
-            if isinstance(part, bool | str | int | float):
-                numbers[f"{name}.{inner}" if inner else name] = part
+        for axis, scalar in value.items() if isinstance(value, Mapping) else (("", value),):
+            if isinstance(scalar, bool | str | int | float):
+                scalars[f"{name}.{axis}" if axis else name] = scalar
     if "hot_pixels_xy" in calibration.details:
-        numbers["hot_pixels"] = len(calibration.details["hot_pixels_xy"])
-    return numbers
+        scalars["hot_pixels"] = len(calibration.details["hot_pixels_xy"])
+    return scalars
 
 
-def _values(file: CalibrationFile) -> Table:
-    return _table(
-        "values", f"{file.kind}: {file.method}", ("quantity", "value"), list(numbers_of(file).items())
-    )
+def _values(calibration: CalibrationFile) -> Table:
+    rows = list(scalar_values(calibration).items())
+    return _table("values", f"{calibration.kind}: {calibration.method}", ("quantity", "value"), rows)
 
 
 def _kind_tables(calibration: CalibrationFile) -> Iterator[Table]:
@@ -73,7 +64,7 @@ def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
     """Table of the contribution of each input to the uncertainty of the scale, and of its effect on it."""
     has_effects = any(line["effect"] for line in lines)
     head = ["input", "value", "u", *(["effect, %"] if has_effects else []), "contribution, %"]
-    note = "Largest contribution first: standard uncertainty of the scale by that of the input."
+    note = "Contribution: standard uncertainty of the scale due to that of the input; the largest is first."
     if has_effects:
         note += " Effect: change of the scale against the same lever with this input 0."
     return _table(
@@ -91,12 +82,12 @@ def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def _steps(details: Mapping[str, Any]) -> Table:
-    """Table of the steps of a ladder: residuals, and change of the scale without each step."""
+    """Table of the steps of a ladder: residuals, and change of the scale, in its u, without each step."""
     unit, size = ("arcsec", ARCSEC_RAD) if details["kind"] == "tilt" else ("mm", 1e-3)
     return _table(
         "residuals",
         "residuals of the steps",
-        ("step", f"reference, {unit}", "x, px", "y, px", "scale without it, u"),
+        ("step", f"reference, {unit}", "x, px", "y, px", "change of scale without it, u"),
         [
             (number, reference / size, *residual, scale_without)
             for number, (reference, residual, scale_without) in enumerate(
@@ -109,5 +100,5 @@ def _steps(details: Mapping[str, Any]) -> Table:
 def _table(
     name: str, title: str, head: Sequence[str], rows: Sequence[Sequence[Any]], note: str = ""
 ) -> Table:
-    shown = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
-    return Table(name, title, head, shown, note)
+    texts = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    return Table(name, title, head, texts, note)

@@ -10,19 +10,12 @@ from typing import Any
 from processing.balance import BalanceCheck, Turn, Unreachable
 from processing.deflections import Deflections
 from rig.instrument import swing_text, turn_text
-from rig.terminal import (
-    NOT_KNOWN,
-    Table,
-    judged_number,
-    print_json_line,
-    print_line,
-    print_tables,
-    say,
-)
+from rig.terminal import NOT_KNOWN, Table, judged_number, print_json_line, print_line, print_tables, say
 
 _MAX_LIVE_PIECES = 40
+"""Pieces of the trajectory that are shown while a measurement is under way."""
 _MAX_TRAJECTORY_POINTS = 1000
-_WHOLE = ("found", "rejected", "wrong", "ask")
+_IDLE_KINDS = ("found", "rejected", "wrong", "ask")
 """Kinds of the lines after which no measurement is under way."""
 _BACKLASH_NOTE = "the second turn takes the play out of the screw"
 
@@ -39,22 +32,23 @@ class BalanceStage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BalanceDialogue:
-    """The state of the dialogue as it is shown; an undetermined quantity is never "go".
-
-    `advice` says in few words what to do, `detail` why; `turn` is the advised turn as the reporter wrote it;
-    `faults` are the present ones, `before` those before the last turn; `x` and `y` are the trajectory of the
-    spot in arcsec; `problem` is the problem of an invalid answer.
-    """
+    """The state of the dialogue as it is shown; an undetermined quantity is never "go"."""
 
     stage: BalanceStage
     advice: str = ""
+    """What to do, in few words."""
     detail: str = ""
+    """The reason of the advice."""
     turn: Mapping[str, Any] | None = None
+    """The advised turn as the reporter wrote it."""
     faults: Sequence[Mapping[str, Any]] = ()
-    before: Sequence[Mapping[str, Any]] = ()
+    earlier_faults: Sequence[Mapping[str, Any]] = ()
+    """The faults before the last turn."""
     x: list[float | None] = field(default_factory=list)
     y: list[float | None] = field(default_factory=list)
+    """The trajectory of the spot, x and y in arcsec."""
     problem: str = ""
+    """What is wrong with an invalid answer."""
 
     @property
     def asks(self) -> bool:
@@ -64,7 +58,11 @@ class BalanceDialogue:
     @property
     def unknown(self) -> list[str]:
         """Names of the undetermined quantities."""
-        return [str(fault["name"]) for fault in self.faults if fault["ok"] is None]
+        return _unknown(self.faults)
+
+
+def _unknown(faults: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [str(fault["name"]) for fault in faults if fault["ok"] is None]
 
 
 def balance_dialogue(
@@ -84,17 +82,17 @@ def balance_dialogue(
         else BalanceStage.FAILED if failed
         else BalanceStage.ENDED
     )  # fmt: skip
-    # what is advised for a state that has been changed since must not be done again
-    is_whole = not lines or lines[-1]["kind"] in _WHOLE or lines[-1].get("text") == "q"
-    last = _last_line(lines, "found", "rejected") if is_whole or stage is BalanceStage.MEASURING else {}
-    judged = _last_line(lines, "live") if stage is BalanceStage.MEASURING else last
-    faults = judged.get("faults") or _last_line(lines, "found").get("faults") or []
+    # advice for a state that a turn has changed since must not be followed again
+    is_idle = not lines or lines[-1]["kind"] in _IDLE_KINDS or lines[-1].get("text") == "q"
+    last = _last_line(lines, "found", "rejected") if is_idle or stage is BalanceStage.MEASURING else {}
+    checked = _last_line(lines, "live") if stage is BalanceStage.MEASURING else last
+    faults = checked.get("faults") or _last_line(lines, "found").get("faults") or []
     x, y = _trajectory(lines, whole=stage is not BalanceStage.MEASURING)
-    problem = next((str(one["problem"]) for one in list(lines)[-2:] if one.get("problem")), "")
+    problem = next((str(line["problem"]) for line in lines[-2:] if line.get("problem")), "")
     turn = None if stage is BalanceStage.MEASURING else last.get("turn")
     advice, detail = _advice(stage, last, turn, output)
-    # after it the advice is given again, and asked for the next turn
-    forgotten = next((str(one["forgotten"]) for one in list(lines)[-3:] if "forgotten" in one), "")
+    # the advice and the question of the next turn follow the line on a forgotten turn
+    forgotten = next((str(line["forgotten"]) for line in lines[-3:] if "forgotten" in line), "")
     detail = "; ".join(filter(None, (forgotten, detail)))
     return BalanceDialogue(stage, advice, detail, turn, faults, last.get("before") or [], x, y, problem)
 
@@ -117,15 +115,14 @@ def _advice(
         )
     if last.get("kind") == "rejected":
         return "Measure again", "; ".join(filter(None, (why, hint)))
-    unknown = [str(fault["name"]) for fault in last.get("faults") or () if fault["ok"] is None]
-    if unknown:
+    if unknown := _unknown(last.get("faults") or ()):
         # an unmeasured quantity may still be wrong
         return "Measure again, with a larger swing", f"not known yet: {', '.join(unknown)}"
     return (text[:1].upper() + text[1:] or "Measure"), ""
 
 
 def _cautions(turn: Mapping[str, Any]) -> Iterator[str]:
-    """What to heed when a turn is made."""
+    """Cautions for the operator who makes a turn."""
     if len(turn["parts"]) > 1:
         yield _BACKLASH_NOTE
     if turn["swing_arcsec"] is not None:
@@ -133,33 +130,33 @@ def _cautions(turn: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _last_line(lines: Sequence[Mapping[str, Any]], *kinds: str) -> Mapping[str, Any]:
-    return next((one for one in reversed(lines) if one["kind"] in kinds), {})
+    return next((line for line in reversed(lines) if line["kind"] in kinds), {})
 
 
 def _trajectory(
     lines: Sequence[Mapping[str, Any]], *, whole: bool
 ) -> tuple[list[float | None], list[float | None]]:
     """The last seconds of the trajectory, or all of the last measurement if `whole`, thinned."""
-    since = 0
+    first = 0
     if whole:
-        drawn = [k for k, one in enumerate(lines) if one["kind"] == "trajectory"]
-        ends = [k for k, one in enumerate(lines) if one["kind"] in ("found", "rejected")]
-        since = max((end for end in ends if drawn and end < drawn[-1]), default=0)
-    pieces = [one for one in lines[since:] if one["kind"] == "trajectory"]
+        indices = [k for k, line in enumerate(lines) if line["kind"] == "trajectory"]
+        ends = [k for k, line in enumerate(lines) if line["kind"] in ("found", "rejected")]
+        first = max((end for end in ends if indices and end < indices[-1]), default=0)
+    pieces = [line for line in lines[first:] if line["kind"] == "trajectory"]
     pieces = pieces if whole else pieces[-_MAX_LIVE_PIECES:]
     x, y = ([value for piece in pieces for value in piece[axis]] for axis in ("x", "y"))
     step = max(1, len(x) // _MAX_TRAJECTORY_POINTS)
     return x[::step], y[::step]
 
 
-def print_checks(checks: Sequence[BalanceCheck], before: Sequence[BalanceCheck]) -> None:
-    """Print a table of the balance."""
-    head = ("", "number", "now", *(["before"] if before else []), "limit", "what it means")
+def _print_checks(checks: Sequence[BalanceCheck], earlier_checks: Sequence[BalanceCheck]) -> None:
+    """Print a table of the balance, with the checks before the last turn if there was one."""
+    head = ("", "number", "now", *(["before"] if earlier_checks else []), "limit", "what it means")
     rows: list[list[str]] = []
     for k, check in enumerate(checks):
         row = [("go" if check.ok else "NO") if check.is_known else "?", check.name, _number(check)]
-        if before:
-            row.append(_number(before[k]))
+        if earlier_checks:
+            row.append(_number(earlier_checks[k]))
         rows.append([*row, f"{check.limit:g} {check.unit}".rstrip(), "" if check.ok else check.meaning])
     print_tables([Table("balance", "", head, rows)])
 
@@ -180,22 +177,22 @@ _POINTS_PER_LINE = 12
 class Reporter:
     """Reports the measurements of the balance to a person at the terminal, and asks for the turn made."""
 
-    def report_trajectory(self, at: Deflections) -> None:
+    def report_trajectory(self, deflections: Deflections) -> None:
         """Report the deflections of some frames: nothing here, because the live view shows them."""
 
     def report_live(self, checks: Sequence[BalanceCheck]) -> None:
         """Report the balance while it is measured."""
-        parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in checks[:2] if math.isfinite(f.value)]
-        say("  ".join(parts))
+        known = [check for check in checks[:2] if math.isfinite(check.value)]
+        say("  ".join(f"{check.name} {check.value:+.3g} {check.unit}".rstrip() for check in known))
 
     def report_measurement(
         self,
         checks: Sequence[BalanceCheck],
-        before: Sequence[BalanceCheck],
+        earlier_checks: Sequence[BalanceCheck],
         advice: Turn | Unreachable | None,
     ) -> None:
         """Report a sound measurement, the checks before the last turn (or empty), and the advised turn."""
-        print_checks(checks, before)
+        _print_checks(checks, earlier_checks)
         print_line(turn_text(advice, checks))
 
     def report_rejection(self, why: str, hint: str, back: Turn | None) -> None:
@@ -222,32 +219,31 @@ class Reporter:
         say(text)
 
 
-class InJsonLines(Reporter):
+class JsonReporter(Reporter):
     """Reports to a program: a JSON object on each line of stdout, answers line by line on stdin."""
 
-    def report_trajectory(self, at: Deflections) -> None:
-        step = max(1, len(at) // _POINTS_PER_LINE)
-        print_json_line("trajectory", {"x": at.shown_x[::step].tolist(), "y": at.shown_y[::step].tolist()})
+    def report_trajectory(self, deflections: Deflections) -> None:
+        step = max(1, len(deflections) // _POINTS_PER_LINE)
+        x, y = deflections.shown_x[::step], deflections.shown_y[::step]
+        print_json_line("trajectory", {"x": x.tolist(), "y": y.tolist()})
 
     def report_live(self, checks: Sequence[BalanceCheck]) -> None:
-        print_json_line("live", {"faults": [_check_values(one) for one in checks]})
+        print_json_line("live", {"faults": list(map(_check_values, checks))})
 
     def report_measurement(
         self,
         checks: Sequence[BalanceCheck],
-        before: Sequence[BalanceCheck],
+        earlier_checks: Sequence[BalanceCheck],
         advice: Turn | Unreachable | None,
     ) -> None:
         turn = advice if isinstance(advice, Turn) else None
-        stated = {
-            "faults": [_check_values(one) for one in checks],
-            "before": [_check_values(one) for one in before],
-        }
-        print_json_line("found", {**stated, "text": turn_text(advice, checks), "turn": _turn(turn)})
+        faults, earlier_faults = list(map(_check_values, checks)), list(map(_check_values, earlier_checks))
+        values = {"faults": faults, "before": earlier_faults, "text": turn_text(advice, checks)}
+        print_json_line("found", {**values, "turn": _turn_values(turn)})
 
     def report_rejection(self, why: str, hint: str, back: Turn | None) -> None:
         text = turn_text(back, []) if back is not None else ""
-        print_json_line("rejected", {"why": why, "hint": hint, "text": text, "turn": _turn(back)})
+        print_json_line("rejected", {"why": why, "hint": hint, "text": text, "turn": _turn_values(back)})
 
     def ask(self) -> str:
         print_json_line("ask", {"question": QUESTION})
@@ -263,11 +259,11 @@ class InJsonLines(Reporter):
         print_json_line("forgotten", {"forgotten": text})
 
 
-def _check_values(one: BalanceCheck) -> dict[str, Any]:
-    return {**one._asdict(), "ok": one.ok if one.is_known else None}
+def _check_values(check: BalanceCheck) -> dict[str, Any]:
+    return {**check._asdict(), "ok": check.ok if check.is_known else None}
 
 
-def _turn(turn: Turn | None) -> dict[str, Any] | None:
+def _turn_values(turn: Turn | None) -> dict[str, Any] | None:
     if turn is None:
         return None
     swing = turn.swing_arcsec if math.isfinite(turn.swing_arcsec) else None

@@ -1,4 +1,4 @@
-"""Judgement of measurements of the balance, learning of the effect of turns, and advice.
+"""Measurements of the balance: their checks, what they teach of the effect of turns, and advice.
 
 The history of turns and their effects is a file with a line of JSON for each checked measurement.
 """
@@ -32,27 +32,32 @@ Floats = NDArray[np.float64]
 
 
 class TurnEffect(NamedTuple):
-    """Turns of one weight in sequence, and the states (arcsec, arcsec, m) before and after them, with u."""
+    """Turns of one weight, and the states before and after them.
+
+    A state is the rest position in X and Y in arcsec, and the height of the mass centre in m.
+    """
 
     utc: str
     weight: str
     parts: tuple[float, ...]
+    """The turns in sequence, clockwise positive."""
     before: Floats
     after: Floats
     u: Floats
+    """Standard uncertainties of either state."""
 
 
-def _refusal(config: Configuration, responses: WeightResponses, pair: TurnEffect) -> str:
+def _refusal(config: Configuration, responses: WeightResponses, effect: TurnEffect) -> str:
     """Why nothing can be learned from the effect of a turn; empty if it is sound."""
     radius_m = np.nan if config.pendulum is None else config.pendulum.ball_radius_m
-    for state in (pair.before, pair.after):
-        if why := implausible(state, np.nan_to_num(pair.u), config.balance, radius_m, None):
-            return why
-    if not responses.can_make(pair.weight, pair.parts, pair.before, pair.after, pair.u):
-        moved = np.hypot(*(pair.after - pair.before)[:2])
+    for state in (effect.before, effect.after):
+        if reason := implausible(state, np.nan_to_num(effect.u), config.balance, radius_m, None):
+            return reason
+    if not responses.can_make(effect.weight, effect.parts, effect.before, effect.after, effect.u):
+        change = effect.after - effect.before
         return (
-            f"{_turns(pair.parts)} turns of weight {pair.weight} cannot have moved the rest position by"
-            f" {moved:.0f} arcsec and the mass centre by {(pair.after - pair.before)[2] * 1e6:.0f} um;"
+            f"{_turns(effect.parts)} turns of weight {effect.weight} cannot have moved the rest position by"
+            f" {np.hypot(*change[:2]):.0f} arcsec and the mass centre by {change[2] * 1e6:.0f} um;"
             " was something else touched?"
         )
     return ""
@@ -67,23 +72,23 @@ def _append(path: Path, **entry: object) -> None:
         file.write(json.dumps({"utc": now, **plain}) + "\n")
 
 
-def append_turn(path: Path, pair: TurnEffect) -> None:
+def append_turn(path: Path, effect: TurnEffect) -> None:
     """Add the effect of a turn to the file."""
-    turns = pair.parts[0] if len(pair.parts) == 1 else list(pair.parts)
-    _append(path, weight=pair.weight, turns=turns, before=pair.before, after=pair.after, u=pair.u)
+    turns = effect.parts[0] if len(effect.parts) == 1 else list(effect.parts)
+    _append(path, weight=effect.weight, turns=turns, before=effect.before, after=effect.after, u=effect.u)
 
 
 def read_turns(path: Path) -> list[TurnEffect]:
     """The turns that were not forgotten; lines that cannot be read are reported and skipped."""
-    pairs: list[TurnEffect] = []
+    effects: list[TurnEffect] = []
     if not path.exists():
-        return pairs
+        return effects
     text = path.read_text(encoding="utf-8", errors="replace")
     for number, line in enumerate(text.splitlines(), start=1):
         try:
             entry = json.loads(line)
             if entry.get("forgotten"):
-                del pairs[-1:]
+                del effects[-1:]
             if entry.get("weight") not in WEIGHTS:
                 continue
             turns = entry["turns"]
@@ -91,20 +96,20 @@ def read_turns(path: Path) -> list[TurnEffect]:
             states = [np.array(entry[key], dtype=np.float64) for key in ("before", "after", "u")]
             if any(state.shape != (3,) for state in states) or not np.all(np.isfinite(parts)):
                 raise ValueError
-            pairs.append(TurnEffect(str(entry.get("utc", "")), entry["weight"], parts, *states))
+            effects.append(TurnEffect(str(entry.get("utc", "")), entry["weight"], parts, *states))
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             # a line truncated by a power failure or edited by hand; the other lines are still valid
             say(f"{path}: line {number} cannot be read and is skipped")
-    return pairs
+    return effects
 
 
 def forget_last_turn(path: Path) -> str:
     """Discard the last turn by a line in the file; returns a message."""
-    pairs = read_turns(path)
-    if not pairs:
+    effects = read_turns(path)
+    if not effects:
         return "nothing learned yet"
     _append(path, forgotten=True)
-    return f"the turn of weight {pairs[-1].weight} is forgotten"
+    return f"the turn of weight {effects[-1].weight} is forgotten"
 
 
 _HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")
@@ -114,13 +119,13 @@ def show_turns(config: Configuration, path: Path) -> None:
     """Print the turns of a history, which of them are used, and the learned effects of the weights."""
     responses = WeightResponses(nominal_effects(config), config.balance)
     rows, learned = [], []
-    for pair in read_turns(path):
-        why = _refusal(config, responses, pair)
-        change = pair.after - pair.before
+    for effect in read_turns(path):
+        refusal = _refusal(config, responses, effect)
+        change = effect.after - effect.before
         numbers = [f"{change[0]:+.1f}", f"{change[1]:+.1f}", f"{change[2] * 1e6:+.1f}"]
-        rows.append([pair.utc, pair.weight, _turns(pair.parts), *numbers, why or "yes"])
-        if not why:
-            responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
+        rows.append([effect.utc, effect.weight, _turns(effect.parts), *numbers, refusal or "yes"])
+        if not refusal:
+            responses.learn(effect.weight, effect.parts, effect.before, effect.after, np.nan_to_num(effect.u))
     for name, count in responses.learned_turns.items():
         if count:
             (x, y, height), (u_x, u_y, u_height) = responses.effect(name)
@@ -141,6 +146,7 @@ def _turns(parts: tuple[float, ...]) -> str:
 
 
 _MIN_GONE_FRACTION = 0.9
+"""Smallest fraction of lost spots at which the spot counts as off the sensor."""
 _SMALL_SWING_ARCSEC = 10.0
 _SEARCH = (
     (0.5, "half of the last turn back, to see the spot again"),
@@ -152,7 +158,7 @@ _SEARCH = (
     (-1.0, "further beyond the beginning, to find the spot"),
     (3.0, "further still the other way, to find the spot"),
 )
-"""Positions of the search, in units of the last turn from where it began, with their reasons."""
+"""Positions of the search, in units of the last turn, from where that turn began; and their reasons."""
 _TEST_TURN_TEXTS = {
     Doubt.STUCK: "a test turn: it seems not to move; check that it follows its screw and is not at its stop",
     Doubt.OPEN: "a test turn",
@@ -162,17 +168,21 @@ _TEST_TURN_TEXTS = {
 
 
 class BalanceMeasurement(NamedTuple):
-    """One measurement: last balance (None: no swing seen), fraction of bad spots, (ny, nx) of the sensor."""
+    """One measurement of the balance."""
 
     balance: Balance | None
+    """The last balance; None if no swing was detected."""
     lost_fraction: float
+    """Fraction of the frames with a lost or truncated spot."""
     sensor_shape: tuple[int, int]
+    """Rows and columns of the frames."""
 
 
 class LearnedTurns:
     """States, turns and learned responses; each sound measurement appends a line of JSON to `path`.
 
-    `room` is the range of tilts on the sensor, known from the first measurement on.
+    `room` is the range of tilts on the sensor, known from the first measurement on. `checks` are those of the
+    last sound measurement, `earlier_checks` those of the sound measurement before it (empty at first).
     """
 
     def __init__(self, config: Configuration, path: Path) -> None:
@@ -181,42 +191,41 @@ class LearnedTurns:
         self.limits = config.balance
         self.room: Room | None = None
         self.checks: list[BalanceCheck] = []
-        self.before: list[BalanceCheck] = []
+        self.earlier_checks: list[BalanceCheck] = []
         self._lost_fraction = 0.0
         self._noted_turns: list[tuple[str, tuple[float, ...]]] = []
         self._state: Floats | None = None
         self._doubts: dict[str, list[Doubt]] = {}
-        self._pairs: dict[str, TurnEffect] = {}
-        self._searched, self._lost_after = 0, 0.0
+        self._effects: dict[str, TurnEffect] = {}
+        self._search_steps, self._turns_to_loss = 0, 0.0
         self._relearn()
 
-    def take(self, look: BalanceMeasurement) -> str:
+    def take(self, measurement: BalanceMeasurement) -> str:
         """Take a measurement; returns why it is rejected, empty if it is sound.
 
-        A sound measurement sets `checks`, and `before` to those before the last turn (empty at first).
-        After a rejected one the turns made are stored until the next sound one.
+        After a rejected measurement the turns made are kept until the next sound one.
         """
-        self._lost_fraction = look.lost_fraction
-        self.room = sensor_room(self._config, look.sensor_shape)
-        balance = look.balance
+        self._lost_fraction = measurement.lost_fraction
+        self.room = sensor_room(self._config, measurement.sensor_shape)
+        balance = measurement.balance
         if balance is None:
             return f"no swing was seen in {self.limits.seconds:g} s"
-        if look.lost_fraction > self._config.preflight.max_lost_fraction:
+        if self._lost_fraction > self._config.preflight.max_lost_fraction:
             return (
-                f"{100 * look.lost_fraction:.0f} % of the spots were lost or cut: the spot leaves the sensor,"
-                " or something covers it"
+                f"{100 * self._lost_fraction:.0f} % of the spots were lost or cut: the spot leaves the"
+                " sensor, or something covers it"
             )
         height_m, u_height_m = mass_centre_height(self._config, balance)
         checks = balance_checks(balance, (height_m, u_height_m), self.limits)
         state = np.array([checks[0].value, checks[1].value, height_m])
         u_state = np.array([checks[0].u_value, checks[1].u_value, u_height_m])
         radius_m = np.nan if self._config.pendulum is None else self._config.pendulum.ball_radius_m
-        if why := implausible(state, np.nan_to_num(u_state), self.limits, radius_m, self.room):
-            return why
-        self.before, self.checks = self.checks, checks
+        if reason := implausible(state, np.nan_to_num(u_state), self.limits, radius_m, self.room):
+            return reason
+        self.earlier_checks, self.checks = self.checks, checks
         self._learn(balance, state, u_state)
         self._noted_turns, self._state = [], state
-        self._searched = 0
+        self._search_steps = 0
         return ""
 
     def advice(self) -> Turn | Unreachable | None:
@@ -255,17 +264,17 @@ class LearnedTurns:
             return None
         weight = self._noted_turns[-1][0]
         net = sum(sum(parts) for name, parts in self._noted_turns if name == weight)
-        why = "half of the last turn back, to see the spot again"
+        reason = _SEARCH[0][1]
         back = round(-0.5 * net, 2)
-        if self.spot_is_gone or self._searched:
-            if self._searched == 0:
-                self._lost_after = net
-            if self._searched >= len(_SEARCH):
+        if self.spot_is_gone or self._search_steps:
+            if self._search_steps == 0:
+                self._turns_to_loss = net
+            if self._search_steps >= len(_SEARCH):
                 return None
-            place, why = _SEARCH[self._searched]
-            self._searched += 1
-            back = round(place * self._lost_after - net, 2)
-        return Turn(weight, back, why, swing_arcsec=_SMALL_SWING_ARCSEC) if back else None
+            position, reason = _SEARCH[self._search_steps]
+            self._search_steps += 1
+            back = round(position * self._turns_to_loss - net, 2)
+        return Turn(weight, back, reason, swing_arcsec=_SMALL_SWING_ARCSEC) if back else None
 
     @property
     def spot_is_gone(self) -> bool:
@@ -278,9 +287,9 @@ class LearnedTurns:
 
     def forget(self) -> str:
         """Discard the last learned turn; returns a message."""
-        said = forget_last_turn(self._path)
+        message = forget_last_turn(self._path)
         self._relearn()
-        return said
+        return message
 
     def _learn(self, balance: Balance, state: Floats, u_state: Floats) -> None:
         weights = {name for name, _ in self._noted_turns}
@@ -290,29 +299,29 @@ class LearnedTurns:
             return
         parts = tuple(part for _, turns in self._noted_turns for part in turns)
         weight = next(iter(weights))
-        pair = TurnEffect("", weight, parts, self._state, state, np.nan_to_num(u_state))
-        why = (
+        effect = TurnEffect("", weight, parts, self._state, state, np.nan_to_num(u_state))
+        refusal = (
             f"weights {' and '.join(sorted(weights))} were turned between two measurements"
             if len(weights) > 1
-            else _refusal(self._config, self.responses, pair)
+            else _refusal(self._config, self.responses, effect)
         )
-        if why:
-            say(f"nothing is learned from this turn: {why}")
+        if refusal:
+            say(f"nothing is learned from this turn: {refusal}")
             for name, turns in self._noted_turns:
                 self.responses.follow_turns(name, turns)
             return
-        if self._doubts_turn(pair):
+        if self._doubts_turn(effect):
             return
-        self.responses.learn(weight, parts, pair.before, state, pair.u)
-        self._pairs[weight] = pair
-        append_turn(self._path, pair)
+        self.responses.learn(weight, parts, effect.before, state, effect.u)
+        self._effects[weight] = effect
+        append_turn(self._path, effect)
 
-    def _doubts_turn(self, pair: TurnEffect) -> bool:
+    def _doubts_turn(self, effect: TurnEffect) -> bool:
         """Whether a turn contradicts what was stated; it is then reported, and not learned from."""
-        weight, responses = pair.weight, self.responses
+        weight, responses = effect.weight, self.responses
         doubts = self._doubts.setdefault(weight, [])
-        doubt = responses.doubt(weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
-        if doubt is Doubt.OPEN and self._searched:
+        doubt = responses.doubt(weight, effect.parts, effect.before, effect.after, np.nan_to_num(effect.u))
+        if doubt is Doubt.OPEN and self._search_steps:
             # an advised turn, made as advised, would have left the spot on the sensor
             doubt = Doubt.REVERSED
         if doubt is None and doubts:
@@ -321,29 +330,31 @@ class LearnedTurns:
         if doubt is None or (doubt is Doubt.OPEN and not doubts):
             return False
         if doubt is Doubt.OPEN:
-            responses.follow_turns(weight, pair.parts)
+            responses.follow_turns(weight, effect.parts)
             return True
         say(f"nothing is learned from this turn: it looks as if weight {weight} {doubt}")
-        known_pairs = [each for each in (self._pairs.get(weight), pair) if each is not None]
+        effects = [known for known in (self._effects.get(weight), effect) if known is not None]
         if doubt is Doubt.REVERSED and (doubts[-1:] == [doubt] or responses.learned_turns[weight] == 1):
             # either this turn or the earlier learning is wrong
             say(f"weight {weight} may do the opposite of what was learned; what was learned is discarded")
-            seen = [(each.parts, each.before, each.after, np.nan_to_num(each.u)) for each in known_pairs]
-            responses.relearn(weight, seen if responses.learned_turns[weight] == 1 else seen[-1:])
+            data = [(known.parts, known.before, known.after, np.nan_to_num(known.u)) for known in effects]
+            responses.relearn(weight, data if responses.learned_turns[weight] == 1 else data[-1:])
             doubts.clear()
         else:
-            responses.follow_turns(weight, pair.parts)
+            responses.follow_turns(weight, effect.parts)
         doubts.append(doubt)
         return True
 
     def _relearn(self) -> None:
         self.responses = WeightResponses(nominal_effects(self._config), self.limits)
-        used = 0
-        for pair in read_turns(self._path):
-            if why := _refusal(self._config, self.responses, pair):
-                say(f"{self._path}: the turn of {pair.utc} is not used: {why}")
+        count = 0
+        for effect in read_turns(self._path):
+            if refusal := _refusal(self._config, self.responses, effect):
+                say(f"{self._path}: the turn of {effect.utc} is not used: {refusal}")
                 continue
-            self.responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
-            used += 1
-        if used:
-            say(f"{self._path}: turns that are used: {used}")
+            self.responses.learn(
+                effect.weight, effect.parts, effect.before, effect.after, np.nan_to_num(effect.u)
+            )
+            count += 1
+        if count:
+            say(f"{self._path}: turns that are used: {count}")

@@ -18,9 +18,9 @@ from processing.series import EXPONENT_OF, FRICTION, ORDER, POSITIVE, Compressed
 from rig.analysis import RunResults, read_results, results_path
 from rig.settings import read_toml, validate
 
-SURROUNDING_COVARIATES: Final = ("humidity_percent", "temperature_c", "pressure_pa", "dwell_s", "age_s")
-"""Covariates that are ambient conditions."""
-COVARIATES: Final = (*SURROUNDING_COVARIATES, "first_amplitude_rad", "load_n", ORDER)
+AMBIENT_COVARIATES: Final = ("humidity_percent", "temperature_c", "pressure_pa", "dwell_s", "age_s")
+"""Covariates that are ambient conditions of a run, or times of its contact."""
+COVARIATES: Final = (*AMBIENT_COVARIATES, "first_amplitude_rad", "load_n", ORDER)
 """All covariates, on which a parameter may depend."""
 
 
@@ -44,8 +44,9 @@ class StatedEffect(BaseModel, frozen=True, extra="forbid"):
     def _has_covariate(self) -> Self:
         if self.form is not Form.DURING and not self.covariate:
             raise ValueError("covariate: is missing; state what the parameter depends on")
-        if self.covariate:
-            _refuse_unknown(self.covariate)
+        if self.covariate and self.covariate not in COVARIATES:
+            known = ", ".join(COVARIATES)
+            raise ValueError(f"there is no covariate {self.covariate!r}; a campaign has {known}")
         if self.form is Form.DURING and self.parameter != FRICTION:
             raise ValueError("form = 'during': is of parameter = 'friction'")
         return self
@@ -89,32 +90,24 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
     )
 
     @model_validator(mode="after")
-    def _says_each_once(self) -> Self:
-        for what, stated in (
-            ("parameters", self.parameters),
-            ("effect", self.effect),
-        ):
-            if len(set(stated)) < len(stated):
-                raise ValueError(f"{what}: the same is stated twice")
+    def _has_no_duplicates(self) -> Self:
+        for key, entries in (("parameters", self.parameters), ("effect", self.effect)):
+            if len(set(entries)) < len(entries):
+                raise ValueError(f"{key}: the same is stated twice")
         return self
 
     @property
     def covariates(self) -> set[str]:
         """All covariates of effects."""
-        return {one.covariate for one in self.effect}
-
-
-def _refuse_unknown(covariate: str) -> None:
-    if covariate not in COVARIATES:
-        raise ValueError(f"there is no covariate {covariate!r}; a campaign has {', '.join(COVARIATES)}")
+        return {effect.covariate for effect in self.effect}
 
 
 def read_campaign(path: Path) -> StatedCampaign:
     """Read campaign.toml; raises ConfigurationError with one line for all of its faults."""
-    found, faults = validate(StatedCampaign, read_toml(path, "campaign"))
-    if found is None:
+    campaign, faults = validate(StatedCampaign, read_toml(path, "campaign"))
+    if campaign is None:
         raise ConfigurationError(f"{path}: {'; '.join(fault.line for fault in faults)}")
-    return found
+    return campaign
 
 
 def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[CompressedRun]) -> SeriesModel:
@@ -126,13 +119,13 @@ def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[Co
         raise ConfigurationError(
             f"size.{unknown[0]}: there is no such parameter; a campaign has {', '.join(known)}"
         )
-    for one in stated.effect:
-        if one.contact and one.contact not in contacts:
+    for effect in stated.effect:
+        if effect.contact and effect.contact not in contacts:
             raise ConfigurationError(
-                f"contact = {one.contact!r}: no such contact; the runs are of {', '.join(contacts)}"
+                f"contact = {effect.contact!r}: no such contact; the runs are of {', '.join(contacts)}"
             )
-    seen = {name for run in runs for name in (*run.names, *run.bounds)}
-    names = stated.parameters or tuple(name for name in known if name in seen)
+    of_runs = {name for run in runs for name in (*run.names, *run.bounds)}
+    names = stated.parameters or tuple(name for name in known if name in of_runs)
     levels = {}
     for name, prior in stated.prior.items():
         if name not in names:
@@ -144,13 +137,13 @@ def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[Co
             value, u = log(value), u / value
         if name in EXPONENT_OF:
             # the coordinate is taken at the median of the runs' exponents
-            exponent, less = EXPONENT_OF[name]
-            middle = np.median([r.values[r.names.index(exponent)] for r in runs if exponent in r.names])
-            value += (float(middle) - less) * log(reference_rad)
+            exponent, offset = EXPONENT_OF[name]
+            exponents = [run.values[run.names.index(exponent)] for run in runs if exponent in run.names]
+            value += (float(np.median(exponents)) - offset) * log(reference_rad)
         levels[name] = Estimate(value, u)
     return SeriesModel(
         names=names,
-        effects=tuple(one.effect() for one in stated.effect),
+        effects=tuple(effect.effect() for effect in stated.effect),
         sizes=stated.size,
         levels=levels,
         contacts_alike=stated.contacts_alike,
@@ -159,17 +152,19 @@ def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[Co
 
 
 @dataclass(frozen=True, kw_only=True)
-class FoundRun:
-    """The results of a run that may enter a campaign, with its label, its contact and both hashes."""
+class CandidateRun:
+    """A run that may enter a campaign."""
 
     label: str
     contact: str
     sha256: str = ""
+    """SHA-256 of the record."""
     results_sha256: str
+    """SHA-256 of the results file."""
     run: RunResults
 
 
-def runs_of_folders(folders: Sequence[Path]) -> list[FoundRun]:
+def runs_of_folders(folders: Sequence[Path]) -> list[CandidateRun]:
     """All runs of sessions, in the order of the folders; each folder is a contact.
 
     A folder without results of its own stands for all series in its subfolders, as one contact.
@@ -177,33 +172,33 @@ def runs_of_folders(folders: Sequence[Path]) -> list[FoundRun]:
     Raises ConfigurationError for a run or folder that occurs twice, and RecordError.
     """
     names = [folder.resolve().name if folder.is_dir() else folder.resolve().parent.name for folder in folders]
-    found: list[FoundRun] = []
+    runs: list[CandidateRun] = []
     for folder, name in zip(folders, names, strict=True):
         label, sessions = name if names.count(name) == 1 else str(folder), [folder]
         if folder.is_dir() and not any(folder.glob("results*.json")):
             sessions = sorted({path.parent for path in folder.glob("*/results*.json")}) or sessions
         for session in sessions:
-            own = label if session == folder else f"{label}/{session.name}"
-            found += _runs(results_path(session), own, label)
-    return _without_duplicates(found)
+            session_label = label if session == folder else f"{label}/{session.name}"
+            runs += _runs(results_path(session), session_label, label)
+    return _without_duplicates(runs)
 
 
-def runs_of_archive(listed: Sequence[Sequence[str]]) -> list[FoundRun]:
+def runs_of_archive(rows: Sequence[Sequence[str]]) -> list[CandidateRun]:
     """Runs that an archive lists in order (`rig.archive.ordered_runs`); each sample is a contact."""
-    found: list[FoundRun] = []
-    for sha256, run, sample, folder, results in listed:
+    runs: list[CandidateRun] = []
+    for sha256, name, sample, folder, results in rows:
         path = Path(folder) / results
-        own = [one for one in _runs(path, "", sample or path.parent.name) if one.sha256 == sha256]
-        if not own:
+        matches = [run for run in _runs(path, "", sample or path.parent.name) if run.sha256 == sha256]
+        if not matches:
             raise RecordError(f"{path}: knows no run {sha256[:8]}; rig archive update reads it again")
-        found.append(replace(own[0], label=f"{path.parent.name}/{run}"))
-    return _without_duplicates(found)
+        runs.append(replace(matches[0], label=f"{path.parent.name}/{name}"))
+    return _without_duplicates(runs)
 
 
-def _runs(path: Path, folder: str, contact: str) -> list[FoundRun]:
+def _runs(path: Path, folder: str, contact: str) -> list[CandidateRun]:
     results, sha256 = read_results(path), sha256_of(path)
     return [
-        FoundRun(
+        CandidateRun(
             label="/".join(filter(None, (folder, identity.name or f"run-{number}"))),
             contact=contact, sha256=identity.sha256, results_sha256=sha256, run=run,
         )
@@ -211,15 +206,15 @@ def _runs(path: Path, folder: str, contact: str) -> list[FoundRun]:
     ]  # fmt: skip
 
 
-def _without_duplicates(runs: list[FoundRun]) -> list[FoundRun]:
+def _without_duplicates(runs: list[CandidateRun]) -> list[CandidateRun]:
     """The runs unchanged; raises ConfigurationError if a run occurs twice."""
-    of_file: dict[str, list[FoundRun]] = {}
-    for one in runs:
-        earlier = of_file.setdefault(one.run.sha256, [])
-        before = next((other.label for other in earlier if one.run.is_of_same_motion(other.run)), None)
-        if before == one.label:
-            raise ConfigurationError(f"{one.label}: its folder is named twice, and counts once; name it once")
-        if before is not None:
-            raise ConfigurationError(f"{one.label}: is the run of {before} (same hash), which counts once")
-        earlier.append(one)
+    runs_by_hash: dict[str, list[CandidateRun]] = {}
+    for run in runs:
+        earlier = runs_by_hash.setdefault(run.run.sha256, [])
+        label = next((other.label for other in earlier if run.run.is_of_same_motion(other.run)), None)
+        if label == run.label:
+            raise ConfigurationError(f"{label}: its folder is named twice, and counts once; name it once")
+        if label is not None:
+            raise ConfigurationError(f"{run.label}: is the run of {label} (same hash), which counts once")
+        earlier.append(run)
     return runs

@@ -1,4 +1,4 @@
-"""Style of figures, their conversion to SVG and PNG, and parts of plots; matplotlib without pyplot."""
+"""Style of figures, their conversion to SVG and PNG, and parts of plots, with matplotlib without pyplot."""
 
 import contextlib
 import io
@@ -25,7 +25,8 @@ EXACT: Final = palette.EXACT_FIT_COLOUR
 ASYMPTOTIC: Final = palette.ASYMPTOTIC_FIT_COLOUR
 SMOOTH: Final = palette.BLUISH_GREEN
 INK: Final = "#222831"
-_GAP_STEPS = 5.0
+_MIN_GAP_STEPS = 5.0
+"""Smallest gap at which a line is interrupted, in median steps of x."""
 _MAX_LOW_FROM_ZERO = 0.3
 """An axis begins at zero if the lowest value is below this fraction of the highest."""
 _DIGITS: Final = re.compile(r"(\.\d\d)\d+")
@@ -34,38 +35,17 @@ _MIN_LOG_TICKS = 3
 """Fewest ticks of a logarithmic axis; with fewer the axis is linear."""
 
 STYLE: Final[Mapping[str, Any]] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 8.5,
-    "axes.labelsize": 8.5,
-    "axes.titlesize": 8.5,
-    "axes.titleweight": "normal",
-    "axes.linewidth": 0.7,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "xtick.top": True,
-    "ytick.right": True,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "axes.grid": False,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 2.4,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "legend.handlelength": 1.6,
-    "axes.unicode_minus": True,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "optical-pendulum-rig",
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-}
+    "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,
+    "axes.labelsize": 8.5, "axes.titlesize": 8.5, "axes.titleweight": "normal",
+    "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8,
+    "text.color": INK, "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK,
+    "axes.linewidth": 0.7, "xtick.major.width": 0.6, "ytick.major.width": 0.6,
+    "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True, "ytick.right": True,
+    "axes.grid": False, "axes.unicode_minus": True, "lines.linewidth": 1.1, "lines.markersize": 2.4,
+    "legend.frameon": False, "legend.handlelength": 1.6,
+    "svg.fonttype": "path", "svg.hashsalt": "optical-pendulum-rig",
+    "figure.facecolor": "white", "savefig.facecolor": "white",
+}  # fmt: skip
 """Settings of matplotlib; text is drawn as shapes, so that an SVG does not need the font."""
 
 
@@ -77,9 +57,11 @@ class ReportFigure:
     title: str
     caption: str
     figure: Figure
+    is_raster: bool = False
+    """Whether it is written as PNG, because it shows an image; other figures are written as SVG."""
 
 
-_STYLING = threading.RLock()
+_STYLE_LOCK = threading.RLock()
 
 
 @contextlib.contextmanager
@@ -88,7 +70,7 @@ def styled() -> Iterator[None]:
 
     matplotlib has one style for all threads: without the lock one thread's style could stay for ever.
     """
-    with _STYLING, mpl.rc_context(cast(Any, dict(STYLE))):
+    with _STYLE_LOCK, mpl.rc_context(cast(Any, dict(STYLE))):
         yield
 
 
@@ -119,48 +101,49 @@ def three_columns(count: int, rows_in: Callable[[int], float]) -> tuple[Figure, 
 
 def svg(drawing: ReportFigure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
-    out = io.StringIO()
+    buffer = io.StringIO()
     with styled():
-        about = {"Date": None, "Creator": None, "Format": None, "Type": None, "Title": drawing.title}
-        drawing.figure.savefig(out, format="svg", metadata=about)
-    return _shorten(out.getvalue()).encode()
+        metadata = {"Date": None, "Creator": None, "Format": None, "Type": None, "Title": drawing.title}
+        drawing.figure.savefig(buffer, format="svg", metadata=metadata)
+    return _shorten(buffer.getvalue()).encode()
 
 
 def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
     """The figure as PNG."""
-    out = io.BytesIO()
+    buffer = io.BytesIO()
     with styled():
-        drawing.figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
-    return out.getvalue()
+        drawing.figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def _shorten(svg_text: str) -> str:
     """An SVG of half the length: positions to 0.01 pt, one style for equal marks, no indents, short names."""
-    svg_text = re.sub(r'(?<= )(?:d|x|y)="[^"]*"', lambda found: _DIGITS.sub(r"\1", found[0]), svg_text)
+    svg_text = re.sub(r'(?<= )(?:d|x|y)="[^"]*"', lambda match: _DIGITS.sub(r"\1", match[0]), svg_text)
     svg_text = _EQUAL_MARKS.sub(_style_once, re.sub(r"\s*\n\s*", "\n", svg_text))
     # a line of no length is a dot; after a line command the next point needs no command
     svg_text = re.sub(r"M (\S+ \S+)\nL \1(?=\n)", r"M\1h0", svg_text)
-    svg_text = re.sub(r"[ML] \S+ \S+(?:\nL \S+ \S+)+", lambda found: found[0].replace("\nL", ""), svg_text)
-    used = dict.fromkeys(re.findall(r'(?<=["(]#)[\w.-]+', svg_text))
-    names = {name: f"i{number:x}" for number, name in enumerate(used)}
-    svg_text = re.sub(r' id="([^"]*)"', lambda found: f' id="{names.get(found[1], "")}"', svg_text)
-    svg_text = re.sub(r'(?<=["(]#)[\w.-]+', lambda found: names[found[0]], svg_text)
+    svg_text = re.sub(r"[ML] \S+ \S+(?:\nL \S+ \S+)+", lambda match: match[0].replace("\nL", ""), svg_text)
+    references = dict.fromkeys(re.findall(r'(?<=["(]#)[\w.-]+', svg_text))
+    names = {name: f"i{number:x}" for number, name in enumerate(references)}
+    svg_text = re.sub(r' id="([^"]*)"', lambda match: f' id="{names.get(match[1], "")}"', svg_text)
+    svg_text = re.sub(r'(?<=["(]#)[\w.-]+', lambda match: names[match[0]], svg_text)
     return svg_text.replace(' id=""', "")
 
 
-def _style_once(found: re.Match[str]) -> str:
-    styles = set(re.findall(r' style="[^"]*"', found[2]))
+def _style_once(match: re.Match[str]) -> str:
+    """A group of marks, with their style at the group if it is the same for all."""
+    styles = set(re.findall(r' style="[^"]*"', match[2]))
     if len(styles) != 1:
-        return found[0]
+        return match[0]
     (style,) = styles
-    return f"<g{found[1] or ''}{style}>{found[2].replace(style, '')}</g>"
+    return f"<g{match[1] or ''}{style}>{match[2].replace(style, '')}</g>"
 
 
-def dots(axes: Axes, x: NDArray[Any], y: Floats, colour: str) -> None:
+def plot_dots(axes: Axes, x: NDArray[Any], y: Floats, colour: str) -> None:
     """Draw small dots as one line with round caps, because separate marks make a large file."""
     gap = np.full(len(x), np.nan)
-    beside = x + 1e-6 * (float(np.ptp(x)) or 1.0)
-    ends = np.column_stack([x, beside, gap]).ravel(), np.column_stack([y, y, gap]).ravel()
+    x_end = x + 1e-6 * (float(np.ptp(x)) or 1.0)
+    ends = np.column_stack([x, x_end, gap]).ravel(), np.column_stack([y, y, gap]).ravel()
     axes.plot(*ends, "-", color=colour, lw=2.0, solid_capstyle="round", snap=False)
 
 
@@ -169,8 +152,8 @@ def envelope(x: Floats, y: Floats, columns: int = 900) -> tuple[Floats, Floats, 
 
     Returns x, low, high; intervals without a finite y are left out. x must increase.
     """
-    good = np.isfinite(y)
-    x, y = x[good], y[good]
+    is_finite = np.isfinite(y)
+    x, y = x[is_finite], y[is_finite]
     if len(x) == 0:
         return x, y, y
     edges = np.linspace(x[0], x[-1], min(columns, len(x)) + 1)
@@ -179,29 +162,29 @@ def envelope(x: Floats, y: Floats, columns: int = 900) -> tuple[Floats, Floats, 
     return x[starts], np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
 
 
-def broken(x: Floats, *columns: Floats) -> tuple[Floats, ...]:
-    """x and columns with NaN inside every step of x above five times the median, so that lines end there."""
+def break_at_gaps(x: Floats, *columns: Floats) -> tuple[Floats, ...]:
+    """x and columns with NaN inside every gap (`_MIN_GAP_STEPS`), so that lines end there."""
     if len(x) < 3:
         return x, *columns
     steps = np.diff(x)
-    gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps)) + 1
-    amid = 0.5 * (x[gaps] + x[gaps - 1])
-    return np.insert(x, gaps, amid), *(np.insert(column, gaps, np.nan) for column in columns)
+    gaps = np.flatnonzero(steps > _MIN_GAP_STEPS * np.median(steps)) + 1
+    middles = 0.5 * (x[gaps] + x[gaps - 1])
+    return np.insert(x, gaps, middles), *(np.insert(column, gaps, np.nan) for column in columns)
 
 
-def thinned(count: int, most: int) -> NDArray[np.int64]:
-    """Indices of at most `most` of `count` points, evenly spaced, with the first and the last."""
-    if count <= most:
+def thinned_indices(count: int, max_count: int) -> NDArray[np.int64]:
+    """Indices of at most `max_count` of `count` points, evenly spaced, with the first and the last."""
+    if count <= max_count:
         return np.arange(count)
-    return np.unique(np.rint(np.linspace(0, count - 1, most)).astype(np.int64))
+    return np.unique(np.rint(np.linspace(0, count - 1, max_count)).astype(np.int64))
 
 
-def span(axes: Axes, values: Floats, weight_share: float = 0.0, margin: float = 0.07) -> None:
-    """Set the y range to the finite values, without the fraction `weight_share` at either end."""
+def set_y_range(axes: Axes, values: Floats, omitted_fraction: float = 0.0, margin: float = 0.07) -> None:
+    """Set the y range to the finite values, without `omitted_fraction` of them at either end."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return
-    low, high = np.quantile(finite, [weight_share, 1 - weight_share])
+    low, high = np.quantile(finite, [omitted_fraction, 1 - omitted_fraction])
     pad = margin * (high - low) or abs(high) * margin or 1.0
     axes.set_ylim(low - pad, high + pad)
 

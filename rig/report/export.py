@@ -32,7 +32,7 @@ from rig.analysis import (
 from rig.instrument import CONFIGURATION_NAME
 from rig.intake import read_positions
 from rig.report.tables import run_tables, series_tables
-from rig.terminal import Table, harmless_text, latex_table, say, written
+from rig.terminal import Table, harmless_text, latex_table, say, translated_file_errors
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ExportData:
 
     name: str
     results: RunResults | Series | None
-    """Its part of results.json; None if the run was not fitted."""
+    """The part of results.json on the run or series; None if the run was not fitted."""
     provenance: Mapping[str, str]
     """Texts by name: hash, complete configuration and metadata of the record."""
     notes: tuple[str, ...] = ()
@@ -66,20 +66,20 @@ def _exported_data(source: Path) -> list[ExportData]:
     or the positions of a table, cannot be read, or if results were made from another record.
     """
     if not source.is_dir() and source.suffix != ".json":
-        beside = read_results(source.parent).runs if (source.parent / RESULTS_NAME).exists() else ()
-        return [_read_run(source, next((run for run in beside if run.record == source.name), None))]
+        runs = read_results(source.parent).runs if results_path(source.parent).exists() else ()
+        return [_read_run(source, next((run for run in runs if run.record == source.name), None))]
     folder, results = source if source.is_dir() else source.parent, read_results(source)
-    found = []
+    exported = []
     for number, run in enumerate(results.runs, start=1):
         if run.decay is None:
-            found.append(_read_run(folder / run.record, run))
+            exported.append(_read_run(folder / run.record, run))
         else:
             suffix = "" if len(results.runs) == 1 else f"-decay-{number}"
-            found.append(_read_table_decay(folder, run, run.decay, f"{run.source_name}{suffix}"))
+            exported.append(_read_table_decay(folder, run, run.decay, f"{run.source_name}{suffix}"))
     series = results.series
     if series is not None:
-        found.append(_exported_series(source, series, list(zip(found, results.runs, strict=True))))
-    return found
+        exported.append(_exported_series(source, series, list(zip(exported, results.runs, strict=True))))
+    return exported
 
 
 def _read_run(path: Path, results: RunResults | None) -> ExportData:
@@ -93,8 +93,9 @@ def _read_run(path: Path, results: RunResults | None) -> ExportData:
         spots, swings = reader.table(SPOT.topic), reader.table(SWING.topic)
         began, ended = (utc(time_ns).isoformat() for time_ns in _span_ns(reader, spots))
         notes = tuple(reader.doubts())
-        held = reader.numbers
-        if configuration is None and (CONFIGURATION_NAME in held.attachments or held.damages):
+        numbers_file = reader.numbers
+        has_damage = CONFIGURATION_NAME in numbers_file.attachments or numbers_file.damages
+        if configuration is None and has_damage:
             notes = (*notes, "the configuration is damaged and not part of this export")
     provenance["sha256"] = cached_sha256(path)
     if results is not None and results.sha256 != provenance["sha256"]:
@@ -115,44 +116,43 @@ def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
 
 
 def _fields(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The fields of a structured array as contiguous arrays, in order."""
+    """The fields of a structured array as contiguous arrays."""
     return {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
 
 
 def _exported_series(
     source: Path, series: Series, runs: Sequence[tuple[ExportData, RunResults]]
 ) -> ExportData:
-    """The series of a results file, with the hashes of the file and of the combined records.
-
-    Records are in the order of the series' lists of runs.
-    """
+    """The series of a results file, with the hashes of the file and, in order, of the combined records."""
     runs = series.combined(runs)
     path = results_path(source)
-    about = {"results": path.name, "sha256": sha256_of(path)}
+    provenance = {"results": path.name, "sha256": sha256_of(path)}
     samples = {run.provenance.get("session.sample", "") for run, _ in runs}
     if len(samples) == 1 and (sample := samples.pop()):
-        about["session.sample"] = sample
-    about |= {f"runs.{place}": f"{one.record}, SHA-256 {one.sha256}" for place, (_, one) in enumerate(runs)}
-    simulated = sum(bool(one.simulated) for _, one in runs)
+        provenance["session.sample"] = sample
+    for index, (_, run_results) in enumerate(runs):
+        provenance[f"runs.{index}"] = f"{run_results.record}, SHA-256 {run_results.sha256}"
+    simulated = sum(bool(run_results.simulated) for _, run_results in runs)
     if simulated:
-        about["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
+        provenance["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
     notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
-    return ExportData("series", series, about, notes)
+    return ExportData("series", series, provenance, notes)
 
 
-def _read_table_decay(folder: Path, decay: RunResults, place: TableDecay, name: str) -> ExportData:
+def _read_table_decay(folder: Path, decay: RunResults, table_decay: TableDecay, name: str) -> ExportData:
     """A decay of a table by the results in a folder; angles in rad, other positions in the table's unit."""
     stored = decay.stored
-    own = decay.amplitude_unit or "unit"
+    table_unit = decay.amplitude_unit or "unit"
     is_angle = stored.unit is DeflectionUnit.RAD
-    unit, size = ("rad", conversion(own, "rad")) if is_angle else (own, 1.0)
+    unit, size = ("rad", conversion(table_unit, "rad")) if is_angle else (table_unit, 1.0)
     time_s, positions = read_positions(folder)
-    inside = (time_s >= place.began_s) & (time_s <= place.ended_s)
+    is_inside = (time_s >= table_decay.began_s) & (time_s <= table_decay.ended_s)
     suffix = re.sub(r"\W", "_", unit)
-    spots: dict[str, NDArray[Any]] = {"time_s": time_s[inside]}
-    spots |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
-    provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
-    provenance |= {f"session.{name}": text for name, text in place.session.items()}
+    spots: dict[str, NDArray[Any]] = {"time_s": time_s[is_inside]}
+    for number, position in enumerate(positions, start=1):
+        spots[f"position_{number}_{suffix}"] = position[is_inside] * size
+    provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": table_unit}
+    provenance |= {f"session.{name}": text for name, text in table_decay.session.items()}
     air = {} if decay.ambient is None else decay.ambient.known()
     provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
     swings: dict[str, NDArray[Any]] = {
@@ -182,48 +182,44 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     or h5py is not installed.
     """
     if kind == "latex":
-        made: Mapping[Path, bytes] = {output / n: text.encode() for n, text in latex_tables(source).items()}
-        if not made:
+        texts = {output / name: text for name, text in latex_tables(source).items()}
+        if not texts:
             raise RecordError(f"{source}: no run of it has a decay, and so there is no table to export")
-        for path, content in made.items():
-            with written(path):
+        for path, text in texts.items():
+            with translated_file_errors(path):
                 output.mkdir(parents=True, exist_ok=True)
-                write_new(path, content)
-        return list(made)
+                write_new(path, text.encode())
+        return list(texts)
     exported = _exported_data(source)
-    if len({_item_name(one.name) if kind == "hdf5" else one.name for one in exported}) < len(exported):
+    if len({_item_name(data.name) if kind == "hdf5" else data.name for data in exported}) < len(exported):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
-    other = "name" if kind == "hdf5" else "folder"
-    for one in exported:
-        for note in one.notes if one.columns else ():
-            say(f"{one.name}: {note}" if source.is_dir() else note)
-    with written(output, other):
+    for data in exported:
+        for note in data.notes if data.columns else ():
+            say(f"{data.name}: {note}" if source.is_dir() else note)
+    with translated_file_errors(output, "name" if kind == "hdf5" else "folder"):
         if kind == "hdf5":
             output.parent.mkdir(parents=True, exist_ok=True)
             _write_nexus(output, exported)
             return [output]
         output.mkdir(parents=True, exist_ok=True)
-        return [path for one in exported for path in _write_tables(output, one, kind)]
+        return [path for data in exported for path in _write_tables(output, data, kind)]
 
 
 def latex_tables(folder: Path) -> Mapping[str, str]:
-    """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`).
-
-    Raises RecordError for a folder without results.
-    """
-    results, found = read_results(folder), dict[str, Table]()
+    """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`)."""
+    results, tables = read_results(folder), dict[str, Table]()
     for number, run in enumerate(results.runs, start=1):
-        found |= {f"run-{number}-{each.name}.tex": each for each in run_tables(run)}
+        tables |= {f"run-{number}-{table.name}.tex": table for table in run_tables(run)}
     if results.series is not None:
-        found |= {f"{each.name}.tex": each for each in series_tables(results.series)}
-    return {name: latex_table(each, Path(name).stem) for name, each in found.items() if each.shown}
+        tables |= {f"{table.name}.tex": table for table in series_tables(results.series)}
+    return {name: latex_table(table, Path(name).stem) for name, table in tables.items() if table.shown}
 
 
 def _write_tables(folder: Path, run: ExportData, kind: Literal["csv", "parquet"]) -> Iterator[Path]:
     """Write the tables of a run or a series; yields their files.
 
-    Of CSV, lines that begin with ``#`` contain the provenance after notes on missing data, followed by one
-    header line. Of Parquet, metadata of schema and fields hold provenance, notes (JSON) and units.
+    A CSV file begins with lines after ``#``: notes on missing data and the provenance. In a Parquet file the
+    metadata of schema and fields hold provenance, notes (JSON) and units.
     """
     optional_module("pyarrow", "rig export", "pyarrow", "data")
     from pyarrow import csv, parquet
@@ -239,18 +235,14 @@ def _write_tables(folder: Path, run: ExportData, kind: Literal["csv", "parquet"]
     }
     for name, table in _tables(run, harmless_text if kind == "csv" else str):
         path = folder / f"{run.name}-{name}.{kind}"
-        with atomic_file(path) as beside:
+        with atomic_file(path) as temporary:
             if kind == "csv":
-                with beside.open("xb") as file:
+                with temporary.open("xb") as file:
                     file.write(head)
                     csv.write_csv(table, file)
             else:
-                parquet.write_table(
-                    table.replace_schema_metadata(metadata),
-                    beside,
-                    compression="zstd",
-                    write_page_checksum=True,
-                )
+                table = table.replace_schema_metadata(metadata)
+                parquet.write_table(table, temporary, compression="zstd", write_page_checksum=True)
         yield path
 
 
@@ -287,14 +279,14 @@ def _write_nexus(path: Path, exported: Sequence[ExportData]) -> None:
     Raises ConfigurationError if h5py is not installed.
     """
     h5py = optional_module("h5py", "--format hdf5", "h5py", "data")
-    # made in memory, where it is small beside the runs' arrays: on a full disk HDF5 reports an error for
-    # every object that it closes, and may end the process
+    # made in memory, because on a full disk HDF5 reports an error for every object that it closes, and may
+    # end the process
     file_buffer = io.BytesIO()
     with h5py.File(file_buffer, "w") as file:
         file.attrs["NX_class"] = "NXroot"
         file.attrs["default"] = _item_name(exported[0].name)
-        for one in exported:
-            _entry(file, one)
+        for data in exported:
+            _write_entry(file, data)
     write_new(path, file_buffer.getvalue())
 
 
@@ -303,66 +295,65 @@ def _item_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", text) or "_"
 
 
-def _entry(file: Any, run: ExportData) -> None:
+def _write_entry(file: Any, run: ExportData) -> None:
     """Write an NXentry with results and provenance of a run or a series, and the columns of a run."""
-    about = run.provenance
+    provenance = run.provenance
     entry = _group(file, _item_name(run.name), "NXentry")
-    entry["title"] = about.get("session.sample", run.name)
-    entry["entry_identifier"] = about["sha256"]
+    entry["title"] = provenance.get("session.sample", run.name)
+    entry["entry_identifier"] = provenance["sha256"]
     entry["program_name"] = "optical-pendulum-rig"
-    entry["program_name"].attrs["version"] = about.get("versions.optical-pendulum-rig", "")
+    entry["program_name"].attrs["version"] = provenance.get("versions.optical-pendulum-rig", "")
     note = _group(entry, "provenance", "NXnote")
     note["type"] = "application/json"
-    note["description"] = json.dumps(dict(about))
+    note["description"] = json.dumps(dict(provenance))
     if run.notes:
         lacking = _group(entry, "lacking", "NXnote")
         lacking["type"] = "text/plain"
         lacking["description"] = "\n".join(run.notes)
     if run.results is not None:
         results = _group(entry, "results", "NXcollection")
-        found = run.results
-        if isinstance(found, RunResults):
-            results["json"] = json.dumps(encoded(found))
+        if isinstance(run.results, RunResults):
+            results["json"] = json.dumps(encoded(run.results))
         else:
-            results["json"] = json.dumps(encoded(SessionResults(runs=(), series=found))["series"])
-        _rows(_group(results, "values", "NXcollection"), run.results.table)
+            results["json"] = json.dumps(encoded(SessionResults(runs=(), series=run.results))["series"])
+        _write_rows(_group(results, "values", "NXcollection"), run.results.table)
     if run.columns:
         entry.attrs["default"] = "swings"
         entry["start_time"], entry["end_time"] = run.began, run.ended
-        _describe_rig(entry, about)
-        _data(entry, "spots", ("y_rad", "y_deflection_px", "position_1"), run)
-        _data(entry, "swings", ("amplitude",), run)
+        _write_rig(entry, provenance)
+        _write_columns(entry, "spots", ("y_rad", "y_deflection_px", "position_1"), run)
+        _write_columns(entry, "swings", ("amplitude",), run)
 
 
-def _describe_rig(entry: Any, about: Mapping[str, str]) -> None:
+def _write_rig(entry: Any, provenance: Mapping[str, str]) -> None:
     """Write instrument, detector, sample and user, as far as the record names them."""
     instrument = _group(entry, "instrument", "NXinstrument")
     instrument["name"] = "optical pendulum"
     detector = _group(instrument, "detector", "NXdetector")
-    named = [about[f"camera.{key}"] for key in ("vendor", "model") if f"camera.{key}" in about]
-    detector["description"] = " ".join(named) or "camera"
-    if "camera.serial" in about:
-        detector["serial_number"] = about["camera.serial"]
+    names = [provenance[f"camera.{key}"] for key in ("vendor", "model") if f"camera.{key}" in provenance]
+    detector["description"] = " ".join(names) or "camera"
+    if "camera.serial" in provenance:
+        detector["serial_number"] = provenance["camera.serial"]
     sample = _group(entry, "sample", "NXsample")
-    sample["name"] = about.get("session.sample", "not stated")
-    if "session.contact_history" in about:
-        sample["description"] = about["session.contact_history"]
-    if "environment.temperature_c" in about:
-        sample["temperature"] = float(about["environment.temperature_c"])
+    sample["name"] = provenance.get("session.sample", "not stated")
+    if "session.contact_history" in provenance:
+        sample["description"] = provenance["session.contact_history"]
+    if "environment.temperature_c" in provenance:
+        sample["temperature"] = float(provenance["environment.temperature_c"])
         sample["temperature"].attrs["units"] = "degC"
-    _group(entry, "user", "NXuser")["name"] = about.get("session.operator", "not stated")
+    _group(entry, "user", "NXuser")["name"] = provenance.get("session.operator", "not stated")
 
 
-def _group(above: Any, name: str, nexus_class: str) -> Any:
-    group = above.create_group(name)
+def _group(parent: Any, name: str, nexus_class: str) -> Any:
+    group = parent.create_group(name)
     group.attrs["NX_class"] = nexus_class
     return group
 
 
-def _data(entry: Any, name: str, signals: tuple[str, ...], run: ExportData) -> None:
+def _write_columns(entry: Any, name: str, signals: tuple[str, ...], run: ExportData) -> None:
     """Write columns as NXdata; the signal is the first that begins like one of `signals`, the axis time."""
     group, columns = _group(entry, name, "NXdata"), run.columns[name]
-    signal = next((key for begin in signals for key in columns if key.startswith(begin)), "")
+    signal = next((key for start in signals for key in columns if key.startswith(start)), "")
     axis = next((key for key in ("time_ns", "turn_time_ns", "time_s") if key in columns), "")
     if signal and axis:
         group.attrs["signal"] = signal
@@ -370,13 +361,13 @@ def _data(entry: Any, name: str, signals: tuple[str, ...], run: ExportData) -> N
         group.attrs[f"{axis}_indices"] = [0]
     for key, values in columns.items():
         field = group.create_dataset(key, data=values, compression="gzip", shuffle=True)
-        _with_unit(field, run.unit_of(key))
+        _set_unit(field, run.unit_of(key))
     for key in columns:
         if key.startswith("u_") and key[2:] in columns:
             group[f"{key[2:]}_errors"] = group[key]
 
 
-def _rows(group: Any, rows: Sequence[ResultRow]) -> None:
+def _write_rows(group: Any, rows: Sequence[ResultRow]) -> None:
     """Write the table of results: a group for each fit, with fields for every quantity."""
     for row in rows:
         fit = _item_name(row.fit)
@@ -385,10 +376,10 @@ def _rows(group: Any, rows: Sequence[ResultRow]) -> None:
         numbers = {"": row.value, "_errors": row.u_total, "_lower_95": row.lower, "_upper_95": row.upper}
         for suffix, number in numbers.items():
             fit_group[f"{name}{suffix}"] = number
-            _with_unit(fit_group[f"{name}{suffix}"], row.unit)
+            _set_unit(fit_group[f"{name}{suffix}"], row.unit)
         fit_group[name].attrs["verdict"] = row.verdict.value
 
 
-def _with_unit(field: Any, unit: str) -> None:
+def _set_unit(field: Any, unit: str) -> None:
     if unit:
         field.attrs["units"] = _NEXUS_UNITS.get(unit, in_ascii(unit))

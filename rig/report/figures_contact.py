@@ -14,23 +14,12 @@ from processing.instruments import DEGREE_RAD
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, ResultRow, RunResults, Series
-from rig.report.drawing import (
-    DATA,
-    EXACT,
-    INK,
-    SMOOTH,
-    ReportFigure,
-    canvas,
-    one_axes,
-    three_columns,
-)
+from rig.report.drawing import DATA, EXACT, INK, SMOOTH, ReportFigure, canvas, one_axes, three_columns
 from rig.terminal import palette, plain, quantity
 
 
 def loop_figure(parameters: ContactParameters, pendulum: PendulumOnBall, work: Work) -> ReportFigure:
-    """The three loops of Table 4 at a measured amplitude, with their works and the rectangle of the adhesive
-    one, unless the data do not determine c.
-    """
+    """The three loops of Table 4 at a measured amplitude; with the work of adhesion if c is determined."""
     amplitude_arcsec, has_c = work.amplitude_arcsec, not isnan(work.adhesive_4at_j.value)
     amplitude_rad, is_paper = (amplitude_arcsec * ARCSEC_RAD, amplitude_arcsec == TABLE4_AMPLITUDE_ARCSEC)
     loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)
@@ -60,8 +49,8 @@ def loop_figure(parameters: ContactParameters, pendulum: PendulumOnBall, work: W
             ls=(0, (4, 2)), color=INK, lw=0.9,
         )  # fmt: skip
         texts.append((0.11, f"4Aₜ = {plain(work.adhesive_4at_j.value * 1e15)} fJ"))
-    for place, text in texts:
-        panels[0].text(0.5, place, text, transform=panels[0].transAxes, ha="center", va="top", fontsize=7.5)
+    for height, text in texts:
+        panels[0].text(0.5, height, text, transform=panels[0].transAxes, ha="center", va="top", fontsize=7.5)
     panels[0].set_ylabel("M / nN m")
     return ReportFigure(
         "table4-loops",
@@ -97,13 +86,14 @@ def series_figure(series: Series) -> ReportFigure:
     return ReportFigure(
         "series",
         "Runs of the series",
-        "Exact fit of each run with its standard uncertainty; line and band: combined value, 95 % interval.",
+        f"{method.capitalize()} fit of each run with its standard uncertainty; line and band: combined "
+        "value, 95 % interval.",
         figure,
     )
 
 
 _MIN_VISIBLE_BAR = 0.01
-"""Minimum length of a bar, as a fraction of the drawn range, that shows beyond its point."""
+"""Minimum length of a bar, as a fraction of the plotted range, that extends beyond its point."""
 
 
 def instrument_figures(results: RunResults, points: TurningPoints) -> list[ReportFigure]:
@@ -111,31 +101,28 @@ def instrument_figures(results: RunResults, points: TurningPoints) -> list[Repor
     rows, curves = results.rows, {} if results.instrument is None else results.instrument.curves
     drawings = []
     if "damping_time_s" in rows:
-        drawings.append(_damping(rows, points))
-    for name, draw in (("decrement", _decrement), ("period", _period), ("plane", _plane)):
+        drawings.append(_damping_figure(rows, points))
+    figures = (("decrement", _decrement_figure), ("period", _period_figure), ("plane", _plane_figure))
+    for name, draw in figures:
         if name in curves:
             drawings.append(draw(curves[name]))
     return drawings
 
 
-def _damping(rows: Mapping[str, ResultRow], points: TurningPoints) -> ReportFigure:
+def _damping_figure(rows: Mapping[str, ResultRow], points: TurningPoints) -> ReportFigure:
     figure, axes = one_axes(3.0, "t / s", "amplitude / degrees")
     amplitude = points.amplitude / DEGREE_RAD
     time, swings = rows["damping_time_s"], rows["damping_swings"]
     start_deg, end_deg = rows["damping_start_deg"].value, rows["damping_end_deg"].value
-    inside = (amplitude <= start_deg) & (amplitude >= end_deg)
-    axes.plot(points.time_s[~inside], amplitude[~inside], "o", mfc="none", mec=DATA, label="turning points")
-    axes.plot(points.time_s[inside], amplitude[inside], "o", color=DATA, label="those that count")
+    is_inside = (amplitude <= start_deg) & (amplitude >= end_deg)
+    axes.plot(
+        points.time_s[~is_inside], amplitude[~is_inside], "o", mfc="none", mec=DATA, label="turning points"
+    )
+    axes.plot(points.time_s[is_inside], amplitude[is_inside], "o", color=DATA, label="those that count")
     for level in (start_deg, end_deg):
         axes.axhline(level, color=EXACT, lw=0.9)
-        axes.annotate(
-            f"{level:g}°",
-            (0.995, level),
-            xycoords=("axes fraction", "data"),
-            ha="right",
-            va="bottom",
-            color=EXACT,
-        )
+        xycoords = ("axes fraction", "data")
+        axes.annotate(f"{level:g}°", (0.995, level), xycoords=xycoords, ha="right", va="bottom", color=EXACT)
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}")
@@ -149,9 +136,9 @@ def _damping(rows: Mapping[str, ResultRow], points: TurningPoints) -> ReportFigu
     )
 
 
-def _decrement(table: Mapping[str, Floats]) -> ReportFigure:
+def _decrement_figure(table: Mapping[str, Floats]) -> ReportFigure:
     figure, axes = one_axes(2.8, "amplitude / degrees", "log decrement of a whole swing")
-    bars = _dots(axes, table["amplitude_deg"], table["log_decrement"], table["u_log_decrement"])
+    bars = _plot_points(axes, table["amplitude_deg"], table["log_decrement"], table["u_log_decrement"])
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:.2g}")
@@ -163,19 +150,14 @@ def _decrement(table: Mapping[str, Floats]) -> ReportFigure:
     )
 
 
-def _period(table: Mapping[str, Floats]) -> ReportFigure:
+def _period_figure(table: Mapping[str, Floats]) -> ReportFigure:
     figure, axes = one_axes(3.2, "amplitude / degrees", "period / s")
     amplitude = table["amplitude_deg"]
     order = np.argsort(amplitude)
-    bars = _dots(axes, amplitude, table["period_s"], table["u_period_s"], label="measured")
+    bars = _plot_points(axes, amplitude, table["period_s"], table["u_period_s"], label="measured")
     axes.plot(amplitude[order], table["circular_law_s"][order], color=EXACT, label="ideal pendulum")
-    axes.plot(
-        amplitude[order],
-        table["alpha_squared_over_16_s"][order],
-        "--",
-        color=SMOOTH,
-        label="1 + alpha²/16",
-    )
+    squared = table["alpha_squared_over_16_s"][order]
+    axes.plot(amplitude[order], squared, "--", color=SMOOTH, label="1 + alpha²/16")
     axes.legend()
     return ReportFigure(
         "kind-period",
@@ -185,7 +167,7 @@ def _period(table: Mapping[str, Floats]) -> ReportFigure:
     )
 
 
-def _plane(table: Mapping[str, Floats]) -> ReportFigure:
+def _plane_figure(table: Mapping[str, Floats]) -> ReportFigure:
     figure, axes = one_axes(2.6, "time / s", "direction / degrees")
     axes.plot(table["time_s"], table["direction_deg"], "o", color=DATA)
     return ReportFigure(
@@ -196,9 +178,9 @@ def _plane(table: Mapping[str, Floats]) -> ReportFigure:
     )
 
 
-def _dots(axes: Axes, x: Floats, y: Floats, u: Floats, label: str | None = None) -> str:
+def _plot_points(axes: Axes, x: Floats, y: Floats, u: Floats, label: str | None = None) -> str:
     """Draw points with their standard uncertainties; returns the sentence of the caption on the bars."""
-    hidden = bool(np.max(u) < _MIN_VISIBLE_BAR * np.ptp(y))
-    caps = 0 if hidden else 2.5
+    is_hidden = bool(np.max(u) < _MIN_VISIBLE_BAR * np.ptp(y))
+    caps = 0 if is_hidden else 2.5
     axes.errorbar(x, y, u, fmt=".", ms=3, color=DATA, ecolor=INK, elinewidth=0.8, capsize=caps, label=label)
-    return "Bars: one standard uncertainty" + (", shorter than the points are large." if hidden else ".")
+    return "Bars: one standard uncertainty" + (", shorter than the points are large." if is_hidden else ".")

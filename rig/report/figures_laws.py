@@ -21,24 +21,25 @@ from rig.report.drawing import (
     ReportFigure,
     amplitude_axis,
     canvas,
-    dots,
     nonnegative_limits,
-    span,
-    thinned,
+    plot_dots,
+    set_y_range,
+    thinned_indices,
 )
-from rig.report.source import ShownUnit
+from rig.report.source import DisplayUnit
 from rig.terminal import palette
 
 _MAX_DOTS = 700
 _MAX_BARS = 150
 _MAX_RINGS = 90
+"""Largest numbers of points that are drawn in each manner."""
 
 
-def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) -> ReportFigure:
+def decay_figure(points: TurningPoints, curves: Curves | None, unit: DisplayUnit) -> ReportFigure:
     """alpha(t), the paper's Fig. 12, with residuals below; only the data without a fit."""
     figure = canvas(4.2 if curves else 2.8)
-    shown = thinned(len(points), _MAX_DOTS)
-    time, size = points.time_s[shown], unit.shown_size
+    plotted = thinned_indices(len(points), _MAX_DOTS)
+    time, size = points.time_s[plotted], unit.shown_size
     if curves is None:
         top = figure.subplots()
         top.set_xlabel("t / s")
@@ -46,23 +47,16 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1.0])
         residual = curves.asymptotic.amplitude_residual_rad / size * 1e3
         exact_residual = curves.exact.amplitude_residual_rad / size * 1e3
-        dots(bottom, time, residual[shown], ASYMPTOTIC)
-        dots(bottom, time, exact_residual[shown], EXACT)
+        plot_dots(bottom, time, residual[plotted], ASYMPTOTIC)
+        plot_dots(bottom, time, exact_residual[plotted], EXACT)
         bottom.axhline(0, color=INK, lw=0.6)
-        span(bottom, np.concatenate([residual, exact_residual]), 0.002, 0.1)
+        set_y_range(bottom, np.concatenate([residual, exact_residual]), 0.002, 0.1)
         bottom.set(xlabel="t / s", ylabel=f"data − fit / 10⁻³ {unit.shown}")
     _rings(top, points.time_s, points.amplitude / size, "turning points")
     if curves is not None:
-        top.plot(
-            points.time_s,
-            curves.asymptotic.model_amplitude_rad / size,
-            color=ASYMPTOTIC,
-            lw=2.0,
-            label="Eq. 5",
-        )
-        top.plot(
-            points.time_s, curves.exact.model_amplitude_rad / size, color=EXACT, lw=0.9, label=FitMethod.EXACT
-        )
+        asymptotic, exact = (c.model_amplitude_rad / size for c in (curves.asymptotic, curves.exact))
+        top.plot(points.time_s, asymptotic, color=ASYMPTOTIC, lw=2.0, label="Eq. 5")
+        top.plot(points.time_s, exact, color=EXACT, lw=0.9, label=FitMethod.EXACT)
     top.set(
         ylabel=f"α / {unit.shown}",
         xlim=(0, points.time_s[-1] * 1.005),
@@ -80,9 +74,9 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
 
 def _rings(axes: Axes, x: Floats, y: Floats, label: str) -> None:
     """Draw some of the data as rings over the curves."""
-    shown = thinned(len(x), _MAX_RINGS)
+    plotted = thinned_indices(len(x), _MAX_RINGS)
     label += " (some)" if len(x) > _MAX_RINGS else ""
-    axes.plot(x[shown], y[shown], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, label=label, zorder=5)
+    axes.plot(x[plotted], y[plotted], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, label=label, zorder=5)
 
 
 def period_figure(curves: Curves) -> ReportFigure:
@@ -97,18 +91,18 @@ def period_figure(curves: Curves) -> ReportFigure:
     order = np.argsort(curves.period_rad)
     alpha = curves.period_rad[order] / ARCSEC_RAD
     period, u = curves.period_s[order], curves.u_period_s[order]
-    shown = thinned(len(order), _MAX_DOTS)
-    bars = thinned(len(order), _MAX_BARS)
+    plotted = thinned_indices(len(order), _MAX_DOTS)
+    bars = thinned_indices(len(order), _MAX_BARS)
     top.errorbar(alpha[bars], period[bars], u[bars], fmt="none", ecolor=palette.SKY_BLUE, elinewidth=0.5)
     _rings(top, alpha, period, "measured")
     # the range is that of the curves, and of data that are not too uncertain
-    rough = u > 4 * np.median(u)
+    is_uncertain = u > 4 * np.median(u)
     for label, (values, colour, width) in models.items():
         top.plot(alpha, values[order], color=colour, lw=width, label=label)
-        dots(bottom, alpha[shown], ((period - values[order]) * 1e3)[shown], colour)
-    span(top, np.concatenate([period[~rough], *(values for values, _, _ in models.values())]))
-    residuals = [(period - values[order])[~rough] * 1e3 for values, _, _ in models.values()]
-    span(bottom, np.concatenate(residuals), 0.005, 0.25)
+        plot_dots(bottom, alpha[plotted], ((period - values[order]) * 1e3)[plotted], colour)
+    set_y_range(top, np.concatenate([period[~is_uncertain], *(values for values, _, _ in models.values())]))
+    residuals = [(period - values[order])[~is_uncertain] * 1e3 for values, _, _ in models.values()]
+    set_y_range(bottom, np.concatenate(residuals), 0.005, 0.25)
     bottom.axhline(0, color=INK, lw=0.6)
     bottom.set(xlabel="α / arcsec", xlim=nonnegative_limits(alpha), ylabel="data − curve / ms")
     top.set_ylabel("T / s")
@@ -128,18 +122,18 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
     """Residuals of the exact fit in units of their standard uncertainty."""
     figure = canvas(3.6)
     grid = figure.add_gridspec(2, 2, width_ratios=[3.2, 1.0])
-    both = {
+    residuals = {
         "amplitude": curves.exact.amplitude_residual_rad / points.u_amplitude,
         "time": curves.exact.time_residual_s / points.u_time_s,
     }
-    shown = thinned(len(points), 1200)
+    plotted = thinned_indices(len(points), 1200)
     outlying = np.isin(points.index, outliers)
-    grey = np.linspace(-4.5, 4.5, 181)
-    normal = np.exp(-0.5 * grey**2) / np.sqrt(2 * np.pi)
-    for row, (name, values) in enumerate(both.items()):
+    z = np.linspace(-4.5, 4.5, 181)
+    normal = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
+    for row, (name, values) in enumerate(residuals.items()):
         left = figure.add_subplot(grid[row, 0])
         right = figure.add_subplot(grid[row, 1], sharey=left)
-        dots(left, points.index[shown], values[shown], DATA)
+        plot_dots(left, points.index[plotted], values[plotted], DATA)
         left.plot(points.index[outlying], np.clip(values[outlying], -4.4, 4.4), "x", color=EXACT, ms=4)
         left.axhline(0, color=INK, lw=0.6)
         left.set(ylim=(-4.5, 4.5), ylabel=f"{name}, (data − fit)/u", xlim=(points.index[0], points.index[-1]))
@@ -147,17 +141,11 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
             np.clip(values, -4.4, 4.4), bins=36, range=(-4.5, 4.5), orientation="horizontal", density=True,
             color=palette.SKY_BLUE,
         )  # fmt: skip
-        right.plot(normal, grey, color=INK, lw=0.9)
+        right.plot(normal, z, color=INK, lw=0.9)
         right.tick_params(labelleft=False)
         right.set_xticks([])
-        right.text(
-            0.95,
-            0.92,
-            f"rms {np.sqrt(np.mean(values**2)):.2f}",
-            transform=right.transAxes,
-            ha="right",
-            va="top",
-        )
+        text = f"rms {np.sqrt(np.mean(values**2)):.2f}"
+        right.text(0.95, 0.92, text, transform=right.transAxes, ha="right", va="top")
         if row == 0:
             left.tick_params(labelbottom=False)
             right.set_title("and the normal law")
@@ -179,23 +167,25 @@ def loss_figure(
     left, right = figure.subplots(1, 2)
     cycles = max(1, len(points) // 120)
     try:
-        found = measured_losses(points, cycles=cycles)
+        losses = measured_losses(points, cycles=cycles)
     except DataError:
-        found = measured_losses(points)
-    alpha = found.amplitude_rad / ARCSEC_RAD
-    left.errorbar(alpha, found.log_decrement, found.u_log_decrement, fmt=".", color=DATA, elinewidth=0.5)
-    known = np.isfinite(found.quality) & np.isfinite(found.u_quality)
+        # gaps in the turning points
+        cycles = 1
+        losses = measured_losses(points)
+    alpha = losses.amplitude_rad / ARCSEC_RAD
+    left.errorbar(alpha, losses.log_decrement, losses.u_log_decrement, fmt=".", color=DATA, elinewidth=0.5)
+    is_known = np.isfinite(losses.quality) & np.isfinite(losses.u_quality)
     right.errorbar(
-        alpha[known], found.quality[known], found.u_quality[known], fmt=".", color=DATA, elinewidth=0.5,
-        label=f"measured, {cycles} cycle{'s' if cycles > 1 else ''} each",
+        alpha[is_known], losses.quality[is_known], losses.u_quality[is_known], fmt=".", color=DATA,
+        elinewidth=0.5, label=f"measured, {cycles} cycle{'s' if cycles > 1 else ''} each",
     )  # fmt: skip
     amplitudes = np.geomspace(points.amplitude[-1], points.amplitude[0], 80)
     model = model_losses(amplitudes, parameters, pendulum)
     x = model.amplitude_rad / ARCSEC_RAD
     left.plot(x, model.log_decrement, color=EXACT)
     right.plot(x, model.quality, color=EXACT, label=FitMethod.EXACT)
-    span(left, np.concatenate([found.log_decrement, model.log_decrement]), 0.01)
-    span(right, np.concatenate([found.quality[known], model.quality]), 0.01)
+    set_y_range(left, np.concatenate([losses.log_decrement, model.log_decrement]), 0.01)
+    set_y_range(right, np.concatenate([losses.quality[is_known], model.quality]), 0.01)
     left.set_ylabel("logarithmic decrement per cycle")
     right.set_ylabel("quality factor Q")
     for axes in (left, right):
@@ -217,13 +207,13 @@ def moments_figure(laws: ComparedLaws, free: ModelFreeMoments) -> ReportFigure:
     figure = canvas(4.6)
     panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.6, 1.0])
     phi = free.phi_rad / ARCSEC_RAD
-    shown = [name for name in free.laws if not laws.laws[name].excluded]
-    for column, (title, values, u, of_laws) in enumerate(
+    names = [name for name in free.laws if not laws.laws[name].excluded]
+    for column, (title, values, u, law_moments) in enumerate(
         (
             ("friction", free.friction_n_m, free.u_friction_n_m,
-             [free.laws[name].friction_n_m for name in shown]),
+             [free.laws[name].friction_n_m for name in names]),
             ("elastic moment", free.elastic_n_m, free.u_elastic_n_m,
-             [free.laws[name].elastic_n_m for name in shown]),
+             [free.laws[name].elastic_n_m for name in names]),
         )
     ):  # fmt: skip
         top, bottom = panels[:, column]
@@ -231,7 +221,7 @@ def moments_figure(laws: ComparedLaws, free: ModelFreeMoments) -> ReportFigure:
         top.plot(phi, values * 1e9, color=DATA, lw=2.0, label="no law")
         bottom.axhspan(-1, 1, color=DATA, alpha=0.3, lw=0)
         bottom.axhline(0, color=INK, lw=0.6)
-        for name, law, colour in zip(shown, of_laws, _LAW_COLOURS * len(shown), strict=False):
+        for name, law, colour in zip(names, law_moments, _LAW_COLOURS * len(names), strict=False):
             top.plot(phi, law * 1e9, color=colour, lw=0.9, label=name)
             bottom.plot(phi, (law - values) / u, color=colour, lw=0.9)
         top.set(title=title, ylabel="M / nN m")

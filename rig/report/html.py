@@ -1,4 +1,4 @@
-"""One self-contained HTML page: no script, no font, no other file; figures are embedded as data."""
+"""Parts of a self-contained HTML page, without script or font; its figures; the check of its results."""
 
 import base64
 import html
@@ -15,6 +15,9 @@ from rig.report.drawing import INK, ReportFigure, png, styled, svg
 from rig.terminal import Table, palette
 
 RESULTS_SHA256 = "results-sha256"
+"""Name of the page's meta element with the SHA-256 of the results."""
+_MIN_LONG_TABLE = 20
+"""Lines from which on a table is long, and may be broken between pages."""
 _STYLE: Final = Path(__file__).with_name("report.css")
 """Style sheet of a page."""
 COLOURS: Final[Mapping[str, str]] = {
@@ -51,27 +54,27 @@ def heading(text: str, level: int = 2) -> str:
     return f"<h{level}>{escape(text)}</h{level}>"
 
 
-def paragraph(text: str, kind: str = "") -> str:
+def paragraph(text: str, css_class: str = "") -> str:
     """A paragraph of plain text."""
-    attribute = f' class="{kind}"' if kind else ""
+    attribute = f' class="{css_class}"' if css_class else ""
     return f"<p{attribute}>{escape(text)}</p>"
 
 
 def warning(text: str) -> str:
-    """A paragraph of plain text with the colour of warnings."""
+    """A block of plain text with the colour of warnings."""
     return f'<div class="warn">{escape(text)}</div>'
 
 
-def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
-    """A figure with its caption; `kind` is the media type of the data."""
-    if kind == "image/svg+xml":
+def picture(drawing: ReportFigure, data: bytes, media_type: str) -> str:
+    """A figure with its caption."""
+    if media_type == "image/svg+xml":
         text = data.decode().replace("\n", " ").replace('"', "'")
-        # escaped, because an address ends at a `#`; base64 would be a third longer
+        # a `#` would end the address, so it is escaped; base64, which has none, is a third longer
         for mark in "%#&":
             text = text.replace(mark, f"%{ord(mark):X}")
-        source = f"data:{kind},{text}"
+        source = f"data:{media_type},{text}"
     else:
-        source = f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
+        source = f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
     return (
         f'<figure><img alt="{escape(drawing.title)}" src="{source}">'
         f"<figcaption><b>{escape(drawing.title)}.</b> {escape(drawing.caption)}</figcaption></figure>"
@@ -80,54 +83,55 @@ def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
 
 def table(content: Table, level: int = 3) -> str:
     """A table with its title and note."""
-    short = ' class="short"' if len(content.shown) < 20 else ""
-    if content.head and content.head[-1] == "verdict":
-        short = short.replace('class="short', 'class="short verdict') or ' class="verdict"'
+    classes = ["short"] if len(content.shown) < _MIN_LONG_TABLE else []
+    classes += ["verdict"] if content.head and content.head[-1] == "verdict" else []
+    attribute = f' class="{" ".join(classes)}"' if classes else ""
     # an empty heading is an empty cell, not a header
     head = "".join(f'<th scope="col">{escape(cell)}</th>' if cell else "<td></td>" for cell in content.head)
     lines = []
-    grouped = len({row[0] for row in content.shown if row[0]}) < len(content.shown)
+    # rows without a first cell belong to the group of the row above
+    has_groups = len({row[0] for row in content.shown if row[0]}) < len(content.shown)
     for row in content.shown:
-        group = ' class="group"' if grouped and row[0] else ""
+        group = ' class="group"' if has_groups and row[0] else ""
         lines.append(f"<tr{group}>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>")
     note = paragraph(content.note, "note") if content.note else ""
     header = f"<thead><tr>{head}</tr></thead>" if any(content.head) else ""
     return (
         f"{heading(content.title, level)}\n"
         f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(content.title)}">'
-        f"<table{short}>{header}<tbody>{''.join(lines)}</tbody></table></div>{note}"
+        f"<table{attribute}>{header}<tbody>{''.join(lines)}</tbody></table></div>{note}"
     )
 
 
-def verdict(lines: Sequence[tuple[str, str]]) -> str:
-    """Lines, each with its class (`good`, `bad` or none), the first one large."""
+def verdict_list(lines: Sequence[tuple[str, str]]) -> str:
+    """A list of texts, each with its class (`good`, `bad` or empty); the first text is large."""
     items = "".join(
-        f'<li class="{kind}">{escape(text)}</li>' if kind else f"<li>{escape(text)}</li>"
-        for text, kind in lines
+        f'<li class="{css_class}">{escape(text)}</li>' if css_class else f"<li>{escape(text)}</li>"
+        for text, css_class in lines
     )
     return f'<ul class="verdict">{items}</ul>'
 
 
 def folded_section(title: str, body: Sequence[str]) -> str:
-    """A section that is closed until the reader opens it, and never printed."""
+    """A section that is closed until the reader opens it, and left out on paper."""
     return f"<details><summary>{escape(title)}</summary>{''.join(body)}</details>"
 
 
-def facts(rows: Sequence[tuple[str, str]]) -> str:
-    """Two columns of text."""
+def two_columns(rows: Sequence[tuple[str, str]]) -> str:
+    """A table of names and texts."""
     lines = "".join(f"<tr><td>{escape(key)}</td><td>{escape(value)}</td></tr>" for key, value in rows)
     return f'<table class="facts"><tbody>{lines}</tbody></table>'
 
 
-def notes(lines: Sequence[str]) -> str:
+def remark_list(lines: Sequence[str]) -> str:
     """A list of remarks; empty text without remarks."""
     if not lines:
         return ""
     return '<ul class="notes">' + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
-def key_values(items: Sequence[tuple[str, str]]) -> str:
-    """The main results in large type, as (name, value)."""
+def headline_values(items: Sequence[tuple[str, str]]) -> str:
+    """Names and values of the main results, in large type."""
     return (
         '<div class="key">'
         + "".join(f"<div><span>{escape(name)}</span><b>{escape(value)}</b></div>" for name, value in items)
@@ -144,28 +148,25 @@ def check_report(results: Path) -> list[Finding]:
         page_text = report.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise RecordError(f"{report}: cannot be read: {error.strerror or error}") from None
-    stated = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', page_text)
-    if stated is None:
+    match = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', page_text)
+    if match is None:
         return [Finding("note", f"{report.name} does not say which results it was made from")]
-    if stated[1] != sha256_of(results):
+    if match[1] != sha256_of(results):
         return [
             Finding("error", f"{report.name} was made from other results than {results.name}; run rig report")
         ]
     return [Finding("note", f"{report.name} was made from {results.name}")]
 
 
-def save_figures(files: Path, draw: Callable[[], Sequence[ReportFigure]]) -> dict[str, str]:
-    """Write figures, frames as PNG, others as SVG, into a folder, which is made.
-
-    `draw` makes them in the style of reports. Returns the HTML of each figure by name.
-    """
-    files.mkdir(parents=True, exist_ok=True)
-    atomic_write.remove_leftovers(files)
-    found = {}
+def save_figures(folder: Path, draw: Callable[[], Sequence[ReportFigure]]) -> dict[str, str]:
+    """Write the figures that `draw` makes into a folder, which is made; returns the HTML of each by name."""
+    folder.mkdir(parents=True, exist_ok=True)
+    atomic_write.remove_leftovers(folder)
+    figures = {}
     with styled():
         for drawing in draw():
-            is_frame = drawing.name.endswith("frame")
-            data = png(drawing) if is_frame else svg(drawing)
-            atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
-            found[drawing.name] = picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
-    return found
+            raster = drawing.is_raster
+            data = png(drawing) if raster else svg(drawing)
+            atomic_write.replace(folder / f"{drawing.name}.{'png' if raster else 'svg'}", data)
+            figures[drawing.name] = picture(drawing, data, "image/png" if raster else "image/svg+xml")
+    return figures

@@ -27,12 +27,12 @@ from processing.series import (
     to_coordinates,
 )
 from rig.analysis import Fit, JsonObject, ResultRow, RunResults
-from rig.report.campaign_input import SURROUNDING_COVARIATES, FoundRun
+from rig.report.campaign_input import AMBIENT_COVARIATES, CandidateRun
 
 _AIR, _DISCREPANCY = "air", "discrepancy"
 _RUN_SOURCES = ("period_drift", "drag_drift", "plane_of_swing_rad")
 """Sources of uncertainty that are independent from run to run."""
-_MAX_SHARED = 0.9999
+_MAX_SHARED_FRACTION = 0.9999
 """Largest fraction of a variance that is shared; the rest is the run's own."""
 _MAX_U = 0.5
 """Relative standard uncertainty above which a positive parameter without a verdict is only bounded."""
@@ -40,11 +40,11 @@ _BOUND_SOFTNESS = 0.3
 """Softness of a bound: width of its edge in the coordinate."""
 
 
-def compress(found: FoundRun, reference_rad: float) -> tuple[CompressedRun | None, str]:
-    """The likelihood of a run; or None, and why the run cannot enter, in a line."""
-    run, fit = found.run, found.run.fits.get(FitMethod.EXACT)
+def compress(candidate: CandidateRun, reference_rad: float) -> tuple[CompressedRun | None, str]:
+    """The likelihood of a run; or None and one line on why the run cannot enter."""
+    run, fit = candidate.run, candidate.run.fits.get(FitMethod.EXACT)
     if fit is None:
-        return None, f"{found.label}: left out: {run.problem or 'it has no exact fit'}"
+        return None, f"{candidate.label}: left out: {run.problem or 'it has no exact fit'}"
     names, bounds = [], {}
     for name in (*DEFAULT_LAW.names(), DRAG.key):
         value, u = fit.estimate(name)
@@ -59,7 +59,7 @@ def compress(found: FoundRun, reference_rad: float) -> tuple[CompressedRun | Non
     # b and gamma need their exponents, without which their coordinates are not independent
     names = [name for name in names if EXPONENT_OF.get(name, (name, 0.0))[0] in names]
     if not names:
-        return None, f"{found.label}: left out: its data determine no parameter"
+        return None, f"{candidate.label}: left out: its data determine no parameter"
     values, jacobian = to_coordinates(
         names, np.array([fit.estimate(name).value for name in names]), reference_rad
     )
@@ -67,37 +67,41 @@ def compress(found: FoundRun, reference_rad: float) -> tuple[CompressedRun | Non
     shifts, u_of = _sources(run, names, jacobian)
     # the budget gives corrections of the values; the observed values move the other way
     shared = {
-        source: -by for source, by in shifts.items() if source not in GROWTH + _RUN_SOURCES and np.any(by)
+        source: -shift
+        for source, shift in shifts.items()
+        if source not in GROWTH + _RUN_SOURCES and np.any(shift)
     }
-    grown = {source: shifts[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
-    shared |= grown
-    own, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
+    growth = {source: shifts[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
+    shared |= growth
+    own_covariance, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
     u_air = _u_air(run, fit)
     if u_air > 0 and DRAG.key in names:
         # the prior knowledge of the drag moves all parameters along the drag's column of the covariance
         drag = names.index(DRAG.key)
-        part = jacobian @ covariance[:, drag] * (u_air / covariance[drag, drag])
-        share = float(part @ np.linalg.solve(own, part))
-        shared[_AIR] = part = part * min(1.0, (_MAX_SHARED / share) ** 0.5) if share > 0 else part
-        own = own - np.outer(part, part)
+        air_shift = jacobian @ covariance[:, drag] * (u_air / covariance[drag, drag])
+        share = float(air_shift @ np.linalg.solve(own_covariance, air_shift))
+        shared[_AIR] = air_shift = (
+            air_shift * min(1.0, (_MAX_SHARED_FRACTION / share) ** 0.5) if share > 0 else air_shift
+        )
+        own_covariance = own_covariance - np.outer(air_shift, air_shift)
     shared |= law_shared
     for source in _RUN_SOURCES:
         if source in shifts:
-            own = own + np.outer(shifts[source], shifts[source])
+            own_covariance = own_covariance + np.outer(shifts[source], shifts[source])
     time_s = run.stored.time_s
     duration_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     return (
         CompressedRun(
-            label=found.label,
-            contact=found.contact,
+            label=candidate.label,
+            contact=candidate.contact,
             names=tuple(names),
             values=values,
-            covariance=0.5 * (own + own.T),
+            covariance=0.5 * (own_covariance + own_covariance.T),
             shared=shared,
             bounds=bounds,
             covariates=_covariates(run, fit, duration_s),
-            by_growth=sum((by / u_of[key] for key, by in grown.items()), np.zeros(len(names)))
-            if grown
+            by_growth=sum((shift / u_of[key] for key, shift in growth.items()), np.zeros(len(names)))
+            if growth
             else None,
             duration_s=duration_s,
         ),
@@ -116,8 +120,8 @@ def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | 
     if row is not None and row.verdict is Determinacy.LOWER_BOUND and row.lower > 0:
         return Bound(log(row.lower), EndSide.LOWER, _BOUND_SOFTNESS)
     upper = row.upper if row is not None and isfinite(row.upper) else value + 2 * u
-    bounded = not _is_determined(row) or value <= 0 or (row is None and u > _MAX_U * value)
-    if not bounded or not 0 < upper < inf:
+    is_bounded = not _is_determined(row) or value <= 0 or (row is None and u > _MAX_U * value)
+    if not is_bounded or not 0 < upper < inf:
         return None
     # the likelihood falls from one u below the limit on, and is half at the value plus one u
     return Bound(log(upper) - _BOUND_SOFTNESS, EndSide.UPPER, _BOUND_SOFTNESS)
@@ -128,8 +132,8 @@ def _covariance(fit: Fit, names: Sequence[str]) -> Floats:
     u = np.array([fit.estimate(name).standard_uncertainty for name in names])
     known, correlation = fit.correlation.names, np.eye(len(names))
     if set(names) <= set(known):
-        at = [known.index(name) for name in names]
-        correlation = np.nan_to_num(np.array(fit.correlation.matrix)[np.ix_(at, at)])
+        indices = [known.index(name) for name in names]
+        correlation = np.nan_to_num(np.array(fit.correlation.matrix)[np.ix_(indices, indices)])
     # rounding in the file must not make the matrix singular
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
     correlation = (vectors * np.maximum(values, 1e-9)) @ vectors.T
@@ -144,24 +148,24 @@ def _budget_sources(run: RunResults, name: str) -> Sequence[BudgetSource]:
 def _sources(
     run: RunResults, names: Sequence[str], jacobian: Floats
 ) -> tuple[dict[str, Floats], dict[str, float]]:
-    """By source: the shift of the coordinates by one standard uncertainty, and that uncertainty."""
+    """Shifts of the coordinates by one standard uncertainty of each source, and these uncertainties."""
     shifts: dict[str, Floats] = {}
     u: dict[str, float] = {}
-    for place, name in enumerate(names):
-        for one in _budget_sources(run, name):
-            if isfinite(one.sensitivity):
-                by = shifts.setdefault(one.source, np.zeros(len(names)))
-                by += jacobian[:, place] * (one.sensitivity * one.u_source)
-                u[one.source] = one.u_source
+    for column, name in enumerate(names):
+        for line in _budget_sources(run, name):
+            if isfinite(line.sensitivity):
+                shift = shifts.setdefault(line.source, np.zeros(len(names)))
+                shift += jacobian[:, column] * (line.sensitivity * line.u_source)
+                u[line.source] = line.u_source
     return shifts, u
 
 
 def _u_air(run: RunResults, fit: Fit) -> float:
     """The part of the drag's standard uncertainty that comes from the properties of the air."""
     shares = {
-        one.source: one.share
-        for one in _budget_sources(run, DRAG.key)
-        if one.type == "A" or one.source == _AIR
+        line.source: line.share
+        for line in _budget_sources(run, DRAG.key)
+        if line.type == "A" or line.source == _AIR
     }
     if not shares.get(_AIR, 0.0) > 0:
         return 0.0
@@ -169,36 +173,35 @@ def _u_air(run: RunResults, fit: Fit) -> float:
 
 
 def _without_model_discrepancy(
-    run: RunResults, names: Sequence[str], own: Floats
+    run: RunResults, names: Sequence[str], covariance: Floats
 ) -> tuple[Floats, dict[str, Floats]]:
-    """The covariance without model discrepancy, and its shifts: all runs share it, by coordinate."""
-    keep, shared = np.ones(len(names)), {}
-    for place, name in enumerate(names):
+    """The covariance without model discrepancy, and the shifts by it, which all runs share."""
+    factors, shared = np.ones(len(names)), {}
+    for index, name in enumerate(names):
         sources = _budget_sources(run, name)
-        part = sum(one.share for one in sources if one.source == _DISCREPANCY)
-        whole = sum(one.share for one in sources if one.type == "A" or one.source == _AIR)
-        if part > 0 and isfinite(whole):
-            share = min(part / whole, _MAX_SHARED)
-            keep[place] = (1 - share) ** 0.5
-            shared[f"{_DISCREPANCY} of {name}"] = (share * own[place, place]) ** 0.5 * np.eye(len(names))[
-                place
-            ]
-    return own * np.outer(keep, keep), shared
+        discrepancy_share = sum(line.share for line in sources if line.source == _DISCREPANCY)
+        total_share = sum(line.share for line in sources if line.type == "A" or line.source == _AIR)
+        if discrepancy_share > 0 and isfinite(total_share):
+            share = min(discrepancy_share / total_share, _MAX_SHARED_FRACTION)
+            factors[index] = (1 - share) ** 0.5
+            unit_vector = np.eye(len(names))[index]
+            shared[f"{_DISCREPANCY} of {name}"] = (share * covariance[index, index]) ** 0.5 * unit_vector
+    return covariance * np.outer(factors, factors), shared
 
 
 def _covariates(run: RunResults, fit: Fit, duration_s: float) -> dict[str, float]:
     known = {} if run.ambient is None else asdict(run.ambient)
-    found = {name: float(known[name]) for name in SURROUNDING_COVARIATES if isfinite(known.get(name, inf))}
+    covariates = {name: float(known[name]) for name in AMBIENT_COVARIATES if isfinite(known.get(name, inf))}
     for name in ("dwell_s", "age_s"):
-        if name in found:
+        if name in covariates:
             # parameters refer to the middle of the run
-            found[name] += 0.5 * duration_s
-    first = fit.estimate(AMPLITUDE.key).value
-    if isfinite(first):
-        found["first_amplitude_rad"] = first
+            covariates[name] += 0.5 * duration_s
+    first_rad = fit.estimate(AMPLITUDE.key).value
+    if isfinite(first_rad):
+        covariates["first_amplitude_rad"] = first_rad
     if run.pendulum is not None:
-        found["load_n"] = run.pendulum.mass_kg * run.pendulum.gravity_m_per_s2
-    return found
+        covariates["load_n"] = run.pendulum.mass_kg * run.pendulum.gravity_m_per_s2
+    return covariates
 
 
 SCHEMA = 1
@@ -206,16 +209,14 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignValue:
-    """A quantity of a contact at zero effects; ends are those of the 95 % band.
-
-    `without_priors` is the result of the data alone.
-    """
+    """A quantity of a contact at zero effects."""
 
     value: Annotated[float, PART]
     standard_uncertainty: Annotated[float, PART]
     lower_95: Annotated[float, PART] = nan
     upper_95: Annotated[float, PART] = nan
     without_priors: Annotated[Estimate, PART] = NOT_DETERMINED
+    """The result of the data alone."""
 
     @property
     def estimate(self) -> Estimate:
@@ -224,13 +225,7 @@ class CampaignValue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignEffect:
-    """One effect: slope in its coordinate (of b, c and gamma the logarithm) per unit of its form.
-
-    `over_span` is the change over the campaign's span. `chance` is the probability of an effect as large if
-    there is none (`chance_is_limit`: an upper limit, by the number of draws), `seen` whether it is below the
-    5 % level, which all effects share. `margin` is the stated negligible size, `equivalent` the probability
-    that the effect over the span is smaller, with or without priors, whichever is less.
-    """
+    """One effect: slope in its coordinate (of b, c and gamma the logarithm) per unit of its form."""
 
     label: str
     parameter: str
@@ -242,11 +237,17 @@ class CampaignEffect:
     lower_95: float = nan
     upper_95: float = nan
     over_span: Estimate = NOT_DETERMINED
+    """Change over the campaign's span."""
     chance: float = nan
+    """Probability of an effect as large if there is none."""
     chance_is_limit: bool = False
+    """Whether `chance` is only an upper limit, by the number of draws."""
     seen: bool = False
+    """Whether `chance` is below the 5 % level, which all effects share."""
     margin: float | None = None
+    """The stated negligible size."""
     equivalent: float = nan
+    """Probability, the smaller of those with and without priors, of a change over the span below `margin`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,8 +255,7 @@ class CampaignDifference:
     """Difference of two contacts at zero effects: first minus second coordinate, with its 95 % band.
 
     The coordinate of b, c and gamma is the logarithm, of b and gamma at the reference amplitude. Shared
-    inputs cancel. `chance` is the probability of a difference as large if there is none, `seen` whether it is
-    below the 5 % level, which all differences share.
+    inputs cancel.
     """
 
     first: str
@@ -265,17 +265,14 @@ class CampaignDifference:
     lower_95: float
     upper_95: float
     chance: float
+    """Probability of a difference as large if there is none."""
     seen: bool
+    """Whether `chance` is below the 5 % level, which all differences share."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignRun:
-    """One run of the results with hash `results_sha256`: its parameters together with the campaign, and its
-    probability of being bad.
-
-    What all runs of its contact only bound has no value together, and their contact no budget of it.
-    `residuals` are deviations from the model in units of the uncertainty of run and scatter.
-    """
+    """One run of a campaign."""
 
     label: str
     contact: str
@@ -283,8 +280,11 @@ class CampaignRun:
     sha256: str
     results_sha256: str
     together: Annotated[Mapping[str, Estimate], PART] = field(default_factory=dict)
+    """Parameters together with the campaign; not determined if all runs of the contact only bound them."""
     residuals: Mapping[str, float] = field(default_factory=dict)
+    """Deviations from the model, in units of the uncertainty of run and scatter."""
     bad: float = 0.0
+    """Probability that the run is bad."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

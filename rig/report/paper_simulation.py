@@ -8,12 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from acquisition.simulation.settings import (
-    ContactTruth,
-    FastModeTruth,
-    ReleaseTruth,
-    SimulationSettings,
-)
+from acquisition.simulation.settings import ContactTruth, FastModeTruth, ReleaseTruth, SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
@@ -46,10 +41,7 @@ _RUNS: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class PrintedPair:
-    """Values of one contact pair in Tables 1 to 3.
-
-    Table 2 prints b without its power of ten.
-    """
+    """Values of one contact pair in Tables 1 to 3."""
 
     flat_name: str
     flat: str
@@ -57,6 +49,7 @@ class PrintedPair:
     depth_um: float
     contact_angle_arcmin: float
     b_printed: float
+    """b as Table 2 prints it, without its power of ten."""
     p: float
     c: float
     surface_energy_j_per_m2: float
@@ -116,18 +109,16 @@ PAIRS: Final = (
 
 @dataclass(frozen=True)
 class PairSeries:
-    """One contact pair, simulated and analysed; `run` is the first run, `series` is of all."""
+    """One contact pair, simulated and analysed."""
 
     pair: PrintedPair
     run: RunResults
+    """The first of the runs of `series`."""
     series: Series
 
 
 def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
-    """Simulate three runs of one pair, detect half-cycles, make both fits, and combine the runs.
-
-    The runs differ only in their noise.
-    """
+    """Simulate three runs of a pair, with different noise, make both fits of each, and combine them."""
     pendulum, settings = pair.pendulum, pair.settings
     end_s = float(true_turning_points(settings, _LAST_ARCSEC).time_s[-1])
     motion = true_path(settings, end_s + 0.6 * pair.period0_s)
@@ -138,10 +129,10 @@ def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
     )  # fmt: skip
     runs = []
     for number in range(_RUNS):
-        seen = noisy(motion, noise_rad, noise_rad, seed + number)
-        deflections = slow_deflections(seen.times_ns, seen.y_rad, noise_rad)
-        swings = half_cycles_of_blocks([deflections])
-        refined = refined_half_cycles(swings, [deflections], deflections.unit, pendulum, FitSettings())
+        measured = noisy(motion, noise_rad, noise_rad, seed + number)
+        deflections = slow_deflections(measured.times_ns, measured.y_rad, noise_rad)
+        half_cycles = half_cycles_of_blocks([deflections])
+        refined = refined_half_cycles(half_cycles, [deflections], deflections.unit, pendulum, FitSettings())
         points = turning_points(refined.swings)
         exact = refined.exact or fit_exact(points, pendulum)
         run = AnalysedRun(

@@ -4,12 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from processing.contact import (
-    MATERIALS,
-    STANDARD_GRAVITY_M_PER_S2,
-    contact_radius,
-    surface_energy,
-)
+from processing.contact import MATERIALS, STANDARD_GRAVITY_M_PER_S2, contact_radius, surface_energy
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from rig.report.paper_simulation import (
@@ -23,14 +18,7 @@ from rig.report.paper_simulation import (
     PrintedPair,
     simulate_pair,
 )
-from rig.terminal import (
-    Table,
-    plain,
-    power,
-    print_line,
-    print_tables,
-    with_uncertainty,
-)
+from rig.terminal import Table, plain, power, print_line, print_tables, with_uncertainty
 
 CONTRADICTION: Final = "known contradiction"
 _AGREES: Final = "agrees"
@@ -61,12 +49,10 @@ CONTRADICTIONS: Final = (
 
 
 def reproduce_paper() -> None:
-    """Simulate and analyse the three contact pairs, three runs each, and print Tables 1 to 3 beside the
-    paper's."""
-    seeds = {pair: _SEED + 1000 * place for place, pair in enumerate(PAIRS, start=1)}
-    found = [simulate_pair(pair, seed) for pair, seed in seeds.items()]
-    friction = [row for series in found for row in friction_rows(series)]
-    elastic = [row for series in found for row in elastic_rows(series)]
+    """Simulate and analyse three runs of each contact pair; print Tables 1 to 3 beside the paper's."""
+    results = [simulate_pair(pair, _SEED + 1000 * number) for number, pair in enumerate(PAIRS, start=1)]
+    friction = [row for series in results for row in friction_rows(series)]
+    elastic = [row for series in results for row in elastic_rows(series)]
     table2 = _comparison_table("table2", "Table 2: friction", friction)
     table3 = _comparison_table("table3", "Table 3: elastic rolling resistance", elastic)
     print_tables([table1(), table2, table3])
@@ -82,25 +68,25 @@ def table1() -> Table:
     for pair in PAIRS:
         radius_m = contact_radius(load_n, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat])
         angle_arcmin = math.degrees(radius_m / BALL_RADIUS_M) * 60
-        for place, (what, unit, printed, found, last_digit) in enumerate((
+        for index, (name, unit, printed, value, last_digit) in enumerate((
             ("contact radius", "µm", pair.contact_radius_um, radius_m * 1e6, 1.0),
             ("depth", "µm", pair.depth_um, radius_m**2 / BALL_RADIUS_M * 1e6, 0.1),
             ("contact angle", "arcmin", pair.contact_angle_arcmin, angle_arcmin, 1.0),
         )):  # fmt: skip
-            verdict = _agreement(found - printed, 0.0, last_digit) or "differs"
-            label, name = f"{what} / {unit}", "" if place else pair.flat_name
-            texts = [name, label, f"{printed:g}", plain(found, 4), _percent(found / printed - 1), verdict]
-            lines.append(texts)
+            verdict = _agreement(value - printed, 0.0, last_digit) or "differs"
+            flat, label = "" if index else pair.flat_name, f"{name} / {unit}"
+            difference = _percent(value / printed - 1)
+            lines.append([flat, label, f"{printed:g}", plain(value, 4), difference, verdict])
     head = ("", "", "printed", "calculated", "difference", "verdict")
     return Table("table1", "Table 1: contact after Hertz", head, lines)
 
 
 def friction_rows(series: PairSeries) -> list["PrintedRow"]:
     """A pair's rows of Table 2, friction: b, p, c, surface energy in both forms, ARAE."""
-    left_out = f"with the power of ten set to {B_EXPONENT}, which the paper leaves out"
+    b_note = f"with the power of ten set to {B_EXPONENT}, which the paper leaves out"
     unit, scale = f"{power(B_EXPONENT)} rad⁻ᵖ", 10.0**B_EXPONENT
     return [
-        _fitted_row(series, "b", unit, series.pair.b_printed, scale, note=left_out),
+        _fitted_row(series, "b", unit, series.pair.b_printed, scale, note=b_note),
         _fitted_row(series, "p", "1", series.pair.p, note="printed in the row labelled b"),
         _fitted_row(series, "c", power(-9), series.pair.c * 1e9, 1e-9),
         _energy(series, "table2"),
@@ -120,7 +106,7 @@ def elastic_rows(series: PairSeries) -> list["PrintedRow"]:
 
 
 class PrintedRow(NamedTuple):
-    """A printed value and its fitted values; `other` is the asymptotic one, NaN `u` means not comparable."""
+    """A printed value beside the values of both fits."""
 
     pair: PrintedPair
     label: str
@@ -128,7 +114,8 @@ class PrintedRow(NamedTuple):
     printed: float
     exact: float
     u: float
-    other: float
+    """Standard uncertainty of `exact`; NaN if it cannot be compared with the printed value."""
+    asymptotic: float
     verdict: str
     note: str = ""
 
@@ -137,22 +124,21 @@ class PrintedRow(NamedTuple):
         """Relative differences of both fits; NaN if values are not comparable."""
         if math.isnan(self.u):
             return math.nan, math.nan
-        return self.exact / self.printed - 1, self.other / self.printed - 1
+        return self.exact / self.printed - 1, self.asymptotic / self.printed - 1
 
 
 def _fitted_row(
     series: PairSeries, parameter: str, unit: str, printed: float, scale: float = 1.0,
     last_digit: float = 0.001, note: str = "",
 ) -> PrintedRow:  # fmt: skip
-    """Row of one fitted parameter: it agrees within its 95 % interval, or within the rounding of the
-    paper."""
-    exact, other = (series.series.fits[method][parameter] for method in (_EXACT, _ASYMPTOTIC))
+    """Row of one fitted parameter: it agrees within its 95 % interval, or within the paper's rounding."""
+    exact, asymptotic = (series.series.fits[method][parameter] for method in (_EXACT, _ASYMPTOTIC))
     value, u = exact.value / scale, exact.standard_uncertainty / scale
-    off = value - printed
-    verdict = _agreement(off, exact.expanded_uncertainty_95 / scale, last_digit)
-    verdict = verdict or f"differs by {abs(off) / u:.1f} u"
-    label, of_other = PARAMETERS[parameter], other.value / scale
-    return PrintedRow(series.pair, label, unit, printed, value, u, of_other, verdict, note=note)
+    difference = value - printed
+    verdict = _agreement(difference, exact.expanded_uncertainty_95 / scale, last_digit)
+    verdict = verdict or f"differs by {abs(difference) / u:.1f} u"
+    values = (printed, value, u, asymptotic.value / scale)
+    return PrintedRow(series.pair, PARAMETERS[parameter], unit, *values, verdict, note=note)
 
 
 def _agreement(difference: float, half_width: float, last_digit: float) -> str:
@@ -169,43 +155,42 @@ def _energy(series: PairSeries, form: str) -> PrintedRow:
     value, u = (
         1e3 * number for number in getattr(surface_energy(exact.estimate, series.pair.pendulum), form)
     )
-    other = value / exact.value * asymptotic.value
+    values = (printed, value, u, value / exact.value * asymptotic.value)
     if form == "eq2":
         verdict = f"{CONTRADICTION} with Table 2"
-        return PrintedRow(series.pair, "σ, Eq. 2: m g c/(2a)", "mJ/m²", printed, value, u, other, verdict)
+        return PrintedRow(series.pair, "σ, Eq. 2: m g c/(2a)", "mJ/m²", *values, verdict)
     half_width = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
     of_printed_c = surface_energy(Estimate(series.pair.c, 0.0), series.pair.pendulum).table2.value * 1e3
     verdict = _agreement(value - printed, half_width, 0.1)
     if not verdict and abs(value - of_printed_c) <= half_width:
-        off = f"{100 * abs(printed / of_printed_c - 1):.1f} %"
-        verdict = f"{_AGREES} with the printed c (σ {of_printed_c:.2f}, {off} off)"
+        difference = f"{100 * abs(printed / of_printed_c - 1):.1f} %"
+        verdict = f"{_AGREES} with the printed c (σ {of_printed_c:.2f}, {difference} off)"
     verdict = verdict or f"differs by {abs(value - printed) / u:.1f} u"
-    return PrintedRow(series.pair, "σ, m g R c/(2a²)", "mJ/m²", printed, value, u, other, verdict)
+    return PrintedRow(series.pair, "σ, m g R c/(2a²)", "mJ/m²", *values, verdict)
 
 
 def _arae(series: PairSeries, key: str, label: str) -> PrintedRow:
     """Row of a relative error, which is not comparable, because it depends on the noise."""
     printed = getattr(series.pair, key)
-    exact, other = (float(getattr(series.run.fits[method], key)) for method in (_EXACT, _ASYMPTOTIC))
-    return PrintedRow(
-        series.pair, label, "1", printed, exact, math.nan, other, "not comparable: another noise"
-    )
+    exact, asymptotic = (float(getattr(series.run.fits[method], key)) for method in (_EXACT, _ASYMPTOTIC))
+    values = (printed, exact, math.nan, asymptotic)
+    return PrintedRow(series.pair, label, "1", *values, "not comparable: another noise")
 
 
 def _comparison_table(name: str, title: str, rows: Sequence[PrintedRow]) -> Table:
     lines = []
-    before: PrintedPair | None = None
+    previous: PrintedPair | None = None
     for row in rows:
-        without_u, off = math.isnan(row.u), [_percent(one) for one in row.differences]
+        without_u, differences = math.isnan(row.u), [_percent(share) for share in row.differences]
         texts = [
-            row.pair.flat_name if row.pair is not before else "",
+            row.pair.flat_name if row.pair is not previous else "",
             f"{row.label} / {row.unit.removeprefix(' × ')}" if row.unit != "1" else row.label,
             f"{row.printed:.6g}",
             plain(row.exact, 2) if without_u else with_uncertainty(row.exact, row.u),
-            off[0], plain(row.other, 2 if without_u else 5), off[1], row.verdict,
+            differences[0], plain(row.asymptotic, 2 if without_u else 5), differences[1], row.verdict,
         ]  # fmt: skip
         lines.append(texts)
-        before = row.pair
+        previous = row.pair
     notes = dict.fromkeys(f"{row.label}: {row.note}. " for row in rows if row.note)
     return Table(name, title, ("", "", "printed", *_FITS_HEAD), lines, "".join(notes).rstrip())
 

@@ -1,4 +1,4 @@
-"""The assumptions of a plan: contact, scatter of turning points, motion of the ground."""
+"""The assumptions of a plan: contact, uncertainties of turning points, motion of the ground."""
 
 import math
 from collections.abc import Sequence
@@ -28,16 +28,17 @@ _FULL_SCALE_DN = 255.0
 
 
 class PlannedContact(NamedTuple):
-    """Contact values by key, pendulum, conditions that make turning points scatter, and the time limit.
-
-    `unknown` are the keys of values that the source of the plan does not determine.
-    """
+    """The assumptions of a plan."""
 
     values: dict[str, float]
+    """Values of the contact by key."""
     pendulum: PendulumOnBall
     conditions: Conditions
+    """Conditions that make turning points scatter."""
     longest_s: float = math.inf
+    """Time limit of a run."""
     unknown: tuple[str, ...] = ()
+    """Keys of the values that the source of the plan does not determine."""
 
 
 def planned_contact(config: Configuration, frame_noise_rad: float | None = None) -> PlannedContact:
@@ -84,7 +85,7 @@ def planned_contact_of_file(
         return planned
     known = _planned_contact(fitted[0][0], planned.pendulum, planned.conditions)
     # the drag is planned as it will be fitted, whether or not the earlier fit had one
-    values = {name: known.values.get(name, own) for name, own in planned.values.items()}
+    values = {name: known.values.get(name, value) for name, value in planned.values.items()}
     return planned._replace(values=values, unknown=known.unknown)
 
 
@@ -97,12 +98,9 @@ def planned_contact_of_run(run: AnalysedRun) -> PlannedContact:
 
 
 def planned_contact_of_table(results: Path) -> PlannedContact:
-    """Contact, noise and ground of the longest decay of a table or film, from its results.
-
-    Raises DataError if no decay has a fit of the contact.
-    """
+    """The assumptions from the longest decay of a table or film; raises DataError without a fit."""
     fitted = _fitted_runs(results, "rig fit TABLE --unit arcsec --config CONFIG makes one")
-    exact, pendulum, points = max(fitted, key=lambda found: len(found[2]))
+    exact, pendulum, points = max(fitted, key=lambda decay: len(decay[2]))
     ground = exact.ground
     scale = 1.0 if ground is None else ground.measurement_scale
     conditions = Conditions(
@@ -114,10 +112,7 @@ def planned_contact_of_table(results: Path) -> PlannedContact:
 
 
 def _fitted_runs(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, TurningPoints]]:
-    """Exact fit, pendulum and turning points of the fitted runs or decays of a results file.
-
-    Raises DataError if there are none.
-    """
+    """Exact fit, pendulum and turning points of the fitted runs of a file; raises DataError for none."""
     fitted = [
         (run.fits[FitMethod.EXACT], run.pendulum, run.points)
         for run in read_results(results).runs
@@ -129,9 +124,9 @@ def _fitted_runs(results: Path, remedy: str) -> list[tuple[Fit, PendulumOnBall, 
 
 
 def _planned_contact(fit: Fit, pendulum: PendulumOnBall, conditions: Conditions) -> PlannedContact:
-    """The values of a fit, with the drag if it was fitted, and those that its half-cycles leave open.
+    """The values of a fit, with the drag if it was fitted, and which of them are not well determined.
 
-    The drag is planned without its value.
+    The drag never counts as unknown, because a plan does not depend on its value.
     """
     known = {name: fit.parameters[name] for name in DEFAULT_LAW.names(drag=True) if name in fit.parameters}
     unknown = tuple(
@@ -139,7 +134,7 @@ def _planned_contact(fit: Fit, pendulum: PendulumOnBall, conditions: Conditions)
         for name, (value, u) in known.items()
         if name != DRAG.key and not u <= WELL_DETERMINED * abs(value)
     )
-    values = {name: one.value for name, one in known.items()}
+    values = {name: value for name, (value, _) in known.items()}
     return PlannedContact(values, pendulum, conditions, unknown=unknown)
 
 
@@ -174,7 +169,7 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
     y, x = np.mgrid[:side, :side] - 0.5 * (side - 1)
     light_dn = peak_dn * np.exp(-0.5 * (x**2 + y**2) / sigma_px**2)
     mean_dn = sensor.pedestal_dn + light_dn
-    # rounding to whole DN adds to this
+    # the rounding of the images to whole DN adds to this noise
     sigma_dn = np.sqrt(
         (sensor.read_noise_e / sensor.gain_e_per_dn) ** 2
         + light_dn / sensor.gain_e_per_dn
@@ -182,20 +177,19 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
     )
     rng = np.random.default_rng(1)
     tracker = SpotTracker(sensor)
-    kind = np.uint8 if sensor.full_scale_dn <= 255 else np.uint16
-    found = []
+    pixel_type = np.uint8 if sensor.full_scale_dn <= 255 else np.uint16
+    u_px = []
     for _ in range(_TRIAL_FRAMES):
-        seen = np.clip(
-            np.rint(mean_dn + sigma_dn * rng.standard_normal(mean_dn.shape)), 0, sensor.full_scale_dn
-        )
-        found.append(tracker.track(seen.astype(kind)).u_y_px)
-    return float(np.nanmedian(found))
+        noisy_dn = mean_dn + sigma_dn * rng.standard_normal(mean_dn.shape)
+        image = np.clip(np.rint(noisy_dn), 0, sensor.full_scale_dn).astype(pixel_type)
+        u_px.append(tracker.track(image).u_y_px)
+    return float(np.nanmedian(u_px))
 
 
 def _half_cycle_uncertainties(
     config: Configuration, noise_rad: float
 ) -> tuple[float, float, NDArray[np.float64] | None]:
-    """Uncertainties of amplitude (rad) and time (s) that the detector of half-cycles finds at a frame noise.
+    """Uncertainties of amplitude (rad) and time (s) of the half-cycles detected with this noise of a frame.
 
     Also returns the covariance of the harmonics in quadrature. With the simulated rig its air and wander of
     the beam distort the swing.
@@ -206,34 +200,37 @@ def _half_cycle_uncertainties(
     rng = np.random.default_rng(2)
     swing_rad += noise_rad * rng.standard_normal(len(time_s))
     if config.simulated:
-        at_hz = np.asarray(np.fft.rfftfreq(len(time_s), 1 / rate_hz)[1:], dtype=np.float64)
-        size = np.sqrt(0.25 * len(time_s) * rate_hz * _slow_density(config, at_hz))
-        waves = size * (rng.standard_normal((2, len(at_hz))).T @ [1, 1j])
+        frequency_hz = np.asarray(np.fft.rfftfreq(len(time_s), 1 / rate_hz)[1:], dtype=np.float64)
+        size = np.sqrt(0.25 * len(time_s) * rate_hz * _slow_density(config, frequency_hz))
+        waves = size * (rng.standard_normal((2, len(frequency_hz))).T @ [1, 1j])
         swing_rad += np.fft.irfft(np.append(0.0, waves), len(time_s))
-    seen = slow_deflections(nanoseconds(time_s), swing_rad, noise_rad)
-    swings = half_cycles_of_blocks([seen])
-    points, waveform = turning_points(swings), HarmonicsMeasurement(swings)
-    waveform.update(seen)
+    deflections = slow_deflections(nanoseconds(time_s), swing_rad, noise_rad)
+    half_cycles = half_cycles_of_blocks([deflections])
+    points, harmonics = turning_points(half_cycles), HarmonicsMeasurement(half_cycles)
+    harmonics.update(deflections)
     if len(points) < _HALF_CYCLES // 2:
         raise ConfigurationError(
             f"{rate_hz:g} frames/s show a swing of {period_s:g} s too seldom: raise camera.frame_rate_hz"
         )
-    later = slice(len(points) // 2, None)
-    u_amplitude, u_time = points.u_amplitude[later], points.u_time_s[later]
-    found = waveform_of(waveform.harmonics())
-    covariance = None if found is None else found.median_covariance
+    second_half = slice(len(points) // 2, None)
+    u_amplitude, u_time = points.u_amplitude[second_half], points.u_time_s[second_half]
+    waveform = waveform_of(harmonics.harmonics())
+    covariance = None if waveform is None else waveform.median_covariance
     return float(np.median(u_amplitude)), float(np.median(u_time)), covariance
 
 
-def _slow_density(config: Configuration, at_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _slow_density(config: Configuration, frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
     """One-sided density in rad^2/Hz of the slow deflection of the beam by air and a wandering laser."""
     disturbances = config.simulation.disturbances
-    inside = (at_hz >= disturbances.air_from_hz) & (at_hz <= disturbances.air_to_hz)
+    is_inside = (frequency_hz >= disturbances.air_from_hz) & (frequency_hz <= disturbances.air_to_hz)
     air_rad2 = (disturbances.air_arcsec * ARCSEC_RAD) ** 2 / math.log(
         disturbances.air_to_hz / disturbances.air_from_hz
     )
     walk_rad = disturbances.pointing_walk_px_per_sqrt_s * _rad_per_px(config)
-    air, walk = np.where(inside, air_rad2 / at_hz, 0.0), 2 * walk_rad**2 / (2 * math.pi * at_hz) ** 2
+    air, walk = (
+        np.where(is_inside, air_rad2 / frequency_hz, 0.0),
+        2 * walk_rad**2 / (2 * math.pi * frequency_hz) ** 2,
+    )
     shared, noise = _reference_share_and_noise(config)
     common = shared * air + (walk if shared else 0.0)
     # a Wiener filter leaves roughly the smaller of motion and noise
@@ -246,8 +243,8 @@ def _reference_share_and_noise(config: Configuration) -> tuple[float, float]:
 
     The fraction is 0 without a reference, and if the simulated rig has none.
     """
-    truth, stated = config.simulation.reference, config.reference
-    if stated is None or not truth.relative > 0:
+    truth, reference = config.simulation.reference, config.reference
+    if reference is None or not truth.relative > 0:
         return 0.0, math.inf
     optics, sensor = config.simulation.optics, sensor_model(config, _FULL_SCALE_DN)
     peak_dn = truth.relative * optics.peak_dn / 255 * sensor.full_scale_dn
@@ -256,11 +253,10 @@ def _reference_share_and_noise(config: Configuration) -> tuple[float, float]:
 
 
 def _seismometer_noise(config: Configuration) -> float | None:
-    """Noise of the auxiliary seismometer relative to the ground at the pendulum's frequency; None without
-    one.
+    """Noise of the auxiliary seismometer over the ground at the pendulum's frequency; None without one.
 
-    For a seismometer without stated noise it is the difference of two real instruments at one place;
-    `--seismometer` states another.
+    If no noise is stated, it is the difference of two real instruments at one place (`--seismometer` states
+    another).
     """
     kind = config.seismometer.kind
     if kind == "none":
@@ -272,25 +268,25 @@ def _seismometer_noise(config: Configuration) -> float | None:
 
 def _ground_level(config: Configuration) -> float:
     """Acceleration of the ground at the pendulum's frequency in m/s^2/sqrt(Hz); 0 if unknown."""
-    truth, at = config.simulation.ground, np.array([1 / config.simulation.contact.period0_s])
-    low, high = float(nlnm_db(at)[0]), float(nhnm_db(at)[0])
+    truth, frequency_hz = config.simulation.ground, np.array([1 / config.simulation.contact.period0_s])
+    low_db, high_db = float(nlnm_db(frequency_hz)[0]), float(nhnm_db(frequency_hz)[0])
     if truth.model == "white":
         return truth.white_m_per_s2_per_sqrt_hz
     if truth.model == "peterson":
         above_db = (
-            truth.between_noise_models * (high - low)
+            truth.between_noise_models * (high_db - low_db)
             if truth.above_low_noise_db is None
             else truth.above_low_noise_db
         )
-        return float(density_of_db(np.array([low + above_db]))[0])
+        return float(density_of_db(np.array([low_db + above_db]))[0])
     return 0.0
 
 
 def _drive(config: Configuration, pendulum: PendulumOnBall) -> float:
     """Angular acceleration of the pendulum by the ground at its own frequency, in rad/s^2/sqrt(Hz)."""
-    truth, at_hz = config.simulation.ground, 1 / config.simulation.contact.period0_s
+    truth, frequency_hz = config.simulation.ground, 1 / config.simulation.contact.period0_s
     if truth.model == "file":
         raise ConfigurationError("simulation.ground.model = 'file': state its drive with --ground")
     level = _ground_level(config)
     tilt = level * truth.mass_centre_height_m / (pendulum.gravity_m_per_s2 * pendulum.ball_radius_m)
-    return (2 * math.pi * at_hz) ** 2 * math.hypot(tilt, truth.tilt_rad_per_sqrt_hz)
+    return (2 * math.pi * frequency_hz) ** 2 * math.hypot(tilt, truth.tilt_rad_per_sqrt_hz)

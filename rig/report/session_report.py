@@ -34,7 +34,7 @@ from rig.report.figures_contact import instrument_figures
 from rig.report.figures_motion import damped_figure, position_error_figure
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.tables import headline, run_tables, series_tables
-from rig.terminal import latex_rows, plain, quantity, written
+from rig.terminal import latex_rows, plain, quantity, translated_file_errors
 
 _DEFAULT_PERIOD_S = 4.0
 
@@ -52,15 +52,15 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     # results-2.json is reported in report-2.html
     name = results_path(folder).stem.replace("results", "report", 1)
     target = output or source.folder / f"{name}.html"
-    files = target.parent / target.stem
-    with written(target):
-        series = [] if source.series is None else _series(source, source.series, files)
-        single = len(source.runs) == 1
-        runs = [_run(run, files / f"run-{k}", single=single) for k, run in enumerate(source.runs, start=1)]
+    figures = target.parent / target.stem
+    with translated_file_errors(target):
+        series = [] if source.series is None else _series(source, source.series, figures)
+        is_single = len(source.runs) == 1
+        runs = [_run(run, figures / f"run-{k}", is_single=is_single) for k, run in enumerate(source.runs, 1)]
         # the first decay is shown at the top beside the verdict, every other with its run
         body = [*_summary_of(source, runs[0].pop("fig12-decay", "")), *series]
-        for each in runs:
-            body += each.values()
+        for parts in runs:
+            body += parts.values()
         body += _provenance(source)
         title, subtitle = _title_of(source)
         atomic_write.replace(
@@ -76,32 +76,32 @@ def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
     """
     runs = read_source(source).runs
     if not 1 <= number <= len(runs):
-        named = source if isinstance(source, Path) else "results"
-        raise RecordError(f"{named}: run {number} is not there; it has runs 1 to {len(runs)}")
+        name = source if isinstance(source, Path) else "results"
+        raise RecordError(f"{name}: run {number} is not there; it has runs 1 to {len(runs)}")
     run = runs[number - 1]
     return _drawings(run, curves_of(run.results))
 
 
-def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
+def _series(source: ReportSource, series: Series, folder: Path) -> list[str]:
     tables = [table for table in series_tables(series) if table.shown]
-    disagreements = [
+    sentences = [
         f"{source.runs[item.run - 1].title} disagrees with the others in {quantity(item.name).symbol}: "
         f"{item.deviation:+.1f} standard uncertainties."
         for item in series.disagreements
     ]
-    if FitMethod.EXACT in series.fits and not disagreements:
-        disagreements = ["No run disagrees with the others."]
-    disagreements += series.problems
+    if FitMethod.EXACT in series.fits and not sentences:
+        sentences = ["No run disagrees with the others."]
+    sentences += series.problems
     if series.instrument is not None:
-        disagreements += series.instrument.lines
-    if not (tables or disagreements):
+        sentences += series.instrument.lines
+    if not (tables or sentences):
         return []
     body = [html.heading("Series")]
     if tables:
         body.append(html.table(tables[0]))
-    body.append(html.notes(disagreements))
+    body.append(html.remark_list(sentences))
     drawings = html.save_figures(
-        files, lambda: [figures_contact.series_figure(series)] if series.fits else []
+        folder, lambda: [figures_contact.series_figure(series)] if series.fits else []
     )
     return [*body, *drawings.values(), *(html.table(table) for table in tables[1:])]
 
@@ -117,30 +117,30 @@ _ORDER = (
 """Order of the tables and figures of a run; small tables in a tuple stand side by side."""
 
 
-def _run(run: RunData, files: Path, *, single: bool) -> dict[str, str]:
+def _run(run: RunData, folder: Path, *, is_single: bool) -> dict[str, str]:
     """The parts of a run in their order, figures and tables by their names."""
     curves = curves_of(run.results)
     tables = {table.name: html.table(table) for table in run_tables(run.results)}
-    figures = html.save_figures(files, lambda: _drawings(run, curves))
+    figures = html.save_figures(folder, lambda: _drawings(run, curves))
     body = {"heading": html.heading(run.title)}
-    if not single:
-        body["said"] = html.paragraph(_run_sentence(run)) + html.notes(_notes_of(run))
+    if not is_single:
+        body["remarks"] = html.paragraph(_run_sentence(run)) + html.remark_list(_notes_of(run))
     if run.results.instrument is not None:
-        body["instrument-said"] = html.notes(run.results.instrument.text)
-    for part in _ORDER:
-        if isinstance(part, tuple):
+        body["instrument-remarks"] = html.remark_list(run.results.instrument.text)
+    for name in _ORDER:
+        if isinstance(name, tuple):
             # small tables next to each other where the page is wide enough
-            popped = (_pop(name, tables, figures) for name in part)
-            inside = "".join(f"<div>{content}</div>" for content in popped if content)
-            body["+".join(part)] = f'<div class="side">{inside}</div>' if inside else ""
+            contents = (_pop(one_name, tables, figures) for one_name in name)
+            cells = "".join(f"<div>{content}</div>" for content in contents if content)
+            body["+".join(name)] = f'<div class="side">{cells}</div>' if cells else ""
         else:
-            body[part] = _pop(part, tables, figures)
+            body[name] = _pop(name, tables, figures)
     return {name: text for name, text in {**body, **tables, **figures}.items() if text}
 
 
 def _pop(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
     """Remove and return the HTML of the table and the figure of this name, as far as they exist."""
-    return "\n".join(found.pop(name) for found in (tables, figures) if name in found)
+    return "\n".join(parts.pop(name) for parts in (tables, figures) if name in parts)
 
 
 def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
@@ -161,8 +161,8 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     if run.results.instrument is not None or run.is_table:
         # numbers of the paper's figures mean nothing for other pendulums
         drawings = [
-            replace(each, title=re.sub(r"^Fig\. \d+: (.)", lambda found: found[1].upper(), each.title))
-            for each in drawings
+            replace(figure, title=re.sub(r"^Fig\. \d+: (.)", lambda match: match[1].upper(), figure.title))
+            for figure in drawings
         ]
     if run.results.instrument is not None:
         drawings += instrument_figures(run.results, points)
@@ -184,28 +184,25 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
 
 def _provenance(source: ReportSource) -> list[str]:
     name, sha256 = source.results
-    body = [html.heading("Provenance"), html.facts([(f"sha256 of {name}", sha256)])]
+    body = [html.heading("Provenance"), html.two_columns([(f"sha256 of {name}", sha256)])]
     for run in source.runs:
         rows = list(run.provenance["file"].items())
         for section in ("calibration", "record", "session", "environment", "camera", "frame", "versions"):
             rows += [
                 (f"{section}: {key}", text) for key, text in run.provenance.get(section, {}).items() if text
             ]
-        what = "The record and its circumstances"
-        title = what if len(source.runs) == 1 else f"{what}, {run.title}"
-        body.append(html.folded_section(title, [html.facts(rows)]))
+        suffix = "" if len(source.runs) == 1 else f", {run.title}"
+        title = f"The record and its circumstances{suffix}"
+        body.append(html.folded_section(title, [html.two_columns(rows)]))
     configuration = source.runs[0].provenance.get("configuration")
     if configuration:
-        columns = f'<div class="columns">{html.facts(list(configuration.items()))}</div>'
+        columns = f'<div class="columns">{html.two_columns(list(configuration.items()))}</div>'
         body.append(html.folded_section("Configuration and calibration", [columns]))
     return body
 
 
 def make_table_report(table: AnalysedTable, folder: Path) -> Sequence[tuple[str, Path]]:
-    """Write positions.csv and the report of the results in a folder; returns the files with their names.
-
-    Raises RecordError if a file cannot be written.
-    """
+    """Write positions.csv and the report of the results in a folder; returns the files with their names."""
     return [("positions", write_positions(table.positions, folder)), ("report", make_report(folder))]
 
 
@@ -222,63 +219,63 @@ def _title_of(source: ReportSource) -> tuple[str, str]:
         run = first.results.decay.run
         name = Path(first.results.record).name + (f", run {run}" if run else "")
     title = session.get("sample") or name
-    counted = "decay" if first.is_table else "run"
-    words = [f"{len(source.runs)} {counted}{'s' if len(source.runs) > 1 else ''}"]
+    noun = "decay" if first.is_table else "run"
+    texts = [f"{len(source.runs)} {noun}{'s' if len(source.runs) > 1 else ''}"]
     if session.get("operator"):
-        words.append(f"operator {session['operator']}")
-    words += [word for word in (session.get("contact_history"), session.get("notes")) if word]
+        texts.append(f"operator {session['operator']}")
+    texts += filter(None, (session.get("contact_history"), session.get("notes")))
     if any(run.results.simulated for run in source.runs):
         title = f"SIMULATED: {title}"
     results = first.results
-    what = "Free decay of a pendulum on one ball" if results.fits else "Free decay of a pendulum"
+    subject = "Free decay of a pendulum on one ball" if results.fits else "Free decay of a pendulum"
     if results.instrument is not None:
-        what = INSTRUMENTS[results.instrument.kind].title
-    return title, f"{what}: " + ", ".join(words)
+        subject = INSTRUMENTS[results.instrument.kind].title
+    return title, f"{subject}: " + ", ".join(texts)
 
 
 def _summary_of(source: ReportSource, decay: str) -> list[str]:
     """The verdict with the parameters beside the first decay; below it the circumstances."""
     run, series = source.runs[0].results, source.series
-    found, quoted = _quoted_results(source)
+    quoted, quoted_runs = _quoted_results(source)
     body = []
     if any(data.results.simulated for data in source.runs):
         body.append(
             html.warning("SIMULATED: every number comes from the simulated rig; nothing was measured.")
         )
-    first = [html.verdict(_verdict(source))]
-    if found.contact:
-        first.append(html.key_values(_key_results(found, found.budget)))
-        what = "combined over the runs" if found is series else f"of {quoted[0].title}"
+    first = [html.verdict_list(_verdict(source))]
+    if quoted.contact:
+        first.append(html.headline_values(_headlines(quoted, quoted.budget)))
+        origin = "combined over the runs" if quoted is series else f"of {quoted_runs[0].title}"
         first.append(
             html.paragraph(
-                f"Exact fit {what}, value ± standard uncertainty: of swings and apparatus together where the "
-                "main sources are named, otherwise of the swings alone.",
+                f"Exact fit {origin}, value ± standard uncertainty: of swings and apparatus together where "
+                "the main sources are named, otherwise of the swings alone.",
                 "note",
             )
         )
     if run.instrument is not None:
         values = headline(run, None if series is None else series.instrument)
-        first.append(html.key_values(values))
+        first.append(html.headline_values(values))
         first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
     # seen without scrolling: two columns, verdict and decay
     body.append(f'<div class="first"><div>{"".join(first)}</div><div>{decay}</div></div>')
     body.append(html.heading("Summary"))
-    body.append(html.facts(_circumstances(source)))
+    body.append(html.two_columns(_circumstances(source)))
     for data in source.runs:
         body.append(html.paragraph(_run_sentence(data)))
         if data.results.problem:
             body.append(html.warning(f"No fit: {data.results.problem}"))
-            body.append(html.notes(decay_lines(data.results)))
+            body.append(html.remark_list(decay_lines(data.results)))
     if len(source.runs) == 1:
-        body.append(html.notes(_notes_of(source.runs[0])))
-    return body + (_text_to_copy(source, found, quoted) if found.contact else [])
+        body.append(html.remark_list(_notes_of(source.runs[0])))
+    return body + (_text_to_copy(source, quoted, quoted_runs) if quoted.contact else [])
 
 
 def _quoted_results(source: ReportSource) -> tuple[Series | RunResults, Sequence[RunData]]:
     """The results that the page quotes, and their runs: the series, else the first run with a fit."""
     if source.series is not None and source.series.table:
         return source.series, source.series.combined(source.runs)
-    run = next((one for one in source.runs if one.results.contact), source.runs[0])
+    run = next((run for run in source.runs if run.results.contact), source.runs[0])
     return run.results, [run]
 
 
@@ -289,14 +286,12 @@ def _verdict(source: ReportSource) -> list[tuple[str, str]]:
     if result.limits:
         limits = ", ".join(map(str, result.limits[:2]))
         lines.append((f"Its uncertainty: {limits}. Next: {'; '.join(result.next_steps)}.", ""))
-    judged = [item for run in source.runs for item in run.results.conditions]
-    broken = [item for item in judged if not item.ok]
-    doubtful = [item for item in judged if item.ok and item.remedy]
-    if broken:
-        names = ", ".join(dict.fromkeys(item.name for item in broken))
-        lines.append((f"Conditions NOT met: {names}", "bad"))
-    elif judged:
-        names = ", ".join(dict.fromkeys(item.name for item in doubtful))
+    conditions = [condition for run in source.runs for condition in run.results.conditions]
+    failures = dict.fromkeys(condition.name for condition in conditions if not condition.ok)
+    if failures:
+        lines.append((f"Conditions NOT met: {', '.join(failures)}", "bad"))
+    elif conditions:
+        names = ", ".join(dict.fromkeys(condition.name for condition in conditions if condition.remedy))
         lines.append(
             (f"Conditions met, with a warning of {names}" if names else "All conditions met", "good")
         )
@@ -308,8 +303,8 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
     first = source.runs[0]
     rows = []
     if first.results.instrument is not None:
-        kind = INSTRUMENTS[first.results.instrument.kind]
-        rows.append(("instrument", f"{kind.sentence.rstrip('.')} ({kind.kind})"))
+        description = INSTRUMENTS[first.results.instrument.kind]
+        rows.append(("instrument", f"{description.sentence.rstrip('.')} ({description.kind})"))
     rows.append(("operator", first.provenance.get("session", {}).get("operator", "") or _NOT_STATED))
     ambient = [_ambient_conditions(run) for run in source.runs]
     is_common = len(set(ambient)) == 1
@@ -323,8 +318,8 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
         rows.append(("positions from", first.results.record))
     else:
         driver = first.provenance.get("camera", {}).get("driver", "")
-        stored = "a film or a folder of images" if driver == "files" else "a camera"
-        rows.append(("frames from", "the simulated rig" if first.results.simulated else stored))
+        origin = "a film or a folder of images" if driver == "files" else "a camera"
+        rows.append(("frames from", "the simulated rig" if first.results.simulated else origin))
     rows += [("laws of the contact", _PAPER)] if first.results.fits else []
     return [(name, text) for name, text in rows if text]
 
@@ -337,35 +332,35 @@ def _duration_text(run: RunData) -> str:
 
 def _ambient_conditions(run: RunData) -> str:
     """The ambient conditions of a run, in words."""
-    found = run.results.ambient
+    ambient = run.results.ambient
     texts = []
-    for name, value in ({} if found is None else found.known()).items():
-        shown = quantity(name)
-        texts.append(f"{shown.name} {plain(value * shown.factor, 4)} {shown.unit}")
+    for name, value in ({} if ambient is None else ambient.known()).items():
+        display = quantity(name)
+        texts.append(f"{display.name} {plain(value * display.factor, 4)} {display.unit}")
     return ", ".join(texts)
 
 
-def _key_results(found: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[str, str]]:
-    """Labels and values; the label names the dominant source if the apparatus contributes to u."""
-    names = [SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True)]
-    shown = []
-    for row in (found.rows[name] for name in names if name in found.rows):
-        sources = main_sources(row, budget)
-        shown.append((named(row.quantity) + (f" (u: {sources})" if sources else ""), row.text))
-    return shown
+def _headlines(results: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[str, str]]:
+    """Labels and values; a label names the dominant source if the apparatus contributes to u."""
+    headlines = []
+    for name in (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True)):
+        if row := results.rows.get(name):
+            sources = main_sources(row, budget)
+            headlines.append((named(row.quantity) + (f" (u: {sources})" if sources else ""), row.text))
+    return headlines
 
 
-def _text_to_copy(source: ReportSource, found: RowsByName, quoted: Sequence[RunData]) -> list[str]:
-    """A sentence with the values of the `quoted` runs and the reference to cite, and a row for LaTeX."""
-    rows = [found.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in found.rows]
+def _text_to_copy(source: ReportSource, results: RowsByName, runs: Sequence[RunData]) -> list[str]:
+    """A sentence with the results of `runs` and the reference to cite, and a row for LaTeX."""
+    rows = [results.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in results.rows]
     first = source.runs[0]
-    several = f"{len(quoted)} runs" if len(quoted) > 1 else "one run"
-    half_cycles = sum(data.results.half_cycles for data in quoted)
+    count = f"{len(runs)} runs" if len(runs) > 1 else "one run"
+    half_cycles = sum(run.results.half_cycles for run in runs)
     version = first.provenance.get("versions", {}).get("optical-pendulum-rig", "")
-    simulated = "SIMULATED: " if any(data.results.simulated for data in quoted) else ""
+    simulated = "SIMULATED: " if any(run.results.simulated for run in runs) else ""
     values = ", ".join(row.equation for row in rows)
     text = (
-        f"{simulated}From {several} with {half_cycles} half-cycles: {values} (standard uncertainties of "
+        f"{simulated}From {count} with {half_cycles} half-cycles: {values} (standard uncertainties of "
         "swings and apparatus together, as far as they are stated, or 95 % limits; exact fit by "
         f"optical-pendulum-rig{f' {version}' if version else ''} of the laws of {_PAPER})."
     )
@@ -379,16 +374,13 @@ def _text_to_copy(source: ReportSource, found: RowsByName, quoted: Sequence[RunD
 
 def _run_sentence(run: RunData) -> str:
     """A sentence on the extent of a run: half-cycles, duration, frames, flags."""
-    results = run.results
+    results, unit = run.results, run.motion.unit.shown
     left_out = len(results.stored.left_out_flags)
-    taken = (
-        f"{results.frames} rows"
-        if run.is_table
-        else f"{results.frames} frames, {results.dropped_frames} dropped"
-    )
+    dropped = " rows" if run.is_table else f" frames, {results.dropped_frames} dropped"
     return (
-        f"{run.title}: {results.half_cycles_text(' from ')} in {_duration_text(run)}; {taken}; "
-        f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
+        f"{run.title}: {results.half_cycles_text(' from ')} in {_duration_text(run)}; "
+        f"{results.frames}{dropped}; {left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left "
+        "out."
     )
 
 

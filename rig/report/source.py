@@ -32,26 +32,28 @@ from rig.instrument import CONFIGURATION_NAME, recorded_configuration
 from rig.intake import along_and_across, read_positions
 
 
-class ShownUnit(NamedTuple):
-    """The unit in which deflections are shown, and its size in the unit in which they are stored."""
+class DisplayUnit(NamedTuple):
+    """The unit in which a report shows deflections."""
 
     shown: str
+    """Name of the unit."""
     shown_size: float
+    """Size of the unit in the unit in which deflections are stored."""
 
 
 @dataclass(frozen=True)
-class ShownTrajectory:
-    """Deflections x, y of every frame in `unit.shown`, against time; NaN where the spot was lost."""
+class ReportTrajectory:
+    """Deflections x, y of every frame in `unit`, against time; NaN if the spot was lost."""
 
     time_s: Floats
     x: Floats
     y: Floats
-    unit: ShownUnit
+    unit: DisplayUnit
 
 
 @dataclass(frozen=True)
 class RecordedPicture:
-    """One whole frame and the spot that was found in it."""
+    """One whole frame, and centre and width of the spot in it."""
 
     frame: Frame
     x_px: float
@@ -61,17 +63,15 @@ class RecordedPicture:
 
 @dataclass(frozen=True)
 class RunData:
-    """One run: its results with the fitted turning points, and its motion.
-
-    `motion` counts time from the first turning point, as the turning points do. `provenance` is text by
-    section and key.
-    """
+    """The data of one run."""
 
     title: str
     results: RunResults
-    motion: ShownTrajectory
+    motion: ReportTrajectory
+    """The motion; its times, like those of the turning points, count from the first of them."""
     picture: RecordedPicture | None
     provenance: Mapping[str, Mapping[str, str]]
+    """Texts by section and key."""
     notes: Sequence[str] = ()
 
     @property
@@ -82,28 +82,26 @@ class RunData:
 
 @dataclass(frozen=True)
 class ReportSource:
-    """A session: its runs, and their series if they make one.
-
-    `results` are the name and the SHA-256 of the file that was read.
-    """
+    """The data of a session: its runs, and their series if they make one."""
 
     folder: Path
     results: tuple[str, str]
+    """Name and SHA-256 of the results file."""
     series: Series | None
     runs: Sequence[RunData]
 
 
-_MAX_LISTED = 20
-_MARGIN_LENGTHS = 0.05
-"""Time before and after a decay that is drawn with it, as a fraction of its length."""
+_MAX_LISTED_VALUES = 20
+"""Longest list in the provenance; of a longer one the length is stated."""
+_MARGIN = 0.05
+"""Time before and after a decay that is drawn with it, as a fraction of its duration."""
 
 
 def read_source(source: Path | SessionResults) -> ReportSource:
-    """Read the results of a folder, a results file or in memory, and the records they were made from.
+    """Read results (of a folder, a file or in memory) and their records.
 
-    Results in memory name their records relative to the working directory.
-
-    Raises RecordError for a folder without results, or if a record is missing.
+    Results in memory name their records relative to the working directory. Raises RecordError for a folder
+    without results, or if a record is missing.
     """
     if isinstance(source, SessionResults):
         results, folder, name = source, Path.cwd(), ("results", "")
@@ -111,7 +109,7 @@ def read_source(source: Path | SessionResults) -> ReportSource:
         results, path = read_results(source), results_path(source)
         folder, name = path.parent, (path.name, cached_sha256(path))
     runs = [
-        _read_run(folder, run, number) if run.decay is None else decay_of_table(folder, results, run, number)
+        _read_run(folder, run, number) if run.decay is None else _decay_of_table(folder, results, run, number)
         for number, run in zip(results.numbers, results.runs, strict=True)
     ]
     return ReportSource(folder, name, results.series, runs)
@@ -138,12 +136,12 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         notes.append("the record is not the one that the results were made from: its hash differs")
     if configuration is not None:
         simulated = RecordedCamera.from_metadata(provenance).simulated
-        provenance["configuration"] = shown_configuration(json.loads(configuration), simulated=simulated)
+        provenance["configuration"] = configuration_texts(json.loads(configuration), simulated=simulated)
     first_ns = results.stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
-    unit = ShownUnit(deflections.unit.shown, deflections.unit.shown_size)
+    unit = DisplayUnit(deflections.unit.shown, deflections.unit.shown_size)
     if results.instrument is not None and deflections.unit is DeflectionUnit.RAD:
-        unit = ShownUnit("deg", DEGREE_RAD)
-    motion = ShownTrajectory(
+        unit = DisplayUnit("deg", DEGREE_RAD)
+    motion = ReportTrajectory(
         (spots["time_ns"] - first_ns) * 1e-9 * rate,
         deflections.x / unit.shown_size,
         deflections.y / unit.shown_size,
@@ -156,7 +154,10 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
 
 def _hashes(run: RunResults) -> dict[str, str]:
     """SHA-256 of the record or table of a run, and of its other inputs, by name."""
-    return {"sha256": run.sha256, **{f"sha256 of {name}": one for name, one in run.inputs_sha256.items()}}
+    return {
+        "sha256": run.sha256,
+        **{f"sha256 of {name}": sha256 for name, sha256 in run.inputs_sha256.items()},
+    }
 
 
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:
@@ -182,52 +183,49 @@ def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> Rec
     return None
 
 
-def shown_configuration(tree: JsonObject, *, simulated: bool) -> dict[str, str]:
+def configuration_texts(tree: JsonObject, *, simulated: bool) -> dict[str, str]:
     """A record's configuration as dotted keys; for a real run without keys of the simulated rig."""
-    left_out = () if simulated else ("simulation", "faults")
-    return _flat({key: value for key, value in tree.items() if key not in left_out})
+    omitted = () if simulated else ("simulation", "faults")
+    return _flat({key: value for key, value in tree.items() if key not in omitted})
 
 
 def _flat(tree: JsonObject, prefix: str = "") -> dict[str, str]:
     """Nested tables as dotted keys, without empty values."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for key, value in tree.items():
         name = f"{prefix}{key}"
         if isinstance(value, dict):
-            found |= _flat(value, f"{name}.")
+            texts |= _flat(value, f"{name}.")
         elif isinstance(value, list) and all(isinstance(item, dict) for item in value):
-            for place, item in enumerate(value, start=1):
-                found |= _flat(item, f"{name}.{place}.") if isinstance(item, dict) else {}
-        elif isinstance(value, list) and len(value) > _MAX_LISTED:
-            found[name] = f"{len(value)} entries"
+            for number, item in enumerate(value, start=1):
+                texts |= _flat(item, f"{name}.{number}.") if isinstance(item, dict) else {}
+        elif isinstance(value, list) and len(value) > _MAX_LISTED_VALUES:
+            texts[name] = f"{len(value)} entries"
         elif value is not None and value != "":
-            found[name] = f"{value:.10g}" if isinstance(value, float) else str(value)
-    return found
+            texts[name] = f"{value:.10g}" if isinstance(value, float) else str(value)
+    return texts
 
 
-def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, number: int) -> RunData:
-    """A decay, counted from 1, of the table whose results are in a folder.
-
-    Its motion is read from positions.csv in the folder; empty, with a note, if that is missing.
-    """
-    place, stored = decay.decay or TableDecay(), decay.stored
+def _decay_of_table(folder: Path, table: SessionResults, decay: RunResults, number: int) -> RunData:
+    """A decay of a table by its results; the motion is empty, with a note, if it cannot be read."""
+    table_decay, stored = decay.decay or TableDecay(), decay.stored
     is_angle = stored.unit is DeflectionUnit.RAD
-    unit = ShownUnit(table.unit, conversion(table.unit, "rad") if is_angle else 1.0)
+    unit = DisplayUnit(table.unit, conversion(table.unit, "rad") if is_angle else 1.0)
     notes = [*table.understood]
     try:
-        motion = _motion(folder, place, stored.first_ns / NS_PER_S, unit)
+        motion = _motion(folder, table_decay, stored.first_ns / NS_PER_S, unit)
     except RigError as error:
         notes.append(f"no motion is drawn: {error}")
-        motion = ShownTrajectory(np.empty(0), np.empty(0), np.empty(0), unit)
+        motion = ReportTrajectory(np.empty(0), np.empty(0), np.empty(0), unit)
     file = {"table": decay.record, **_hashes(decay)}
     title = f"Decay {number}" if len(table.runs) > 1 else "Decay"
-    return RunData(title, decay, motion, None, {"file": file, "session": place.session}, notes)
+    return RunData(title, decay, motion, None, {"file": file, "session": table_decay.session}, notes)
 
 
-def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: ShownUnit) -> ShownTrajectory:
+def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: DisplayUnit) -> ReportTrajectory:
     """The motion of a table: Y along it, X across it, NaN if only one position was measured."""
     time_s, positions = read_positions(folder)
-    edge_s = _MARGIN_LENGTHS * (decay.ended_s - decay.began_s)
-    inside = (time_s >= decay.began_s - edge_s) & (time_s <= decay.ended_s + edge_s)
+    margin_s = _MARGIN * (decay.ended_s - decay.began_s)
+    is_inside = (time_s >= decay.began_s - margin_s) & (time_s <= decay.ended_s + margin_s)
     along, across = along_and_across(positions)
-    return ShownTrajectory(time_s[inside] - zero_s, across[inside], along[inside], unit)
+    return ReportTrajectory(time_s[is_inside] - zero_s, across[is_inside], along[is_inside], unit)

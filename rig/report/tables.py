@@ -21,46 +21,34 @@ from rig.analysis import (
     parameter_table,
     quality_table,
 )
-from rig.terminal import (
-    NOT_KNOWN,
-    SOURCES,
-    Table,
-    Verdict,
-    decimals,
-    plain,
-    quantity,
-    with_uncertainty,
-)
+from rig.terminal import NOT_KNOWN, SOURCES, Table, Verdict, decimals, plain, quantity, with_uncertainty
 
-_MIN_SHOWN_SHARE = 0.005
-"""Fraction of the variance below which sources are shown together in one line."""
+_MIN_LISTED_SHARE = 0.005
+"""Fraction of the variance below which sources are summed in one line."""
 
 
 def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], name: str = "budget") -> Table:
-    """GUM budgets of all quantities, largest contribution first.
-
-    For undetermined quantities the bound, and only the shares of the sources.
-    """
+    """GUM budgets of all quantities, largest contribution first; an undetermined quantity has its bound."""
     lines = []
     for key, item in budget.items():
-        scale = quantity(key).factor
-        row = known.get(key)
-        text = quantity(key).text(item.value, item.standard_uncertainty) if row is None else row.text
-        ends = row.interval_text if row is not None and row.determined else ""
-        head = [quantity(key).label, text, ends]
+        display, row = quantity(key), known.get(key)
+        text = display.text(item.value, item.standard_uncertainty) if row is None else row.text
+        band = row.interval_text if row is not None and row.determined else ""
+        head = [display.label, text, band]
         small = []
         for line in item.sources:
-            if line.share < _MIN_SHOWN_SHARE:
+            if line.share < _MIN_LISTED_SHARE:
                 small.append(line)
                 continue
-            source = [SOURCES.get(line.source, line.source), line.type]
-            lines.append([*head, *source, _part(line.contribution * scale), f"{100 * line.share:.1f} %"])
+            source = SOURCES.get(line.source, line.source)
+            contribution = _contribution_text(line.contribution * display.factor)
+            lines.append([*head, source, line.type, contribution, f"{100 * line.share:.1f} %"])
             head = [""] * 3
         if small:
-            rest = math.hypot(*(line.contribution for line in small)) * scale
+            rest = math.hypot(*(line.contribution for line in small)) * display.factor
             count = f"{len(small)} more" if len(small) < len(item.sources) else f"{len(small)} sources"
             share = sum(line.share for line in small)
-            lines.append([*head, count, "", _part(rest), f"{100 * share:.2f} %"])
+            lines.append([*head, count, "", _contribution_text(rest), f"{100 * share:.2f} %"])
     return Table(
         name, "Uncertainty budget (GUM)",
         ("", "value ± u", "95 %", "source", "type", "u", "share"), lines,
@@ -70,7 +58,7 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
     )  # fmt: skip
 
 
-def _part(contribution: float) -> str:
+def _contribution_text(contribution: float) -> str:
     return "" if math.isnan(contribution) else plain(contribution, 2)
 
 
@@ -79,16 +67,16 @@ def series_table(series: Series) -> Table:
     lines = []
     exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
     for name in exact or asymptotic:
-        shown_as, row = quantity(name), series.rows.get(name)
+        display, row = quantity(name), series.rows.get(name)
         item = asymptotic.get(name)
-        between = getattr(exact.get(name), "between_runs", math.nan) * shown_as.factor
+        between = getattr(exact.get(name), "between_runs", math.nan) * display.factor
         is_determined = row is None or row.determined
         texts = [
-            shown_as.label,
+            display.label,
             "" if row is None else row.text,
             "" if row is None else row.interval_text,
             plain(between, 2) if between else "none seen",
-            shown_as.text(*item.estimate) if is_determined and item is not None else "",
+            display.text(*item.estimate) if is_determined and item is not None else "",
         ]
         lines.append(texts)
     return Table(
@@ -126,22 +114,17 @@ def series_tables(series: Series) -> list[Table]:
     return [series_table(series), budget_table(series.budget, series.rows, "series-budget")]
 
 
-_CONDITIONS = ("condition", "verdict", "measured", "limit", "reason")
-
-
 def conditions_table(results: RunResults) -> Table:
     """The conditions of the run against their limits."""
-    rows = [
-        (item.name, _verdict_text(item), item.measured, item.limit, item.reason)
-        for item in results.conditions
-    ]
-    return Table("conditions", "Conditions of the run", _CONDITIONS, rows)
+    rows = [(v.name, _verdict_text(v), v.measured, v.limit, v.reason) for v in results.conditions]
+    head = ("condition", "verdict", "measured", "limit", "reason")
+    return Table("conditions", "Conditions of the run", head, rows)
 
 
-def _verdict_text(item: Verdict) -> str:
-    if not item.ok:
+def _verdict_text(verdict: Verdict) -> str:
+    if not verdict.ok:
         return "NOT OK"
-    return "warning" if item.remedy else "ok"
+    return "warning" if verdict.remedy else "ok"
 
 
 _THEORIES = ("JKR", "Maugis-Dugdale", "DMT")
@@ -163,28 +146,28 @@ def work_table(results: RunResults) -> Table:
     """Work 4A and 4A_t at the amplitude of Table 4, or the nearest measured one, and at the run's start."""
     lines = []
     c = results.rows.get("c")
-    for item in results.work_per_cycle:
-        pairs = (item.dissipated_4a_j, item.adhesive_4at_j)
-        texts = [with_uncertainty(value * 1e15, u * 1e15) for value, u in pairs]
-        share = f"{100 * pairs[1].value / pairs[0].value:.1f} %" if pairs[0].value else NOT_KNOWN
-        if math.isnan(pairs[1].value):
-            # if c is only bounded, so is its part of the work, which is proportional to c
+    for work in results.work_per_cycle:
+        dissipated, adhesive = work.dissipated_4a_j, work.adhesive_4at_j
+        texts = [with_uncertainty(value * 1e15, u * 1e15) for value, u in (dissipated, adhesive)]
+        share = f"{100 * adhesive.value / dissipated.value:.1f} %" if dissipated.value else NOT_KNOWN
+        if math.isnan(adhesive.value):
+            # if c is only bounded, so is the work of adhesion, which is proportional to c
             share = NOT_KNOWN
             if c is not None and results.pendulum is not None:
                 moment_n_m = weight_moment(results.pendulum)
-                texts[1] = c.scaled_text(1e15 * 4 * moment_n_m * item.amplitude_arcsec * ARCSEC_RAD)
-        lines.append([plain(item.amplitude_arcsec, 4), *texts, share])
+                texts[1] = c.scaled_text(1e15 * 4 * moment_n_m * work.amplitude_arcsec * ARCSEC_RAD)
+        lines.append([plain(work.amplitude_arcsec, 4), *texts, share])
     head = ("α / arcsec", "4A / fJ", "4Aₜ / fJ", "share of adhesion")
     return Table("work", "Work over one cycle", head, lines)
 
 
 def correlation_table(results: RunResults) -> Table:
     """The correlation matrix of the exact fit."""
-    found = results.fits[FitMethod.EXACT].correlation
-    symbols = [quantity(name).symbol for name in found.names]
+    correlation = results.fits[FitMethod.EXACT].correlation
+    symbols = [quantity(name).symbol for name in correlation.names]
     lines = [
-        [symbol, *(decimals(one, 3) for one in row)]
-        for symbol, row in zip(symbols, found.matrix, strict=True)
+        [symbol, *(decimals(coefficient, 3) for coefficient in row)]
+        for symbol, row in zip(symbols, correlation.matrix, strict=True)
     ]
     return Table(
         "correlation", "Correlations of the exact fit", ("", *symbols), lines,
@@ -196,25 +179,23 @@ _MAX_HEADLINES = 4
 
 
 def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple[str, str]]:
-    """Labels and texts of the main results.
+    """Labels and texts of the main results: of a series with several places, else of the run.
 
-    They are those of a series with several places, else of the run; the ratio to a reference is the series'.
+    The ratio to a reference is always that of the series.
     """
-    found = instrument_rows(results)
+    rows = instrument_rows(results)
     if series is not None:
-        many = series.time_s is not None and series.time_s.places > 1
-        found = [*instrument_series_rows(series, with_places=many), *([] if many else found)]
-    return [(replace(row.shown, symbol=name).label, row.text) for name, row in found[:_MAX_HEADLINES]]
+        has_places = series.time_s is not None and series.time_s.places > 1
+        rows = [*instrument_series_rows(series, with_places=has_places), *([] if has_places else rows)]
+    return [(replace(row.shown, symbol=name).label, row.text) for name, row in rows[:_MAX_HEADLINES]]
 
 
 def decay_table(results: RunResults) -> Table:
-    """Table of what is known of a decay without a law."""
+    """Table of the quantities of a decay that need no law."""
     rows = [row for row in results.table if row.fit == DECAY and math.isfinite(row.value)]
-    return Table("decay", "The decay", _VALUES, [_line(row.shown.name, row) for row in rows])
+    lines = [_line(row.shown.name, row) for row in rows]
+    return Table("decay", "The decay", ("", "value ± u", "unit"), lines)
 
 
-_VALUES = ("", "value ± u", "unit")
-
-
-def _line(name: str, row: ResultRow, *more: str) -> list[str]:
-    return [name, row.text, row.shown.unit, *more]
+def _line(name: str, row: ResultRow) -> list[str]:
+    return [name, row.text, row.shown.unit]

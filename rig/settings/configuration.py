@@ -108,7 +108,7 @@ class PendulumSettings(Section, frozen=True):
 class ReferenceSettings(Section, frozen=True):
     """A second spot on the sensor, from a mirror that is fixed to the base: it sees pointing and air alone.
 
-    It lies in the rows from `from_row_px` on, the pendulum's spot in those before.
+    It lies in the rows from `from_row_px` on; the pendulum's spot lies in the rows above.
     """
 
     from_row_px: int = Field(
@@ -246,12 +246,12 @@ class Configuration(Section, frozen=True):
                 f"session.final_amplitude_arcsec = {self.session.final_amplitude_arcsec:g} must be below "
                 f"session.initial_amplitude_arcsec = {self.session.initial_amplitude_arcsec:g}"
             )
-        balls, kind = self.simulation.contact.balls, self.instrument.description()
-        if self.simulated and kind.report == "contact" and balls != kind.supports:
+        balls, model = self.simulation.contact.balls, self.instrument.description()
+        if self.simulated and model.report == "contact" and balls != model.supports:
             raise ValueError(
-                f"simulation.contact.balls = {balls} with instrument.kind = {kind.kind!r}, which stands on "
-                f"{kind.supports}: the fit would take the contact for another; state another kind, or "
-                f"simulation.contact.balls = {kind.supports}"
+                f"simulation.contact.balls = {balls} with instrument.kind = {model.kind!r}, which stands on "
+                f"{model.supports}: the fit would take the contact for another; state another kind, or "
+                f"simulation.contact.balls = {model.supports}"
             )
         try:
             stop_conditions(self.session.stop_when, drag=self.fit.fits_drag)
@@ -271,20 +271,22 @@ class Configuration(Section, frozen=True):
 
     def remember_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
         """Store file and overrides for `command_words`."""
-        devices = [text for text in overrides if text.strip().startswith(_DEVICE_KEYS)]
+        words = [str(path)]
+        for text in overrides:
+            words += ["--set", text] if text.strip().startswith(_DEVICE_KEYS) else []
         # a private attribute, because it is the origin of the values and not one of them
-        self._command_words = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
+        self._command_words = shlex.join(words)  # type: ignore[misc]
         return self
 
     @property
     def rehearsal_hint(self) -> str:
-        """Message: --set options by which a simulated camera runs without devices; else empty."""
-        board = self.controller.kind == "serial"
-        if not (self.simulated and (board or self.laser.kind in LASERS)):
+        """Message with the --set options by which a simulated camera runs without devices; else empty."""
+        has_board = self.controller.kind == "serial"
+        if not (self.simulated and (has_board or self.laser.kind in LASERS)):
             return ""
-        keys = ["controller.kind=none"] if board else []
+        keys = ["controller.kind=none"] if has_board else []
         keys += ["laser.kind=none"] if self.laser.kind != "none" else []
-        keys += ["start.way=at once"] if board and self.start.way != "at once" else []
+        keys += ["start.way=at once"] if has_board and self.start.way != "at once" else []
         words = shlex.join(word for key in keys for word in ("--set", key))
         return f"the camera is simulated, and runs without: {words}"
 

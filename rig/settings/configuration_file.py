@@ -1,4 +1,4 @@
-"""Reads a TOML configuration into its models; every error is reported in a line of its own.
+"""Reads a TOML configuration into its models; reports every error in a line of its own.
 
 A file may begin with ``extends = "other.toml"`` (relative to itself) and then states only what
 differs. On the command line ``--set a.b.c=value`` replaces any key by its dotted path.
@@ -14,24 +14,26 @@ from typing import Any, Final
 from processing.errors import ConfigurationError, dotted, require_schema
 from processing.units import unit_of_name
 from rig.settings.configuration import Configuration
-from rig.settings.number_input import quantity, states_unit
+from rig.settings.number_input import read_quantity, states_unit
 from rig.settings.validation_messages import KeyFault, validate
 
-_TWICE_MESSAGES = ("Cannot overwrite a value", "Cannot declare", "Duplicate")
+_DUPLICATE_MESSAGES = ("Cannot overwrite a value", "Cannot declare", "Duplicate")
 
 
-def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """The tables of a TOML file, which may begin with a byte order mark; `what` is its kind in messages.
+def read_toml(path: Path, kind: str) -> dict[str, Any]:
+    """The tables of a TOML file, which may begin with a byte order mark; `kind` describes it in messages.
 
     Raises ConfigurationError with one line if the file is missing, a folder, unreadable or not TOML.
     """
     if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
-        kind = "is a folder with records" if path.is_dir() else "is a record"
-        raise ConfigurationError(f"{path}: {kind}, not a {what}; rig record info {path} says how it was made")
+        content = "is a folder with records" if path.is_dir() else "is a record"
+        raise ConfigurationError(
+            f"{path}: {content}, not a {kind}; rig record info {path} says how it was made"
+        )
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise ConfigurationError(f"{path}: cannot be read: no such {what}") from None
+        raise ConfigurationError(f"{path}: cannot be read: no such {kind}") from None
     except IsADirectoryError:
         raise ConfigurationError(f"{path}: is a folder; name a TOML file") from None
     except OSError as error:
@@ -50,14 +52,14 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 def _hint(toml_error: str, text: str) -> str:
     """The likely meaning of a common error that TOML's message does not explain; else empty."""
-    place = re.search(r"at line (\d+)", toml_error)
-    line = text.splitlines()[int(place[1]) - 1] if place and int(place[1]) <= text.count("\n") + 1 else ""
-    if toml_error.startswith(_TWICE_MESSAGES):
+    number = re.search(r"at line (\d+)", toml_error)
+    line = text.split("\n")[int(number[1]) - 1] if number else ""
+    if toml_error.startswith(_DUPLICATE_MESSAGES):
         return "; this is stated twice, as a section or with its name before a point: state it once"
-    if number := re.match(r"\s*([\w.]+)\s*=\s*[+-]?\d[\d.eE+-]*\s+[^\W\d]", line):
-        return f"; {number[1]} is a number alone, in the unit that its name ends with"
-    if number := re.search(r"=\s*([+-]?\d+),(\d+)", line):
-        return f"; a decimal point is meant: {number[1]}.{number[2]}"
+    if key := re.match(r"\s*([\w.]+)\s*=\s*[+-]?\d[\d.eE+-]*\s+[^\W\d]", line):
+        return f"; {key[1]} is a number alone, in the unit that its name ends with"
+    if decimal := re.search(r"=\s*([+-]?\d+),(\d+)", line):
+        return f"; a decimal point is meant: {decimal[1]}.{decimal[2]}"
     if re.fullmatch(r"\s*[\w.]+\s*=\s*[A-Za-z_].*", line):
         return "; put text in quotes"
     return ""
@@ -90,7 +92,7 @@ def read_toml_tree(path: Path, visited: tuple[Path, ...] = ()) -> dict[str, Any]
     tree = read_toml(path, "configuration file; rig init writes one")
     if path.resolve() in visited:
         raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
-    tree = unnumbered(tree, str(path))
+    tree = without_schema(tree, str(path))
     base = tree.pop("extends", None)
     if base is None:
         return tree
@@ -103,12 +105,9 @@ def read_toml_tree(path: Path, visited: tuple[Path, ...] = ()) -> dict[str, Any]
     return _merge(read_toml_tree(path.parent / base, (*visited, path.resolve())), tree)
 
 
-def unnumbered(tree: Mapping[str, Any], what: str) -> dict[str, Any]:
-    """The tables of a configuration without the number of its schema, which a person may leave out.
-
-    Raises ConfigurationError for the number of another version.
-    """
-    require_schema(what, tree.get(SCHEMA_KEY, SCHEMA), SCHEMA, ConfigurationError)
+def without_schema(tree: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """The tables without the number of their schema; raises ConfigurationError for another version."""
+    require_schema(source, tree.get(SCHEMA_KEY, SCHEMA), SCHEMA, ConfigurationError)
     return {key: value for key, value in tree.items() if key != SCHEMA_KEY}
 
 
@@ -126,51 +125,52 @@ def validate_configuration(
     """
     # an empty section, so that the missing key in it is reported, not the section
     tree = {"camera": {}, **tree}
-    config, found_faults = validate(Configuration, tree)
+    config, faults = validate(Configuration, tree)
     if config is not None:
         return config
     overrides = {override.partition("=")[0].strip(): override for override in overrides}
-    stated = {f"{key}." for key in overrides}
-    with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
+    set_keys = {f"{key}." for key in overrides}
+    # a number with its standard uncertainty states the key `u_...` as well
+    with_u = set_keys | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in set_keys if key.count(".") > 1}
     lines = []
-    for fault in found_faults:
+    for fault in faults:
         is_stated, place = _is_from_overrides(fault, with_u), fault.place
-        siblings = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
-        why = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
-        line = fault.line
-        at = {text: line.find(key) for key, text in overrides.items()}
-        # the line begins with another of the keys that contradict each other
-        of_set = "" if place or 0 in at.values() else "".join(f"{text}: " for text in at if at[text] > 0)
-        lines.append(f"{f'--set {of_set}' if is_stated else f'{source}: '}{fault.line}{why}")
+        siblings = [key.rstrip(".") for key in sorted(set_keys) if place and key.startswith(f"{place[0]}.")]
+        hint = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
+        positions = {text: fault.line.find(key) for key, text in overrides.items()}
+        # of keys that contradict each other, the line may begin with one that --set does not state
+        is_first = place or 0 in positions.values()
+        prefix = "" if is_first else "".join(f"{text}: " for text in positions if positions[text] > 0)
+        lines.append(f"{f'--set {prefix}' if is_stated else f'{source}: '}{fault.line}{hint}")
     raise ConfigurationError("\n".join(lines))
 
 
-def keys_with_faults(keys: Mapping[str, Any], whole: str = "") -> list[str]:
+def key_faults(values: Mapping[str, Any], complete_section: str = "") -> list[str]:
     """A line for each fault of values by dotted key; other keys may be missing.
 
-    Relations between the keys of a section are checked only for the section `whole`.
+    Relations between the keys of a section are checked only for `complete_section`.
     """
     tree: dict[str, Any] = {"camera": {"driver": "files"}}
-    for key, value in keys.items():
+    for key, value in values.items():
         *sections, name = key.split(".")
-        place = tree
+        table = tree
         for section in sections:
-            place = place.setdefault(section, {})
-        place[name] = value
-    _, found_faults = validate(Configuration, tree)
-    asked = {*keys, whole} - {""}
-    return [fault.line for fault in found_faults if dotted(fault.place) in asked]
+            table = table.setdefault(section, {})
+        table[name] = value
+    _, faults = validate(Configuration, tree)
+    checked = {*values, complete_section} - {""}
+    return [fault.line for fault in faults if dotted(fault.place) in checked]
 
 
-def _is_from_overrides(fault: KeyFault, stated: set[str]) -> bool:
+def _is_from_overrides(fault: KeyFault, set_keys: set[str]) -> bool:
     """Whether a fault belongs to a key that --set states, or to a key above or below it.
 
     A fault between several keys has no place; its line names them.
     """
     if not fault.place:
-        return any(key.rstrip(".") in fault.line for key in stated)
+        return any(key.rstrip(".") in fault.line for key in set_keys)
     place = dotted(fault.place)
-    return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
+    return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in set_keys)
 
 
 def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -186,12 +186,12 @@ def apply_overrides(tree: dict[str, Any], overrides: Iterable[str]) -> None:
 
     A number may state its unit and its standard uncertainty: ``pendulum.ball_radius_m="6.05 mm ± 1 um"``.
     """
-    stated = set()
+    set_keys = set()
     for override in overrides:
         key = override.partition("=")[0].strip()
-        if key in stated:
+        if key in set_keys:
             raise ConfigurationError(f"--set {override}: {key} is stated twice; leave one of them out")
-        stated.add(key)
+        set_keys.add(key)
         _apply_override(tree, override)
 
 
@@ -203,43 +203,39 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
-    parts = key.strip().split(".")
-    place = tree
-    for part in parts[:-1]:
-        place = place.setdefault(part, {})
-        if not isinstance(place, dict):
-            raise ConfigurationError(f"--set {override}: {part} is a value, not a table")
-    name = parts[-1]
-    place[name] = value
+    *sections, name = key.strip().split(".")
+    table = tree
+    for section in sections:
+        table = table.setdefault(section, {})
+        if not isinstance(table, dict):
+            raise ConfigurationError(f"--set {override}: {section} is a value, not a table")
+    table[name] = value
     if isinstance(value, str) and states_unit(value) and (unit := unit_of_name(name)):
         try:
-            place[name], u = quantity(value, unit)
+            table[name], u = read_quantity(value, unit)
         except ConfigurationError as error:
             raise ConfigurationError(f"--set {key.strip()} = {error}") from None
         if u is not None:
-            place[f"u_{name}"] = u
+            table[f"u_{name}"] = u
 
 
-def _folder() -> Path:
+def _shipped_folder() -> Path:
     package = Path(str(files("rig")))
     return next(folder for folder in (package / "configs", package.parent / "configs") if folder.is_dir())
 
 
 def shipped_names() -> list[str]:
     """Names of the configurations that come with the program."""
-    return sorted(path.stem for path in _folder().glob("*.toml"))
+    return sorted(path.stem for path in _shipped_folder().glob("*.toml"))
 
 
 def shipped(name: str) -> Path:
-    """The file of a configuration that comes with the program, ``basement`` for ``basement.toml``.
-
-    Raises ConfigurationError with the known names for an unknown one.
-    """
+    """The file of a configuration of the program; raises ConfigurationError for an unknown name."""
     if name not in (names := shipped_names()):
         raise ConfigurationError(
             f"example {name}: there is no such configuration; there are {', '.join(names)}"
         )
-    return _folder() / f"{name}.toml"
+    return _shipped_folder() / f"{name}.toml"
 
 
 ALL: Final = ("",)
@@ -259,17 +255,17 @@ REPLAYED: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("axes", "lever", "reference", "shutter"), ALL),
     "laser": ("pulse_",),
 }
-"""The same for half-cycles that are found again in recorded spots."""
+"""Beginnings of the keys that change which half-cycles a replay detects in recorded spots, by section."""
 
 
 def refuse_without_effect(
     overrides: Iterable[str], effective: Mapping[str, tuple[str, ...]], remedy: str
 ) -> None:
-    """Raise ConfigurationError with a line for each changed key that begins as none `effective` does."""
-    places = (override.partition("=")[0].strip().partition(".") for override in overrides)
+    """Raise ConfigurationError with a line for each override whose key has no beginning of `effective`."""
+    keys = (override.partition("=")[0].strip().partition(".") for override in overrides)
     lines = [
         f"--set {section}{point}{name}: has no effect here; {remedy}"
-        for section, point, name in places
+        for section, point, name in keys
         if not name.startswith(effective.get(section, ()))
     ]
     if lines:

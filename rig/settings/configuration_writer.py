@@ -1,4 +1,4 @@
-"""Files that `rig init` writes: a configuration of the answers, or a shipped configuration."""
+"""Files that `rig init` writes: a configuration made from the answers, or a shipped configuration."""
 
 import datetime
 import textwrap
@@ -23,61 +23,61 @@ EXAMPLE_NAME = "my_steel"
 
 
 def commented_file(
-    stated: ValuesByKey, *, omitted: Collection[str] = (), comments: Mapping[str, str] | None = None
+    values: ValuesByKey, *, omitted: Collection[str] = (), comments: Mapping[str, str] | None = None
 ) -> str:
     """Text of a file with all sections and keys, each with its description.
 
     Parameters
     ----------
-    stated
-        Every other key is commented out and shows its default.
+    values
+        Values of the keys; every other key is commented out and shows its default.
     omitted
         Dotted names of sections that are left out, with their subsections.
     comments
         Comments by dotted key, in place of the key's description.
     """
-    return "\n".join(_section("", Configuration, stated, omitted, comments or {})) + "\n"
+    return "\n".join(_section("", Configuration, values, omitted, comments or {})) + "\n"
 
 
 def _section(
     path: str,
     model: type,
-    stated: ValuesByKey,
+    values: ValuesByKey,
     omitted: Collection[str],
     comments: Mapping[str, str],
     *,
     listed: bool = False,
 ) -> Iterator[str]:
     if path:
-        active = any(key.startswith(path) for key in stated)
+        is_active = any(key.startswith(path) for key in values)
         yield ""
         description = (model.__doc__ or "").strip().split("\n\n")[0]
         yield from (f"# {line}" for line in textwrap.wrap(" ".join(description.split()), 100))
-        yield f"{'' if active else '# '}{f'[[{path[:-1]}]]' if listed else f'[{path[:-1]}]'}"
+        yield f"{'' if is_active else '# '}{f'[[{path[:-1]}]]' if listed else f'[{path[:-1]}]'}"
     fields = section_fields(model)
     for name, field in fields.items():
         if section_of(field) is None:
-            yield _line(f"{path}{name}", field, stated, comments)
+            yield _line(f"{path}{name}", field, values, comments)
     for name, field in fields.items():
         section = section_of(field)
         if section is None or f"{path}{name}" in omitted:
             continue
-        for section_path in _section_paths(f"{path}{name}.", field, stated):
+        for section_path in _section_paths(f"{path}{name}.", field, values):
             listed = str(field.annotation).startswith("tuple")
-            yield from _section(section_path, section, stated, omitted, comments, listed=listed)
+            yield from _section(section_path, section, values, omitted, comments, listed=listed)
 
 
-def _section_paths(path: str, field: FieldInfo, stated: ValuesByKey) -> list[str]:
+def _section_paths(path: str, field: FieldInfo, values: ValuesByKey) -> list[str]:
     """Paths of a section; one with names of the user's own has a path for each name."""
     if get_origin(field.annotation) is not dict:
         return [path]
-    names = dict.fromkeys(key[len(path) :].partition(".")[0] for key in stated if key.startswith(path))
+    names = dict.fromkeys(key[len(path) :].partition(".")[0] for key in values if key.startswith(path))
     return [f"{path}{name}." for name in names or (EXAMPLE_NAME,)]
 
 
-def _line(key: str, field: FieldInfo, stated: ValuesByKey, comments: Mapping[str, str]) -> str:
-    if key in stated:
-        value, prefix = toml_value(stated[key]), ""
+def _line(key: str, field: FieldInfo, values: ValuesByKey, comments: Mapping[str, str]) -> str:
+    if key in values:
+        value, prefix = toml_value(values[key]), ""
     else:
         prefix = "# "
         default = field.get_default(call_default_factory=True)
@@ -94,9 +94,9 @@ def _kind(field: FieldInfo) -> str:
     return text.split(".")[-1].replace(" | None", "")
 
 
-def _configuration_text(stated: ValuesByKey, now: datetime.datetime) -> str:
+def _configuration_text(values: ValuesByKey, now: datetime.datetime) -> str:
     """Text of the file: the stated values, and every other key of such a rig, commented out."""
-    driver = stated["camera.driver"]
+    driver = values["camera.driver"]
     omitted = {f"camera.{name}" for name in DRIVERS if name != driver}
     if driver != "simulated":
         omitted |= {"simulation", "faults"}
@@ -110,23 +110,23 @@ def _configuration_text(stated: ValuesByKey, now: datetime.datetime) -> str:
         "balance.inertia_kg_m2": "about the contact, from the drawing; with the mass centre on the contact "
         "m g R T0^2/4 pi^2; if left out, the height is not computed"
     }
-    if "camera.exposure_us" in stated:
+    if "camera.exposure_us" in values:
         comments["camera.exposure_us"] = "rig camera expose finds it"
     return (
         "\n".join([*header, f"{SCHEMA_KEY} = {SCHEMA}"])
         + "\n"
-        + commented_file(stated, omitted=omitted, comments=comments)
+        + commented_file(values, omitted=omitted, comments=comments)
     )
 
 
-def write_configuration(path: Path, stated: ValuesByKey) -> Configuration:
+def write_configuration(path: Path, values: ValuesByKey) -> Configuration:
     """Write the file and read it back; no file is left if that fails.
 
     Raises ConfigurationError for a file that exists already, or answers that contradict each other, and
     RecordError if it cannot be written.
     """
     refuse_existing(path)
-    text = _configuration_text(stated, datetime.datetime.now().astimezone())
+    text = _configuration_text(values, datetime.datetime.now().astimezone())
     try:
         with atomic_write.atomic_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -151,17 +151,11 @@ def refuse_existing(path: Path) -> None:
 def copy_shipped(name: str, path: Path) -> list[Path]:
     """Copy a shipped configuration, and those that it extends next to it; returns the files written.
 
-    Extended files keep their names, which the copy states; existing files with the same text stay.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no such configuration, or another file exists. Nothing is written then.
-    RecordError
-        A file cannot be written.
+    Extended files keep their names, which the copy states; existing files with the same text stay. Raises
+    ConfigurationError, and writes nothing, for an unknown name or if another file exists, and RecordError if
+    a file cannot be written.
     """
-    texts, source = {}, shipped(name)
-    target = path
+    texts, source, target = {}, shipped(name), path
     while True:
         texts[target] = source.read_bytes()
         base = read_toml(source, "configuration").get("extends")
@@ -178,7 +172,7 @@ def copy_shipped(name: str, path: Path) -> list[Path]:
 
 
 def _has_text(path: Path, text: bytes) -> bool:
-    """Whether a file has this text; raises ConfigurationError if it has another."""
+    """Whether a file exists with this text; raises ConfigurationError if it has another text."""
     if not path.exists():
         return False
     if path.is_file() and path.read_bytes() == text:

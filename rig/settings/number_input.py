@@ -18,27 +18,27 @@ _COMMON_UNITS = ("g", "mg", "mm", "um", "nm", "GPa", "MPa", "mW", "uW", "mA", "m
 """Units that people usually type, for hints."""
 
 
-def quantity(text: str, unit: str = "") -> tuple[float, float | None]:
+def read_quantity(text: str, unit: str = "") -> tuple[float, float | None]:
     """The number in `text`, and its standard uncertainty if stated, in `unit`: ``6.05 mm ± 1 um``.
 
     A number without a unit is in `unit`. Raises ConfigurationError for other text.
     """
-    plain = _plain(text)
-    found = _QUANTITY.fullmatch(plain)
-    if found is None:
+    plain = _without_parentheses(text)
+    match = _QUANTITY.fullmatch(plain)
+    if match is None:
         if comma := re.search(r"(\d),(\d)", plain):
             pointed = plain.replace(comma[0], f"{comma[1]}.{comma[2]}")
             raise ConfigurationError(f"{text!r}: should be a number, with a point: {pointed}")
         raise ConfigurationError(
             f"{text!r}: should be a number, with ± and its uncertainty where it is known"
         )
-    value, value_unit, u, u_unit = found.groups()
+    value, value_unit, u, u_unit = match.groups()
     size = _size(value_unit or u_unit, unit, text)
     u_size = None if u is None else _size(u_unit or value_unit, unit, text)
     return float(Decimal(value) * size), None if u_size is None else float(Decimal(u) * u_size)
 
 
-def _plain(text: str) -> str:
+def _without_parentheses(text: str) -> str:
     return text.replace("(", "").replace(")", "").strip()
 
 
@@ -50,9 +50,9 @@ def _size(stated: str | None, unit: str, text: str) -> Decimal:
         factor = Decimal(repr(conversion(stated, unit or "1")))
     except ConfigurationError:
         *others, last = units_like(unit, _COMMON_UNITS) or ("",) if unit else ("",)
-        usual = f", or {', '.join(others)}{' or ' if others else ''}{last}" if last else ""
-        meant = f"; {unit} is meant{usual}" if unit else "; a number alone is needed"
-        raise ConfigurationError(f"{text!r}: has the unit {stated}{meant}") from None
+        hint = f", or {', '.join(others)}{' or ' if others else ''}{last}" if last else ""
+        expected = f"; {unit} is meant{hint}" if unit else "; a number alone is needed"
+        raise ConfigurationError(f"{text!r}: has the unit {stated}{expected}") from None
     # round factors as exact decimals, so that 6.05 mm are 0.00605 m
     short = Decimal(f"{factor:.12g}")
     return short if abs(short - factor) <= factor * Decimal("1e-15") else factor
@@ -60,8 +60,8 @@ def _size(stated: str | None, unit: str, text: str) -> Decimal:
 
 def states_unit(text: str) -> bool:
     """Whether text is a number with any unit."""
-    found = _QUANTITY.fullmatch(_plain(text))
-    return found is not None and bool(found[2] or found[4])
+    match = _QUANTITY.fullmatch(_without_parentheses(text))
+    return match is not None and bool(match[2] or match[4])
 
 
 _STOP_CONDITION = re.compile(r"\s*u\(\s*([^()\s]+)\s*\)\s*/\s*([^()\s<]+)\s*<\s*([0-9][0-9.eE+-]*)\s*")
@@ -83,41 +83,35 @@ class StopCondition:
 
     def text(self, estimates: Mapping[str, Estimate]) -> str:
         """The condition with its present value: `u(c)/c = 0.0287 < 0.03`, or ≥ while it does not hold."""
-        name, now = _typed_name(self.parameter), self.relative(estimates)
-        shown = f"{now:.3g}" if isfinite(now) else "?"
-        return f"u({name})/{name} = {shown} {'<' if now < self.limit else '≥'} {self.limit:g}"
+        name, relative_u = _typed_name(self.parameter), self.relative(estimates)
+        value = f"{relative_u:.3g}" if isfinite(relative_u) else "?"
+        return f"u({name})/{name} = {value} {'<' if relative_u < self.limit else '≥'} {self.limit:g}"
 
 
-def stop_condition(text: str) -> StopCondition:
-    """Read `u(c)/c < 0.03`.
-
-    Raises
-    ------
-    ValueError
-        The form is wrong, the parameter unknown, or the limit not between 0 and 1.
-    """
-    found = _STOP_CONDITION.fullmatch(text)
-    if found is None:
+def _stop_condition(text: str) -> StopCondition:
+    """Read `u(c)/c < 0.03`; raises ValueError for any other form, parameter or limit."""
+    match = _STOP_CONDITION.fullmatch(text)
+    if match is None:
         raise ValueError(f"{text!r} must read u(NAME)/NAME < NUMBER, for example u(c)/c < 0.03")
-    numerator, denominator = (_key(name) for name in found.groups()[:2])
+    numerator, denominator = (_key(name) for name in match.groups()[:2])
     if numerator != denominator:
-        raise ValueError(f"{text!r} names two parameters; write u({found[1]})/{found[1]}")
+        raise ValueError(f"{text!r} names two parameters; write u({match[1]})/{match[1]}")
     try:
-        limit = float(found[3])
+        limit = float(match[3])
     except ValueError:
-        raise ValueError(f"{text!r}: {found[3]} is not a number") from None
+        raise ValueError(f"{text!r}: {match[3]} is not a number") from None
     if not 0 < limit < 1:
-        raise ValueError(f"{text!r}: {found[3]} must lie between 0 and 1, 0.03 for 3 %")
+        raise ValueError(f"{text!r}: {match[3]} must lie between 0 and 1, 0.03 for 3 %")
     return StopCondition(numerator, limit)
 
 
 def stop_conditions(texts: Sequence[str], *, drag: bool) -> tuple[StopCondition, ...]:
     """Read all conditions; raises ValueError for a wrong one, and for a drag that is not fitted."""
-    found = tuple(stop_condition(text) for text in texts)
-    for text, condition in zip(texts, found, strict=True):
+    conditions = tuple(map(_stop_condition, texts))
+    for text, condition in zip(texts, conditions, strict=True):
         if condition.parameter == DRAG.key and not drag:
             raise ValueError(f"{text!r}: fit.drag = 'vacuum' fits none")
-    return found
+    return conditions
 
 
 def _typed_name(key: str) -> str:
@@ -125,12 +119,13 @@ def _typed_name(key: str) -> str:
 
 
 def _key(name: str) -> str:
-    known = {
+    """The key of a parameter whose key, symbol or ASCII name is stated."""
+    keys = {
         spelling: parameter.key
         for parameter in (*DEFAULT_LAW.parameters, DRAG)
         for spelling in (parameter.key, parameter.symbol, _typed_name(parameter.key))
     }
-    if name not in known:
+    if name not in keys:
         names = ", ".join(_typed_name(parameter.key) for parameter in (*DEFAULT_LAW.parameters, DRAG))
         raise ValueError(f"no parameter {name}; known are {names}")
-    return known[name]
+    return keys[name]

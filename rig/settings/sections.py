@@ -1,4 +1,4 @@
-"""Sections that are plain values: instrument, balance, calibrations, phases of a session."""
+"""Sections of the configuration: instrument, balance, calibration files, preflight, phases, start, camera."""
 
 import math
 from dataclasses import replace
@@ -9,12 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model, field_validator
 from pydantic.dataclasses import dataclass
 
 from acquisition.camera import CameraSettings, TimestampMoment
-from acquisition.cameras.drivers import (
-    DRIVERS,
-    default_settings,
-    settings_models,
-    unknown_driver,
-)
+from acquisition.cameras.drivers import DRIVERS, default_settings, settings_models, unknown_driver
 from processing.balance import BalanceLimits
 from processing.errors import ConfigurationError
 from processing.instruments import DEGREE_RAD, INSTRUMENTS, Description, Limits
@@ -110,7 +105,7 @@ def _limits(builtin: Limits | None, value: float | None, tolerance: float | None
 class WeightSettings(BaseModel, frozen=True, extra="forbid"):
     """A trimming weight on a screw; at `sense` -1 a clockwise turn moves it in the negative direction.
 
-    `mass_kg` 0 means that the mass is unknown.
+    A `mass_kg` or a `sense` of 0 means that it is not known.
     """
 
     mass_kg: float = Field(default=0.002, ge=0)
@@ -296,10 +291,8 @@ class CameraChoice(CameraSettings, frozen=True, extra="forbid"):
     def driver_settings(self) -> BaseModel:
         """Section ``[camera.NAME]`` of the chosen driver; its serial number defaults to ``camera.serial``.
 
-        Raises
-        ------
-        ConfigurationError
-            The section is missing and has no defaults, or the driver has no serial numbers.
+        Raises ConfigurationError if a section without defaults is missing, or for a serial number of a
+        driver that has none.
         """
         section: BaseModel | None = getattr(self, self.driver)
         if section is None:

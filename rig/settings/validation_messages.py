@@ -15,12 +15,12 @@ from pydantic_core import ErrorDetails
 from processing.errors import ConfigurationError, KeyPlace, place_in_words
 from processing.fault_text import fault_text, is_unknown_key
 from processing.units import unit_of_name
-from rig.settings.number_input import quantity, states_unit
+from rig.settings.number_input import read_quantity, states_unit
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
 _SYNONYMS = {"fps": "frame_rate_hz"}
-"""Keys by words that users write for them and that are spelled quite differently."""
+"""Keys by the words that users write instead and that are spelled quite differently."""
 
 
 def fault_line(root: type, fault: ErrorDetails) -> str:
@@ -32,21 +32,21 @@ def fault_line(root: type, fault: ErrorDetails) -> str:
             # the user wrote a dotted key, as for --set, below the head of its section
             key = next(iter(fault["input"]), "")
             return f"{path}.{key}: unknown key; below [{section}] it is {key}, without '{section}.'"
-        in_sections = _keys_in_sections(root) if len(fault["loc"]) == 1 else {}
-        if section in in_sections:
-            return f"{path}: unknown key; did you mean {' or '.join(in_sections[section])}?"
+        dotted_keys = _dotted_keys(root) if len(fault["loc"]) == 1 else {}
+        if section in dotted_keys:
+            return f"{path}: unknown key; did you mean {' or '.join(dotted_keys[section])}?"
         known = list(section_fields(_section_at(root, fault["loc"][:-1])))
         synonym = _SYNONYMS.get(section)
         close = [synonym] if synonym in known else difflib.get_close_matches(section, known, n=1, cutoff=0.51)
         if not close:
-            similar = difflib.get_close_matches(section, in_sections, n=1, cutoff=0.7)
-            close = [in_sections[name][-1] for name in similar]
+            similar = difflib.get_close_matches(section, dotted_keys, n=1, cutoff=0.7)
+            close = [dotted_keys[name][-1] for name in similar]
         hint = f"did you mean {close[0]}?" if close else f"known here: {', '.join(sorted(known))}"
         return f"{path}: unknown key; {hint}"
     if fault["type"] == "missing":
         field = section_fields(_section_at(root, fault["loc"][:-1])).get(str(fault["loc"][-1]))
-        what = f": {field.description}" if field is not None and field.description else ""
-        return f"{path}: is missing; state a value{what}"
+        description = f": {field.description}" if field is not None and field.description else ""
+        return f"{path}: is missing; state a value{description}"
     if isinstance(fault["input"], str) and re.fullmatch(r"[+-]?\d+,\d+", fault["input"]):
         corrected = fault["input"].replace(",", ".")
         return f"{path} = {fault['input']!r}: should be a number, with a point: {corrected}"
@@ -60,7 +60,7 @@ def _expected_number(text: str, key: str) -> str:
     unit = unit_of_name(key)
     expected = f"should be a number alone, in {unit}" if unit else "should be a number alone"
     try:
-        value, _ = quantity(text, unit)
+        value, _ = read_quantity(text, unit)
     except ConfigurationError:
         # the stated unit does not fit
         return expected
@@ -96,37 +96,34 @@ def validate(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None
 
 
 def number_faults(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> Iterator[KeyFault]:
-    """Faults of keys with `true`, `"3"`, `inf` or `nan` in place of a number.
-
-    Pydantic would take `true` for 1.0, and the number in quotes.
-    """
+    """Faults of keys with `true` or `"3"`, which pydantic would take for a number, or with `inf` or `nan`."""
     for key, value in tree.items():
         field = section_fields(root).get(key)
         if field is None:
             continue
-        section, at = section_of(field), (*place, key)
+        section, path = section_of(field), (*place, key)
         if section is not None and isinstance(value, dict):
             tables = value if get_origin(field.annotation) is dict else {None: value}
             for name, table in tables.items():
                 if isinstance(table, dict):
-                    yield from number_faults(section, table, at if name is None else (*at, name))
+                    yield from number_faults(section, table, path if name is None else (*path, name))
         elif isinstance(value, bool | str) and _is_number(field, value):
-            shown = str(value).lower() if isinstance(value, bool) else f'"{value}"'
-            quoted = "" if isinstance(value, bool) else ", without quotes"
-            yield KeyFault(at, f"{place_in_words(at)} = {shown}: should be a number{quoted}")
+            is_bool = isinstance(value, bool)
+            text, hint = (str(value).lower(), "") if is_bool else (f'"{value}"', ", without quotes")
+            yield KeyFault(path, f"{place_in_words(path)} = {text}: should be a number{hint}")
         elif isinstance(value, float) and not math.isfinite(value) and not key.endswith("_dof"):
-            yield KeyFault(at, f"{place_in_words(at)} = {value}: should be a finite number")
+            yield KeyFault(path, f"{place_in_words(path)} = {value}: should be a finite number")
 
 
-def _is_number(field: FieldInfo, stated: bool | str) -> bool:
+def _is_number(field: FieldInfo, value: bool | str) -> bool:
     """Whether a field takes only numbers; a string that is no number is left to pydantic."""
-    kinds = set(_parts(field.annotation))
-    if not kinds & {int, float} or kinds & {bool, str}:
+    types = set(_types_in(field.annotation))
+    if not types & {int, float} or types & {bool, str}:
         return False
-    if isinstance(stated, bool):
+    if isinstance(value, bool):
         return True
     try:
-        float(stated)
+        float(value)
     except ValueError:
         return False
     return True
@@ -143,20 +140,21 @@ def section_fields(section: type) -> dict[str, FieldInfo]:
 
 def section_of(field: FieldInfo) -> type | None:
     """The section class of a field that holds a section or a table of sections; None for a plain value."""
-    classes = (c for c in _parts(field.annotation) if isinstance(c, type) and get_origin(c) is None)
+    classes = (c for c in _types_in(field.annotation) if isinstance(c, type) and get_origin(c) is None)
     return next((c for c in classes if issubclass(c, BaseModel) or is_dataclass(c)), None)
 
 
-def _parts(annotation: Any) -> Iterator[Any]:
+def _types_in(annotation: Any) -> Iterator[Any]:
+    """An annotation and all types that it contains."""
     yield annotation
     for inner in get_args(annotation):
-        yield from _parts(inner)
+        yield from _types_in(inner)
 
 
 def _section_at(root: type, place: KeyPlace) -> type:
     """The section at a place; a name of the user's own stands for the section that it names."""
-    for part in place:
-        field = section_fields(root).get(str(part))
+    for name in place:
+        field = section_fields(root).get(str(name))
         section = None if field is None else section_of(field)
         if section is None:
             break
@@ -164,7 +162,7 @@ def _section_at(root: type, place: KeyPlace) -> type:
     return root
 
 
-def _keys_in_sections(root: type) -> dict[str, list[str]]:
+def _dotted_keys(root: type) -> dict[str, list[str]]:
     """The dotted keys of all sections by their last name."""
     keys: dict[str, list[str]] = {}
     for name, field in section_fields(root).items():

@@ -27,7 +27,7 @@ from rig.terminal.printing import (
     print_tables,
     say,
     screen_width,
-    written,
+    translated_file_errors,
 )
 from rig.terminal.quantities import (
     SOURCES,

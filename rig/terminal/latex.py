@@ -9,18 +9,18 @@ from processing.units import factors, split_prefix
 from rig.terminal.printing import Table
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
-_SUPERSCRIPTS: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ", "-0123456789p")
-_SUBSCRIPTS: Final = str.maketrans("₀₁₂₃₄₅₆₇₈₉ₜ", "0123456789t")
+_SUPERSCRIPT = "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"
+_SUPERSCRIPT_VALUES: Final = str.maketrans(f"{_SUPERSCRIPT}ᵖ", "-0123456789p")
+_SUBSCRIPT_VALUES: Final = str.maketrans("₀₁₂₃₄₅₆₇₈₉ₜ", "0123456789t")
 _GREEK: Final = {
     "α": "alpha", "β": "beta", "γ": "gamma", "δ": "delta", "ε": "varepsilon", "ζ": "zeta", "η": "eta",
     "θ": "theta", "κ": "kappa", "λ": "lambda", "μ": "mu", "ν": "nu", "ξ": "xi", "π": "pi", "ρ": "rho",
     "σ": "sigma", "τ": "tau", "φ": "varphi", "χ": "chi", "ψ": "psi", "ω": "omega", "Γ": "Gamma",
-    "Δ": "Delta", "Σ": "Sigma", "Φ": "Phi", "Ω": "Omega",
+    "Δ": "Delta", "Λ": "Lambda", "Σ": "Sigma", "Φ": "Phi", "Ω": "Omega",
 }  # fmt: skip
 _CHARACTERS: Final = {
     "−": "$-$", "×": r"$\times$", "·": r"$\cdot$", "±": r"$\pm$", "…": r"\dots{}", "–": "--", "√": r"$\surd$",
     "≤": r"$\le$", "≥": r"$\ge$", "≈": r"$\approx$", "<": "$<$", ">": "$>$", "µ": r"\textmu{}",
-    "Λ": r"$\Lambda$",
     "″": r"$''$", "′": r"$'$", "°": r"$^\circ$", "→": r"$\to$", "∞": r"$\infty$",
     "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}",
@@ -36,18 +36,21 @@ _PREFIXES: Final = {
     "G": "giga", "M": "mega", "k": "kilo", "h": "hecto", "c": "centi", "m": "milli", "u": "micro",
     "n": "nano", "p": "pico", "f": "femto",
 }  # fmt: skip
-_WITH_U = re.compile(rf"\(?({_NUMBER}) ± ({_NUMBER})\)?(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
-_PLAIN = re.compile(rf"({_NUMBER})(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
+_POWER_OF_TEN = rf"× 10([{_SUPERSCRIPT}]+)"
+_NUMBER_WITH_U = re.compile(rf"\(?({_NUMBER}) ± ({_NUMBER})\)?(?: {_POWER_OF_TEN})?")
+_PLAIN_NUMBER = re.compile(rf"({_NUMBER})(?: {_POWER_OF_TEN})?")
+_LETTER = r"[A-Za-zα-ωΓΔΣΦΩ]"
+# a letter may have a bar (U+0304) and a subscript
+_PIECE = re.compile(rf"{_LETTER}\u0304?[₀-₉ₜ]+|{_LETTER}\u0304|[{_SUPERSCRIPT}ᵖ]+|.")
 
 
 def latex_table(content: Table, label: str = "") -> str:
-    """A table as a float for booktabs and siunitx, with the shown numbers and symbols.
+    """A LaTeX `table` environment for booktabs and siunitx, with the rounded numbers of the report.
 
-    Rows are those of the report: rounded, with standard uncertainties. `label` distinguishes tables of
-    several runs; empty: the table's name.
+    `label` distinguishes tables of several runs; if it is empty, the table's name is the label.
     """
     head, rows = content.head, content.shown
-    unit_column = next((place for place, cell in enumerate(head) if cell == "unit"), -1)
+    unit_column = next((column for column, heading in enumerate(head) if heading == "unit"), -1)
     lines = [
         "% needs \\usepackage{booktabs,siunitx} and \\sisetup{separate-uncertainty=true}",
         r"\begin{table}",
@@ -59,7 +62,7 @@ def latex_table(content: Table, label: str = "") -> str:
     if any(head):
         lines += [" & ".join(_heading(cell) for cell in head) + r" \\", r"\midrule"]
     for row in rows:
-        cells = [_unit(cell) if place == unit_column else _cell(cell) for place, cell in enumerate(row)]
+        cells = [_unit(cell) if column == unit_column else _cell(cell) for column, cell in enumerate(row)]
         lines.append(" & ".join(cells) + r" \\")
     lines += [r"\bottomrule", r"\end{tabular}"]
     if content.note:
@@ -68,12 +71,9 @@ def latex_table(content: Table, label: str = "") -> str:
 
 
 def latex_rows(head: Sequence[str], cells: Sequence[str], name: str) -> str:
-    """Two rows of a table in LaTeX: labels, and cells after the `name`."""
-    return "\n".join(
-        " & ".join(["", *map(_heading, head)] if row is head else [_text(name), *map(_cell, row)]).strip()
-        + r" \\"
-        for row in (head, cells)
-    )
+    """Two rows of a table in LaTeX: the labels, and below them the cells after the `name`."""
+    rows = (["", *map(_heading, head)], [_text(name), *map(_cell, cells)])
+    return "\n".join(" & ".join(row).strip() + r" \\" for row in rows)
 
 
 def _heading(label: str) -> str:
@@ -87,67 +87,62 @@ def _heading(label: str) -> str:
 
 def _cell(text: str) -> str:
     """A cell in LaTeX: a number with its uncertainty, a number, or words with numbers."""
-    spelled = text.replace("−", "-")
-    if found := _WITH_U.fullmatch(spelled):
-        value, u, power = found.groups()
-        return rf"\num{{{value} +- {u}{_power(power)}}}"
-    if found := _PLAIN.fullmatch(spelled):
-        return rf"\num{{{found[1]}{_power(found[2])}}}"
+    ascii_text = text.replace("−", "-")
+    if match := _NUMBER_WITH_U.fullmatch(ascii_text):
+        value, u, exponent = match.groups()
+        return rf"\num{{{value} +- {u}{_power(exponent)}}}"
+    if match := _PLAIN_NUMBER.fullmatch(ascii_text):
+        return rf"\num{{{match[1]}{_power(match[2])}}}"
     return _text(text)
 
 
-def _power(raised: str | None) -> str:
-    return "" if raised is None else f" e{raised.translate(_SUPERSCRIPTS)}"
+def _power(exponent: str | None) -> str:
+    return "" if exponent is None else f" e{exponent.translate(_SUPERSCRIPT_VALUES)}"
 
 
 def _unit(text: str) -> str:
-    """A unit by siunitx's names; one that it does not name as text."""
+    """A unit by siunitx's names; as text if siunitx has no name for it."""
     try:
         return rf"\unit{{{_siunitx(text)}}}"
     except (ConfigurationError, KeyError):
         # a power that is a parameter (`rad⁻ᵖ`) is for siunitx, too
-        named = re.fullmatch(r"([A-Za-z]+)([⁻⁰¹²³⁴-⁹ᵖ]+)", text)
-        return rf"\unit{{{named[1]}^{{{named[2].translate(_SUPERSCRIPTS)}}}}}" if named else _text(text)
+        match = re.fullmatch(rf"([A-Za-z]+)([{_SUPERSCRIPT}ᵖ]+)", text)
+        return rf"\unit{{{match[1]}^{{{match[2].translate(_SUPERSCRIPT_VALUES)}}}}}" if match else _text(text)
 
 
 def _siunitx(unit: str) -> str:
-    """A unit by siunitx's names.
-
-    Raises ConfigurationError if it is no unit, KeyError for what siunitx does not name: one, ppm, counts.
-    """
-    words = []
+    """A unit by siunitx's names; raises ConfigurationError if it is no unit, KeyError without a name."""
+    commands = []
     for symbol, power in factors(unit):
         prefix, rest = split_prefix(symbol.replace("μ", "u").replace("µ", "u"))
         # kilogram is the only unit with its prefix in its name
-        word = "".join(f"\\{name}" for name in (_PREFIXES.get(prefix), _UNITS[rest]) if name)
-        word = word.replace(r"\kilo\gram", r"\kilogram")
-        raised = power if power.denominator == 1 else float(power)
-        words.append(word if power == 1 else rf"{word}\tothe{{{raised}}}")
-    return "".join(words)
+        command = "".join(f"\\{name}" for name in (_PREFIXES.get(prefix), _UNITS[rest]) if name)
+        command = command.replace(r"\kilo\gram", r"\kilogram")
+        exponent = power if power.denominator == 1 else float(power)
+        commands.append(command if power == 1 else rf"{command}\tothe{{{exponent}}}")
+    return "".join(commands)
 
 
 def _text(text: str) -> str:
     """Words in LaTeX, with symbols and powers in mathematics."""
-    found = re.sub(
-        r"(×) 10([⁻⁰¹²³⁴-⁹]+)", lambda power: f"\0\\times 10^{{{power[2].translate(_SUPERSCRIPTS)}}}\0", text
-    )
     parts = []
-    for place, part in enumerate(found.split("\0")):
-        parts.append(f"${part}$" if place % 2 else "".join(_word(piece) for piece in _pieces(part)))
+    # every second part is the exponent of a power of ten
+    for index, part in enumerate(re.split(_POWER_OF_TEN, text)):
+        if index % 2:
+            parts.append(rf"$\times 10^{{{part.translate(_SUPERSCRIPT_VALUES)}}}$")
+        else:
+            parts += map(_piece_text, _PIECE.findall(part))
     return "".join(parts)
 
 
-def _pieces(text: str) -> list[str]:
-    return re.findall(r"[A-Za-zα-ωΓΔΣΦΩ]\u0304?[₀-₉ₜ]+|[A-Za-zα-ωΓΔΣΦΩ]\u0304|[⁻⁰¹²³⁴-⁹ᵖ]+|.", text)
-
-
-def _word(piece: str) -> str:
-    if piece[0] in "⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ":
-        return f"$^{{{piece.translate(_SUPERSCRIPTS)}}}$"
-    letter, below = piece[0], piece[1:].translate(_SUBSCRIPTS)
+def _piece_text(piece: str) -> str:
+    """A letter with its bar and subscript, an exponent, or a character, in LaTeX."""
+    if piece[0] in f"{_SUPERSCRIPT}ᵖ":
+        return f"$^{{{piece.translate(_SUPERSCRIPT_VALUES)}}}$"
+    letter, subscript = piece[0], piece[1:].translate(_SUBSCRIPT_VALUES)
     symbol = f"\\{_GREEK[letter]}" if letter in _GREEK else letter
     if len(piece) > 1:
-        symbol = rf"\bar{{{symbol}}}" if "\u0304" in below else symbol
-        below = below.replace("\u0304", "")
-        return f"${symbol}_{{{below}}}$" if below else f"${symbol}$"
+        symbol = rf"\bar{{{symbol}}}" if "\u0304" in subscript else symbol
+        subscript = subscript.replace("\u0304", "")
+        return f"${symbol}_{{{subscript}}}$" if subscript else f"${symbol}$"
     return f"${symbol}$" if letter in _GREEK else _CHARACTERS.get(piece, piece)

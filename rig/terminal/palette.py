@@ -1,4 +1,4 @@
-"""Colours of view and report that can be distinguished with colour-deficient vision.
+"""Colours of view and report, which colour-deficient eyes can distinguish.
 
 They are the eight colours of Okabe and Ito, "Color Universal Design" (2008), as hexadecimal sRGB, with
 meanings that are the same in every figure and panel.
@@ -37,17 +37,17 @@ SEQUENCE: Final = (SKY_BLUE, ORANGE, BLUISH_GREEN, VERMILLION, YELLOW, REDDISH_P
 
 def curve_colour(name: str, number: int) -> str:
     """Colour of a curve of the analysis: fixed for data and the two fits, else that of `number`."""
-    for word, colour in (
+    for method, colour in (
         (FitMethod.EXACT, EXACT_FIT_COLOUR),
         (FitMethod.ASYMPTOTIC, ASYMPTOTIC_FIT_COLOUR),
         ("measured", DATA_COLOUR),
     ):
-        if word in name.lower():
+        if method in name.lower():
             return colour
     return SEQUENCE[number % len(SEQUENCE)]
 
 
-def rgba(colour: str, opacity: float = 1.0) -> tuple[int, int, int, int]:
-    """Red, green, blue and opacity, each 0 to 255, of a ``#RRGGBB`` colour."""
+def rgba(colour: str) -> tuple[int, int, int, int]:
+    """Red, green, blue and opacity, each 0 to 255, of an opaque ``#RRGGBB`` colour."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return red, green, blue, round(255 * opacity)
+    return red, green, blue, 255

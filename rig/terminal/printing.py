@@ -1,4 +1,4 @@
-"""Tables and lines: their output on the terminal and as JSON."""
+"""Output on the terminal and as JSON: tables, lines, progress, messages on files."""
 
 import contextlib
 import dataclasses
@@ -30,12 +30,14 @@ _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 @dataclass(frozen=True)
 class Table:
-    """A table as a person reads it: its headings, and the texts of its lines; numbers are rows of results."""
+    """A table of texts as a person reads it."""
 
     name: str
     title: str
     head: Sequence[str]
+    """Headings of the columns."""
     shown: Sequence[Sequence[str]]
+    """Texts of the cells of each line."""
     note: str = ""
 
 
@@ -50,6 +52,7 @@ _MAX_INDENT = 0.4
 """Largest indent of continued text, as a fraction of the width; after a longer name it is small."""
 _WITHIN_NUMBER = re.compile(r"(?<=\d) (?=[%±×°])|(?<=[±×]) (?=[\d(])|(?<=\d\)) (?=[×%])")
 _TERMINAL_INTERVAL_S, _LINE_INTERVAL_S = 1.0, 10.0
+"""Intervals of the reports of progress at a terminal and elsewhere."""
 _ERASE_LINE = "\r\x1b[K"
 _NO_BREAK_SPACE = "\u00a0"
 
@@ -73,26 +76,28 @@ def loud(text: str) -> str:
 class ProgressLine:
     """Reports the progress of long work on stderr: at a terminal in one line, else a line at intervals."""
 
-    def __init__(self, what: str, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self._what, self._clock = what, clock
-        self._begun: tuple[float, int] | None = None
-        self._said_s = 0.0
+    def __init__(self, work: str, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._work, self._clock = work, clock
+        self._start: tuple[float, int] | None = None
+        self._last_report_s = 0.0
 
     def __call__(self, done: int, count: int) -> None:
         """Report that `done` of `count` parts are done; work that ends soon is not reported."""
-        now_s, terminal = self._clock(), sys.stderr.isatty()
-        if self._begun is None or done < self._begun[1] + 1:
+        now_s, is_terminal = self._clock(), sys.stderr.isatty()
+        if self._start is None or done <= self._start[1]:
             # the first part includes loading and compiling, so its time does not count
-            self._begun, self._said_s = (now_s, done), now_s
-        begun_s, token = self._begun
-        if done >= count and terminal and self._said_s > begun_s:
+            self._start, self._last_report_s = (now_s, done), now_s
+        start_s, start_done = self._start
+        if done >= count and is_terminal and self._last_report_s > start_s:
             print(_ERASE_LINE, end="", file=sys.stderr, flush=True)
-        if done >= count or now_s - self._said_s < (_TERMINAL_INTERVAL_S if terminal else _LINE_INTERVAL_S):
+        interval_s = _TERMINAL_INTERVAL_S if is_terminal else _LINE_INTERVAL_S
+        if done >= count or now_s - self._last_report_s < interval_s:
             return
-        self._said_s = now_s
-        left_s = round((now_s - begun_s) * (count - done) / max(done - token, 1))
-        text = f"{self._what}: {done} of {count}, about {left_s // 60}:{left_s % 60:02d} min left"
-        print(f"{_ERASE_LINE}{text}" if terminal else f"{text}\n", end="", file=sys.stderr, flush=True)
+        self._last_report_s = now_s
+        remaining_s = round((now_s - start_s) * (count - done) / max(done - start_done, 1))
+        minutes, seconds = divmod(remaining_s, 60)
+        text = f"{self._work}: {done} of {count}, about {minutes}:{seconds:02d} min left"
+        print(f"{_ERASE_LINE}{text}" if is_terminal else f"{text}\n", end="", file=sys.stderr, flush=True)
 
 
 def _print(text: str, stream: IO[str]) -> None:
@@ -115,8 +120,8 @@ def _wrap(line: str, columns: int) -> str:
     if not columns or len(line) <= columns:
         return line
     # text after a name and two spaces is continued below its beginning
-    begin = re.match(r" *(?:\S+(?: \S+)* {2,})?", line)
-    indent = len(begin[0]) if begin is not None else 0
+    name = re.match(r" *(?:\S+(?: \S+)* {2,})?", line)
+    indent = len(name[0]) if name is not None else 0
     if indent > _MAX_INDENT * columns:
         indent = len(line) - len(line.lstrip())
     return folded(line, columns, indent or 2)
@@ -145,16 +150,16 @@ def unbroken_words(text: str) -> list[str]:
 
 
 @contextlib.contextmanager
-def written(path: Path, other: str = "folder") -> Iterator[None]:
-    """A context for writing files, which turns errors into messages.
+def translated_file_errors(path: Path, alternative: str = "folder") -> Iterator[None]:
+    """A context for writing files, which turns errors of the system into messages for the user.
 
-    Raises ConfigurationError if a file exists (`other` is what to choose anew), else RecordError.
+    Raises ConfigurationError if a file exists (the message asks for another `alternative`), else RecordError.
     """
     try:
         yield
     except FileExistsError as error:
         raise ConfigurationError(
-            f"{error.filename or path}: exists already and is not overwritten; choose another {other}"
+            f"{error.filename or path}: exists already and is not overwritten; choose another {alternative}"
         ) from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
@@ -188,23 +193,23 @@ def plain_values(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-_JSON_ANSWER: ContextVar[dict[str, Any] | None] = ContextVar("found", default=None)
+_JSON_ANSWER: ContextVar[dict[str, Any] | None] = ContextVar("json_answer", default=None)
 
 
-def answer(**found: object) -> None:
+def answer(**values: object) -> None:
     """Add values to the JSON object that ``--json`` prints; without that option nothing happens.
 
     A function is called for its value. A list that is stated again is extended: records, files, tables.
     """
-    stated = _JSON_ANSWER.get()
-    if stated is None:
+    answers = _JSON_ANSWER.get()
+    if answers is None:
         return
-    for name, given in found.items():
-        value = given() if callable(given) else given
-        if isinstance(value, list) and name in stated:
-            stated[name] += value
+    for name, value_or_function in values.items():
+        value = value_or_function() if callable(value_or_function) else value_or_function
+        if isinstance(value, list) and name in answers:
+            answers[name] += value
         else:
-            stated[name] = value
+            answers[name] = value
 
 
 @contextlib.contextmanager
@@ -213,17 +218,17 @@ def one_json_object() -> Iterator[None]:
 
     After an error there is no object: the line on stderr and the exit status report it.
     """
-    found: dict[str, Any] = {}
-    token = _JSON_ANSWER.set(found)
+    answers: dict[str, Any] = {}
+    token = _JSON_ANSWER.set(answers)
     try:
         with contextlib.redirect_stdout(sys.stderr):
             yield
     finally:
         _JSON_ANSWER.reset(token)
-    print(json.dumps(plain_values(found), ensure_ascii=False), flush=True)
+    print(json.dumps(plain_values(answers), ensure_ascii=False), flush=True)
 
 
-_NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
+_NUMBER_STARTS = tuple("0123456789−-+(<>–")
 _FILE_WIDTH = 170
 """Width of a table in a file or a pipe, in characters."""
 _GAP = 2
@@ -248,65 +253,65 @@ def print_tables(tables: Sequence[Table]) -> None:
         title = content.title
         if title and content.head and not content.shown:
             print_line(title)
-        for places in _parts(content, width) if content.shown else ():
-            console.print(_rich_table(content, title, places, width))
+        for columns in _column_groups(content, width) if content.shown else ():
+            console.print(_rich_table(content, title, columns, width))
             title = ""
         if content.note:
             print_line(content.note)
         console.print()
 
 
-def _parts(content: Table, width: int) -> list[list[int]]:
-    """Indices of the columns in each part of a table; every part begins with the first column."""
-    least = _least_widths(content)
-    if not least:
+def _column_groups(content: Table, width: int) -> list[list[int]]:
+    """Indices of the columns that are printed side by side; every group begins with the first column."""
+    min_widths = _min_widths(content)
+    if not min_widths:
         return []
-    parts = [[0]]
-    for place in range(1, len(least)):
-        used = sum(least[one] + _GAP for one in parts[-1])
-        if len(parts[-1]) > 1 and used + least[place] + _GAP > width:
-            parts.append([0])
-        parts[-1].append(place)
-    return parts
+    groups = [[0]]
+    for column in range(1, len(min_widths)):
+        used = sum(min_widths[k] + _GAP for k in groups[-1])
+        if len(groups[-1]) > 1 and used + min_widths[column] + _GAP > width:
+            groups.append([0])
+        groups[-1].append(column)
+    return groups
 
 
-def _rich_table(content: Table, title: str, places: Sequence[int], width: int) -> RichTable:
-    least, widths = _least_widths(content), _natural_widths(content)
-    while sum(widths[place] + _GAP for place in places) > width:
-        can = [place for place in places if widths[place] > least[place]]
-        if not can:
+def _rich_table(content: Table, title: str, columns: Sequence[int], width: int) -> RichTable:
+    min_widths, widths = _min_widths(content), _natural_widths(content)
+    while sum(widths[column] + _GAP for column in columns) > width:
+        shrinkable = [column for column in columns if widths[column] > min_widths[column]]
+        if not shrinkable:
             break
-        widths[max(can, key=lambda place: widths[place])] -= 1
-    drawn = RichTable(title=title or None, title_justify="left", box=None, pad_edge=False)
-    for place in places:
-        drawn.add_column(
-            content.head[place],
-            justify="right" if _is_numeric(content, place) else "left",
-            width=widths[place],
+        widths[max(shrinkable, key=lambda column: widths[column])] -= 1
+    table = RichTable(title=title or None, title_justify="left", box=None, pad_edge=False)
+    for column in columns:
+        table.add_column(
+            content.head[column],
+            justify="right" if _is_numeric(content, column) else "left",
+            width=widths[column],
         )
     for row in content.shown:
-        lines = {place: row[place].split("\n") for place in places}
-        drawn.add_row(*("\n".join(folded(one, widths[place]) for one in lines[place]) for place in places))
-    return drawn
+        lines = ((row[column].split("\n"), widths[column]) for column in columns)
+        table.add_row(*("\n".join(folded(line, size) for line in cell) for cell, size in lines))
+    return table
 
 
-def _is_numeric(content: Table, place: int) -> bool:
-    return 2 * sum(row[place].startswith(_NUMBERS_BEGIN_WITH) for row in content.shown) > len(content.shown)
+def _is_numeric(content: Table, column: int) -> bool:
+    return 2 * sum(row[column].startswith(_NUMBER_STARTS) for row in content.shown) > len(content.shown)
 
 
 def _natural_widths(content: Table) -> list[int]:
     return [
-        max(map(cell_len, (heading, *(row[place] for row in content.shown))), default=0)
-        for place, heading in enumerate(content.head)
+        max(map(cell_len, (heading, *(row[column] for row in content.shown))), default=0)
+        for column, heading in enumerate(content.head)
     ]
 
 
-def _least_widths(content: Table) -> list[int]:
-    """Least widths of the columns with which no word, and no cell of numbers, is broken."""
-    found = []
-    for place, heading in enumerate(content.head):
-        cells = [row[place] for row in content.shown]
-        lines = [line for cell in cells for line in cell.split("\n")]
-        whole = cells if _is_numeric(content, place) else [w for line in lines for w in unbroken_words(line)]
-        found.append(max(map(cell_len, (*whole, *heading.split())), default=0))
-    return found
+def _min_widths(content: Table) -> list[int]:
+    """Smallest widths of the columns with which no word, and no cell of numbers, is broken."""
+    widths = []
+    for column, heading in enumerate(content.head):
+        texts = [row[column] for row in content.shown]
+        if not _is_numeric(content, column):
+            texts = [word for cell in texts for line in cell.split("\n") for word in unbroken_words(line)]
+        widths.append(max(map(cell_len, (*texts, *heading.split())), default=0))
+    return widths

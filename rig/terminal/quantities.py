@@ -21,15 +21,14 @@ _ANGLE = ("arcsec", "rad")
 
 @dataclass(frozen=True, slots=True)
 class QuantityDisplay:
-    """Presentation of a quantity: the shown number, in `unit`, is `factor` times the stored value.
-
-    `unit` is empty for a dimensionless quantity.
-    """
+    """Presentation of a quantity."""
 
     symbol: str
     unit: str
+    """Unit of the displayed number; empty for a dimensionless quantity."""
     name: str
     factor: float = 1.0
+    """The displayed number is the stored value times this factor."""
 
     @property
     def label(self) -> str:
@@ -58,8 +57,8 @@ def quantity(key: str, unit: str = "arcsec") -> QuantityDisplay:
     if declared is None:
         return QuantityDisplay(key.replace("_", " "), "", key.replace("_", " "))
     si = "" if declared.unit == "1" else declared.unit
-    found = QuantityDisplay(declared.symbol, declared.shown or si, declared.meaning, declared.factor)
-    return found.in_px() if unit == "px" else found
+    display = QuantityDisplay(declared.symbol, declared.shown or si, declared.meaning, declared.factor)
+    return display.in_px() if unit == "px" else display
 
 
 def declaration(key: str) -> Quantity | None:
@@ -75,16 +74,17 @@ def unit_of(key: str) -> str:
 
 @cache
 def _declarations() -> Mapping[str, Quantity]:
-    """All declared quantities by key; imported here, because compiled functions load slowly."""
+    """All declared quantities by key."""
+    # imported here, because compiled functions load slowly
     from processing.balance import Balance
     from processing.fit import DerivedQuantity, FitQuality, Work
 
     kinds = (InstrumentQuantities, DerivedQuantity, FitQuality, Work, DecayQuantities)
-    found = {name: one for kind in kinds for name, one in quantities_of(kind).items()}
-    found |= {key: parameter.quantity for key, parameter in law_parameters().items()}
+    declarations = {key: declared for kind in kinds for key, declared in quantities_of(kind).items()}
+    declarations |= {key: parameter.quantity for key, parameter in law_parameters().items()}
     for kind in (Balance, AmbientConditions, PlottedQuantities):
-        found |= quantities_of(kind)
-    return found
+        declarations |= quantities_of(kind)
+    return declarations
 
 
 @cache
@@ -92,9 +92,9 @@ def law_parameters() -> Mapping[str, "Parameter"]:
     """All parameters of all laws by their keys, and drag and start values, which every fit has."""
     from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
 
-    own = [p for law in LAWS.values() for p in law.parameters]
+    of_laws = [parameter for law in LAWS.values() for parameter in law.parameters]
     # a key of several laws has the description of the first law
-    return {parameter.key: parameter for parameter in reversed((*own, DRAG, AMPLITUDE, TIME))}
+    return {parameter.key: parameter for parameter in reversed((*of_laws, DRAG, AMPLITUDE, TIME))}
 
 
 SOURCES: Final[Mapping[str, str]] = {
@@ -130,8 +130,7 @@ SOURCES: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class PlottedQuantities:
-    """Quantities plotted by the desk's page, and covariates of a campaign; others are declared in `Balance`,
-    and ambient conditions."""
+    """Quantities that only the desk's charts, or campaigns as covariates, show."""
 
     elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
     deflection_x: Annotated[float, Quantity("X", "deflection across the swing", *_ANGLE)]
@@ -145,11 +144,12 @@ class PlottedQuantities:
 
 
 class RerunStyle(NamedTuple):
-    """Name of a quantity's entity in Rerun, its colour, and its panel (empty: in the table only)."""
+    """Presentation of a quantity of the balance in Rerun."""
 
     entity: str
     colour: str = palette.GREY
     panel: str = ""
+    """Title of the panel with its curve; empty if it stands in the table alone."""
 
 
 BALANCE_STYLES: Final[Mapping[str, RerunStyle]] = {
@@ -180,10 +180,10 @@ def balance_panels(unit: str) -> dict[str, list[str]]:
     All quantities of a panel have the same unit; `unit` is that of deflections.
     """
     panels: dict[str, list[str]] = {}
-    for key, drawn in BALANCE_STYLES.items():
-        if drawn.panel:
-            title = replace(quantity(key, unit), symbol=drawn.panel).label
-            panels.setdefault(title, []).append(drawn.entity)
+    for key, style in BALANCE_STYLES.items():
+        if style.panel:
+            title = replace(quantity(key, unit), symbol=style.panel).label
+            panels.setdefault(title, []).append(style.entity)
     return panels
 
 
@@ -197,6 +197,6 @@ def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str) -> str:
     """The balance as a table in Markdown; `unit` is that of deflections as shown: arcsec or px."""
     lines = ["| | value ± u |", "|---|---:|"]
     for key, (value, u) in numbers.items():
-        shown = quantity(key, unit)
-        lines.append(f"| {shown.label} | {shown.text(value, u)} |")
+        display = quantity(key, unit)
+        lines.append(f"| {display.label} | {display.text(value, u)} |")
     return "\n".join(lines)

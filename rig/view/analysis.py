@@ -46,38 +46,37 @@ MAX_BARS: Final = 400
 
 
 class AnalysisCurve(NamedTuple):
-    """One curve of the analysing layout, drawn as points (data) or as a line (fit); arrays (n,).
-
-    Axes of the panels: ``decay`` time in s, amplitude; ``residuals`` time in s, residual of the amplitude;
-    ``period`` amplitude, period in s; ``period_residuals`` amplitude, residual in ms. Amplitudes are in
-    the unit of the setup. NaN interrupts a line. `u_y` is drawn as error bars of one standard uncertainty.
-    """
+    """One curve of the analysing layout; arrays (n,)."""
 
     panel: Panel
     name: str
     x: Floats
     y: Floats
+    """x and y in the units of `PANEL_TITLES`; NaN interrupts a line."""
     u_y: Floats | None = None
+    """Standard uncertainty of y, drawn as error bars."""
     style: Literal["points", "line"] = "line"
 
 
 def run_analysis(record: Path) -> RunResults:
     """The results next to the record if they were made from this file, else a new fit."""
-    _, known = recorded_results(record, sha256_of(record))
-    return analyse_record(record) if known is None else known
+    _, stored = recorded_results(record, sha256_of(record))
+    return analyse_record(record) if stored is None else stored
 
 
 def analysis_curves(run: RunResults) -> list[AnalysisCurve]:
     """Curves of the decay and of T(alpha) with both fits and their residuals; without a fit only data."""
-    # the unit is one of a record's, never that of a table
+    # a record has a `DeflectionUnit`; only a table may have another unit
     points, size = run.points, DeflectionUnit(run.stored.unit).shown_size
     amplitude, u = points.amplitude / size, points.u_amplitude / size
     result = [AnalysisCurve("decay", "measured", points.time_s, amplitude, u, "points")]
     curves = curves_of(run)
     if curves is None:
         return result
-    at, u_period_s = curves.period_rad / size, curves.u_period_s
-    result.append(AnalysisCurve("period", "measured", at, curves.period_s, u_period_s, "points"))
+    period_amplitude, u_period_s = curves.period_rad / size, curves.u_period_s
+    result.append(
+        AnalysisCurve("period", "measured", period_amplitude, curves.period_s, u_period_s, "points")
+    )
     models = {
         FitMethod.ASYMPTOTIC: (curves.asymptotic.model_amplitude_rad / size, curves.asymptotic_period_s),
         FitMethod.EXACT: (curves.exact.model_amplitude_rad / size, curves.exact_period_s),
@@ -88,38 +87,37 @@ def analysis_curves(run: RunResults) -> list[AnalysisCurve]:
         residual_ms = 1e3 * (curves.period_s - period_s)
         result += [
             AnalysisCurve("decay", fit, points.time_s, decay),
-            AnalysisCurve("period", fit, at, period_s),
+            AnalysisCurve("period", fit, period_amplitude, period_s),
             AnalysisCurve("residuals", fit, points.time_s, amplitude - decay, u_bars, "points"),
-            AnalysisCurve("period_residuals", fit, at, residual_ms, u_bars_ms, "points"),
+            AnalysisCurve("period_residuals", fit, period_amplitude, residual_ms, u_bars_ms, "points"),
         ]
     return result
 
 
 def report_text(results: RunResults) -> str:
     """Results of the fits in Markdown."""
-    parts = [f"## {Path(results.record).stem}", results.half_cycles_text()]
+    paragraphs = [f"## {Path(results.record).stem}"]
+    paragraphs.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
     if results.problem:
-        parts.append(f"no fit: {results.problem}")
+        paragraphs.append(f"no fit: {results.problem}")
     if results.fits:
-        parts.append(_markdown(parameter_table(results, full=False)))
-        parts.append(_markdown(quality_table(results)))
+        paragraphs.append(_markdown(parameter_table(results, full=False)))
+        paragraphs.append(_markdown(quality_table(results)))
     instrument = instrument_table(results)
     if instrument.shown:
-        parts.append(_markdown(instrument))
-    return "\n\n".join([*parts, *(f"- {line}" for line in (*remarks(results), *results.warnings))])
+        paragraphs.append(_markdown(instrument))
+    return "\n\n".join([*paragraphs, *(f"- {line}" for line in (*remarks(results), *results.warnings))])
 
 
 def _markdown(table: Table) -> str:
     """The table in Markdown; units are appended to the names."""
     head, rows = list(table.head), [list(row) for row in table.shown]
     if "unit" in head:
-        place = head.index("unit")
-        del head[place]
-        units = [row.pop(place) for row in rows]
-        rows = [
-            [f"{row[0]} / {unit}" if unit else row[0], *row[1:]]
-            for row, unit in zip(rows, units, strict=True)
-        ]
+        column = head.index("unit")
+        del head[column]
+        for row in rows:
+            if unit := row.pop(column):
+                row[0] = f"{row[0]} / {unit}"
 
     def line(cells: Sequence[str]) -> str:
         return f"| {' | '.join(cells)} |"
@@ -128,10 +126,7 @@ def _markdown(table: Table) -> str:
 
 
 def draw_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], text: str, unit: str) -> None:
-    """Draw axes and curves of each panel, and the report's text (Markdown).
-
-    They are static entities (without a time), because they hold for the whole run.
-    """
+    """Draw axes and curves of each panel, and the report's text (Markdown), as entities without a time."""
     for panel, (x_title, y_title) in PANEL_TITLES.items():
         curves = [curve for curve in all_curves if curve.panel == panel]
         if not curves:
@@ -141,7 +136,7 @@ def draw_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], t
             np.concatenate([curve.y for curve in curves]),
             x_title.format(unit=unit),
             y_title.format(unit=unit),
-            trimmed=panel in TRIMMED_PANELS,
+            trims_y=panel in TRIMMED_PANELS,
         )
         root = f"{layout.ANALYSIS_ROOT}/{panel}"
         for name, archetype in graticule_marks(graticule).items():
@@ -151,9 +146,9 @@ def draw_fits(stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], t
             colour = palette.curve_colour(curve.name, number)
             later = curves[number + 1 :] if panel in COVERED_PANELS else []
             lines_above = sum(other.style == "line" for other in later)
-            outside = _draw_curve(stream, root, curve, graticule, colour, lines_above)
-            entries.append((f"{curve.name} ({outside} outside)" if outside else curve.name, colour))
-        legend = _legend(entries, graticule, below=panel == LOWER_LEGEND_PANEL)
+            count = _draw_curve(stream, root, curve, graticule, colour, lines_above)
+            entries.append((f"{curve.name} ({count} outside)" if count else curve.name, colour))
+        legend = _legend(entries, graticule, is_low=panel == LOWER_LEGEND_PANEL)
         stream.log(f"{root}/legend", legend, static=True)
     if text:
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
@@ -173,24 +168,24 @@ def _draw_curve(
     `lines_above` is the number of lines that are drawn over this curve, which is made wider for them.
     """
     path = f"{root}/{rr.escape_entity_path_part(curve.name)}"
-    points = graticule.place(curve.x, curve.y)
-    inside = graticule.inside(curve.x, curve.y)
+    points = graticule.to_plane(curve.x, curve.y)
+    is_inside = graticule.inside(curve.x, curve.y)
     if curve.style == "points":
         radius = rr.Radius.ui_points(1.2 + 0.7 * lines_above)
-        dots = rr.Points2D(points[inside], colors=palette.rgba(colour), radii=radius, draw_order=5.0)
+        dots = rr.Points2D(points[is_inside], colors=palette.rgba(colour), radii=radius, draw_order=5.0)
         stream.log(path, dots, static=True)
     else:
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], is_inside, [False])).astype(np.int8)))
         strips = [points[start:stop] for start, stop in edges.reshape(-1, 2)]
         radius = rr.Radius.ui_points(0.8 + 0.8 * lines_above)
         order = 20.0 - lines_above
         line = rr.LineStrips2D(strips, colors=palette.rgba(colour), radii=radius, draw_order=order)
         stream.log(path, line, static=True)
     if curve.u_y is not None:
-        rows = np.flatnonzero(inside)[:: max(1, int(inside.sum()) // MAX_BARS)]
+        rows = np.flatnonzero(is_inside)[:: max(1, int(is_inside.sum()) // MAX_BARS)]
         low = np.maximum(curve.y[rows] - curve.u_y[rows], graticule.y_low)
         high = np.minimum(curve.y[rows] + curve.u_y[rows], graticule.y_high)
-        ends = graticule.place(curve.x[rows], low), graticule.place(curve.x[rows], high)
+        ends = graticule.to_plane(curve.x[rows], low), graticule.to_plane(curve.x[rows], high)
         bars = rr.LineStrips2D(
             np.stack(ends, axis=1),
             colors=faded(colour, 0.45),
@@ -198,19 +193,19 @@ def _draw_curve(
             draw_order=-5.0,
         )
         stream.log(f"{path}/u", bars, static=True)
-    return int(np.count_nonzero(np.isfinite(curve.x + curve.y) & ~inside)) if curve.style == "points" else 0
+    return (
+        int(np.count_nonzero(np.isfinite(curve.x + curve.y) & ~is_inside)) if curve.style == "points" else 0
+    )
 
 
-def _legend(entries: list[tuple[str, str]], graticule: Graticule, *, below: bool) -> rr.Points2D:
-    """The names of the curves in their colours, in the upper right corner, or the lower right if `below`."""
+def _legend(entries: list[tuple[str, str]], graticule: Graticule, *, is_low: bool) -> rr.Points2D:
+    """The names of the curves in their colours, in the upper right corner, or the lower right if `is_low`."""
     width, height = graticule.size
-    corner = graticule.place(np.array([graticule.x_high]), np.array([graticule.y_high]))[0]
-    first = 1.0 - 0.08 * len(entries) - 0.03 if below else 0.03
-    places = [
-        (corner[0] - 0.2 * width, corner[1] + (first + 0.08 * row) * height) for row in range(len(entries))
-    ]
+    corner = graticule.to_plane(np.array([graticule.x_high]), np.array([graticule.y_high]))[0]
+    first = 1.0 - 0.08 * len(entries) - 0.03 if is_low else 0.03
+    x = corner[0] - 0.2 * width
     return rr.Points2D(
-        places,
+        [(x, corner[1] + (first + 0.08 * row) * height) for row in range(len(entries))],
         labels=[name for name, _ in entries],
         show_labels=True,
         colors=[palette.rgba(colour) for _, colour in entries],

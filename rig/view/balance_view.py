@@ -17,25 +17,24 @@ from acquisition.record.writer import RecordWriter
 from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
-from processing.spot import Spot, SpotFlag
 from processing.units import seconds
 from rig.instrument import Block, configuration_attachments, session_metadata
 from rig.settings import Configuration
 from rig.terminal import say
+from rig.view.replay import LOST_SPOT
 from rig.view.running_view import RunningView
 from rig.view.show import show_record
 
 _PAUSE_NS, _PICTURE_INTERVAL_NS = 2_000_000_000, 300_000_000
 _MAX_BYTES = 256 * 1024 * 1024
-"""Largest size of the record, of an hour at least; what comes later is not shown."""
-_LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
+"""Largest size of the record, reached after an hour or more; later measurements are not shown."""
 
 
 class BalanceView:
     """The view in the balancing layout, where measurements follow each other in time; a context manager.
 
-    The view is opened at the first frame, if a live view or a Rerun file is wanted. At the end that file is
-    drawn, and the record removed. `advise` gives the text beside a balance, `way` gets all deflections.
+    The view is opened at the first frame, if a live view or a Rerun file is configured. At the end the file
+    is drawn, and the record removed. `advise` gives the text beside a balance; `report` gets all deflections.
     """
 
     def __init__(
@@ -43,12 +42,12 @@ class BalanceView:
         config: Configuration,
         rrd: Path | None,
         advise: Callable[[Balance], str],
-        way: Callable[[Deflections], None],
+        report: Callable[[Deflections], None],
     ) -> None:
         self._config, self._rrd = config, rrd
-        self._advise, self._way = advise, way
+        self._advise, self._report = advise, report
         self._writer: RecordWriter | None = None
-        self._failed = False
+        self._has_ended = False
         self._frames = self._shift_ns = self._shown_ns = self._picture_due_ns = 0
 
     def __enter__(self) -> Self:
@@ -82,33 +81,36 @@ class BalanceView:
             )
             self._write(None, [Event(0, EventKind.START, "first frame")])
         else:
-            # curves are interrupted where a spot is lost
+            # a lost spot interrupts the curves
             self._shown_ns += _PAUSE_NS
-            unknown, text = np.full(1, math.nan), f"restarted at {seconds(self._shown_ns):.1f} s"
-            at_ns, unit = np.array([self._shown_ns]), config.deflection_unit
-            nowhere = Deflections(at_ns, unknown, unknown, unknown, unknown, unit)
-            self._write(Block([_LOST], nowhere, [], []), [Event(self._shown_ns, EventKind.START, text)])
+            text = f"restarted at {seconds(self._shown_ns):.1f} s"
+            nan = np.full(1, math.nan)
+            lost = Deflections(np.array([self._shown_ns]), nan, nan, nan, nan, config.deflection_unit)
+            self._write(Block([LOST_SPOT], lost, [], []), [Event(self._shown_ns, EventKind.START, text)])
         self._shift_ns = first.time_ns - self._shown_ns
 
     def block(self, frames: Sequence[Frame], block: Block) -> None:
         """Show processed frames."""
-        self._way(block.deflections)
+        self._report(block.deflections)
         if self._writer is None or not frames:
             return
         shift_ns = self._shift_ns
-        moved = block._replace(
+        balances = [replace(balance, time_ns=balance.time_ns - shift_ns) for balance in block.balances]
+        shifted = block._replace(
             deflections=replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns),
-            half_cycles=[replace(one, turn_time_ns=one.turn_time_ns - shift_ns) for one in block.half_cycles],
-            balances=[replace(one, time_ns=one.time_ns - shift_ns) for one in block.balances],
+            half_cycles=[
+                replace(swing, turn_time_ns=swing.turn_time_ns - shift_ns) for swing in block.half_cycles
+            ],
+            balances=balances,
         )
-        advice = [Event(one.time_ns, EventKind.ADVICE, self._advise(one)) for one in moved.balances]
+        advice = [Event(balance.time_ns, EventKind.ADVICE, self._advise(balance)) for balance in balances]
         self._shown_ns = frames[-1].time_ns - shift_ns
-        self._write(moved, advice, frames[-1]._replace(device_time_ns=self._shown_ns))
+        self._write(shifted, advice, frames[-1]._replace(device_time_ns=self._shown_ns))
 
     def _write(self, block: Block | None, events: Sequence[Event], frame: Frame | None = None) -> None:
         """Write into the record, with a picture at intervals; an error ends only the view."""
         writer = self._writer
-        if writer is None or self._failed:
+        if writer is None or self._has_ended:
             return
         try:
             if block is not None:
@@ -123,8 +125,8 @@ class BalanceView:
                 writer.write_event(*event)
             writer.flush_if_due()
             if writer.bytes_written > _MAX_BYTES:
-                self._failed = True
+                self._has_ended = True
                 say(f"the view ends: its record has {_MAX_BYTES >> 20} MB; start rig balance again for more")
         except (OSError, RecordError) as error:
-            self._failed = True
+            self._has_ended = True
             say(f"the view ends: {error}")

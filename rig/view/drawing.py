@@ -1,4 +1,4 @@
-"""Draws the values of a run into a Rerun stream."""
+"""The drawing of a run: its values as curves, tables, lanes and pictures in a Rerun stream."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,22 +19,22 @@ from rig.view.graticule import spot_cross
 from rig.view.layout import Setup
 from rig.view.transverse import Decimator, GapBreaker, Lissajous, SendBuffer, TransverseCurves
 
-MAX_SAMPLE_RATE_HZ, MAX_REFERENCE_RATE_HZ = 100.0, 10.0
-"""Largest rates of drawn samples; of the reference spot only drift is of interest."""
-SAMPLES_GAP_PERIODS, POINTS_GAP_PERIODS = 1.0, 4.0
-"""Gaps that break curves, in periods of the slow mode: of samples, and of half-cycles and balances, which
-come at least every period."""
-LEVELS = {
+_MAX_SAMPLE_RATE_HZ, _MAX_REFERENCE_RATE_HZ = 100.0, 10.0
+"""Largest rates of plotted samples; of the reference spot only drift is of interest."""
+_MAX_SAMPLE_GAP, _MAX_POINT_GAP = 1.0, 4.0
+"""Largest gaps, in periods of the slow mode, that a curve crosses: of samples; and of half-cycles and
+balances, which come at least once in a period."""
+_LOG_LEVELS = {
     Severity.INFORMATION: rr.TextLogLevel.INFO,
     Severity.WARNING: rr.TextLogLevel.WARN,
     Severity.ALARM: rr.TextLogLevel.ERROR,
     Severity.TRIP: rr.TextLogLevel.CRITICAL,
 }
 
-_GOOD, _BAD, _ENDED = palette.BLUISH_GREEN, palette.VERMILLION, palette.GREY
-_STATES: Final = {
+_GOOD, _BAD = palette.BLUISH_GREEN, palette.VERMILLION
+_STATE_COLOURS: Final = {
     "measuring": _GOOD,
-    "ended": _ENDED,
+    "ended": palette.GREY,
     "followed": _GOOD,
     "lost": _BAD,
     "arriving": _GOOD,
@@ -43,7 +43,7 @@ _STATES: Final = {
     "lit": _GOOD,
     "dark": _BAD,
 }
-_STATES_OF_EVENT: Final[dict[str, dict[str, str]]] = {
+_STATES_AFTER_EVENT: Final[dict[str, dict[str, str]]] = {
     EventKind.START: {"run": "measuring", "spot": "followed", "frames": "arriving"},
     EventKind.STOP: {"run": "ended"},
     EventKind.REJECTED: {"run": "ended"},
@@ -69,7 +69,7 @@ def _measurement_columns(values: Floats, u: Floats) -> Any:
 
 
 class RunLanes:
-    """Draws the lanes (conditions against time)."""
+    """Draws the lanes, which show states of a run against time."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -77,88 +77,79 @@ class RunLanes:
 
     def draw(self, kind: str) -> None:
         """Change the lanes by an event of this kind; the stream's time must be set."""
-        for lane, state in _STATES_OF_EVENT.get(kind, {}).items():
+        for lane, state in _STATES_AFTER_EVENT.get(kind, {}).items():
             entity = f"/{lane}"
             if entity not in self._styled_lanes:
                 self._styled_lanes.add(entity)
-                colours = [palette.rgba(colour) for colour in _STATES.values()]
-                shown = rr.StateConfiguration(values=list(_STATES), colors=colours)
-                self._stream.log(entity, shown, static=True)
+                colours = [palette.rgba(colour) for colour in _STATE_COLOURS.values()]
+                style = rr.StateConfiguration(values=list(_STATE_COLOURS), colors=colours)
+                self._stream.log(entity, style, static=True)
             self._stream.log(entity, rr.StateChange(state=state))
 
 
 class Drawing:
-    """Draws the values of a run into one stream; curves are gathered and sent in blocks.
+    """Draws the values of a run into one stream; curves are buffered and sent in blocks.
 
-    Times are seconds since the start of the run.
-
-    Parameters
-    ----------
-    stream
-        A Rerun recording whose sinks are set.
-    setup
-        Names and units, expected period and amplitude.
-    gather_s, gather_rows
-        Limits of `SendBuffer`.
+    Times are seconds since the start of the run. The sinks of `stream` must be set; `limit_s` and
+    `limit_rows` are those of `SendBuffer`.
     """
 
-    def __init__(
-        self, stream: rr.RecordingStream, setup: Setup, *, gather_s: float, gather_rows: int
-    ) -> None:
+    def __init__(self, stream: rr.RecordingStream, setup: Setup, *, limit_s: float, limit_rows: int) -> None:
         self.setup = setup
         self.stream = stream
-        self._gathered = SendBuffer(stream, gather_s, gather_rows)
+        self._buffer = SendBuffer(stream, limit_s, limit_rows)
         self._lanes = RunLanes(stream)
-        self._lissajous = Lissajous(stream, self._gathered, setup.unit, setup.amplitude, setup.period_s)
+        self._lissajous = Lissajous(stream, self._buffer, setup.unit, setup.amplitude, setup.period_s)
         self._breaks = GapBreaker()
-        self._decimator = Decimator(MAX_SAMPLE_RATE_HZ)
-        self._reference_decimator = Decimator(MAX_REFERENCE_RATE_HZ)
-        self._named: set[str] = set()
+        self._decimator = Decimator(_MAX_SAMPLE_RATE_HZ)
+        self._reference_decimator = Decimator(_MAX_REFERENCE_RATE_HZ)
+        self._styled_curves: set[str] = set()
         self._transverse = TransverseCurves()
         self._reference_origin_px: tuple[float, float] | None = None
 
     def send(self, *, now: bool = False) -> None:
-        """Send the gathered values if a limit of `SendBuffer` is reached, or in any case if `now`."""
-        self._gathered.send(now=now)
+        """Send the buffered values if a limit is reached, or in any case if `now`."""
+        self._buffer.send(now=now)
 
     def samples(self, time_s: Floats, x: Floats, y: Floats, flags: NDArray[np.int64]) -> None:
-        """Draw deflections (n,) in the shown unit, NaN where the spot was lost; `flags` of the spots."""
+        """Draw deflections (n,) in the unit of the setup, NaN if the spot was lost, with flags."""
         # flags of the beam's model, which all spots of a run have, do not force a sample to be drawn
         chosen = self._decimator.choose(time_s, flags & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED))
         if not chosen.any():
             return
-        gap_s, unit = SAMPLES_GAP_PERIODS * self.setup.period_s, self.setup.unit
-        drawn_s, drawn_x, drawn_y = self._breaks.broken(layout.X, gap_s, time_s[chosen], x[chosen], y[chosen])
-        self._curve(layout.X, f"X / {unit}", palette.GREY, drawn_s, drawn_x)
-        self._draw_transverse(drawn_s, drawn_x, drawn_y)
-        self._curve(layout.Y, f"Y / {unit}", palette.Y_COLOUR, drawn_s, drawn_y)
-        self._lissajous.draw(drawn_s, drawn_x, drawn_y)
+        gap_s, unit = _MAX_SAMPLE_GAP * self.setup.period_s, self.setup.unit
+        columns = time_s[chosen], x[chosen], y[chosen]
+        curve_s, curve_x, curve_y = self._breaks.break_at_gaps(layout.X, gap_s, *columns)
+        self._curve(layout.X, f"X / {unit}", palette.GREY, curve_s, curve_x)
+        self._draw_transverse(curve_s, curve_x, curve_y)
+        self._curve(layout.Y, f"Y / {unit}", palette.Y_COLOUR, curve_s, curve_y)
+        self._lissajous.draw(curve_s, curve_x, curve_y)
         self._lissajous.follow(time_s, x, y)
 
     def _draw_transverse(self, time_s: Floats, x: Floats, y: Floats) -> None:
         """Draw the two parts of X: the fast mode, and the leakage of the slow mode."""
-        parts = self._transverse.samples(time_s, x, y)
-        if parts is not None:
-            time_s, fast, leakage = parts
+        separated = self._transverse.samples(time_s, x, y)
+        if separated is not None:
+            time_s, fast, leakage = separated
             self._curve(layout.LEAKAGE, "slow mode's leakage", palette.BLUE, time_s, leakage)
             self._curve(layout.FAST, "fast mode", palette.X_COLOUR, time_s, fast)
 
     def reference(self, time_s: Floats, x_px: Floats, y_px: Floats) -> None:
-        """Draw the reference spot (n,) relative to its first position; NaN where it was lost."""
-        found = np.flatnonzero(np.isfinite(x_px + y_px))
+        """Draw the reference spot (n,) relative to its first position; NaN if it was lost."""
         if self._reference_origin_px is None:
-            if not len(found):
+            finite = np.flatnonzero(np.isfinite(x_px + y_px))
+            if not len(finite):
                 return
-            self._reference_origin_px = float(x_px[found[0]]), float(y_px[found[0]])
+            self._reference_origin_px = float(x_px[finite[0]]), float(y_px[finite[0]])
         origin_x, origin_y = self._reference_origin_px
         chosen = self._reference_decimator.choose(time_s, np.zeros(len(time_s), dtype=np.int64))
         if not chosen.any():
             return
-        gap_s = SAMPLES_GAP_PERIODS * self.setup.period_s
+        gap_s = _MAX_SAMPLE_GAP * self.setup.period_s
         x, y = x_px[chosen] - origin_x, y_px[chosen] - origin_y
-        drawn_s, x, y = self._breaks.broken(layout.REFERENCE, gap_s, time_s[chosen], x, y)
+        curve_s, x, y = self._breaks.break_at_gaps(layout.REFERENCE, gap_s, time_s[chosen], x, y)
         for path, values, colour in (("x", x, palette.X_COLOUR), ("y", y, palette.Y_COLOUR)):
-            self._curve(f"{layout.REFERENCE}/{path}", f"{path} / px", colour, drawn_s, values)
+            self._curve(f"{layout.REFERENCE}/{path}", f"{path} / px", colour, curve_s, values)
 
     def half_cycles(
         self, time_s: Floats, amplitudes: tuple[Floats, Floats], periods_s: tuple[Floats, Floats]
@@ -168,10 +159,10 @@ class Drawing:
             (layout.AMPLITUDE, amplitudes, palette.AMPLITUDE_COLOUR, self.setup.unit),
             (layout.PERIOD, periods_s, palette.PERIOD_COLOUR, "s"),
         ):
-            good = np.isfinite(value)
-            if good.any():
-                columns = time_s[good], value[good], u[good]
-                self._curve(path, f"{path[1:]} / {unit}", colour, *columns, gap_periods=POINTS_GAP_PERIODS)
+            is_finite = np.isfinite(value)
+            if is_finite.any():
+                columns = time_s[is_finite], value[is_finite], u[is_finite]
+                self._curve(path, f"{path[1:]} / {unit}", colour, *columns, max_gap=_MAX_POINT_GAP)
 
     def balance(self, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:
         """Draw the balance at one moment (see `balance_numbers`), as curves and as a table."""
@@ -181,21 +172,18 @@ class Drawing:
         # draw the samples that have waited for the first balance
         self._draw_transverse(*[np.empty(0)] * 3)
         for name, (value, u) in numbers.items():
-            shown, drawn = quantity(name, unit), balance_style(name)
+            display, style = quantity(name, unit), balance_style(name)
             if np.isfinite(value):
-                columns = time_s, shown.factor * value, shown.factor * u
-                path, label = f"{layout.BALANCE_ROOT}/{drawn.entity}", shown.label
-                self._curve(path, label, drawn.colour, *columns, gap_periods=POINTS_GAP_PERIODS)
+                path = f"{layout.BALANCE_ROOT}/{style.entity}"
+                columns = time_s, display.factor * value, display.factor * u
+                self._curve(path, display.label, style.colour, *columns, max_gap=_MAX_POINT_GAP)
         self.text(layout.BALANCE_TABLE, time_s, balance_table(numbers, unit))
 
     def estimates(self, time_s: float, numbers: Mapping[str, Estimate]) -> None:
-        """Draw parameters of the contact at one moment, by key, in the unit in which they are stored.
-
-        Only values that `is_drawn` accepts are drawn: the first ones would hide all later ones.
-        """
+        """Draw parameters of the contact that `is_drawn` accepts, by key, in the stored unit."""
         for number, (key, label) in enumerate(self.setup.parameters.items()):
-            factor = parameter_shown(key).factor
-            value, u = (factor * one for one in numbers.get(key, Estimate(np.nan, np.nan)))
+            factor = parameter_display(key).factor
+            value, u = (factor * number for number in numbers.get(key, Estimate(np.nan, np.nan)))
             if is_drawn(value, u):
                 path, colour = f"{layout.PARAMETERS_ROOT}/{key}", palette.SEQUENCE[number]
                 self._curve(path, label, colour, time_s, value, u)
@@ -212,8 +200,7 @@ class Drawing:
         self._set_time(time_s)
         encoded = rr.EncodedImage(contents=jpeg, media_type="image/jpeg")
         self.stream.log(layout.IMAGE, encoded)
-        found = np.isfinite(spot_px).all()
-        mark = spot_cross(*spot_px, shape) if found else rr.Clear(recursive=False)
+        mark = spot_cross(*spot_px, shape) if np.isfinite(spot_px).all() else rr.Clear(recursive=False)
         self.stream.log(layout.SPOT, mark)
 
     def losses(self, time_s: float, counts: Mapping[str, int]) -> None:
@@ -226,7 +213,7 @@ class Drawing:
     def event(self, time_s: float, event: Event) -> None:
         """Draw an event: a line of the log, and its changes of the lanes."""
         self._set_time(time_s)
-        log = rr.TextLog(event.line, level=LEVELS[event.level])
+        log = rr.TextLog(event.line, level=_LOG_LEVELS[event.level])
         self.stream.log(layout.EVENTS, log)
         self._lanes.draw(event.kind)
 
@@ -245,39 +232,39 @@ class Drawing:
         value: Floats | float,
         u: Floats | float | None = None,
         *,
-        gap_periods: float = np.inf,
+        max_gap: float = np.inf,
         steps: bool = False,
     ) -> None:
-        """Gather values (n,) of a curve, with `u` in a band of one standard uncertainty on either side."""
-        if path not in self._named:
-            self._named.add(path)
+        """Buffer values (n,) of a curve, with `u` in a band of one standard uncertainty on either side.
+
+        `max_gap` is in periods of the slow mode.
+        """
+        if path not in self._styled_curves:
+            self._styled_curves.add(path)
             colours = [palette.rgba(colour)]
             style: rr.AsComponents = rr.Measurements.from_fields(names=label, colors=colours, widths=[1.5])
             if u is None:
                 mode = rr.components.InterpolationMode.StepAfter if steps else None
                 style = rr.SeriesLines(colors=colours, names=label, widths=1.5, interpolation_mode=mode)
             self.stream.log(path, style, static=True)
-        drawn = self._breaks.broken(
-            path,
-            gap_periods * self.setup.period_s,
-            *(np.atleast_1d(one) for one in (time_s, value, u) if one is not None),
-        )
-        self._gathered.add(path, _scalar_columns if u is None else _measurement_columns, *drawn)
+        values = (np.atleast_1d(column) for column in (time_s, value, u) if column is not None)
+        columns = self._breaks.break_at_gaps(path, max_gap * self.setup.period_s, *values)
+        self._buffer.add(path, _scalar_columns if u is None else _measurement_columns, *columns)
 
     def _set_time(self, time_s: float) -> None:
         self.stream.set_time(layout.TIMELINE, duration=time_s)
 
 
-def parameter_shown(key: str) -> QuantityDisplay:
+def parameter_display(key: str) -> QuantityDisplay:
     """Display of a parameter in its panel: c, about 10⁻⁸, is scaled, because axes show no powers of ten."""
-    shown = quantity(key)
-    return replace(shown, symbol="10⁹ c", factor=1e9 * shown.factor) if key == "c" else shown
+    display = quantity(key)
+    return replace(display, symbol="10⁹ c", factor=1e9 * display.factor) if key == "c" else display
 
 
-_MAX_DRAWN_U_RELATIVE = 0.5
+_MAX_RELATIVE_U = 0.5
 """Largest relative uncertainty of a parameter that is drawn."""
 
 
 def is_drawn(value: float, u: float) -> bool:
     """Whether a parameter is known well enough to be drawn: the first values would hide all later ones."""
-    return u <= _MAX_DRAWN_U_RELATIVE * abs(value)
+    return u <= _MAX_RELATIVE_U * abs(value)

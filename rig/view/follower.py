@@ -1,4 +1,4 @@
-"""Draws one record, complete or still being written, in the pieces in which it was flushed.
+"""The drawer of a record, complete or still being written, in the pieces in which it was flushed.
 
 The drawing does not depend on when a piece is read, so that a live view equals a later one.
 """
@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 
 from acquisition.record.events import EventKind
 from acquisition.record.reader import Piece, RecordReader
-from acquisition.record.topics import (
-    REFERENCE,
-    SPOT,
-    RecordedEstimate,
-    RecordedHealth,
-    RecordedPhase,
-)
+from acquisition.record.topics import REFERENCE, SPOT, RecordedEstimate, RecordedHealth, RecordedPhase
 from processing.arrays import Floats
 from processing.balance import Balance
 from processing.errors import RecordError
@@ -41,10 +35,7 @@ _MAX_PIECES = 64
 
 
 class RecordDrawer:
-    """Draws a record.
-
-    `picture_interval_s` is the shortest interval of pictures in run time.
-    """
+    """Draws a record; `picture_interval_s` is the shortest interval of pictures in run time."""
 
     def __init__(self, reader: RecordReader, drawing: Drawing, *, picture_interval_s: float) -> None:
         self._reader, self._drawing = reader, drawing
@@ -58,9 +49,9 @@ class RecordDrawer:
         self._spots: deque[NDArray[Any]] = deque(maxlen=_MAX_PIECES)
         self._pictures: deque[tuple[int, int, bytes]] = deque()
         self._state_due_ns = self._losses_due_ns = 0
-        self._shown_losses = (-1, -1)
+        self._last_losses = (-1, -1)
         self._now = RunNow()
-        self._advised = self._ended = False
+        self._has_advice = self._has_ended = False
         self.frames = self.missing = self.lost = 0
 
     def take(self) -> None:
@@ -79,9 +70,9 @@ class RecordDrawer:
     def finish(self) -> None:
         """Draw the rest of a record that has ended."""
         self.take()
-        self._ended = True
+        self._has_ended = True
         if self._start_ns is not None:
-            self._draw_pictures(at_end=True)
+            self._draw_pictures(draws_all=True)
             self._draw_losses()
             self._draw_state()
         self._drawing.send(now=True)
@@ -99,7 +90,7 @@ class RecordDrawer:
     def _draw(self, piece: Piece) -> None:
         reader, drawing = self._reader, self._drawing
         contents = piece_contents(reader, piece, self._start_ns or 0, self._last_ns)
-        before, self._now = self._now, self._now.with_contents(contents, reader.deflection_unit)
+        previous, self._now = self._now, self._now.with_contents(contents, reader.deflection_unit)
         # balances first: their lines separate the samples of the same piece
         self._draw_balances(contents.balances)
         for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):
@@ -108,11 +99,11 @@ class RecordDrawer:
         self._draw_half_cycles(contents.half_cycles)
         for event in contents.events:
             if event.kind == EventKind.ADVICE:
-                self._advised = True
+                self._has_advice = True
                 drawing.text(layout.ADVICE, self._run_s(event.time_ns), event.text)
             else:
                 drawing.event(self._run_s(event.time_ns), event)
-        self._draw_session(contents, before)
+        self._draw_session(contents, previous)
 
     def _draw_spots(self, rows: NDArray[Any]) -> None:
         deflections = self._reader.deflections(rows)
@@ -129,7 +120,7 @@ class RecordDrawer:
         self.frames += len(rows)
         self._next_sequence = int(sequence[-1]) + 1
         self._last_ns = int(rows["time_ns"][-1])
-        if (self.missing, self.lost) != self._shown_losses or self._last_ns >= self._losses_due_ns:
+        if (self.missing, self.lost) != self._last_losses or self._last_ns >= self._losses_due_ns:
             self._draw_losses()
         if self._last_ns >= self._state_due_ns:
             self._draw_state()
@@ -150,18 +141,18 @@ class RecordDrawer:
 
     def _draw_balances(self, balances: Sequence[Balance]) -> None:
         for balance in balances:
-            at_s = self._run_s(balance.time_ns)
-            self._drawing.balance(at_s, balance_numbers(balance))
-            if self._config is not None and not self._advised:
-                advice = advice_for(self._config, balance).markdown
-                if advice:
-                    self._drawing.text(layout.ADVICE, at_s, advice)
+            time_s = self._run_s(balance.time_ns)
+            self._drawing.balance(time_s, balance_numbers(balance))
+            if self._config is None or self._has_advice:
+                continue
+            if advice := advice_for(self._config, balance).markdown:
+                self._drawing.text(layout.ADVICE, time_s, advice)
 
-    def _draw_session(self, contents: RecordContents, before: RunNow) -> None:
+    def _draw_session(self, contents: RecordContents, previous: RunNow) -> None:
         """Draw messages on the session: phase, clock, estimates."""
         clock, drawing = self._now.clock, self._drawing
         for health in contents.messages_of_kind(RecordedHealth):
-            if clock.is_known and clock != before.clock:
+            if clock.is_known and clock != previous.clock:
                 drawing.clock(self._run_s(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
         rows = contents.messages_of_kind(RecordedEstimate)
         for time_ns in dict.fromkeys(row.time_ns for row in rows):
@@ -172,11 +163,11 @@ class RecordDrawer:
         if contents.messages_of_kind(RecordedPhase):
             self._draw_state()
 
-    def _draw_pictures(self, *, at_end: bool = False) -> None:
-        """Draw the pictures whose spots are known, or all that are left."""
-        until_ns = self._reader.numbers.end_ns if at_end else self._last_ns
+    def _draw_pictures(self, *, draws_all: bool = False) -> None:
+        """Draw the pictures whose spots are known, or all pictures."""
+        until_ns = self._reader.numbers.end_ns if draws_all else self._last_ns
         self._pictures.extend(self._reader.unread_pictures(self._picture_interval_ns, until_ns))
-        while self._pictures and (at_end or self._pictures[0][0] < self._next_sequence):
+        while self._pictures and (draws_all or self._pictures[0][0] < self._next_sequence):
             sequence, time_ns, jpeg = self._pictures.popleft()
             shape, step = self._shape
             x_px, y_px = self._spot_of(sequence)
@@ -193,7 +184,7 @@ class RecordDrawer:
         return math.nan, math.nan
 
     def _draw_losses(self) -> None:
-        self._shown_losses = self.missing, self.lost
+        self._last_losses = self.missing, self.lost
         self._losses_due_ns = self._last_ns + _LOSSES_INTERVAL_NS
         counts = {"missing_frames": self.missing, "lost_spots": self.lost}
         self._drawing.losses(self._run_s(self._last_ns), counts)
@@ -203,10 +194,7 @@ class RecordDrawer:
         self._drawing.text(layout.STATE, self._run_s(self._last_ns), self._state())
 
     def _state(self) -> str:
-        """Phase, amplitude, frames and losses, in Markdown.
-
-        It begins with the time of day, which shows how far a page lags behind.
-        """
+        """Phase, amplitude, frames and losses in Markdown; the time of day shows how far a page lags."""
         state, unit = self._now, self._reader.deflection_unit
         clock = time.localtime(seconds(self._last_ns + self._reader.epoch_offset_ns))
         lines = [f"state of {time.strftime('%H:%M:%S', clock)}", f"time {self._run_s(self._last_ns):.1f} s"]
@@ -223,15 +211,17 @@ class RecordDrawer:
             lines.append(f"lost: {state.losses}")
         lines.append(f"{state.half_cycles} half-cycles")
         alarm = f"# {state.alarm.upper()}\n\n" if state.alarm else ""
-        doing = "recorded"
-        if self._ended:
-            doing = "cut short" if self._reader.truncated else "done"
+        activity = "recorded"
+        if self._has_ended:
+            activity = "cut short" if self._reader.truncated else "done"
         elif state.phase is not Phase.WAITING:
-            doing = " ".join(filter(None, (state.phase, state.progress)))
+            activity = " ".join(filter(None, (state.phase, state.progress)))
         reason = f": {state.reason}" if state.reason else ""
-        instruction = f"{state.instruction}\n\n" if state.instruction and not self._ended else ""
+        instruction = f"{state.instruction}\n\n" if state.instruction and not self._has_ended else ""
         return (
-            f"{alarm}**{doing}**{reason}\n\n{instruction}" + "\n".join(f"- {line}" for line in lines) + "\n"
+            f"{alarm}**{activity}**{reason}\n\n{instruction}"
+            + "\n".join(f"- {line}" for line in lines)
+            + "\n"
         )
 
     def _times_s(self, times_ns: NDArray[np.int64]) -> Floats:

@@ -26,17 +26,17 @@ AXIS_COLOUR: Final = (110, 116, 126)
 LABEL_COLOUR: Final = (235, 238, 242)
 CROSS_INNER: Final = 0.06
 CROSS_OUTER: Final = 0.14
-"""Begin and end of the arms of the cross, as distance from the spot in units of the image's smaller side."""
+"""Distances from the spot at which the arms of the cross begin and end, over the image's smaller side."""
 
 
-def ticks(low: float, high: float, about: int = 6) -> Floats:
-    """Round values within [low, high], roughly `about` many, in steps of 1, 2 or 5 times a power of ten."""
+def ticks(low: float, high: float) -> Floats:
+    """Round values within [low, high], about six, in steps of 1, 2 or 5 times a power of ten."""
     span = high - low
     if not (math.isfinite(span) and span > 0):
         return np.array([low])
-    raw = span / max(about, 1)
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(power * factor for factor in (1.0, 2.0, 5.0, 10.0) if power * factor >= raw * 0.999)
+    rough_step = span / 6
+    power = 10.0 ** math.floor(math.log10(rough_step))
+    step = next(power * factor for factor in (1.0, 2.0, 5.0, 10.0) if power * factor >= rough_step * 0.999)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return np.arange(first, last + 1, dtype=np.float64) * float(step)
 
@@ -52,8 +52,7 @@ def tick_label(value: float, step: float) -> str:
 class Graticule:
     """Axes over [x_low, x_high] x [y_low, y_high] with titles, and the mapping into the plane.
 
-    A value (x, y) is at ``((x - x_zero) * x_scale, -(y - y_zero) * y_scale)`` in the plane. If
-    `titles_outside`, the titles are beside the axes, otherwise within them.
+    A value (x, y) is at ``((x - x_zero) * x_scale, -(y - y_zero) * y_scale)`` in the plane.
     """
 
     x_low: float
@@ -67,16 +66,17 @@ class Graticule:
     x_scale: float = 1.0
     y_scale: float = 1.0
     titles_outside: bool = False
+    """Whether the titles are beside the axes, not within them."""
 
     @classmethod
-    def boxed(cls, x: Floats, y: Floats, x_title: str, y_title: str, *, trimmed: bool = False) -> Self:
+    def boxed(cls, x: Floats, y: Floats, x_title: str, y_title: str, *, trims_y: bool = False) -> Self:
         """Axes a little wider than the range of the finite values, of the size BOX in the plane.
 
-        If `trimmed`, the lowest and highest 2 % of y are ignored, because a few uncertain points would make
-        the range so large that the others could not be distinguished.
+        If it `trims_y`, the lowest and highest 2 % of y are ignored, because a few uncertain points would
+        make the range so large that the others could not be distinguished.
         """
         x_low, x_high = _padded_range(x, 0.0)
-        y_low, y_high = _padded_range(y, 0.02 if trimmed else 0.0)
+        y_low, y_high = _padded_range(y, 0.02 if trims_y else 0.0)
         width, height = BOX
         scales = width / (x_high - x_low), height / (y_high - y_low)
         return cls(x_low, x_high, y_low, y_high, x_title, y_title, x_low, y_low, *scales, titles_outside=True)
@@ -85,7 +85,7 @@ class Graticule:
         """Which of the values (n,) lie within the axes; False for NaN."""
         return (x >= self.x_low) & (x <= self.x_high) & (y >= self.y_low) & (y <= self.y_high)
 
-    def place(self, x: Floats, y: Floats) -> Floats:
+    def to_plane(self, x: Floats, y: Floats) -> Floats:
         """Points (n, 2) of the plane for values x, y (n,)."""
         across = (np.asarray(x, dtype=np.float64) - self.x_zero) * self.x_scale
         up = (np.asarray(y, dtype=np.float64) - self.y_zero) * self.y_scale
@@ -97,15 +97,11 @@ class Graticule:
         return (self.x_high - self.x_low) * self.x_scale, (self.y_high - self.y_low) * self.y_scale
 
     def lines(self) -> tuple[list[Floats], list[Floats]]:
-        """Grid lines, and the frame with the lines through zero where zero is inside."""
+        """Grid lines, and the frame with the lines through zero if zero is inside."""
         grid = [self._horizontal(y) for y in ticks(self.y_low, self.y_high)]
         grid += [self._vertical(x) for x in ticks(self.x_low, self.x_high)]
-        axes = [
-            self._horizontal(self.y_low),
-            self._horizontal(self.y_high),
-            self._vertical(self.x_low),
-            self._vertical(self.x_high),
-        ]
+        axes = [self._horizontal(y) for y in (self.y_low, self.y_high)]
+        axes += [self._vertical(x) for x in (self.x_low, self.x_high)]
         if self.y_low < 0 < self.y_high:
             axes.append(self._horizontal(0.0))
         if self.x_low < 0 < self.x_high:
@@ -131,14 +127,14 @@ class Graticule:
         return labels
 
     def _label(self, x: float, y: float, text: str, right: float, down: float) -> tuple[float, float, str]:
-        across, along = self.place(np.array([x]), np.array([y]))[0]
-        return across + right, along + down, text
+        plane_x, plane_y = self.to_plane(np.array([x]), np.array([y]))[0]
+        return plane_x + right, plane_y + down, text
 
     def _horizontal(self, y: float) -> Floats:
-        return self.place(np.array([self.x_low, self.x_high]), np.array([y, y]))
+        return self.to_plane(np.array([self.x_low, self.x_high]), np.array([y, y]))
 
     def _vertical(self, x: float) -> Floats:
-        return self.place(np.array([x, x]), np.array([self.y_low, self.y_high]))
+        return self.to_plane(np.array([x, x]), np.array([self.y_low, self.y_high]))
 
 
 def reach_beyond(amplitude: float) -> float:
@@ -170,13 +166,13 @@ def trajectory_graticule(reach: float, unit: str, x_stretch: float = 1.0) -> Gra
 
 
 def _padded_range(values: Floats, trim: float) -> tuple[float, float]:
-    """Range of the finite values with a margin; the fraction `trim` at either end is ignored."""
+    """Range of the finite values with a margin; the fraction `trim` of them at either end is ignored."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
     low, high = (float(edge) for edge in np.quantile(finite, (trim, 1.0 - trim)))
-    part = 0.05 if trim == 0.0 else 0.5
-    margin = part * (high - low) if high > low else 0.5 * abs(high) or 1.0
+    relative_margin = 0.05 if trim == 0.0 else 0.5
+    margin = relative_margin * (high - low) if high > low else 0.5 * abs(high) or 1.0
     return low - margin, high + margin
 
 
@@ -187,12 +183,12 @@ def _step(values: Floats) -> float:
 def graticule_marks(graticule: Graticule) -> dict[str, rr.AsComponents]:
     """Grid, axes and labels of a graticule, by entity name."""
     grid, axes = graticule.lines()
-    *places, texts = zip(*graticule.labels(), strict=True)
+    *positions, texts = zip(*graticule.labels(), strict=True)
     return {
         "grid": rr.LineStrips2D(grid, colors=GRID_COLOUR, radii=rr.Radius.ui_points(0.3), draw_order=-20.0),
         "axes": rr.LineStrips2D(axes, colors=AXIS_COLOUR, radii=rr.Radius.ui_points(0.5), draw_order=-10.0),
         "labels": rr.Points2D(
-            np.column_stack(places),
+            np.column_stack(positions),
             labels=texts,
             show_labels=True,
             colors=LABEL_COLOUR,
@@ -214,13 +210,8 @@ def spot_cross(x_px: float, y_px: float, shape: tuple[int, int]) -> rr.LineStrip
     return rr.LineStrips2D(arms, colors=[colour], radii=rr.Radius.ui_points(1.0), draw_order=30.0)
 
 
-def faded(colour: str, part: float) -> tuple[int, int, int]:
-    """The fraction `part` of a colour mixed with the background, (red, green, blue).
-
-    It is opaque, because transparent lines would be brighter where they cross.
-    """
-    own = palette.rgba(colour)[:3]
-    red, green, blue = (
-        round(part * c + (1 - part) * ground) for c, ground in zip(own, BACKGROUND, strict=True)
-    )
+def faded(colour: str, fraction: float) -> tuple[int, int, int]:
+    """A fraction of a colour over the background; opaque, because lines would brighten at crossings."""
+    channels = zip(palette.rgba(colour)[:3], BACKGROUND, strict=True)
+    red, green, blue = (round(fraction * c + (1 - fraction) * background) for c, background in channels)
     return red, green, blue

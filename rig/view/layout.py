@@ -65,23 +65,23 @@ WHOLE_RUN: Final = rrb.TimeAxis(
 
 
 class Setup(NamedTuple):
-    """Title, layout, expected values and panels that a drawing needs before its first value.
-
-    `period_s` (of the slow mode) and `amplitude` (of the first axes) are expected values, `unit` is that of
-    all deflections. `parameters`, with their labels, are estimated while the run is measured, and each has a
-    panel of the measuring layout. With `has_reference` there is a panel for the spot of a mirror on the base.
-    """
+    """The values that a drawing needs before its first data."""
 
     title: str
     layout: LayoutName = "measuring"
     period_s: float = 4.07
+    """Expected period of the slow mode."""
     amplitude: float = 125.0
+    """Expected amplitude, for the first axes."""
     unit: str = "arcsec"
+    """Unit of all deflections."""
     parameters: Mapping[str, str] = {}
+    """Labels, by key, of the parameters that are estimated during a run; each has a panel."""
     has_reference: bool = False
+    """Whether there is a panel for the spot of a mirror on the base."""
 
 
-def until_now(seconds: float) -> rrb.TimeAxis:
+def _window_axis(seconds: float) -> rrb.TimeAxis:
     """A time axis of this length that ends at the time cursor."""
     return rrb.TimeAxis(
         view_range=rr.TimeRange(
@@ -95,9 +95,8 @@ def blueprint(setup: Setup) -> rrb.Blueprint:
     """Layout of the panels."""
     views = _Views(setup)
     layouts = {"balancing": views.balancing, "measuring": views.measuring, "analysing": views.analysing}
-    root = layouts[setup.layout]()
     return rrb.Blueprint(
-        root,
+        layouts[setup.layout](),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
@@ -172,10 +171,7 @@ class _Views:
                 self.plane("period", f"T(α): period / s against amplitude / {unit}"),
                 self.plane("period_residuals", "Residuals of the period / ms"),
             ),
-            rrb.Vertical(
-                self.trajectory(),
-                self.text(REPORT, "Report"),
-            ),
+            rrb.Vertical(self.trajectory(), self.text(REPORT, "Report")),
         )
 
     def trajectory(self) -> rrb.View:
@@ -186,13 +182,13 @@ class _Views:
 
     def _lissajous(self, origin: str, title: str) -> rrb.View:
         ranges: dict[rr.encodings.EntityPath | str, rrb.VisibleTimeRanges] = {}
-        for part, (newest, oldest) in TRAIL.items():
+        for name, (newest, oldest) in TRAIL.items():
             span = rrb.VisibleTimeRange(
                 TIMELINE,
                 start=rrb.TimeRangeBoundary.cursor_relative(seconds=-oldest * self._period_s),
                 end=rrb.TimeRangeBoundary.cursor_relative(seconds=-newest * self._period_s),
             )
-            ranges[f"{TRAJECTORY}/{part}"] = rrb.VisibleTimeRanges([span])
+            ranges[f"{TRAJECTORY}/{name}"] = rrb.VisibleTimeRanges([span])
         # the labels need space below and to the left of the axes
         return rrb.Spatial2DView(
             name=title,
@@ -207,7 +203,7 @@ class _Views:
         )
 
     def deflection(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
-        return _curves(f"{title} / {self._unit}", [path], until_now(WINDOW_S), has_legend)
+        return _curves(f"{title} / {self._unit}", [path], _window_axis(WINDOW_S), has_legend)
 
     def history(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
         return _curves(title, [path], WHOLE_RUN, has_legend)
@@ -218,26 +214,26 @@ class _Views:
         return [rrb.Grid(*panels, grid_columns=3)] if panels else []
 
     def reference_spot(self) -> list[rrb.View]:
-        """The panel of the reference spot: drift of pointing, air and camera; empty without one."""
+        """The panel of the reference spot, with the drift of pointing, air and camera; empty without one."""
         if not self._has_reference:
             return []
         return [self.history(REFERENCE, "Reference spot / px", has_legend=True)]
 
     def balance(self, title: str, names: Sequence[str]) -> rrb.View:
         paths = [f"{BALANCE_ROOT}/{name}" for name in names]
-        return _curves(title, paths, until_now(BALANCE_WINDOW_S), len(names) > 1)
+        return _curves(title, paths, _window_axis(BALANCE_WINDOW_S), len(names) > 1)
 
     def lanes(self) -> rrb.View:
         contents = [f"+ {lane}" for lane in LANES]
         return rrb.StateTimelineView(name="Conditions", contents=contents, time_view=WHOLE_RUN)
 
     def camera(self) -> rrb.View:
-        return rrb.Spatial2DView(name="Camera", contents=[_below(CAMERA)])
+        return rrb.Spatial2DView(name="Camera", contents=[_entities_below(CAMERA)])
 
     def plane(self, panel: str, title: str) -> rrb.View:
         return rrb.Spatial2DView(
             name=title,
-            contents=[_below(f"{ANALYSIS_ROOT}/{panel}")],
+            contents=[_entities_below(f"{ANALYSIS_ROOT}/{panel}")],
             visual_bounds=rrb.VisualBounds2D(
                 x_range=(-0.2 * BOX[0], 1.03 * BOX[0]), y_range=(-1.11 * BOX[1], 0.19 * BOX[1])
             ),
@@ -247,7 +243,7 @@ class _Views:
     def events(self) -> rrb.View:
         return rrb.TextLogView(
             name="Events",
-            contents=[_below(EVENTS)],
+            contents=[_entities_below(EVENTS)],
             columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
         )
 
@@ -258,8 +254,10 @@ class _Views:
 def _curves(title: str, paths: Sequence[str], axis: rrb.TimeAxis, has_legend: bool) -> rrb.View:
     """Curves against time."""
     legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend)
-    return rrb.TimeSeriesView(name=title, contents=list(map(_below, paths)), axis_x=axis, plot_legend=legend)
+    return rrb.TimeSeriesView(
+        name=title, contents=list(map(_entities_below, paths)), axis_x=axis, plot_legend=legend
+    )
 
 
-def _below(path: str) -> str:
+def _entities_below(path: str) -> str:
     return f"+ {path}/**"

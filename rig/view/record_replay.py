@@ -20,34 +20,24 @@ from rig.analysis import (
 )
 from rig.instrument import recorded_configuration
 from rig.settings import ALL, REPLAYED, Configuration, refuse_without_effect
-from rig.terminal import (
-    Table,
-    answer,
-    plain,
-    print_line,
-    print_tables,
-    quantity,
-    say,
-    signed,
-)
+from rig.terminal import Table, answer, plain, print_line, print_tables, quantity, say, signed
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
 
 
-def print_comparison(comparison: ReplayDifferences) -> None:
+def _print_comparison(comparison: ReplayDifferences) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
     spots, half_cycles = comparison.spots, comparison.half_cycles
     if comparison.identical:
-        flagged = comparison.flagged
-        flagged_text = f" ({flagged} flagged and not fitted)" if flagged else ""
+        flagged = f" ({comparison.flagged} flagged and not fitted)" if comparison.flagged else ""
         print_line(
-            f"{comparison.frames} spots and {half_cycles.replayed} half-cycles{flagged_text}, "
+            f"{comparison.frames} spots and {half_cycles.replayed} half-cycles{flagged}, "
             "equal bit for bit to the recorded ones"
         )
         return
     rows = [
-        [name, *map(str, differences[:3]), _largest(differences, place)]
-        for name, differences, place in (
+        [name, *map(str, differences[:3]), _largest_change(differences, position)]
+        for name, differences, position in (
             ("spots", spots, f"frame {spots.largest_at:.0f}"),
             ("half-cycles", half_cycles, f"{half_cycles.largest_at:.1f} s"),
         )
@@ -56,7 +46,7 @@ def print_comparison(comparison: ReplayDifferences) -> None:
     print_tables([Table("comparison", "", head, rows)])
 
 
-def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
+def _print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
     """Print the changes of the quantities of the results; one line if nothing changed."""
     if not changes:
         return
@@ -66,15 +56,15 @@ def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
     head = ("", "", f"{source}, u: swings", "change / u")
     rows = []
     for change in changes:
-        shown, by_u = quantity(change.quantity), change.change_u
-        size = "?" if math.isnan(by_u) else signed(by_u)
-        rows.append([shown.label, change.fit, shown.text(*change.recorded), size])
+        display = quantity(change.quantity)
+        change_u = "?" if math.isnan(change.change_u) else signed(change.change_u)
+        rows.append([display.label, change.fit, display.text(*change.recorded), change_u])
     print_tables([Table("changes", "", head, rows)])
 
 
-def _largest(differences: Differences, place: str) -> str:
-    """The largest change of those present in both, and the number of those present in only one, in words."""
-    texts = [f"{plain(differences.largest_u, 2)} u, {place}"] if differences.largest_u > 0 else []
+def _largest_change(differences: Differences, position: str) -> str:
+    """Text on the largest change, with its position, and on spots or half-cycles in one of the two only."""
+    texts = [f"{plain(differences.largest_u, 2)} u, {position}"] if differences.largest_u > 0 else []
     texts += [f"{differences.once} in one of the two only"] if differences.once else []
     return "; ".join(texts or ["only in uncertainties or flags"]) if differences.changed else ""
 
@@ -93,14 +83,14 @@ def replay_record(record: Path, output: Path | None, *, retrack: bool, overrides
             say(reader.cut_notice)
         replay = Replay(reader, config, retrack=retrack)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("replaying", total=replay.length_s)
+            task = progress.add_task("replaying", total=replay.duration_s)
             for _, block in replay.blocks():
                 last_ns = int(block.deflections.times_ns[-1])
                 progress.update(task, completed=replay.elapsed_s(last_ns))
         result = replay.finish()
         run = _analyse(reader, config, result)
         results = session_results([run], output or record.parent)
-        _say_differences(record, result, run)
+        _print_differences(record, result, run)
         print_results(results, [])
         if output is not None:
             output.mkdir(parents=True, exist_ok=True)
@@ -111,9 +101,9 @@ def replay_record(record: Path, output: Path | None, *, retrack: bool, overrides
 
 
 def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:
-    """Fit the half-cycles found again in the recorded spots, or with `retrack` in the recorded pixels.
+    """Fit the half-cycles detected again in the recorded spots, or with `retrack` in the recorded pixels.
 
-    Nothing is shown or written. Raises RecordError for a record that cannot be replayed.
+    Nothing is printed or written. Raises RecordError for a record that cannot be replayed.
     """
     with RecordReader(record) as reader:
         config = recorded_configuration(reader, overrides)
@@ -127,7 +117,7 @@ def _analyse(reader: RecordReader, config: Configuration, result: ReplayResult) 
     return analyse_run(
         reader,
         config,
-        result.swings,
+        result.half_cycles,
         result.deflections,
         config.deflection_unit,
         result.beam,
@@ -135,14 +125,14 @@ def _analyse(reader: RecordReader, config: Configuration, result: ReplayResult) 
     )
 
 
-def _say_differences(record: Path, result: ReplayResult, run: AnalysedRun) -> None:
+def _print_differences(record: Path, result: ReplayResult, run: AnalysedRun) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
     answer(comparison=result.comparison)
-    print_comparison(result.comparison)
+    _print_comparison(result.comparison)
     source, recorded = recorded_results(record, run.sha256)
     if recorded is None and not result.comparison.identical:
         source, recorded = "fitted", analyse_record(record)
     if recorded is not None:
         changes = parameter_changes(recorded, run)
         answer(changes=changes)
-        print_changes(changes, source)
+        _print_changes(changes, source)

@@ -19,55 +19,44 @@ from rig.instrument import Block, Pipeline, frame_shape, optics_of, recorded_con
 from rig.settings import Configuration
 from rig.view.replay_comparison import ReplayComparison, ReplayDifferences
 
-_LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
+LOST_SPOT = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 
 
 class ReplayResult(NamedTuple):
-    """Results of a replay; `dropped_frames` counts frames missing between the first and the last.
+    """Results of a replay."""
 
-    `beam` counts spots by model of the beam. `deflections` are in the pieces in which they were processed.
-    """
-
-    swings: list[HalfCycle]
+    half_cycles: list[HalfCycle]
     deflections: list[Deflections]
+    """Deflections in the blocks in which they were processed."""
     dropped_frames: int
+    """Number of frames missing between the first and the last."""
     comparison: ReplayDifferences
     beam: BeamUse
+    """Counts of spots by model of the beam."""
 
 
 class Replay:
     """The replay of a record: take all `blocks`, then `finish`.
 
-    Without `retrack` the recorded spots are used, and their deflections as they were recorded
-    unless lever or axes have been changed; with it the spots are tracked again in the recorded
-    windows. A frame whose spot was lost has no window and stays lost.
-
-    Parameters
-    ----------
-    reader
-        Must stay open during the replay.
-    config
-        The recorded or a changed configuration.
-
-    Raises
-    ------
-    RecordError
-        There are no spots in the record, or data that are needed are missing.
+    Without `retrack` the recorded spots are used, and their recorded deflections, unless lever, axes or
+    shutter have changed. With it the spots are tracked again in the recorded windows; a frame whose spot was
+    lost has no window, and its spot stays lost. `reader` must stay open during the replay, `config` is the
+    recorded or a changed configuration. Raises RecordError for a record without spots or windows.
     """
 
     def __init__(self, reader: RecordReader, config: Configuration, *, retrack: bool) -> None:
         self._reader = reader
         self._retrack = retrack
         recorded = recorded_configuration(reader)
-        # only the tracker uses the sensor's noise, and without --retrack it has nothing to do
+        # only the tracker uses the sensor's noise, and it runs only with --retrack
         config = config if retrack else config.model_copy(update={"sensor": recorded.sensor})
         if retrack and not reader.counts.get(WINDOW.topic):
-            why = "" if recorded.record.windows else " (it was made with record.windows = false)"
+            reason = "" if recorded.record.windows else " (it was made with record.windows = false)"
             if recorded.record.windows and len(reader.files) == 1:
-                why = f" ({pixels_path(reader.path).name} is not beside it)"
+                reason = f" ({pixels_path(reader.path).name} is not beside it)"
             raise RecordError(
-                f"{reader.path}: contains no windows of raw pixels{why}, the spot cannot be tracked again; "
-                "replay it without --retrack"
+                f"{reader.path}: contains no windows of raw pixels{reason}, the spot cannot be tracked "
+                "again; replay it without --retrack"
             )
         self._same_deflections = (config.lever, config.axes, shutter_of(config)) == (
             recorded.lever,
@@ -75,15 +64,15 @@ class Replay:
             shutter_of(recorded),
         )
         self._shape = frame_shape(reader)
-        head = next(reader.spot_blocks(), None)
-        if head is None:
+        first_rows = next(reader.spot_blocks(), None)
+        if first_rows is None:
             raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
-        self.start_ns = int(head["time_ns"][0])
+        self.start_ns = int(first_rows["time_ns"][0])
         last_ns = max(reader.numbers.end_ns - reader.epoch_offset_ns, self.start_ns)
-        self.length_s = self.elapsed_s(last_ns)
+        self.duration_s = self.elapsed_s(last_ns)
         self._pipeline = Pipeline(optics_of(config, reader.full_scale_dn), self._shape)
         self._window: RecordedWindow | None = None
-        self._swings: list[HalfCycle] = []
+        self._half_cycles: list[HalfCycle] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
         self._last_sequence = -1
@@ -101,7 +90,7 @@ class Replay:
             spots = self._track_again(rows, windows) if self._retrack else _spots(rows)
             block = self._block(rows, spots)
             sequences = rows["sequence"].astype(np.int64)
-            self._swings += block.half_cycles
+            self._half_cycles += block.half_cycles
             self._deflections.append(block.deflections)
             self._beam.take(sequences, [spot.flags for spot in spots])
             self._comparison.spots(rows, spots)
@@ -110,14 +99,15 @@ class Replay:
 
     def finish(self) -> ReplayResult:
         """Complete the last half-cycles; returns all results."""
-        self._swings += self._pipeline.finish()[0]
+        self._half_cycles += self._pipeline.finish()[0]
         dropped = self._last_sequence + 1 - sum(map(len, self._deflections))
-        comparison = self._comparison.finish(self._reader.swings(), self._swings)
-        return ReplayResult(self._swings, self._deflections, dropped, comparison, self._beam)
+        comparison = self._comparison.finish(self._reader.swings(), self._half_cycles)
+        return ReplayResult(self._half_cycles, self._deflections, dropped, comparison, self._beam)
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:
-            # the recorded time is that of the spot's rows; from the frame's time the shutter shifts it anew
+            # the recorded time contains the correction for the shutter, which is calculated anew from the
+            # time of the frame
             has_clock = rows["device_time_ns"] >= 0
             frame_times_ns = np.where(has_clock, rows["device_time_ns"], rows["host_time_ns"])
             return self._pipeline.measure(frame_times_ns.astype(np.int64), spots)
@@ -137,7 +127,7 @@ class Replay:
             if window is not None and window.sequence == sequence:
                 spots.append(tracker.track(window.image, window.origin_px, shape))
             else:
-                spots.append(_LOST)
+                spots.append(LOST_SPOT)
         return spots
 
 

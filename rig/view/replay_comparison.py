@@ -19,28 +19,28 @@ _MAX_TIME_DIFFERENCE = 0.25
 
 
 class Differences(NamedTuple):
-    """Differences of spots, or of half-cycles, between replay and record.
-
-    One counts as changed if any bit differs, or if it exists in only one of the two (`once`).
-    """
+    """Numbers of spots, or of half-cycles, in record and replay, and their differences."""
 
     recorded: int = 0
     replayed: int = 0
     changed: int = 0
+    """Number of those of which any bit differs, or that exist in only one of the two."""
     once: int = 0
+    """Number of those that exist in only one of the two."""
     largest_u: float = 0.0
     """Largest change in recorded standard uncertainties."""
     largest_at: float = math.nan
-    """Where it is: the number of a spot's frame, or the time of a half-cycle in s from the first frame."""
+    """Position of that change: the number of a spot's frame, or the time of a half-cycle in s."""
 
 
 class ReplayDifferences(NamedTuple):
-    """Differences between replay and record of so many `frames`; fits leave out `flagged` half-cycles."""
+    """Differences between replay and record."""
 
     frames: int
     spots: Differences
     half_cycles: Differences
     flagged: int
+    """Number of replayed half-cycles with a flag, which fits leave out."""
 
     @property
     def identical(self) -> bool:
@@ -49,7 +49,7 @@ class ReplayDifferences(NamedTuple):
 
 
 class ParameterDifference(NamedTuple):
-    """One quantity of the table of results, recorded and replayed, with the uncertainty of the swings."""
+    """One quantity of the table of results, recorded and replayed; uncertainties are of the swings alone."""
 
     quantity: str
     fit: str
@@ -67,7 +67,7 @@ class ParameterDifference(NamedTuple):
 class ReplayComparison:
     """Collects differences during a replay; `start_ns` is the time of the record's first frame.
 
-    Of half-cycles whose amplitudes have two units (not `is_one_unit`) only the times are compared.
+    Unless the amplitudes have the same unit (`is_one_unit`), only times of half-cycles are compared.
     """
 
     def __init__(self, start_ns: int, *, is_one_unit: bool) -> None:
@@ -80,20 +80,20 @@ class ReplayComparison:
         x_px = np.array([spot.x_px for spot in spots])
         y_px = np.array([spot.y_px for spot in spots])
         changed = ~(_are_same(rows["x_px"], x_px) & _are_same(rows["y_px"], y_px))
-        recorded, replayed, before = np.isfinite(rows["x_px"]), np.isfinite(x_px), self._spots
+        recorded, replayed, so_far = np.isfinite(rows["x_px"]), np.isfinite(x_px), self._spots
         change_u = np.maximum(
             _in_u(x_px - rows["x_px"], rows["u_x_px"]), _in_u(y_px - rows["y_px"], rows["u_y_px"])
         )
         row = int(np.argmax(change_u))
-        largest_u, largest_at = before.largest_u, before.largest_at
+        largest_u, largest_at = so_far.largest_u, so_far.largest_at
         if change_u[row] > largest_u:
             largest_u, largest_at = float(change_u[row]), float(rows["sequence"][row])
         self._frames += len(spots)
         self._spots = Differences(
-            before.recorded + int(recorded.sum()),
-            before.replayed + int(replayed.sum()),
-            before.changed + int(changed.sum()),
-            before.once + int((recorded != replayed).sum()),
+            so_far.recorded + int(recorded.sum()),
+            so_far.replayed + int(replayed.sum()),
+            so_far.changed + int(changed.sum()),
+            so_far.once + int((recorded != replayed).sum()),
             largest_u,
             largest_at,
         )
@@ -101,8 +101,8 @@ class ReplayComparison:
     def finish(self, recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle]) -> ReplayDifferences:
         """Compare the half-cycles, too; returns all differences."""
         pairs = _pairs(recorded, replayed)
-        changes = [(self._swing_change_u(old, new), old.turn_time_ns) for old, new in pairs]
-        largest_u, at_ns = max(changes, key=lambda change: change[0], default=(0.0, 0))
+        changes = [(self._half_cycle_change_u(old, new), old.turn_time_ns) for old, new in pairs]
+        largest_u, largest_ns = max(changes, key=lambda change: change[0], default=(0.0, 0))
         once = len(recorded) + len(replayed) - 2 * len(pairs)
         half_cycles = Differences(
             len(recorded),
@@ -110,12 +110,12 @@ class ReplayComparison:
             sum(not _equal(old, new) for old, new in pairs) + once,
             once,
             largest_u,
-            seconds(at_ns - self._start_ns) if largest_u > 0 else math.nan,
+            seconds(largest_ns - self._start_ns) if largest_u > 0 else math.nan,
         )
-        flagged = sum(swing.flags != 0 for swing in replayed)
+        flagged = sum(half_cycle.flags != 0 for half_cycle in replayed)
         return ReplayDifferences(self._frames, self._spots, half_cycles, flagged)
 
-    def _swing_change_u(self, old: HalfCycle, new: HalfCycle) -> float:
+    def _half_cycle_change_u(self, old: HalfCycle, new: HalfCycle) -> float:
         """The larger change of amplitude and time, in standard uncertainties of the old half-cycle."""
         amplitude_u = _in_u(np.float64(new.amplitude - old.amplitude), old.u_amplitude)
         time_u = _in_u(np.float64(seconds(new.turn_time_ns - old.turn_time_ns)), old.u_turn_time_s)
@@ -135,24 +135,23 @@ def _pairs(recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle]) -> list
     """Pairs of half-cycles with the same turning point; their numbers may differ."""
     if not recorded:
         return []
-    half_s = [swing.half_period_s for swing in recorded if math.isfinite(swing.half_period_s)]
-    max_difference_ns = _MAX_TIME_DIFFERENCE * NS_PER_S * float(np.median(half_s)) if half_s else 0.0
-    times_ns = np.array([swing.turn_time_ns for swing in recorded])
-    pairs: list[tuple[HalfCycle, HalfCycle]] = []
-    taken: set[int] = set()
-    for swing in replayed:
-        row = int(np.argmin(np.abs(times_ns - swing.turn_time_ns)))
-        if row not in taken and abs(int(times_ns[row]) - swing.turn_time_ns) <= max_difference_ns:
-            taken.add(row)
-            pairs.append((recorded[row], swing))
-    return pairs
+    half_periods_s = [old.half_period_s for old in recorded if math.isfinite(old.half_period_s)]
+    half_period_s = float(np.median(half_periods_s)) if half_periods_s else 0.0
+    max_difference_ns = _MAX_TIME_DIFFERENCE * NS_PER_S * half_period_s
+    times_ns = np.array([old.turn_time_ns for old in recorded])
+    pairs: dict[int, tuple[HalfCycle, HalfCycle]] = {}
+    for new in replayed:
+        row = int(np.argmin(np.abs(times_ns - new.turn_time_ns)))
+        if row not in pairs and abs(int(times_ns[row]) - new.turn_time_ns) <= max_difference_ns:
+            pairs[row] = (recorded[row], new)
+    return list(pairs.values())
 
 
 def _in_u(change: Any, u: Any) -> Any:
-    """Sizes of changes in standard uncertainties; 0 where one of them is not known."""
+    """Sizes of changes in standard uncertainties; 0 if change or uncertainty is not known."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = np.abs(change) / u
-    return np.where(np.isfinite(found), found, 0.0)
+        ratio = np.abs(change) / u
+    return np.where(np.isfinite(ratio), ratio, 0.0)
 
 
 def _are_same(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -23,10 +23,11 @@ from typing import Self
 import rerun_cli
 
 from processing.errors import ConfigurationError
-from rig.interruption import LOOPBACK, free_port, own_group
+from rig.interruption import LOOPBACK, free_port, process_group_options
 from rig.view.running_view import ShowMode, no_window, page_address, ports_of_view
 
 _CHECK_INTERVAL_S, _MAX_START_S = 0.05, 30.0
+"""Interval of the checks whether the page's server answers, and the longest wait for it."""
 _SERVER_MEMORY = "200MiB"
 """Memory in which the page's server keeps data for a browser that connects late."""
 
@@ -52,8 +53,7 @@ def quiet_environment() -> dict[str, str]:
         settings.mkdir(mode=0o700, exist_ok=True)
         status = settings.lstat()
         if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
-            # in the common temporary folder another user could have created it, to read or change the
-            # settings
+            # another user could have created it in the common temporary folder, to change the settings
             settings = Path(tempfile.mkdtemp(prefix="rerun-settings-"))
         environment["XDG_CONFIG_HOME"] = str(settings)
     subprocess.run(
@@ -62,36 +62,30 @@ def quiet_environment() -> dict[str, str]:
     return environment
 
 
-def start_program(
-    *arguments: str, environment: dict[str, str] | None = None, alone: bool = True
-) -> subprocess.Popen[bytes]:
-    """Start the program on 127.0.0.1, without output; if `alone` it outlives this process group."""
+def _start_program(*arguments: str, outlives_group: bool) -> subprocess.Popen[bytes]:
+    """Start the program on 127.0.0.1, without output."""
     return subprocess.Popen(
         [program(), "--bind", LOOPBACK, *arguments],
-        env=environment if environment is not None else quiet_environment(),
+        env=quiet_environment(),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        **(own_group() if alone else {}),
+        **(process_group_options() if outlives_group else {}),
     )
 
 
-class GuardedPage(ThreadingHTTPServer):
-    """Serves the page of the viewer's server at `inner_port` with a policy: the browser contacts no other
-    host.
-
-    `stream_port` is the port of the stream, which the page may read.
-    """
+class _GuardedPage(ThreadingHTTPServer):
+    """Serves the page of `inner_port` with a policy: the browser contacts only it and `stream_port`."""
 
     daemon_threads = True
 
     def __init__(self, port: int, inner_port: int, stream_port: int) -> None:
         super().__init__((LOOPBACK, port), _PageRequest)
         self.inner_port = inner_port
-        own = "'self' data: blob:"
+        own_sources = "'self' data: blob:"
         self.policy = (
-            f"default-src {own} 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval'; "
-            f"connect-src {own} http://{LOOPBACK}:{stream_port}"
+            f"default-src {own_sources} 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval'; "
+            f"connect-src {own_sources} http://{LOOPBACK}:{stream_port}"
         )
         threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
 
@@ -99,7 +93,7 @@ class GuardedPage(ThreadingHTTPServer):
 class _PageRequest(BaseHTTPRequestHandler):
     """Answers a request for a file of the page with that of the viewer's server."""
 
-    server: GuardedPage
+    server: _GuardedPage
 
     def do_GET(self) -> None:
         inner = http.client.HTTPConnection(LOOPBACK, self.server.inner_port, timeout=_MAX_START_S)
@@ -126,20 +120,20 @@ class ViewerProgram:
     """The running viewer, the server of a stream: a window, or a page on the loopback."""
 
     def __init__(self, mode: ShowMode, ports: tuple[int, int] | None) -> None:
-        if mode == "spawn" and (missing := no_window()):
-            raise ConfigurationError(missing)
+        if mode == "spawn" and (reason := no_window()):
+            raise ConfigurationError(reason)
         self._is_page = mode == "web"
         port, web_port = ports or ports_of_view()
         self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        words = ["--port", str(port), "--hide-welcome-screen"]
+        arguments = ["--port", str(port), "--hide-welcome-screen"]
         if self._is_page:
             inner_port = free_port(web_port + 1)
-            words += ["--serve-web", "--web-viewer-port", str(inner_port)]
-            words += ["--server-memory-limit", _SERVER_MEMORY]
-        self._process = start_program(*words, alone=not self._is_page)
+            arguments += ["--serve-web", "--web-viewer-port", str(inner_port)]
+            arguments += ["--server-memory-limit", _SERVER_MEMORY]
+        self._process = _start_program(*arguments, outlives_group=not self._is_page)
         if self._is_page:
             self._await_page(inner_port)
-            GuardedPage(web_port, inner_port, port)
+            _GuardedPage(web_port, inner_port, port)
             print(f"the view is at {page_address(port, web_port)} (Ctrl-C ends it)", flush=True)
 
     def __enter__(self) -> Self:

@@ -13,7 +13,7 @@ from rig.interruption import LOOPBACK, free_port, start_python
 from rig.terminal import say
 
 ShowMode = Literal["spawn", "web"]
-"""In a window, or in a browser."""
+"""Ways to show a view: in a window, or as a page in a browser."""
 Mode = Literal["none", ShowMode]
 """How a view is shown, if at all."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
@@ -23,9 +23,9 @@ _PORT, _WEB_PORT = 9876, 9090
 
 
 class RunningView:
-    """The process that shows a record in a window or a page, or none.
+    """The process that shows a record in a window or a page; with the mode `none` there is no process.
 
-    `record` need not exist yet. The address of a page is printed. `layout` opens first.
+    `record` need not exist yet. The address of a page is printed.
     """
 
     def __init__(self, record: Path, mode: Mode, layout: LayoutName) -> None:
@@ -35,10 +35,10 @@ class RunningView:
             say(reason)
         elif mode != "none":
             port, web_port = ports_of_view()
-            null, shown = subprocess.DEVNULL, "window" if mode == "spawn" else "web"
+            null, option = subprocess.DEVNULL, "window" if mode == "spawn" else "web"
             # the process ends by itself with the record
             self._process = start_python(
-                *("-m", "rig", "view", str(record), "--follow", "--view", shown),
+                *("-m", "rig", "view", str(record), "--follow", "--view", option),
                 *("--layout", layout, "--ports", str(port), str(web_port)),
                 stdin=null,
                 stdout=null,
@@ -78,9 +78,8 @@ def page_address(port: int, web_port: int) -> str:
 
 def no_window() -> str:
     """Reason for which no window can be opened here; empty if one can be."""
-    if sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
+    has_screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and not has_screen:
         return (
             "no window was opened: there is no screen here (neither DISPLAY nor WAYLAND_DISPLAY is set); "
             "use --view web, or open the .rrd file on another machine"

@@ -63,7 +63,9 @@ def build(desk: Desk, tab: Tab) -> None:
                 trajectory = charts.TrajectoryChart()
             with box("faults against their limits", "scrolls", region="faults"):
                 tab.html(
-                    lambda: tables.bars(fault_bars(dialogue.faults, dialogue.before), "faults of the balance")
+                    lambda: tables.bars(
+                        fault_bars(dialogue.faults, dialogue.earlier_faults), "faults of the balance"
+                    )
                 )
                 tab.button("Forget the last turn", in_background(balancing.forget), "dense outline")
     tab.on_refresh(refresh)

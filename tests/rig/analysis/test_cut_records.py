@@ -122,10 +122,12 @@ def test_the_chain_from_record_to_report(record: Path, tmp_path: Path) -> None:
     sound = rig("record", "check", path).stdout
     assert "SHA-256 is the one in results.json: run-1.mcap, configuration.json" in sound
     assert "report.html was made from results.json" in sound
-    results = tmp_path / "results.json"
+    results, later = tmp_path / "results.json", tmp_path / "results-2.json"
     tree = json.loads(results.read_text())
     tree["runs"][0]["inputs_sha256"]["configuration.json"] = "0" * 64
-    results.write_text(json.dumps(tree))
+    later.write_text(json.dumps(tree))
+    assert "another SHA-256 than results-2.json states" in rig("record", "check", path).stdout
+    later.rename(results)
     wrong = rig("record", "check", path)
     assert wrong.returncode == 1
     assert "configuration.json has another SHA-256 than results.json states" in wrong.stdout

@@ -12,7 +12,7 @@ from rig.commands.init import ask
 from rig.settings import (
     copy_shipped,
     load_configuration,
-    quantity,
+    read_quantity,
     shipped,
     shipped_names,
     write_configuration,
@@ -104,7 +104,7 @@ def test_quantities_are_read_as_they_are_written() -> None:
         ("82 GPa", "Pa"): (8.2e10, None),
         ("-3.5", ""): (-3.5, None),
     }
-    assert {given: quantity(*given) for given in read} == read
+    assert {given: read_quantity(*given) for given in read} == read
 
 
 def test_the_command_writes_a_file_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from rig.control import SeismometerReader, SeismometerSettings
 from rig.control.sensors import sample_of
-from rig.settings import keys_with_faults
+from rig.settings import key_faults
 from tests.waiting import until
 
 LIMIT_S = 60.0
@@ -73,4 +73,4 @@ def test_a_serial_instrument_is_read_line_by_line() -> None:
     ],
 )
 def test_what_is_missing_is_said(keys: dict[str, object], said: str) -> None:
-    assert said in " ".join(keys_with_faults(keys, "seismometer"))
+    assert said in " ".join(key_faults(keys, "seismometer"))

@@ -12,7 +12,7 @@ import pytest
 
 from processing.errors import ConfigurationError
 from rig.devices import OrderSocket, SessionNews
-from rig.prepare import InJsonLines
+from rig.prepare import JsonReporter
 from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 from tests.waiting import until
 
@@ -82,13 +82,13 @@ def test_a_turn_that_is_stated_is_made_at_the_simulated_rig(tmp_path: Path) -> N
 
 def _balance_with(answers: io.StringIO, words: dict[str, str], history: str) -> Done:
     """`rig balance --json`, whose standard input has these answers."""
-    read = InJsonLines.ask
+    read = JsonReporter.ask
 
-    def ask(self: InJsonLines) -> str:
+    def ask(self: JsonReporter) -> str:
         with patch.object(sys, "stdin", answers):
             return read(self)
 
-    with patch.object(InJsonLines, "ask", ask):
+    with patch.object(JsonReporter, "ask", ask):
         return rig(
             "balance", SIMULATED, "--json", "--seed", "1", "--history-file", history, *set_words(words)
         )

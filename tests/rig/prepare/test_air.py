@@ -54,7 +54,7 @@ def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_drag_is_measured_filed_and_used(
     vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    monkeypatch.setattr("rig.prepare.air.analyse_record", fitted_once)
     monkeypatch.setattr("rig.analysis.contact_verdicts.drag_verdict", drag_verdict)
     path = calibrate_air(vanes, Filing(tmp_path / "c", 30, "A. Person"))
     found = read_calibration(path, "air")
@@ -113,7 +113,7 @@ def test_areas_that_were_swapped_are_refused(
     vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The drag was that of the pendulum with its vanes, without a word."""
-    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    monkeypatch.setattr("rig.prepare.air.analyse_record", fitted_once)
     swapped = vanes.parent / "swapped.toml"
     swapped.write_text(
         vanes.read_text().replace("0.mcap", "x").replace("1.mcap", "0.mcap").replace("x", "1.mcap")
@@ -132,7 +132,7 @@ def test_a_run_that_was_not_measured_twice_is_named(
         return replace(run, measured_again_on=None) if record.name == "1.mcap" else run
 
     for analyse, named in ((fitted_once, False), (second_as_detected, True)):
-        monkeypatch.setattr("rig.prepare.lever.analyse_record", analyse)
+        monkeypatch.setattr("rig.prepare.air.analyse_record", analyse)
         notes = read_calibration(calibrate_air(vanes, Filing(tmp_path / f"{named}")), "air").notes
         assert (
             any("turning points of run 2 could not be measured a second time" in one for one in notes)
@@ -152,7 +152,7 @@ def test_a_run_too_short_for_the_waveform_is_refused(
         without = replace(fit, evidence=replace(fit.evidence, waveform=None))
         return replace(run, fitted={**run.fitted, "exact": without})
 
-    monkeypatch.setattr("rig.prepare.lever.analyse_record", short)
+    monkeypatch.setattr("rig.prepare.air.analyse_record", short)
     with pytest.raises(DataError, match="too short for the waveform"):
         calibrate_air(vanes, Filing(tmp_path / "c"))
     assert not (tmp_path / "c").exists()

@@ -162,7 +162,7 @@ def test_a_global_shutter_is_believed_only_where_the_swing_agrees(
         chi2_per_dof=1.0,
         stretches=6,
     )
-    monkeypatch.setattr("rig.prepare.frame_times.fit_row_time", lambda *_: fitted)
+    monkeypatch.setattr("rig.prepare.record_calibrations.fit_row_time", lambda *_: fitted)
     found = read_calibration(calibrate_shutter(measured_series / "run-1.mcap", Filing(tmp_path)))
     assert found.values["row_time_s"] == filed_s
     assert any(said in note for note in found.notes) == (filed_s == 0.0)
@@ -171,6 +171,6 @@ def test_a_global_shutter_is_believed_only_where_the_swing_agrees(
 def test_a_pulsed_laser_shows_no_row_time(measured_series: Path, tmp_path: Path, monkeypatch) -> None:
     """All rows see the pulse at the same time: the swing's second harmonic is another's."""
     pulsed = load_configuration(DEMO, ["laser.kind=controller", "laser.pulse_us=50"])
-    monkeypatch.setattr("rig.prepare.frame_times.recorded_configuration", lambda _: pulsed)
+    monkeypatch.setattr("rig.prepare.record_calibrations.recorded_configuration", lambda _: pulsed)
     with pytest.raises(DataError, match=r"run-1\.mcap: its laser was pulsed"):
         calibrate_shutter(measured_series / "run-1.mcap", Filing(tmp_path))

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from processing.swing import TurningPoints
 from rig.analysis import Curves, ModelCurve
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled, svg
-from rig.report.figures_laws import decay_figure, period_figure, residual_figure
-from rig.report.source import ShownUnit
+from rig.report.figures_laws import decay_figure, loss_figure, period_figure, residual_figure
+from rig.report.paper_simulation import PAIRS
+from rig.report.source import DisplayUnit
 
 ARCSEC = np.pi / 648000
 
@@ -33,6 +34,15 @@ def curves(first: float, last: float) -> tuple[TurningPoints, Curves]:
     return points, found
 
 
+def test_losses_are_of_the_cycles_that_are_stated() -> None:
+    """With gaps the losses were those of one cycle, and called those of two."""
+    index = np.delete(np.arange(340, dtype=np.int64), np.s_[4::4])
+    amplitude = 100.0 * ARCSEC * np.exp(-0.003 * index)
+    points = TurningPoints(index, 2.0 * index, np.full(256, 1e-5), amplitude, np.full(256, 1e-9))
+    axes = loss_figure(points, PAIRS[0].parameters, PAIRS[0].pendulum).figure.axes[1]
+    assert "measured, 1 cycle each" in axes.get_legend_handles_labels()[1]
+
+
 def blank(figure: Figure) -> float:
     """The part of the first axes' width, left and right of everything that is drawn."""
     axes = figure.axes[0]
@@ -48,7 +58,7 @@ def test_little_of_a_period_figure_is_blank(first: float, last: float) -> None:
     assert blank(drawn) < 0.1
     low, high = drawn.axes[0].get_xlim()
     assert sum(low <= tick <= high for tick in drawn.axes[0].get_xticks()) >= 3
-    low, high = decay_figure(points, found, ShownUnit("arcsec", ARCSEC)).figure.axes[0].get_ylim()
+    low, high = decay_figure(points, found, DisplayUnit("arcsec", ARCSEC)).figure.axes[0].get_ylim()
     assert (high - low) < 1.2 * max(first - last, 0.0 if low else high)
 
 

@@ -23,7 +23,7 @@ from rig.archive import ordered_runs
 from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import session_rows
 from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
-from rig.report.campaign_input import FoundRun, runs_of_archive, stated_model
+from rig.report.campaign_input import CandidateRun, runs_of_archive, stated_model
 from rig.report.campaign_page import campaign_tables, decays_table, effects_table
 from rig.report.likelihoods import _bound, compress
 from tests.rig.command_line import SAMPLES, rig
@@ -139,7 +139,7 @@ def test_a_single_run_of_each_contact_does_not_tell_them_apart(tmp_path: Path) -
 def test_a_likelihood_is_that_of_its_results() -> None:
     one = run(1, GLASS, np.random.default_rng(3))
     likelihood, problem = compress(
-        FoundRun(label="run-1", contact="glass", results_sha256="", run=one), 60 * ARCSEC_RAD
+        CandidateRun(label="run-1", contact="glass", results_sha256="", run=one), 60 * ARCSEC_RAD
     )
     assert likelihood is not None
     assert not problem
@@ -164,7 +164,7 @@ def test_what_a_run_hardly_determines_is_a_bound(value: float, u: float, is_boun
     fit = one.fits["exact"]
     parameters = {**fit.parameters, "c": Estimate(value, u)}
     found, _ = compress(
-        FoundRun(
+        CandidateRun(
             label="run-1",
             contact="glass",
             results_sha256="",
@@ -418,7 +418,7 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     fit, pendulum = run.fitted["exact"], run.pendulum
     assert pendulum is not None
     found, problem = compress(
-        FoundRun(label="run-1", contact="glass", results_sha256="", run=run), REFERENCE_RAD
+        CandidateRun(label="run-1", contact="glass", results_sha256="", run=run), REFERENCE_RAD
     )
     assert found is not None, problem
     names = found.names

@@ -8,7 +8,7 @@ import pytest
 
 from processing.estimate import Estimate
 from processing.units import ARCSEC_RAD
-from rig.report import StatedCampaign, fit_model, runs_of_folders
+from rig.report import StatedCampaign, fit_model, runs_of_folders, save_campaign
 from rig.report.likelihoods import compress
 from tests.rig.report.made_sessions import ENERGY_OVER_C, GLASS, run, session
 
@@ -33,6 +33,9 @@ def test_a_contact_that_is_only_bounded_has_the_runs_limit_and_differs_on_one_si
             wide = [replace(fit, parameters={**fit.parameters, "c": Estimate(2e-9, 4e-9)}) for fit in fits]
             runs = [replace(one, fits={"exact": fit}) for one, fit in zip(runs, wide, strict=True)]
         folders.append(session(tmp_path / name, runs))
+    slope = {"parameter": "c", "covariate": "order", "form": "linear"}
+    stated = StatedCampaign.model_validate({"parameters": ("p", "c"), "effect": [slope]})
+    save_campaign(fit_model(runs_of_folders(folders[2:]), stated), tmp_path / "campaign")
     found = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("p", "c"))).results
     for key, factor in (("c", 1.0), ("surface_energy_table2_j_per_m2", ENERGY_OVER_C)):
         of_c = found.contacts["bounded"][key]

@@ -20,8 +20,8 @@ from processing.number_text import (
     with_uncertainty,
 )
 from processing.units import _OTHERS, _PREFIXABLE
-from rig.interruption import spelled
-from rig.report.drawing import broken, envelope, thinned
+from rig.interruption import ascii_text
+from rig.report.drawing import break_at_gaps, envelope, thinned_indices
 from rig.terminal import Table, latex_table
 from rig.terminal.latex import _UNITS
 from tests.rig.command_line import rig
@@ -180,8 +180,8 @@ def test_a_difference_has_its_sign_and_no_exponent_of_programs(fraction: float, 
 
 
 def test_a_terminal_without_the_characters_gets_them_spelled_out() -> None:
-    assert spelled(with_uncertainty(-3.73315e-3, 1e-7)) == "(-3.73315 +- 0.00010) x 10^-3"
-    assert spelled("γ / MPa, b / rad⁻ᵖ, 5°") == "gamma / MPa, b / rad^-p, 5 deg"
+    assert ascii_text(with_uncertainty(-3.73315e-3, 1e-7)) == "(-3.73315 +- 0.00010) x 10^-3"
+    assert ascii_text("γ / MPa, b / rad⁻ᵖ, 5°") == "gamma / MPa, b / rad^-p, 5 deg"
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -231,19 +231,19 @@ def test_an_envelope_holds_every_extreme() -> None:
 
 def test_lines_end_at_gaps_and_bands_too() -> None:
     x = np.delete(np.arange(0, 100, 0.01), np.arange(3000, 5000))
-    at, y = broken(x, np.cos(x))
+    at, y = break_at_gaps(x, np.cos(x))
     (gap,) = np.flatnonzero(np.isnan(y))
     assert at[gap] == pytest.approx(40, abs=0.02)
     assert np.array_equal(np.delete(y, gap), np.cos(x))
-    wide, low, high = broken(*envelope(x, np.cos(x), 300))
+    wide, low, high = break_at_gaps(*envelope(x, np.cos(x), 300))
     assert np.isnan(low).sum() == np.isnan(high).sum() == 1
     assert 30 < wide[np.isnan(low)][0] < 50
-    assert len(broken(x[:3], x[:3])[0]) == 3
+    assert len(break_at_gaps(x[:3], x[:3])[0]) == 3
 
 
 def test_thinning_keeps_both_ends() -> None:
-    kept = thinned(1001, 100)
+    kept = thinned_indices(1001, 100)
     assert kept[0] == 0
     assert kept[-1] == 1000
     assert len(kept) == 100
-    assert thinned(5, 100).tolist() == [0, 1, 2, 3, 4]
+    assert thinned_indices(5, 100).tolist() == [0, 1, 2, 3, 4]

@@ -34,7 +34,7 @@ def test_a_run_is_planned_from_a_record(measured_series: Path, capsys: pytest.Ca
     assert "u(γ)" in said
     assert "NOT RELIABLE: what this plan starts from does not determine" in said
     expected = planned_contact_of_run(analyse_record(measured_series / "run-1.mcap"))
-    shorter, longer = make_plan(expected, [124.0], [60.0, 15.0]).numbers
+    shorter, longer = make_plan(expected, [124.0], [60.0, 15.0]).rows
     assert (longer["first_arcsec"], longer["last_arcsec"]) == pytest.approx((124.0, 15.0))
     assert longer["duration_s"] > shorter["duration_s"]
     assert longer["half_cycles"] > shorter["half_cycles"]
@@ -112,7 +112,7 @@ def test_a_plan_of_a_configuration_has_series_of_runs(
     assert "124 to 15 *" in said
     assert "session.max_duration_s = 60 would end it earlier" in " ".join(said.split())
     expected = planned_contact_of_file(source, limit, 0.02, contact)
-    one, three = make_plan(expected, [124.0], [15.0], counts=[3, 1]).numbers
+    one, three = make_plan(expected, [124.0], [15.0], counts=[3, 1]).rows
     assert (one["runs"], three["runs"]) == (1, 3)
     assert three["duration_s"] == one["duration_s"]
     assert three["u_c"] == pytest.approx(one["u_c"] / math.sqrt(3))

@@ -71,6 +71,15 @@ def test_a_run_without_fit_shifts_no_number(analysed_series: Sequence[AnalysedRu
     assert ticks == ["2", "3", "4"]
 
 
+def test_the_figure_names_the_fit_whose_runs_it_shows(analysed_series: Sequence[AnalysedRun]) -> None:
+    """Without a combined exact fit it shows the asymptotic one, which it called exact."""
+    series = session_results(analysed_series, Path()).series
+    assert series is not None
+    alone = replace(series, fits={FitMethod.ASYMPTOTIC: series.fits[FitMethod.ASYMPTOTIC]})
+    captions = [series_figure(each).caption.partition(" of")[0] for each in (series, alone)]
+    assert captions == ["Exact fit", "Asymptotic fit"]
+
+
 def test_what_the_runs_only_limit_has_no_mean_in_the_file(
     analysed_series: Sequence[AnalysedRun], tmp_path: Path
 ) -> None:

@@ -16,7 +16,7 @@ from rig.analysis import analyse_record, session_results
 from rig.analysis.results_file import write_results
 from rig.instrument.provenance import CONFIGURATION_NAME
 from rig.report.session_report import make_report
-from rig.report.source import shown_configuration
+from rig.report.source import configuration_texts
 from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS, rig
 
@@ -97,6 +97,6 @@ def test_a_run_without_a_spot_is_reported_as_that(tmp_path: Path) -> None:
 @pytest.mark.parametrize("simulated", [True, False])
 def test_a_real_run_shows_nothing_of_the_simulated_rig(simulated: bool) -> None:
     tree = json.loads(load_configuration(CONFIGS / "demo.toml").model_dump_json())
-    shown = shown_configuration(tree, simulated=simulated)
+    shown = configuration_texts(tree, simulated=simulated)
     assert any(key.startswith("simulation.") for key in shown) is simulated
     assert shown["camera.driver"] == "simulated"

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient, ViewerState
 
-from rig.interruption import LOOPBACK, free_port, own_group
+from rig.interruption import LOOPBACK, free_port, process_group_options
 from rig.view.rerun_program import program, quiet_environment
 
 ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
@@ -103,7 +103,7 @@ def headless_viewer(*arguments: str, size: str = "1500x950") -> Iterator[Headles
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            **own_group(),
+            **process_group_options(),
         )
         try:
             yield HeadlessViewer(process, connected(port, time.monotonic() + 40.0))

@@ -35,7 +35,7 @@ def drawing_into(rrd: Path, **setup: Any) -> Iterator[Drawing]:
     known = Setup("scene", **setup)
     stream.set_sinks(rr.FileSink(rrd), default_blueprint=layout.blueprint(known))
     stream.send_recording_name("scene")
-    drawing = Drawing(stream, known, gather_s=1e9, gather_rows=8000)
+    drawing = Drawing(stream, known, limit_s=1e9, limit_rows=8000)
     yield drawing
     drawing.send(now=True)
     stream.flush(timeout_sec=30.0)
