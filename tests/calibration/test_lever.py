@@ -86,6 +86,8 @@ def test_the_trace_agrees_with_what_can_be_had_by_hand() -> None:
         exact = {math.sin(2 * tilt) / math.cos(2 * tilt + sign * 0.1) for sign in (1, -1)}
         assert any(trace_m(askew, tilt)[1] == pytest.approx(value, rel=1e-12) for value in exact)
     assert abs(lever_from_geometry(askew).lever.skew) == pytest.approx(math.tan(0.1), rel=1e-3)
+    square = lever_from_geometry(LeverGeometry(**base, u_sensor_tilt_along_rad=0.02)).lever
+    assert square.u_skew == pytest.approx(0.02, rel=1e-3)
 
 
 def test_a_bent_ladder_is_found_out_and_corrected() -> None:
