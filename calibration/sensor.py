@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.timebase import birge_ratio
+from calibration.birge import birge_ratio
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.noise_models import robust_scatter
