@@ -24,10 +24,8 @@ equally probable. No reference is exactly linear: the part that the steps cannot
 """
 _WRONG_STEP_STD = (6.0, 60.0)
 """Standard deviations of a wrong step, in units of its stated uncertainty."""
-_P_WRONG_STEP = 0.01
-"""Prior probability that a step is wrong, for each of `_WRONG_STEP_STD`; the prior probability that no step
-is wrong is at least as large.
-"""
+_P_WRONG_STEP = 0.02
+"""Prior probability that a step is wrong, in equal parts for each of `_WRONG_STEP_STD`."""
 _MIN_REPORTED_P = 0.5
 """Probability of a wrong step above which a note reports it."""
 _MIN_REPORTED_CUBIC = 3.0
@@ -332,7 +330,8 @@ def _fit(
     t = steps.t
     end = float(np.abs(t).max())
     u = steps.u_px * np.where(np.arange(len(t)) == wrong_step, factor, 1.0)
-    p_none_wrong = max(1.0 - len(t) * len(_WRONG_STEP_STD) * _P_WRONG_STEP, _P_WRONG_STEP)
+    # prior odds against no wrong step; the steps are independent
+    odds = _P_WRONG_STEP / (1.0 - _P_WRONG_STEP) / len(_WRONG_STEP_STD) if wrong_step >= 0 else 1.0
     columns = [np.ones_like(t), t, t**2, t * (t / end) ** 2]
     skew = scale * SKEW_PRIOR_STD if kind == "tilt" else _FLAT_PRIOR_STD * scale / end
     widths = [_FLAT_PRIOR_STD * scale * end, _FLAT_PRIOR_STD * scale, skew, cubic_std * scale]
@@ -347,7 +346,7 @@ def _fit(
     residual = position - design @ values
     chi2 = float(residual @ residual)
     log_probability = (
-        math.log(p_none_wrong if wrong_step < 0 else _P_WRONG_STEP)
+        math.log(odds)
         - 0.5 * (chi2 + float(values @ values))
         - 0.5 * float(np.linalg.slogdet(precision)[1])
         - float(np.log(u).sum())

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from calibration.ladder import LadderSteps
+from calibration.ladder import LadderSteps, scale_posterior, solve_ladder
 from calibration.lever_fit import check_scale, fit_ladder, lever_from_shifts, lever_from_tilts, moved_between
 from calibration.light_lever import Lever, LeverGeometry, lever_from_geometry, trace_m
 from processing.errors import DataError
@@ -138,6 +138,12 @@ def test_a_cubic_part_and_a_wrong_step_are_named() -> None:
     assert any("scatter" in note for note in fit.notes)
     assert int(np.argmax(np.abs(fit.residual_px[:, 1]))) == 7
     assert abs(fit.scale * PITCH_M - 1.0) < 3.0 * fit.u_scale * PITCH_M < 1e-3
+
+
+def test_in_a_long_straight_ladder_no_step_is_probably_wrong() -> None:
+    """A prior probability that had a lower limit made a wrong step of 120 the rule."""
+    trace = solve_ladder(ladder(np.linspace(-120, 120, 120).tolist()), "tilt", None, fit_skew=False).trace
+    assert scale_posterior(trace, "tilt", 1.0 / PITCH_M).p_wrong.sum() < 0.5
 
 
 def test_a_residual_is_the_whole_departure_from_the_stated_setting() -> None:
