@@ -8,7 +8,13 @@ from processing.contact.free_swing import (
     expected_drag_s,
     law_harmonics,
 )
-from processing.contact.half_swing import TABLE_RATIO, HalfSwings, OneHalfSwing, SwingTable, walk
+from processing.contact.half_cycle_table import (
+    TABLE_RATIO,
+    HalfCycleLosses,
+    HalfCycleTable,
+    PredictedTurningPoints,
+    iterate_decay,
+)
 from processing.contact.hertz import (
     MATERIALS,
     Material,

@@ -199,11 +199,11 @@ def _decay(
         np.array([first_rad, last_rad]),
         np.full(2, 1e-3 * last_rad),
     )
-    columns = law.columns(range_ends, pendulum, names)
+    columns = law.coordinates(range_ends, pendulum, names)
     parameters = columns.map_parameters(columns.from_physical(known))[0]
     count = 256
     while True:
-        found = law.half_swing_map(parameters[:-2], np.arange(count, dtype=np.int64))
+        found = law.turning_points(parameters[:-2], np.arange(count, dtype=np.int64))
         amplitude = found.amplitude * columns.reference
         if not np.isfinite(amplitude[-1]) or amplitude[-1] < last_rad or count > 1 << 16:
             break

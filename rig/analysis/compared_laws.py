@@ -271,9 +271,9 @@ def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[st
         if law is None or not fit.parameters:
             continue
         values = {key: estimate.value for key, estimate in fit.parameters.items()}
-        columns = law.columns(points, run.pendulum, tuple(values))
+        columns = law.coordinates(points, run.pendulum, tuple(values))
         parameters, _ = columns.map_parameters(columns.from_physical(values))
-        swung = law.half_swing_map(parameters[:-2], points.index - points.index[0])
+        swung = law.turning_points(parameters[:-2], points.index - points.index[0])
         period_s, first_s = parameters[-2:].tolist()
         found[name] = ModelCurve.of(
             points, swung.amplitude * columns.reference, first_s + period_s * swung.time

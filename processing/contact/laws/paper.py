@@ -236,5 +236,5 @@ def turning_points_of(
         raise DataError(f"initial amplitude {initial_amplitude_rad} rad: it must be positive")
     index = np.arange(half_cycles + 1, dtype=np.int64)
     *own, rho = scaled_contact(parameters, pendulum, initial_amplitude_rad)
-    found = PAPER.half_swing_map(np.array([*own, initial_amplitude_rad, rho, 1.0]), index)
+    found = PAPER.turning_points(np.array([*own, initial_amplitude_rad, rho, 1.0]), index)
     return found.amplitude * initial_amplitude_rad, found.time * parameters.period0_s

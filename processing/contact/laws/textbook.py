@@ -27,8 +27,8 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact.asymptotic import StartValues, cosine_moment
 from processing.contact.coordinates import ComplexOrReal, Scaling, ValleyCoordinates, logarithms_of
+from processing.contact.hysteresis import Arrays, Branch, branch_law, masing_branch
 from processing.contact.law import CONSTANT, DRAG, FREE_PERIOD, PERIOD, HeldColumn, Parameter
-from processing.contact.memory import Arrays, Branch, branch_law, masing
 from processing.contact.memoryless import NO_MOMENT, Moment, Moments, memoryless_law
 
 
@@ -81,7 +81,7 @@ def _mean_resistance(s: Floats, turn_moment: Floats, q: Arrays) -> Floats:
     return np.asarray(q["c"] + (turn_moment + q["c"]) * np.expm1(-way) / way)
 
 
-def _at_reversal(amplitude: Floats, q: Arrays) -> Floats:
+def _reversal_moment(amplitude: Floats, q: Arrays) -> Floats:
     return np.asarray(q["c"] * np.tanh(amplitude * q["sigma"] / q["c"]))
 
 
@@ -106,7 +106,7 @@ DAHL = branch_law(
                   lower=0.0, logarithmic=True),
         FREE_PERIOD,
     ),
-    Branch(_resistance, _mean_resistance, _at_reversal),
+    Branch(_resistance, _mean_resistance, _reversal_moment),
     {"c": Scaling(1.0), "sigma": Scaling()},
     logarithms_of(0, 1),
     _dahl_starts,
@@ -169,7 +169,7 @@ MASING = branch_law(
         CONSTANT,
         FREE_PERIOD,
     ),
-    masing(_backbone, _work, constant=CONSTANT.key),
+    masing_branch(_backbone, _work, constant=CONSTANT.key),
     {
         "k": Scaling(1.0, -1.0, "q"),
         "q": Scaling(),
@@ -232,7 +232,7 @@ MAXWELL_SLIP = branch_law(
         CONSTANT,
         FREE_PERIOD,
     ),
-    masing(_slip_backbone, _slip_work, constant=CONSTANT.key),
+    masing_branch(_slip_backbone, _slip_work, constant=CONSTANT.key),
     {**{key: Scaling() for key in _KEYS}, "c": Scaling(1.0)},
     logarithms_of(),
     _propose_slip_starts,
