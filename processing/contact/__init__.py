@@ -1,4 +1,4 @@
-"""Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
+"""Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-cycle map."""
 
 from processing.contact.asymptotic import decay_path, fit_decay, frequency_drop, period, period_start
 from processing.contact.free_swing import (
