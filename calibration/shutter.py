@@ -30,11 +30,11 @@ _MIN_AMPLITUDE_FRACTION = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Shutter:
-    """Times of exposure of the rows of an image; the time of a frame is that of its first row.
+    """Times of exposure of the rows of an image: `row_time_s` from one row to the next, 0 for all at once.
 
-    `row_time_s`, from one row to the next, holds for the rows of the image as delivered; another binning or
-    pixel format may change it. `first_row` is exposed first: the row y = 0 of the image, or of its region of
-    interest, if it is "top", the last one if it is "bottom".
+    The time of a frame is that of its first row. The row time holds for the rows of the image as delivered;
+    another binning or pixel format may change it. `first_row` is exposed first: the row y = 0 of the image, or
+    of its region of interest, if it is "top", the last one if it is "bottom".
     """
 
     row_time_s: float = field(

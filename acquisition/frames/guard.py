@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame
-from processing.errors import DeviceError, RigError, in_one_line
+from processing.errors import DeviceError, RigError, one_line_text
 from processing.units import seconds
 
 _log = logging.getLogger(__name__)
@@ -154,7 +154,7 @@ def driver_errors(camera: str, what: str) -> Iterator[None]:
     except Exception as error:
         # the traceback tells the author of a driver where it failed
         _log.error("%s: %s failed", camera, what, exc_info=error)
-        raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
+        raise DeviceError(f"{camera}: {what} failed: {one_line_text(error)}") from error
 
 
 def end_within(ending: Callable[[], object], name: str, patience_s: float = _END_PATIENCE_S) -> str:
@@ -175,7 +175,7 @@ def end_within(ending: Callable[[], object], name: str, patience_s: float = _END
     thread.join(patience_s)
     if thread.is_alive():
         return f"{name} has not returned for {patience_s:g} s, and is left to itself"
-    return f"{name} failed: {in_one_line(raised[0])}" if raised else ""
+    return f"{name} failed: {one_line_text(raised[0])}" if raised else ""
 
 
 class CameraCounts:
@@ -200,7 +200,7 @@ class CameraCounts:
             if not self._failure_reported:
                 self._failure_reported = True
                 self._remark = (
-                    f"cannot be read any more: {in_one_line(error)}; frames that are missing are seen by "
+                    f"cannot be read any more: {one_line_text(error)}; frames that are missing are seen by "
                     "their numbers"
                 )
             return self._before + self._last

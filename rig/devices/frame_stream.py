@@ -16,7 +16,7 @@ from acquisition.frames.numbering import FrameLine
 from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, Policy, taken_from
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
-from processing.errors import DeviceError, RigError, in_one_line
+from processing.errors import DeviceError, RigError, one_line_text
 from processing.units import seconds
 from rig.control import LightPermit, Stage
 from rig.devices.clocks import wait_for_network_clock
@@ -338,7 +338,7 @@ class FrameStream:
 
     @staticmethod
     def _error_text(error: Exception) -> str:
-        text = in_one_line(error)
+        text = one_line_text(error)
         return text if text.startswith("camera: ") else f"camera: {text}"
 
     def _fail(self, error: Exception, reason: str) -> None:

@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from processing.errors import ConfigurationError, dotted, require_schema
+from processing.errors import ConfigurationError, dotted_key, require_schema
 from processing.units import unit_of_name
 from rig.settings.configuration import Configuration
 from rig.settings.number_input import quantity, states_unit
@@ -159,7 +159,7 @@ def keys_with_faults(keys: Mapping[str, Any], whole: str = "") -> list[str]:
         place[name] = value
     _, found_faults = validate(Configuration, tree)
     asked = {*keys, whole} - {""}
-    return [fault.line for fault in found_faults if dotted(fault.place) in asked]
+    return [fault.line for fault in found_faults if dotted_key(fault.place) in asked]
 
 
 def _is_from_overrides(fault: KeyFault, stated: set[str]) -> bool:
@@ -169,7 +169,7 @@ def _is_from_overrides(fault: KeyFault, stated: set[str]) -> bool:
     """
     if not fault.place:
         return any(key.rstrip(".") in fault.line for key in stated)
-    place = dotted(fault.place)
+    place = dotted_key(fault.place)
     return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
 
 
