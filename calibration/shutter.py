@@ -33,8 +33,8 @@ class Shutter:
     """Times of exposure of the rows of an image: `row_time_s` from one row to the next, 0 for all at once.
 
     The time of a frame is that of its first row. The row time holds for the rows of the image as delivered;
-    another binning or pixel format may change it. `first_row` is exposed first: the row y = 0 of the image, or
-    of its region of interest, if it is "top", the last one if it is "bottom".
+    another binning or pixel format may change it. `first_row` is exposed first: the row y = 0 of the image,
+    or of its region of interest, if it is "top", the last one if it is "bottom".
     """
 
     row_time_s: float = field(

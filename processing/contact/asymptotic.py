@@ -211,9 +211,9 @@ def start_values(points: TurningPoints, rho: float, *, drag: bool) -> StartValue
     mean = mean_period(points)
     decay, _ = fit_decay(points, reference, mean, drag, "soft_l1")
     periods = full_periods(points)
-    if len(periods.where) >= FEWEST_PERIODS:
+    if len(periods.points) >= FEWEST_PERIODS:
         starts = period_start(
-            points.amplitude[periods.where] / reference, periods.period_s, periods.u_period_s, rho
+            points.amplitude[periods.points] / reference, periods.period_s, periods.u_period_s, rho
         )
     else:
         starts = [PeriodStart(mean, 0.3, 1e-3)]

@@ -85,9 +85,9 @@ def fit_asymptotic(
     if drag and known_drag is not None:
         known = Estimate(*(part / drag_factor for part in known_drag))
     periods = full_periods(points)
-    if len(periods.where) < FEWEST_PERIODS:
+    if len(periods.points) < FEWEST_PERIODS:
         raise DataError(
-            f"{len(periods.where)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
+            f"{len(periods.points)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
         )
     decay, amplitude_model = fit_decay(points, reference, mean, drag, loss, known)
     period, period_model = fit_period(points, periods, reference, rho, loss)
@@ -122,7 +122,7 @@ def fit_asymptotic(
             unsettled.append(f"the fit of {name} did not converge: its parameters are not determined")
 
     outlying = np.abs(decay.residuals) > OUTLIER
-    outlying[periods.where] |= np.abs(period.residuals) > OUTLIER
+    outlying[periods.points] |= np.abs(period.residuals) > OUTLIER
     amplitude_residual = points.amplitude - amplitude_model
     period_residual = periods.period_s - period_model
     return FitResult(
@@ -187,7 +187,7 @@ def fit_period(
     loss: Loss,
 ) -> tuple[Solution, Floats]:
     """Solution of Eq. 6 (T0 in s, n, kappa for amplitudes in units of the reference), and its periods (s)."""
-    x = points.amplitude[periods.where] / reference
+    x = points.amplitude[periods.points] / reference
     drop_of = partial(frequency_drop, x, rho=rho)
 
     def model(values: Floats) -> tuple[Floats, Floats]:
@@ -212,8 +212,8 @@ def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods)
     """Derivatives (half-cycles, 3) of the fit's score by the turning times; of the values by `covariance`."""
     weighted = solution.jacobian / periods.u_period_s[:, None]
     by_time = np.zeros((len(points), 3))
-    np.add.at(by_time, periods.where + 1, weighted)
-    np.add.at(by_time, periods.where - 1, -weighted)
+    np.add.at(by_time, periods.points + 1, weighted)
+    np.add.at(by_time, periods.points - 1, -weighted)
     return by_time
 
 

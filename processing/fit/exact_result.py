@@ -153,7 +153,7 @@ def result_of(
     normalised = np.abs(of_points)
     outlying = (normalised[:count] > OUTLIER) | (normalised[count:] > OUTLIER)
     periods = full_periods(points)
-    period_model = time[periods.where + 1] - time[periods.where - 1]
+    period_model = time[periods.points + 1] - time[periods.points - 1]
     period_deviation = np.abs(periods.period_s - period_model) / periods.period_s
     return FitResult(
         method=FitMethod.EXACT,

@@ -280,7 +280,7 @@ def circular_error(points: TurningPoints) -> CircularError:
     factor = Estimate(slope_s / half_s, float(np.sqrt(by @ covariance @ by)))
     period0 = Estimate(2 * half_s, 2 * math.sqrt(covariance[1, 1]))
     periods = full_periods(points)
-    at = points.amplitude[periods.where]
+    at = points.amplitude[periods.points]
     return CircularError(
         period0,
         factor,
