@@ -201,7 +201,7 @@ def curves_of(run: RunResults) -> Curves | None:
     exact = ModelCurve.of(points, *_exact(points, fits[FitMethod.EXACT], pendulum))
     unknown = np.full(len(points), np.nan)
     periods = full_periods(points)
-    at = periods.where
+    at = periods.points
     asymptotic = fits[FitMethod.ASYMPTOTIC].contact()
     amplitude = points.amplitude[at]
     return Curves(

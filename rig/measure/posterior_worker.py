@@ -94,7 +94,7 @@ def fitted_points(
     fitted, time_s = amplitude[index], time_s[index] + fit.estimate(TIME.key).value
     residual = (points.amplitude - fitted) / points.u_amplitude
     periods = full_periods(points)
-    turning = periods.where
+    turning = periods.points
     period_s, period_residual = np.full((2, len(index)), np.nan)
     period_s[turning] = time_s[turning + 1] - time_s[turning - 1]
     period_residual[turning] = (periods.period_s - period_s[turning]) / periods.u_period_s
