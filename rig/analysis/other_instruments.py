@@ -29,8 +29,8 @@ from processing.instruments import (
     damping,
     fit_friction_law,
     herbert_hardness,
-    inferred_swings,
-    joined_swings,
+    inferred_half_cycles,
+    joined_half_cycles,
     refined_turning_points,
     rolling_friction,
     with_drive,
@@ -140,7 +140,7 @@ def _circular(report: Reduction) -> None:
         "amplitude_deg": law.amplitude_rad / DEGREE_RAD,
         "period_s": law.period_s,
         "u_period_s": law.u_period_s,
-        "circular_law_s": law.law_s,
+        "circular_law_s": law.ideal_s,
         "alpha_squared_over_16_s": law.sixteenth_s,
     }
 
@@ -288,10 +288,10 @@ def _with_inferred(
     report: Reduction, swings: Sequence[HalfCycle], deflections: Deflections
 ) -> Sequence[HalfCycle]:
     """Half-cycles with those whose turning point lay off the sensor; a row has the number of these."""
-    off = inferred_swings(deflections.times_ns, deflections.y, deflections.u_y)
+    off = inferred_half_cycles(deflections.times_ns, deflections.y, deflections.u_y)
     if not off:
         return swings
-    whole = joined_swings(swings, off)
+    whole = joined_half_cycles(swings, off)
     kept = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in whole)
     report.add(inferred_half_cycles=kept)
     return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in whole]

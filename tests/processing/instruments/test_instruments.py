@@ -240,7 +240,7 @@ def test_a_factor_that_may_be_anything_follows_no_law() -> None:
     assert "too small, or too few, to show the circular error: 44 ± 22 times" in found.sentence
     seen = found._replace(factor=Estimate(1.1, 0.2))
     assert "follows the circular-error law" in seen.sentence
-    assert np.all(found.sixteenth_s <= found.law_s)
+    assert np.all(found.sixteenth_s <= found.ideal_s)
 
 
 def test_amplitudes_too_much_alike_for_the_period() -> None:
