@@ -28,7 +28,6 @@ from processing.contact.law import (
     STANDARD_GRAVITY_M_PER_S2,
     TIME,
     ContactParameters,
-    HeldColumn,
     Law,
     Parameter,
     PendulumOnBall,
@@ -39,8 +38,6 @@ from processing.contact.law import (
 from processing.contact.law_of_splines import MomentSplines, spline_law
 from processing.contact.laws import DEFAULT_LAW, LAWS, scaled_contact, turning_points_of
 from processing.contact.moments import (
-    AdhesiveContact,
-    SurfaceEnergy,
     adhesive_contacts,
     measured_losses,
     model_losses,

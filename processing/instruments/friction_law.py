@@ -118,11 +118,8 @@ class RollingFriction(NamedTuple):
     """Proportional to amplitude^(exponent - 1)."""
     coefficient: Estimate | None
     """Proportional to amplitude^exponent, and likewise to the same power of the largest speed."""
-    constant_decrement: bool
-    independent_of_speed: bool
-    """Whether these exponents differ from zero by at most two standard uncertainties."""
     sentences: tuple[str, str]
-    """The same as text."""
+    """Whether these exponents differ from zero by more than two standard uncertainties."""
 
 
 def rolling_friction(
@@ -166,9 +163,7 @@ def rolling_friction(
         f"the rolling-friction coefficient is {'independent' if independent else 'not independent'} "
         f"of speed: it goes as amplitude^({s:.{digits}f} ± {u:.{digits}f})"
     )
-    return RollingFriction(
-        law, law.decrement(law.reference_rad), coefficient, constant, independent, (decrement, speed)
-    )
+    return RollingFriction(law, law.decrement(law.reference_rad), coefficient, (decrement, speed))
 
 
 @kernel
