@@ -18,12 +18,7 @@ from calibration.lever_fit import (
 from calibration.light_lever import Lever, LeverGeometry, deflection_unit, lever_from_geometry
 from calibration.pointing import Stability, stability
 from calibration.sensor import photon_transfer
-from calibration.shutter import (
-    GLOBAL,
-    Shutter,
-    ShutterFit,
-    fit_row_time,
-)
+from calibration.shutter import GLOBAL, Shutter, fit_row_time
 from calibration.store import (
     CalibrationFile,
     Kind,

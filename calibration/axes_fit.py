@@ -17,11 +17,13 @@ from calibration.axes_window import (
     strongest_oscillation,
     window_directions,
 )
+from calibration.birge import birge_ratio
 from calibration.light_lever import Lever
-from calibration.timebase import birge_ratio
 from processing.arrays import Floats
 from processing.errors import DataError
 from processing.number_text import with_uncertainty
+
+_MAX_NON_ORTHOGONALITY_RAD = 0.5
 
 
 class Axes(BaseModel, frozen=True, extra="forbid"):
@@ -36,7 +38,9 @@ class Axes(BaseModel, frozen=True, extra="forbid"):
 
     slow_angle_rad: float = Field(default=0.0, ge=-math.pi, le=math.pi)
     u_slow_angle_rad: float = Field(default=0.0, ge=0)
-    non_orthogonality_rad: float = Field(default=0.0, gt=-0.5, lt=0.5)
+    non_orthogonality_rad: float = Field(
+        default=0.0, gt=-_MAX_NON_ORTHOGONALITY_RAD, lt=_MAX_NON_ORTHOGONALITY_RAD
+    )
     u_non_orthogonality_rad: float = Field(default=0.0, ge=0)
     mirrored: bool = False
 
@@ -62,14 +66,14 @@ def displacements(
 
     The parameters are those of `deflections`, without the lever.
     """
-    inverse = np.linalg.inv(axes.directions())
+    fast, slow = np.linalg.inv(axes.directions())
     dx_px = np.asarray(x_px, dtype=float) - reference_px[0]
     dy_px = np.asarray(y_px, dtype=float) - reference_px[1]
     return (
-        inverse[0, 0] * dx_px + inverse[0, 1] * dy_px,
-        inverse[1, 0] * dx_px + inverse[1, 1] * dy_px,
-        np.hypot(inverse[0, 0] * np.asarray(u_x_px), inverse[0, 1] * np.asarray(u_y_px)),
-        np.hypot(inverse[1, 0] * np.asarray(u_x_px), inverse[1, 1] * np.asarray(u_y_px)),
+        fast[0] * dx_px + fast[1] * dy_px,
+        slow[0] * dx_px + slow[1] * dy_px,
+        np.hypot(fast[0] * np.asarray(u_x_px), fast[1] * np.asarray(u_y_px)),
+        np.hypot(slow[0] * np.asarray(u_x_px), slow[1] * np.asarray(u_y_px)),
     )
 
 
@@ -102,10 +106,12 @@ def deflections(
         scale is common to all tilts and is a part of the fit's uncertainty budget.
     """
     fast_px, slow_px, u_fast_px, u_slow_px = displacements(axes, x_px, y_px, u_x_px, u_y_px, reference_px)
+    # the fast axis is across the tilt of the sensor
+    fast_lever = lever.without_skew()
     return (
-        lever.without_skew().tilt_rad(fast_px),
+        fast_lever.tilt_rad(fast_px),
         lever.tilt_rad(slow_px),
-        u_fast_px * lever.without_skew().rad_per_px(fast_px),
+        u_fast_px * fast_lever.rad_per_px(fast_px),
         u_slow_px * lever.rad_per_px(slow_px),
     )
 
@@ -113,14 +119,17 @@ def deflections(
 Sign = Literal["+", "-"]
 """Side on which a mode's swing begins: the positive or the negative direction of its axis."""
 _WINDOW_PERIODS = 6.0
+"""Length of a window in slow periods."""
+_MIN_SPOTS, _MIN_WINDOW_SPOTS = 100, 61
+"""Smallest number of spots of a record, and of a window that is used."""
 _MIN_PERIODS = 2.0
 """Smallest number of slow periods; with fewer the slow mode looks like a drift of the rest position."""
 _LONGEST_FAST = 0.4
-"""Longest period of a fast mode that is sought, over the slow one."""
+"""Longest period of a fast mode that is searched for, over the slow one."""
 _MIN_SLOW = 0.05
 """Smallest amplitude of a slow mode across a larger fast one, relative to it; less may be a drift."""
 _MIN_RATIO = 2.6
-"""Smallest ratio of the modes' frequencies; one at the edge of the search is that of no fast mode."""
+"""Smallest ratio of the modes' frequencies; a ratio at the edge of the search is that of no fast mode."""
 _MAX_U_FAST = 0.2
 """Largest uncertainty of the fast direction as a slope; that of noise alone is 0.4 in the mean."""
 _MAX_CHI2_PER_DOF = 100.0
@@ -131,31 +140,30 @@ as the spots' noise explains. Larger uncertainties would hide that there are no 
 
 @dataclass(frozen=True, slots=True)
 class AxesFit:
-    """Directions of the axes, fitted to both modes.
-
-    `axes` includes its standard uncertainties. `slow_px` and `fast_px` are the amplitudes of the modes on
-    the sensor at the beginning. `rotation_rad_per_s` is the rate at which the slow direction rotates (its
-    uncertainty is inf with fewer than three windows). `windows` is the number of time windows in which the
-    directions were fitted, `chi2_per_dof` describes the scatter of their directions. `signs_known` is False
-    if the slow direction was assumed to point upward, `handedness_known` if `mirrored` was taken from the
-    configuration: a free swing determines neither. `notes` are remarks for the user.
-    """
+    """Directions of the axes, fitted to both modes. `notes` are remarks for the user."""
 
     axes: Axes
     slow_period_s: float
     fast_period_s: float
     slow_px: float
     fast_px: float
+    """Amplitudes of the modes on the sensor at the beginning."""
     rotation_rad_per_s: float
+    """Rate at which the slow direction rotates."""
     u_rotation_rad_per_s: float
+    """Infinite with fewer than three windows."""
     windows: int
+    """Number of time windows in which the directions were fitted."""
     chi2_per_dof: float
+    """Scatter of the windows' directions over their uncertainties."""
     signs_known: bool
+    """False if the slow direction was assumed to point up: a free swing does not determine its sign."""
     handedness_known: bool
+    """False if `mirrored` was taken from the configuration: a free swing does not determine it either."""
     notes: tuple[str, ...]
 
 
-class _Combined(NamedTuple):
+class _MeanDirection(NamedTuple):
     """Mean direction of a mode over all windows, as the angle from the upward vertical towards +x."""
 
     angle_rad: float
@@ -163,8 +171,8 @@ class _Combined(NamedTuple):
     rotation_rad_per_s: float
     u_rotation_rad_per_s: float
     chi2: float
-    off_rad: Floats
-    """Deviations of the windows' directions from the mean."""
+    deviations_rad: Floats
+    """Directions of the windows minus the mean."""
 
 
 def fit_axes(
@@ -206,25 +214,26 @@ def fit_axes(
     """
     good = np.isfinite(x_px) & np.isfinite(y_px)
     t, x, y = times_s[good], x_px[good], y_px[good]
-    if len(t) < 100:
-        raise DataError(f"axes: {len(t)} spots of 100 that are needed; record for longer")
+    if len(t) < _MIN_SPOTS:
+        raise DataError(f"axes: {len(t)} spots of {_MIN_SPOTS} that are needed; record for longer")
     slow_omega, fast_omega = _frequencies(t, x, y)
     slow_period_s = 2.0 * math.pi / slow_omega
     periods = float(t[-1] - t[0]) / slow_period_s
     if periods < _MIN_PERIODS:
         raise DataError(f"axes: {periods:.1f} slow periods; at least {_MIN_PERIODS:g} are needed")
-    count = max(1, round(periods / _WINDOW_PERIODS))
-    edges = np.linspace(t[0], t[-1] + 1e-9, count + 1)
+    edges = np.linspace(t[0], t[-1] + 1e-9, max(1, round(periods / _WINDOW_PERIODS)) + 1)
     spots, begin_s = np.column_stack([x, y]), float(t[0])
     windows = [
-        window_directions(t[part], spots[part], slow_omega, fast_omega, begin_s)
+        window_directions(t[in_window], spots[in_window], slow_omega, fast_omega, begin_s)
         for first, last in pairwise(edges)
-        if (part := (t >= first) & (t < last)).sum() > 60
+        if (in_window := (t >= first) & (t < last)).sum() >= _MIN_WINDOW_SPOTS
     ]
     first_window = windows[0]
+    slow = first_window.slow
     # where no side is stated, upwards is positive
-    slow = _with_side(first_window.slow, slow_began or ("+" if first_window.slow[1] <= 0 else "-"))
-    along = _combine(
+    if slow_began == "-" or (slow_began is None and slow[1] > 0):
+        slow = -slow
+    slow_mean = _mean_direction(
         [w.middle_s for w in windows],
         angle_of(slow),
         np.array([angle_of(w.slow) for w in windows]),
@@ -244,22 +253,22 @@ def fit_axes(
             f"{2.0 * math.pi / fast_omega:.3g} s; the fast mode is sought among periods below "
             f"{1.0 / _MIN_RATIO:.2g} of the slow one's: push the pendulum across the slow direction"
         )
+    fast = -usable[0].fast if fast_began == "-" else usable[0].fast
+    # the sensor's y points down: the cross product is positive to the right of the slow direction
+    is_left = bool(slow[0] * fast[1] - slow[1] * fast[0] < 0)
     if fast_began is not None:
-        fast = _with_side(usable[0].fast, fast_began)
-        cross = slow[0] * fast[1] - slow[1] * fast[0]
-        # the sensor's y points down: the cross product is positive to the right of the slow direction
-        mirrored = bool(cross < 0)
-    else:
-        fast = _to_the_right(usable[0].fast, slow, mirrored)
-    off_rad, u_off_rad, u_overtones_rad = fast_angles(usable)
-    across = _combine(
+        mirrored = is_left
+    elif is_left != mirrored:
+        fast = -fast
+    corrections_rad, u_corrections_rad, u_overtones_rad = fast_angles(usable)
+    fast_mean = _mean_direction(
         [w.middle_s for w in usable],
         angle_of(fast),
-        np.array([angle_of(w.fast) for w in usable]) + off_rad,
-        u_off_rad,
+        np.array([angle_of(w.fast) for w in usable]) + corrections_rad,
+        u_corrections_rad,
     )
-    right_handed_rad = across.angle_rad + (math.pi if mirrored else 0.0)
-    non_orthogonality = _wrap_angle(right_handed_rad - along.angle_rad - 0.5 * math.pi)
+    right_handed_rad = fast_mean.angle_rad + (math.pi if mirrored else 0.0)
+    non_orthogonality_rad = _wrap_angle(right_handed_rad - slow_mean.angle_rad - 0.5 * math.pi)
     notes = []
     if slow_began is None:
         notes.append(
@@ -268,22 +277,22 @@ def fit_axes(
         )
     if fast_began is None:
         notes.append("the handedness is assumed; push the pendulum to a known side and state it (fast_began)")
-    rotation, u_rotation = along.rotation_rad_per_s, along.u_rotation_rad_per_s
+    rotation, u_rotation = slow_mean.rotation_rad_per_s, slow_mean.u_rotation_rad_per_s
     if abs(rotation) > 3.0 * u_rotation:
         notes.append(f"the slow direction rotates by {with_uncertainty(rotation, u_rotation)} rad/s")
-    if abs(non_orthogonality) >= 0.5:
+    if abs(non_orthogonality_rad) >= _MAX_NON_ORTHOGONALITY_RAD:
         raise DataError(
-            f"axes: the angle between the modes is {math.degrees(0.5 * math.pi + non_orthogonality):.0f} "
+            f"axes: the angle between the modes is {math.degrees(0.5 * math.pi + non_orthogonality_rad):.0f} "
             "degrees; these are not the two modes of a pendulum"
         )
-    _refuse_changing_direction("slow", along)
-    _refuse_changing_direction("fast", across)
+    _refuse_changing_direction("slow", slow_mean)
+    _refuse_changing_direction("fast", fast_mean)
     return AxesFit(
         axes=Axes(
-            slow_angle_rad=along.angle_rad,
-            u_slow_angle_rad=along.u_angle_rad,
-            non_orthogonality_rad=non_orthogonality,
-            u_non_orthogonality_rad=math.hypot(across.u_angle_rad, u_overtones_rad, along.u_angle_rad),
+            slow_angle_rad=slow_mean.angle_rad,
+            u_slow_angle_rad=slow_mean.u_angle_rad,
+            non_orthogonality_rad=non_orthogonality_rad,
+            u_non_orthogonality_rad=math.hypot(fast_mean.u_angle_rad, u_overtones_rad, slow_mean.u_angle_rad),
             mirrored=mirrored,
         ),
         slow_period_s=slow_period_s,
@@ -293,7 +302,7 @@ def fit_axes(
         rotation_rad_per_s=rotation,
         u_rotation_rad_per_s=u_rotation,
         windows=len(windows),
-        chi2_per_dof=(along.chi2 + across.chi2) / max(len(windows) + len(usable) - 2, 1),
+        chi2_per_dof=(slow_mean.chi2 + fast_mean.chi2) / max(len(windows) + len(usable) - 2, 1),
         signs_known=slow_began is not None,
         handedness_known=fast_began is not None,
         notes=tuple(notes),
@@ -312,50 +321,50 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
         raise DataError(
             "axes: the spot does not swing; release the pendulum and push it across the slow direction too"
         )
-    other = strongest_oscillation(t[early], across[early], span_s / _MIN_PERIODS)
-    is_swing = other.explained > 0.5 and other.amplitude > _MIN_SLOW * slow.amplitude
-    if is_swing and slow.period_s < _LONGEST_FAST * other.period_s:
-        slow, across = other, along
+    slower = strongest_oscillation(t[early], across[early], span_s / _MIN_PERIODS)
+    is_swing = slower.explained > 0.5 and slower.amplitude > _MIN_SLOW * slow.amplitude
+    if is_swing and slow.period_s < _LONGEST_FAST * slower.period_s:
+        slow, across = slower, along
     fast = strongest_oscillation(t[early], across[early], _LONGEST_FAST * slow.period_s)
     return 2.0 * math.pi / slow.period_s, 2.0 * math.pi / fast.period_s
 
 
-def _combine(
-    middles_s: list[float], base_rad: float, angles_rad: Floats, u_rad: Floats, least: float = 1.0
-) -> _Combined:
-    """Weighted mean of the windows' angles, which have the sign of `base_rad`.
+def _mean_direction(
+    middles_s: list[float], base_rad: float, angles_rad: Floats, u_rad: Floats, min_enlargement: float = 1.0
+) -> _MeanDirection:
+    """Weighted mean of the windows' angles, with the sign of `base_rad`.
 
-    `least` is the factor of its uncertainty by the noise within the windows; their scatter may show a larger.
+    The noise within the windows enlarges the mean's uncertainty by `min_enlargement`, or their scatter by
+    more.
     """
     # the sign of a window's vector is arbitrary: differences of angle are taken modulo pi
     differences_rad = np.array([modulo_pi(angle - base_rad) for angle in angles_rad])
     weight = 1.0 / np.maximum(u_rad, 1e-12) ** 2
-    mean = float(weight @ differences_rad / weight.sum())
-    u_mean = float(1.0 / np.sqrt(weight.sum()))
-    total = float(weight @ (differences_rad - mean) ** 2)
-    dof = len(differences_rad) - 1
-    u_mean *= max(birge_ratio(total, dof), least)
+    mean_rad = float(weight @ differences_rad / weight.sum())
+    deviations_rad = differences_rad - mean_rad
+    chi2, dof = float(weight @ deviations_rad**2), len(deviations_rad) - 1
+    u_mean_rad = float(1.0 / np.sqrt(weight.sum())) * max(birge_ratio(chi2, dof), min_enlargement)
     rate, u_rate = 0.0, math.inf
     if dof > 1:
         t = np.array(middles_s)
         t = t - float(weight @ t / weight.sum())
         spread = float(weight @ t**2)
-        rate = float(weight @ (t * (differences_rad - mean))) / spread
+        rate = float(weight @ (t * deviations_rad)) / spread
         u_rate = 1.0 / math.sqrt(spread)
-    return _Combined(_wrap_angle(base_rad + mean), u_mean, rate, u_rate, total, differences_rad - mean)
+    return _MeanDirection(_wrap_angle(base_rad + mean_rad), u_mean_rad, rate, u_rate, chi2, deviations_rad)
 
 
-def _refuse_changing_direction(mode: str, found: _Combined) -> None:
+def _refuse_changing_direction(mode: str, direction: _MeanDirection) -> None:
     """Raise DataError if a mode's directions in the windows differ by much more than the spots' noise."""
-    off_rad, chi2 = found.off_rad, found.chi2
-    rate, u_rate = found.rotation_rad_per_s, found.u_rotation_rad_per_s
-    dof = len(off_rad) - 1
+    deviations_rad, chi2 = direction.deviations_rad, direction.chi2
+    rate, u_rate = direction.rotation_rad_per_s, direction.u_rotation_rad_per_s
+    dof = len(deviations_rad) - 1
     if dof == 0 or chi2 / dof < _MAX_CHI2_PER_DOF:
         return
-    differences_rad = [modulo_pi(off - off_rad[0]) for off in off_rad]
+    differences_rad = [modulo_pi(deviation - deviations_rad[0]) for deviation in deviations_rad]
     head = (
-        f"axes: the {mode} direction is not the same in the {len(off_rad)} parts of the record: it differs "
-        f"by {1e3 * float(np.ptp(differences_rad)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times the noise"
+        f"axes: the {mode} direction is not the same in the {dof + 1} parts of the record: it differs by "
+        f"{1e3 * float(np.ptp(differences_rad)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times the noise"
     )
     if (rate / u_rate) ** 2 > 0.9 * chi2:
         raise DataError(
@@ -366,17 +375,6 @@ def _refuse_changing_direction(mode: str, found: _Combined) -> None:
         f"{head}: it was touched or shaken, or a clip or a second spot disturbs the positions; record an "
         "undisturbed swing"
     )
-
-
-def _with_side(vector: Floats, side: Sign) -> Floats:
-    """The direction in which a swing that began on this side is positive."""
-    return vector if side == "+" else -vector
-
-
-def _to_the_right(vector: Floats, slow: Floats, mirrored: bool) -> Floats:
-    """The direction to the right of the slow one, or to the left if `mirrored`."""
-    cross = slow[0] * vector[1] - slow[1] * vector[0]
-    return vector if (cross > 0) != mirrored else -vector
 
 
 def _wrap_angle(angle: float) -> float:

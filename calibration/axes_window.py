@@ -29,9 +29,10 @@ _SLOPE_ITERATIONS = 5
 class WindowDirections:
     """Directions of the modes in one time window, as vectors (x, y) on the sensor in px.
 
-    The length of a vector is the mode's amplitude at the beginning of the window, the sign that of its cosine
-    at the beginning of the record. The normal equations are those of the angle in rad from `fast` to the fast
-    direction, and of the slow mode's m overtones in their prior standard deviations, without the prior.
+    The length of a vector is the mode's amplitude at the beginning of the window. Its sign is that of the
+    mode's cosine at the beginning of the record. The normal equations have as parameters the angle in rad
+    from `fast` to the fast direction, and the slow mode's m overtones in units of their prior standard
+    deviations; the prior itself is not included.
     """
 
     middle_s: float
@@ -71,20 +72,11 @@ def window_directions(
     with the sine, for both modes, and of a parabola, with x from -1 to 1 over the window. The fast
     mode is then the motion across the slow direction; its direction follows from how much of it is along.
     """
-    middle = 0.5 * (t[0] + t[-1])
-    half = 0.5 * (t[-1] - t[0])
-    x = (t - middle) / half
-    slow_c, slow_s = np.cos(slow_omega * (t - start_s)), np.sin(slow_omega * (t - start_s))
-    fast_c, fast_s = np.cos(fast_omega * (t - start_s)), np.sin(fast_omega * (t - start_s))
-    design = np.column_stack(
-        [
-            *(slow_c * x**k for k in range(_ENVELOPE_TERMS)),
-            *(slow_s * x**k for k in range(_ENVELOPE_TERMS)),
-            *(fast_c * x**k for k in range(_ENVELOPE_TERMS)),
-            *(fast_s * x**k for k in range(_ENVELOPE_TERMS)),
-            *(x**k for k in range(_ENVELOPE_TERMS)),
-        ]
-    )
+    middle_s = 0.5 * (t[0] + t[-1])
+    x = (t - middle_s) / (0.5 * (t[-1] - t[0]))
+    slow_phase, fast_phase = slow_omega * (t - start_s), fast_omega * (t - start_s)
+    waves = (np.cos(slow_phase), np.sin(slow_phase), np.cos(fast_phase), np.sin(fast_phase), np.ones_like(t))
+    design = np.column_stack([wave * x**k for wave in waves for k in range(_ENVELOPE_TERMS)])
     coefficients, *_ = np.linalg.lstsq(design, spots, rcond=None)
     basis = _principal_basis(coefficients[[0, _ENVELOPE_TERMS]])
     # overtones of the slow mode move the spot along the slow direction only, and only the fast mode across it
@@ -118,10 +110,10 @@ def window_directions(
         score = derivative * (products[:-2, -2:] @ normal) / variance
         angle_covariance = np.linalg.inv(precision + _prior(precision))
         slope += derivative[0] * float(angle_covariance[0] @ score)
-    size = float(np.hypot(*normal))
-    fast_vector = _vector(fast_coefficients * size, basis @ [1.0, -normal[0]] / size)
-    u_slope = size * math.sqrt(angle_covariance[0, 0])
-    return WindowDirections(float(middle), slow, u_slow, slow_chi2, fast_vector, u_slope, precision, score)
+    length = float(np.hypot(*normal))
+    fast_vector = _vector(fast_coefficients * length, basis @ [1.0, -normal[0]] / length)
+    u_slope = length * math.sqrt(angle_covariance[0, 0])
+    return WindowDirections(float(middle_s), slow, u_slow, slow_chi2, fast_vector, u_slope, precision, score)
 
 
 def _prior(precision: Floats) -> Floats:
@@ -131,13 +123,12 @@ def _prior(precision: Floats) -> Floats:
 
 def _principal_basis(coefficients: Floats) -> Floats:
     """Matrix (2, 2) whose columns are unit vectors across and along the direction of the largest motion."""
-    _, vectors = np.linalg.eigh(coefficients.T @ coefficients)
-    along = vectors[:, 1]
+    along = np.linalg.eigh(coefficients.T @ coefficients)[1][:, 1]
     return np.column_stack([[-along[1], along[0]], along])
 
 
 def _overtones(design: Floats, along: Floats, slow: Floats, *, distinct: bool) -> tuple[Floats, Floats]:
-    """Columns of the slow mode's overtones: (n, 2) of those that are free, and (n, m) of those with a prior.
+    """Columns of the slow mode's overtones: (n, 2) of the free ones, and (n, m) of those with a prior.
 
     Friction and elasticity of the contact add odd harmonics to the slow mode, nearly in proportion to its
     amplitude. A harmonic near the fast mode's frequency would be attributed to the fast mode. The third is
@@ -147,27 +138,27 @@ def _overtones(design: Floats, along: Floats, slow: Floats, *, distinct: bool) -
     by its standard deviations.
     """
     powers = design[:, 4 * _ENVELOPE_TERMS :]
-    c, s = powers @ slow[:_ENVELOPE_TERMS], powers @ slow[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS]
-    phasor = (c - 1j * s) * (design[:, 0] + 1j * design[:, _ENVELOPE_TERMS])
+    cosine, sine = powers @ slow[:_ENVELOPE_TERMS], powers @ slow[_ENVELOPE_TERMS : 2 * _ENVELOPE_TERMS]
+    phasor = (cosine - 1j * sine) * (design[:, 0] + 1j * design[:, _ENVELOPE_TERMS])
     amplitude = np.abs(phasor)
 
-    def columns(order: int, size: complex) -> Floats:
-        motion = size * amplitude * (phasor / amplitude) ** order
+    def columns(order: int, factor: complex) -> Floats:
+        motion = factor * amplitude * (phasor / amplitude) ** order
         return np.column_stack([motion.real, -motion.imag])
 
     if not distinct:
         return np.empty((len(along), 0)), columns(3, _THIRD_STD)
     third = columns(3, 1.0)
     values, *_ = np.linalg.lstsq(np.column_stack([design, third]), along, rcond=None)
-    size = complex(values[-2], values[-1])
-    return third, np.column_stack([columns(5 + 2 * k, std * size) for k, std in enumerate(_OVERTONE_STD)])
+    factor = complex(values[-2], values[-1])
+    return third, np.column_stack([columns(5 + 2 * k, std * factor) for k, std in enumerate(_OVERTONE_STD)])
 
 
 def fast_angles(windows: list[WindowDirections]) -> tuple[Floats, Floats, float]:
     """Angles from each window's `fast` to the fast direction that a fit with common overtones gives.
 
-    A harmonic near the fast mode's frequency turns the direction of a window that is too short to separate
-    the two. Over the whole record their phases drift apart: the overtones, in proportion to the third
+    An overtone near the fast mode's frequency turns the direction of a window that is too short to separate
+    the two. Over the whole record their phases drift apart. The overtones, in proportion to the third
     harmonic, are therefore fitted to all windows together, with one fast direction.
 
     Returns
@@ -195,7 +186,7 @@ def angle_of(vector: Floats) -> float:
 
 
 def modulo_pi(angle_rad: float) -> float:
-    """The angle of an axis without a sign, in [-pi/2, pi/2)."""
+    """The angle of an axis without direction, in [-pi/2, pi/2)."""
     return (angle_rad + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
 
@@ -208,15 +199,14 @@ def _vector(coefficients: Floats, direction: Floats) -> Floats:
 def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tuple[Floats, float, float]:
     """Vector, standard uncertainty of the angle, and chi-square of the slow mode (see `WindowDirections`).
 
-    The coefficient vectors (x, y) of all its terms lie along one line. Its direction is the major
-    axis of their weighted scatter: total least squares with the known covariance of the terms.
+    The coefficient vectors (x, y) of all terms of the mode lie along a line, the major axis of their weighted
+    scatter: total least squares with the known covariance of the terms.
     """
     terms = 2 * _ENVELOPE_TERMS
     rows, weight = coefficients[:terms], np.linalg.inv(inverse[:terms, :terms])
     scatter = rows.T @ weight @ rows
     # noise that differs between directions rotates the major axis, so its expected scatter is subtracted
-    _, vectors = np.linalg.eigh(scatter - (terms - 1) * covariance)
-    along = vectors[:, 1]
+    along = np.linalg.eigh(scatter - (terms - 1) * covariance)[1][:, 1]
     across = np.array([-along[1], along[0]])
     signal = float(along @ scatter @ along) - float(along @ covariance @ along) * terms
     noise = float(across @ covariance @ across)
@@ -226,16 +216,15 @@ def _direction(coefficients: Floats, inverse: Floats, covariance: Floats) -> tup
 
 @dataclass(frozen=True, slots=True)
 class Oscillation:
-    """Least-squares fit of one sinusoid, whose amplitude changes linearly in time, about a straight line.
-
-    `amplitude` (at the middle of the samples) and `noise` (standard deviation of the residuals) have the unit
-    of the samples. `explained` is the fraction of the variance about a line that the sinusoid explains.
-    """
+    """Least-squares fit of one sinusoid, whose amplitude changes linearly in time, about a straight line."""
 
     period_s: float
     amplitude: float
+    """Amplitude at the middle of the samples, in their unit."""
     noise: float
+    """Standard deviation of the residuals, in the unit of the samples."""
     explained: float
+    """Fraction of the variance about a straight line that the sinusoid explains."""
 
 
 def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> Oscillation:
@@ -251,24 +240,24 @@ def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> 
     """
     from scipy.optimize import minimize_scalar
 
-    count = len(times_s)
-    span_s = float(times_s[-1] - times_s[0])
+    count, span_s = len(times_s), float(times_s[-1] - times_s[0])
     uniform = np.interp(np.linspace(times_s[0], times_s[-1], count), times_s, values)
     uniform = uniform - np.polyval(np.polyfit(np.arange(count), uniform, 1), np.arange(count))
     power = np.abs(np.fft.rfft(uniform * np.hanning(count), 8 * count)) ** 2
     frequency = np.fft.rfftfreq(8 * count, span_s / (count - 1))
     peak = int(np.argmax(np.where(frequency >= 1.0 / longest_s, power, -1.0)))
     half_width_hz = 0.5 / span_s
-    found = minimize_scalar(
+    minimum = minimize_scalar(
         lambda f: float(np.sum(_sinusoid_fit(times_s, values, f)[0] ** 2)),
         bounds=(max(frequency[peak] - half_width_hz, 0.1 / span_s), frequency[peak] + half_width_hz),
         method="bounded",
         options={"xatol": 1e-7 / span_s},
     )
-    residuals, amplitude = _sinusoid_fit(times_s, values, float(found.x))
+    frequency_hz = float(minimum.x)
+    residuals, amplitude = _sinusoid_fit(times_s, values, frequency_hz)
     variance = float(np.var(uniform))
     noise = math.sqrt(float(residuals @ residuals) / max(count - 7, 1))
-    return Oscillation(1.0 / float(found.x), amplitude, noise, 1.0 - noise**2 / max(variance, 1e-300))
+    return Oscillation(1.0 / frequency_hz, amplitude, noise, 1.0 - noise**2 / max(variance, 1e-300))
 
 
 def _sinusoid_fit(times_s: Floats, values: Floats, frequency_hz: float) -> tuple[Floats, float]:
@@ -281,16 +270,18 @@ def _sinusoid_fit(times_s: Floats, values: Floats, frequency_hz: float) -> tuple
     return values - design @ solution, float(np.hypot(solution[0], solution[1]))
 
 
-_MIN_OSCILLATION_PX, _MIN_OSCILLATION_RATIO = 0.05, 3.0
-"""Smallest amplitude of an oscillation that is rejected: in px, and over the residuals' scatter."""
+_MIN_OSCILLATION_PX = 0.05
+_MIN_OSCILLATION_RATIO = 3.0
+"""Smallest amplitude of an oscillation that is rejected, over the standard deviation of the residuals."""
+_MIN_OSCILLATION_PERIOD_S = 0.2
+"""Smallest period of an oscillation that is rejected; faster ones are vibrations."""
 
 
 def require_rest(times_s: Floats, x_px: Floats, y_px: Floats, what: str) -> None:
     """Check that the pendulum does not swing in a record.
 
-    It swings if, after subtraction of a straight line, a sinusoid with a period above 0.2 s explains more
-    than half of the variance of a coordinate, with an amplitude above 0.05 px and above three times the
-    standard deviation of the residuals.
+    It swings if, after subtraction of a straight line, a sinusoid explains more than half of the variance of
+    a coordinate, and its amplitude and period exceed the limits above.
 
     Parameters
     ----------
@@ -310,7 +301,7 @@ def require_rest(times_s: Floats, x_px: Floats, y_px: Floats, what: str) -> None
         deviation = values - drift
         fit = strongest_oscillation(times_s, deviation, float(times_s[-1] - times_s[0]))
         is_significant = fit.amplitude > max(_MIN_OSCILLATION_PX, _MIN_OSCILLATION_RATIO * fit.noise)
-        if is_significant and fit.explained > 0.5 and fit.period_s > 0.2:
+        if is_significant and fit.explained > 0.5 and fit.period_s > _MIN_OSCILLATION_PERIOD_S:
             raise DataError(
                 f"{what}: the pendulum swings by {fit.amplitude:.3g} px in {name} with a period of "
                 f"{fit.period_s:.3g} s where it should rest; clamp it or let it come to rest"

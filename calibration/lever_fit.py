@@ -13,7 +13,7 @@ from calibration.ladder import (
     check_steps,
     ladder_notes,
     leave_one_out,
-    scale_evidence,
+    scale_posterior,
     solve_ladder,
     two_sided_approach,
 )
@@ -23,14 +23,20 @@ from processing.errors import DataError
 from processing.number_text import with_uncertainty
 from processing.units import ARCSEC_RAD
 
-_MIN_PROBABILITY = 0.01
+_LINEARITY_P_VALUE = 0.01
 """Probability of a skew of this size for a linear ladder, below which the skew is taken as real."""
+_MIN_SCALE_SIGMA = 5.0
+"""Scale over its standard uncertainty, below which the spot does not follow the reference."""
+_REPORTED_HYSTERESIS_SIGMA = 3.0
+"""Hysteresis over its standard uncertainty, above which it is reported."""
 _MAX_SCALE_CHANGE = 3.5
 """Change of the scale without one step, over its standard uncertainty, above which the step is reported."""
 _MAX_U_SKEW = 0.1
 """Uncertainty of the skew above which a note is given: a skew of this size shifts the fitted friction and
 period of a simulated rig with little noise by about their standard uncertainty, one of 0.03 by a tenth of it.
 """
+_COVERAGE = 2.0
+"""Coverage factor of about 95 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,40 +44,39 @@ class LadderFit:
     """Result of the fit of a ladder (regression with errors in both variables).
 
     The model is ``spot = origin + scale (t + skew t^2) direction``, where t is the tangent of twice the tilt,
-    or the shift in m. `scale` is that at t = 0 in px per unit of t, from all models of `scale_evidence`;
-    `direction_rad` is the direction of positive t, from the sensor's upward vertical towards +x. `skew` is
-    the value fitted for the test of linearity, and `chance_if_linear` the probability of one at least as
-    large if the true value is 0. The fit of origin, direction and hysteresis includes a skew only if
-    `nonlinear`, that of `scale` always, weighted by its probability. `cubic` is the size of a
-    cubic part at the ladder's end, relative to the displacement there.
-    `hysteresis` is the difference between settings approached from below and from above, in rad
-    or m; NaN if all were approached from one side.
-    `leave_one_out` (n,) is the change of the scale without each step, over its standard uncertainty.
-    `residual_px` (n, 2) are the residuals in x and y at the stated settings. `scale_dof` are the degrees of
-    freedom of `u_scale`: infinite where it follows from the stated uncertainties, those of the steps along
-    the motion where their scatter enlarged it. `notes` are remarks for the user.
+    or the shift in m. `notes` are remarks for the user.
     """
 
     kind: Literal["tilt", "shift"]
     scale: float
+    """Scale at t = 0 in px per unit of t, the mean over all models (`scale_posterior`)."""
     u_scale: float
     scale_dof: float
+    """Degrees of freedom of `u_scale`: infinite if it follows from the stated uncertainties of the steps."""
     origin_px: tuple[float, float]
     u_origin_px: tuple[float, float]
     direction_rad: float
+    """Direction of positive t, from the sensor's upward vertical towards +x."""
     u_direction_rad: float
     skew: float
+    """Skew that was fitted for the test of linearity."""
     u_skew: float
     chance_if_linear: float
+    """Probability of a skew at least as large if the true one is 0."""
     nonlinear: bool
+    """Whether the skew is taken as real; only then origin, direction and hysteresis are fitted with it."""
     cubic: float
+    """Cubic part at the ladder's end, relative to the displacement there."""
     u_cubic: float
     hysteresis: float
+    """Difference of settings approached from below and from above, in rad or m; NaN if not fitted."""
     u_hysteresis: float
     chi2: float
     dof: int
     leave_one_out: Floats
+    """Change (n,) of the scale without each step, over the change's standard uncertainty."""
     residual_px: Floats
+    """Positions (n, 2) minus those of the fitted ladder at the stated settings."""
     notes: tuple[str, ...]
 
 
@@ -105,31 +110,35 @@ def fit_ladder(
     from scipy.special import chdtrc, fdtrc
 
     check_steps(steps, kind)
-    way = two_sided_approach(steps.reference, approach_directions(steps.reference))
-    straight = solve_ladder(steps, kind, way, fit_skew=False)
-    skewed = solve_ladder(steps, kind, way, fit_skew=True)
-    gain = max(straight.chi2 - skewed.chi2, 0.0)
+    approach = two_sided_approach(steps.reference, approach_directions(steps.reference))
+    linear = solve_ladder(steps, kind, approach, fit_skew=False)
+    skewed = solve_ladder(steps, kind, approach, fit_skew=True)
     # the test allows for residuals that scatter more than stated even with the skew, as noise
-    gain /= skewed.birge**2
-    # Student's t for a scatter that was estimated from these steps
-    known = math.isinf(skewed.along_dof)
-    probability = float(chdtrc(1, gain) if known else fdtrc(1, skewed.along_dof, gain))
-    nonlinear = probability < _MIN_PROBABILITY
-    best = skewed if nonlinear else straight
-    evidence = scale_evidence(best.trace, kind, best.scale)
-    scale, u_scale = evidence.scale, evidence.u_scale
-    if not scale > 5.0 * u_scale:
+    chi2_gain = max(linear.chi2 - skewed.chi2, 0.0) / skewed.birge**2
+    # F (1, dof) is the square of Student's t, for a scatter that was estimated from these steps
+    scatter_is_stated = math.isinf(skewed.birge_dof)
+    p_value = float(chdtrc(1, chi2_gain) if scatter_is_stated else fdtrc(1, skewed.birge_dof, chi2_gain))
+    nonlinear = p_value < _LINEARITY_P_VALUE
+    best = skewed if nonlinear else linear
+    posterior = scale_posterior(best.trace, kind, best.scale)
+    scale, u_scale = posterior.scale, posterior.u_scale
+    if not scale > _MIN_SCALE_SIGMA * u_scale:
         raise DataError(
             f"the spot does not follow the {kind}s (scale {scale:.4g} ± {u_scale:.2g} px per unit); "
             "check the order of the steps"
         )
-    scale_changes = leave_one_out(steps, kind, way, nonlinear, best.scale, best.u_scale)
-    notes = ladder_notes(evidence)
+    scale_changes = leave_one_out(steps, kind, approach, nonlinear, best.scale, best.u_scale)
+    notes = ladder_notes(posterior)
     for side, birge in (("along", best.birge), ("across", best.birge_across)):
         if birge > 1.0:
+            enlarged = side == "across" or posterior.birge > 1.0
             notes.append(
                 f"the steps scatter {birge:.2g} times as much as stated {side} the motion; "
-                + ("uncertainties were enlarged" if side == "across" or evidence.birge > 1.0 else _EXPLAINED)
+                + (
+                    "uncertainties were enlarged"
+                    if enlarged
+                    else "a cubic part or a wrong step explains it, and is in the scale's uncertainty"
+                )
             )
     if nonlinear:
         notes.append(f"not linear: skew {with_uncertainty(skewed.skew, skewed.u_skew)} is part of the lever")
@@ -146,26 +155,28 @@ def fit_ladder(
             f"step {worst + 1} at {_setting(steps.reference[worst], kind, 6)} does not fit the others: "
             f"without it the scale changes by {abs(scale_changes[worst]):.1f} standard uncertainties"
         )
-    if abs(best.hysteresis) > 3.0 * best.u_hysteresis:
+    if abs(best.hysteresis) > _REPORTED_HYSTERESIS_SIGMA * best.u_hysteresis:
         notes.append(
             f"hysteresis of {_setting(best.hysteresis, kind, 3)} ± {_setting(best.u_hysteresis, kind, 2)} "
             "between upward and downward steps"
         )
+    u_total = math.hypot(u_scale, u_reference_relative * scale)
     return LadderFit(
         kind=kind,
         scale=scale,
-        u_scale=(u_both := math.hypot(u_scale, u_reference_relative * scale)),
-        scale_dof=evidence.dof * (u_both / u_scale) ** 4,
+        u_scale=u_total,
+        # Welch and Satterthwaite; the reference's uncertainty has infinite degrees of freedom
+        scale_dof=posterior.dof * (u_total / u_scale) ** 4,
         origin_px=(float(best.origin_px[0]), float(best.origin_px[1])),
         u_origin_px=(float(best.u_origin_px[0]), float(best.u_origin_px[1])),
         direction_rad=best.direction_rad,
         u_direction_rad=best.u_direction_rad,
         skew=skewed.skew,
         u_skew=skewed.u_skew,
-        chance_if_linear=probability,
+        chance_if_linear=p_value,
         nonlinear=nonlinear,
-        cubic=evidence.cubic,
-        u_cubic=evidence.u_cubic,
+        cubic=posterior.cubic,
+        u_cubic=posterior.u_cubic,
         hysteresis=best.hysteresis,
         u_hysteresis=best.u_hysteresis,
         chi2=best.chi2,
@@ -180,9 +191,6 @@ def _setting(setting: float, kind: Literal["tilt", "shift"], digits: int) -> str
     """A tilt or shift with its unit, as the table of the steps shows it."""
     unit, size = ("arcsec", ARCSEC_RAD) if kind == "tilt" else ("mm", 1e-3)
     return f"{setting / size:.{digits}g} {unit}"
-
-
-_EXPLAINED = "the scale allows for what explains it"
 
 
 def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:
@@ -217,22 +225,18 @@ def _finite_or_none(dof: float) -> float | None:
     return dof if math.isfinite(dof) else None
 
 
-_COVERAGE = 2.0
-"""Coverage factor of about 95 %."""
-
-
 @dataclass(frozen=True, slots=True)
 class ScaleCheck:
-    """Scale measured now divided by the scale of the calibrated lever.
-
-    `u_ratio` is the standard uncertainty due to the present measurement alone, `u_both` includes that of the
-    lever. `moved` is True if the ratio differs from 1 by more than twice `u_both`.
-    """
+    """Comparison of the scale measured now with that of the calibrated lever."""
 
     ratio: float
+    """Scale measured now, over that of the lever."""
     u_ratio: float
+    """Standard uncertainty from the present measurement alone."""
     u_both: float
+    """Standard uncertainty that includes the lever's."""
     moved: bool
+    """Whether the ratio differs from 1 by more than twice `u_both`."""
 
 
 def check_scale(lever: Lever, fit: LadderFit) -> ScaleCheck:
@@ -261,7 +265,7 @@ def moved_between(
     change, u_change, moved
         The change of the ratio, its standard uncertainty, and whether it exceeds twice that.
     """
-    own = [math.sqrt(max(u**2 - (ratio * u_common_relative) ** 2, 0.0)) for ratio, u in (before, after)]
+    u2_independent = [max(u**2 - (ratio * u_common_relative) ** 2, 0.0) for ratio, u in (before, after)]
     change = after[0] - before[0]
-    u_change = math.hypot(*own)
+    u_change = math.sqrt(sum(u2_independent))
     return change, u_change, abs(change) > _COVERAGE * u_change

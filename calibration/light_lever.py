@@ -22,8 +22,8 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     A tilt phi of the mirror turns the beam by 2 phi: the spot moves by ``arm (t + skew t^2)`` with
     ``t = tan(2 phi)``. The skew is 0 if the sensor is perpendicular to the beam, otherwise about the tangent
     of the sensor's tilt. The arm of a calibrated lever is the effective one: it includes all effects that
-    are a constant factor. Standard uncertainties `u_` have the unit of their value; 0 means not stated. Those
-    of a calibrated arm or pitch have degrees of freedom if they were derived from the scatter of the steps.
+    are a constant factor. Standard uncertainties `u_` have the unit of their value; 0 means not stated. The
+    uncertainty of a calibrated arm or pitch has degrees of freedom if it was derived from scatter.
     """
 
     arm_m: float = Field(gt=0, lt=100, description="mirror to sensor, along the beam")
@@ -49,14 +49,14 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
         default=1, ge=1, le=32, description="of the camera, with which pitch and reference hold"
     )
 
-    def at_binning(self, binning: int) -> Self:
+    def with_binning(self, binning: int) -> Self:
         """The same lever for another binning, with pitch and reference in pixels of that image."""
         factor = binning / self.binning
         if factor == 1.0:
             return self
         x_px, y_px = (
-            None if at is None else (at + 0.5) / factor - 0.5
-            for at in (self.reference_x_px, self.reference_y_px)
+            None if reference_px is None else (reference_px + 0.5) / factor - 0.5
+            for reference_px in (self.reference_x_px, self.reference_y_px)
         )
         return self.model_copy(
             update={
@@ -83,15 +83,15 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
         return 0.5 * (self.pixel_pitch_m / self.arm_m) / root / (1.0 + tangent**2)
 
     def without_skew(self) -> Self:
-        """The same lever without skew, for the fast axis, which is across the tilt of the sensor."""
+        """The same lever without skew."""
         return self.model_copy(update={"skew": 0.0}) if self.skew else self
 
     def _tangent(self, displacement_px: ArrayLike) -> tuple[Floats, Floats]:
         """t = tan(2 phi), and the displacement's derivative with respect to t over that at the reference."""
-        part = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)
-        root = np.sqrt(1.0 + 4.0 * self.skew * part)
-        # this form of the root of the quadratic loses no digits, and is exactly `part` without skew
-        return 2.0 * part / (1.0 + root), root
+        linear = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)
+        root = np.sqrt(1.0 + 4.0 * self.skew * linear)
+        # this form of the root of the quadratic loses no digits, and is exactly `linear` without skew
+        return 2.0 * linear / (1.0 + root), root
 
     @property
     def u_scale_relative(self) -> float:
@@ -100,7 +100,7 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
 
 
 def deflection_unit(lever: Lever | None) -> DeflectionUnit:
-    """The unit of deflections: rad, or px without a lever; only this function decides it."""
+    """The unit of deflections: rad, or px without a lever."""
     return DeflectionUnit.PX if lever is None else DeflectionUnit.RAD
 
 
@@ -111,11 +111,10 @@ _EVALUATION_TILT_RAD = 7e-4
 class LeverGeometry(BaseModel, frozen=True, extra="forbid"):
     """Measured lengths and angles of the light lever. `u_` are standard uncertainties.
 
-    "Along" means in the plane in which the slow mode moves the beam, "across" perpendicular to it.
-    Angles of incidence are measured from the mirror's normal, the sensor's tilts from the plane perpendicular
-    to the beam.
-    The ball of `ball_radius_m` rolls on its flat. `beam_height_m` is the height above the ball's centre at
-    which the beam hits the mirror, `beam_reach_m` the horizontal distance of the mirror in front of it.
+    "Along" means in the plane in which the slow mode moves the beam, "across" perpendicular to it. Angles of
+    incidence are measured from the mirror's normal, the sensor's tilts from the plane perpendicular to the
+    beam. The ball of `ball_radius_m` rolls on its flat. The beam hits the mirror `beam_height_m` above the
+    ball's centre and the horizontal distance `beam_reach_m` in front of it.
     """
 
     arm_m: float = Field(gt=0, lt=100, description="mirror to sensor, along the beam at rest")
@@ -140,38 +139,31 @@ class LeverGeometry(BaseModel, frozen=True, extra="forbid"):
 
 @dataclass(frozen=True, slots=True)
 class GeometryLine:
-    """One input of the uncertainty budget.
-
-    `effect` is the relative change of the scale compared with the same lever with 0 for this input (it is 0
-    for arm and pitch, which cannot be 0). `contribution` is the relative standard uncertainty of the scale
-    due to this input's uncertainty `u`.
-    """
+    """One input of the uncertainty budget."""
 
     name: str
     value: float
     u: float
     effect: float
+    """Relative change of the scale from the same lever with 0 for this input; 0 for arm and pitch."""
     contribution: float
+    """Relative standard uncertainty of the scale due to `u`."""
 
 
 @dataclass(frozen=True, slots=True)
 class GeometryLever:
-    """The effective lever and its uncertainty budget, largest contribution first.
-
-    `cross` is the displacement across divided by the displacement along for a tilt of the slow mode.
-    """
+    """The effective lever and its uncertainty budget, largest contribution first."""
 
     lever: Lever
-    u_skew: float
     cross: float
+    """Displacement across over displacement along for a tilt of the slow mode."""
     budget: tuple[GeometryLine, ...]
 
 
 def trace_m(geometry: LeverGeometry, tilt_rad: float) -> tuple[float, float]:
     """Displacement (across, along) of the spot on the sensor, in m, from its position at zero tilt."""
-    at_rest = _spot_on_sensor_m(geometry, 0.0)
-    moved = _spot_on_sensor_m(geometry, tilt_rad)
-    return float(moved[0] - at_rest[0]), float(moved[1] - at_rest[1])
+    across_m, along_m = _spot_on_sensor_m(geometry, tilt_rad) - _spot_on_sensor_m(geometry, 0.0)
+    return float(across_m), float(along_m)
 
 
 def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
@@ -189,8 +181,7 @@ def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
         if name.startswith("u_"):
             continue
         value, u = getattr(geometry, name), getattr(geometry, f"u_{name}")
-        effect = 0.0
-        contribution = 0.0
+        effect = contribution = 0.0
         if name not in {"arm_m", "pixel_pitch_m"} and value != 0.0:
             effect = arm / _effective(geometry.model_copy(update={name: 0.0}))[0] - 1.0
         if u > 0 and name == "pixel_pitch_m":
@@ -200,8 +191,8 @@ def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
             high = _effective(geometry.model_copy(update={name: value + u}))
             # half the second difference is included, because near an extremum the first derivative vanishes
             slope = 0.5 * abs(high[0] - low[0])
-            bend = 0.5 * abs(high[0] + low[0] - 2.0 * arm)
-            contribution = math.hypot(slope, bend) / arm
+            curvature = 0.5 * abs(high[0] + low[0] - 2.0 * arm)
+            contribution = math.hypot(slope, curvature) / arm
             u_arm_2 += (contribution * arm) ** 2
             u_skew_2 += (0.5 * (high[1] - low[1])) ** 2
         lines.append(GeometryLine(name, value, u, effect, contribution))
@@ -211,10 +202,10 @@ def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
         pixel_pitch_m=geometry.pixel_pitch_m,
         u_pixel_pitch_m=geometry.u_pixel_pitch_m,
         skew=skew if abs(skew) > 1e-12 else 0.0,
+        # rounding errors of the traced beam are no uncertainty
+        u_skew=round(math.sqrt(u_skew_2), 9),
     )
-    return GeometryLever(
-        lever, math.sqrt(u_skew_2), cross, tuple(sorted(lines, key=lambda line: -line.contribution))
-    )
+    return GeometryLever(lever, cross, tuple(sorted(lines, key=lambda line: -line.contribution)))
 
 
 def _effective(geometry: LeverGeometry) -> tuple[float, float, float]:
@@ -244,26 +235,26 @@ def _spot_on_sensor_m(geometry: LeverGeometry, tilt_rad: float) -> Floats:
     incoming = np.array([0.0, 0.0, 1.0]) - 2.0 * normal[2] * normal
     axis = np.array([-math.cos(across), 0.0, math.sin(across)])
     forward = np.cross(axis, [0.0, 1.0, 0.0])
-    level = np.array([math.sin(across), 0.0, math.cos(across)])
-    arm_of_point = geometry.beam_reach_m * level + geometry.beam_height_m * np.array([0.0, 1.0, 0.0])
-    turned = _rotate(normal, axis, tilt_rad)
-    point = geometry.ball_radius_m * tilt_rad * forward + _rotate(arm_of_point, axis, tilt_rad) - arm_of_point
-    on_mirror = incoming * (point @ turned) / (incoming @ turned)
-    outgoing = incoming - 2.0 * (incoming @ turned) * turned
+    horizontal = np.array([math.sin(across), 0.0, math.cos(across)])
+    mirror_point = geometry.beam_reach_m * horizontal + geometry.beam_height_m * np.array([0.0, 1.0, 0.0])
+    tilted_normal = _rotate(normal, axis, tilt_rad)
+    shift = geometry.ball_radius_m * tilt_rad * forward + _rotate(mirror_point, axis, tilt_rad) - mirror_point
+    hit = incoming * (shift @ tilted_normal) / (incoming @ tilted_normal)
+    outgoing = incoming - 2.0 * (incoming @ tilted_normal) * tilted_normal
     t_along, t_across = geometry.sensor_tilt_along_rad, geometry.sensor_tilt_across_rad
     up = np.array([0.0, math.cos(t_along), math.sin(t_along)])
     right = np.array(
         [math.cos(t_across), -math.sin(t_across) * math.sin(t_along), math.sin(t_across) * math.cos(t_along)]
     )
-    facing = np.cross(right, up)
+    sensor_normal = np.cross(right, up)
     centre = np.array([0.0, 0.0, geometry.arm_m])
-    steep = float(outgoing @ facing)
-    if abs(steep) < 1e-3:
+    cos_incidence = float(outgoing @ sensor_normal)
+    if abs(cos_incidence) < 1e-3:
         raise DataError(
             "lever geometry: the beam is parallel to the sensor; check sensor_tilt_along_rad and "
             "sensor_tilt_across_rad"
         )
-    spot = on_mirror + outgoing * float((centre - on_mirror) @ facing) / steep - centre
+    spot = hit + outgoing * float((centre - hit) @ sensor_normal) / cos_incidence - centre
     return np.array([spot @ right, spot @ up])
 
 

@@ -11,38 +11,38 @@ from processing.slope_uncertainty import part_means, u_wandering_slope
 _MIN_SAMPLES = 100
 _MIN_LINE_RATIO = 12.0
 """Smallest power of a spectral line over that of the noise near it."""
+_MAX_LINES = 10
 
 
 @dataclass(frozen=True, slots=True)
 class SpectralLine:
-    """A significant line of the spectrum; `amplitude` is that of the sinusoid, in the unit of the record.
-
-    `name` is the probable source ("mains, ..." or "building"), empty if unknown.
-    """
+    """A significant line of the spectrum."""
 
     frequency_hz: float
     amplitude: float
+    """Amplitude of the sinusoid, in the unit of the record."""
     name: str
+    """Probable source ("mains, ..." or "building"); empty if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """Stability of one coordinate of a record at rest, in the unit of the record.
-
-    `noise` is the standard deviation of one sample without slow changes, from the differences of neighbours:
-    the Allan deviation (IEEE 1139) at their interval. `drift_per_s` is the slope of a straight line; its
-    uncertainty allows for a beam that wanders as much as the residuals of the line show
-    (`processing.slope_uncertainty`). `iso11670` is 2 standard deviations of the whole record, the pointing
-    stability of one axis (ISO 11670:2003: half of the 4 sigma width). `claimed_ratio` is the root mean square
-    of the stated uncertainties over `noise`. `lines` are the strongest spectral lines, at most ten.
-    """
+    """Stability of one coordinate of a record at rest, in the unit of the record."""
 
     noise: float
+    """Standard deviation of a sample without slow changes, from the differences of neighbours: the Allan
+    deviation (IEEE 1139) at their interval.
+    """
     drift_per_s: float
+    """Slope of a straight line."""
     u_drift_per_s: float
+    """Allows for a beam that wanders, as the residuals of the line show (`processing.slope_uncertainty`)."""
     iso11670: float
+    """Pointing stability of one axis (ISO 11670:2003): 2 standard deviations of the whole record."""
     claimed_ratio: float
+    """Root mean square of the stated uncertainties, over `noise`."""
     lines: tuple[SpectralLine, ...]
+    """The strongest spectral lines, at most `_MAX_LINES`."""
 
 
 def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
@@ -53,13 +53,13 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
     times_s : (n,), s, ascending
         Must be evenly spaced, except for lost samples.
     values, u_values : (n,), any unit
-        Samples and their standard uncertainties; NaN for lost ones. These are left out: for the
-        noise, the samples on both sides of a gap count as neighbours.
+        Samples and their standard uncertainties; NaN for lost ones. For the noise, the samples on both sides
+        of a gap count as neighbours.
 
     Raises
     ------
     DataError
-        Fewer than 100 samples.
+        Fewer samples than `_MIN_SAMPLES`.
     """
     good = np.isfinite(values) & np.isfinite(u_values)
     times_s, values, u_values = times_s[good], values[good], u_values[good]
@@ -67,18 +67,16 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
         raise DataError(
             f"stability: {len(values)} spots of {_MIN_SAMPLES} that are needed; record for longer"
         )
-    interval_s = float(np.median(np.diff(times_s)))
     drift, u_drift = _drift(times_s, values)
     detrended = values - np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
     noise = float(np.sqrt(0.5 * np.mean(np.diff(values) ** 2)))
-    frequency, density = _spectrum(times_s, detrended, interval_s)
     return Stability(
         noise=noise,
         drift_per_s=drift,
         u_drift_per_s=u_drift,
         iso11670=float(2.0 * values.std(ddof=1)),
         claimed_ratio=float(np.sqrt(np.mean(u_values**2)) / noise),
-        lines=_lines(frequency, density),
+        lines=_lines(*_spectrum(times_s, detrended)),
     )
 
 
@@ -91,18 +89,19 @@ def _drift(times_s: Floats, values: Floats) -> tuple[float, float]:
     return float(solution[0]), u_wandering_slope(design, means - design @ solution)
 
 
-def _spectrum(times_s: Floats, detrended: Floats, interval_s: float) -> tuple[Floats, Floats]:
+def _spectrum(times_s: Floats, detrended: Floats) -> tuple[Floats, Floats]:
     """Frequencies and one-sided power spectral density, with a Hann window, without the zero frequency.
 
-    Lost samples keep their place, with the value 0: without it lines would be at other frequencies.
+    Lost samples count as 0; if they were left out, lines would be at wrong frequencies.
     """
+    interval_s = float(np.median(np.diff(times_s)))
     steps = np.maximum(np.rint(np.diff(times_s) / interval_s), 1.0).astype(np.int64)
-    place = np.concatenate([[0], np.cumsum(steps)])
-    count = int(place[-1]) + 1
-    window, filled = np.hanning(count), np.zeros(count)
-    filled[place] = detrended
-    power = np.abs(np.fft.rfft(filled * window)) ** 2
-    density = 2.0 * power * interval_s / np.sum(window[place] ** 2)
+    index = np.concatenate([[0], np.cumsum(steps)])
+    count = int(index[-1]) + 1
+    window, uniform = np.hanning(count), np.zeros(count)
+    uniform[index] = detrended
+    power = np.abs(np.fft.rfft(uniform * window)) ** 2
+    density = 2.0 * power * interval_s / np.sum(window[index] ** 2)
     return np.fft.rfftfreq(count, interval_s)[1:].astype(np.float64), density[1:].astype(np.float64)
 
 
@@ -118,12 +117,12 @@ def _lines(frequency: Floats, density: Floats) -> tuple[SpectralLine, ...]:
         for i in range(1, len(density) - 1)
         if density[i] > threshold * floor[i] and density[i] >= density[i - 1] and density[i] > density[i + 1]
     ]
-    step_hz = float(frequency[1] - frequency[0]) if len(frequency) > 1 else 1.0
+    step_hz = float(frequency[1] - frequency[0])
     lines = []
     for i in peaks:
         power, frequency_hz = float(np.sum(density[i - 1 : i + 2])) * step_hz, float(frequency[i])
         lines.append(SpectralLine(frequency_hz, float(np.sqrt(2.0 * power)), _name(frequency_hz)))
-    return tuple(sorted(lines, key=lambda line: -line.amplitude)[:10])
+    return tuple(sorted(lines, key=lambda line: -line.amplitude)[:_MAX_LINES])
 
 
 def _name(frequency_hz: float) -> str:

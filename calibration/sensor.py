@@ -11,14 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.timebase import birge_ratio
-from processing.arrays import Floats, Ints
+from calibration.birge import birge_ratio
+from processing.arrays import Flags, Floats, Ints
 from processing.errors import DataError
 from processing.noise_models import robust_scatter
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
-_QUANTISATION_DN2 = 1.0 / 12.0  # variance of rounding to whole numbers
+_QUANTISATION_DN2 = 1.0 / 12.0
+"""Variance of rounding to whole numbers."""
 _MIN_RESOLVED_DN = 0.24
 """Smallest temporal noise in the dark that can be measured in spite of rounding to integers (EMVA 1288)."""
 _MIN_SIGNAL_U, _MIN_SIGNAL_DN = 5.0, 0.02
@@ -29,14 +30,18 @@ _U_NON_LINEARITY = 0.01
 """Standard uncertainty of the fraction by which the response at full scale differs from a straight one."""
 _MIN_LEVELS = 4
 """Smallest number of levels; beside a straight line, two degrees of freedom show whether it is one."""
-_MAX_FIT_PART = 0.7
+_MAX_FITTED_FRACTION = 0.7
 """Fraction of saturation up to which the gain is fitted (EMVA 1288)."""
+_MAX_CLIPPED_FRACTION = 1e-4
+"""Largest fraction of pixels at full scale of a pair that is used."""
 
 
 @dataclass(frozen=True, slots=True)
 class TransferPoint:
     """Mean signal above the dark level and temporal noise variance of one pair of frames."""
 
+    pair: int
+    """Index of the pair."""
     name: str
     signal_dn: float
     variance_dn2: float
@@ -45,37 +50,35 @@ class TransferPoint:
 
 @dataclass(frozen=True, slots=True)
 class SensorCalibration:
-    """Result of a photon transfer measurement. `u_` are standard uncertainties.
-
-    `dark_level_dn` is the mean value without light, the tracker's pedestal. `read_noise_resolved` is False
-    if the noise in the dark is below 0.24 DN, so that rounding to integers hides it; read noise and dark
-    level then have large uncertainties. `full_well_e` is only a lower limit if `saturates` is False (no
-    level was bright enough). `linearity_error` is the largest relative deviation of the signal from a
-    straight line in the exposure, NaN with fewer than three exposures. `non_linearity` is the fraction by
-    which the signal at full scale is below a straight line, as the noise of the levels shows it; the
-    uncertainty of the gain allows for it. `prnu` is the relative standard
-    deviation of the pixels' responses (photo response non-uniformity). `points` are the levels used,
-    `hot_pixels` (n, 2) the coordinates (x, y) of pixels with a high dark value. `rejected` names the
-    unusable pairs with the reasons.
-    """
+    """Result of a photon transfer measurement. `u_` are standard uncertainties."""
 
     gain_e_per_dn: float
     u_gain_e_per_dn: float
     read_noise_e: float
     u_read_noise_e: float
     read_noise_resolved: bool
+    """False if rounding hides the noise in the dark; read noise and dark level are then uncertain."""
     dark_level_dn: float
+    """Mean value without light, the tracker's pedestal."""
     u_dark_level_dn: float
     full_well_e: float
+    """A lower limit if `saturates` is False."""
     saturates: bool
+    """Whether a level was bright enough to saturate pixels."""
     linearity_error: float
+    """Largest relative deviation of the signal from a line in the exposure; NaN with fewer than three."""
     non_linearity: float
+    """Fraction by which the signal at full scale is below a line, from the noise of the levels."""
     prnu: float
+    """Relative standard deviation of the pixels' responses (photo response non-uniformity)."""
     u_prnu: float
     chi2_per_dof: float
     points: tuple[TransferPoint, ...]
+    """Levels that were used."""
     hot_pixels: Ints
+    """Coordinates (n, 2), x and y, of pixels with a high dark value."""
     rejected: tuple[str, ...]
+    """Names of the pairs that were not used, with the reasons."""
 
 
 def photon_transfer(
@@ -119,32 +122,31 @@ def photon_transfer(
     hot = _hot_pixels(dark_map)
     cold = np.ones(dark_map.size, dtype=bool)
     cold[hot] = False
-    in_the_dark = dark_stack.reshape(len(darks), -1)[:, cold]
-    dark_variance, u_dark_variance = _temporal_variance(in_the_dark)
+    dark_values = dark_stack.reshape(len(darks), -1)[:, cold]
+    dark_variance, u_dark_variance = _temporal_variance(dark_values)
     resolved = dark_variance - _QUANTISATION_DN2 > _MIN_RESOLVED_DN**2
-    dark_level = _unrounded_mean(in_the_dark) if resolved else float(in_the_dark.mean())
-    u_dark_variance = float(np.hypot(u_dark_variance, _rounding(dark_variance)))
+    dark_level = _unrounded_mean(dark_values) if resolved else float(dark_values.mean())
+    u_dark_variance = float(np.hypot(u_dark_variance, _u_rounding(dark_variance)))
     points: list[TransferPoint] = []
     rejected: list[str] = []
     saturated_level = 0.0
-    usable: list[int] = []
-    for number, (first, second) in enumerate(flats):
-        name = names[number] if number < len(names) else f"pair {number + 1}"
+    for pair, (first, second) in enumerate(flats):
+        name = names[pair] if pair < len(names) else f"pair {pair + 1}"
         a = np.asarray(first, dtype=np.float64).reshape(-1)[cold]
         b = np.asarray(second, dtype=np.float64).reshape(-1)[cold]
         clipped = float(np.mean((a >= full_scale_dn) | (b >= full_scale_dn)))
         signal = 0.5 * (a.mean() + b.mean()) - dark_level
-        if clipped > 1e-4:
+        if clipped > _MAX_CLIPPED_FRACTION:
             saturated_level = max(saturated_level, signal)
             rejected.append(f"{name}: {100 * clipped:.3g} % of the pixels at full scale")
             continue
         difference = a - b
         shift = float(difference.mean())
         noise = float(difference.std())
-        by_chance_dn = np.sqrt((0.25 * noise**2 + dark_variance / len(darks)) / len(a))
-        if noise == 0.0 or signal <= max(_MIN_SIGNAL_U * by_chance_dn, _MIN_SIGNAL_DN):
-            why = "its two frames are equal" if noise == 0.0 else "not brighter than the dark frames"
-            rejected.append(f"{name}: {why} (signal {signal:.3g} DN)")
+        u_signal = np.sqrt((0.25 * noise**2 + dark_variance / len(darks)) / len(a))
+        if noise == 0.0 or signal <= max(_MIN_SIGNAL_U * u_signal, _MIN_SIGNAL_DN):
+            reason = "its two frames are equal" if noise == 0.0 else "not brighter than the dark frames"
+            rejected.append(f"{name}: {reason} (signal {signal:.3g} DN)")
             continue
         if abs(shift) > max(0.01 * signal, 5.0 * noise / np.sqrt(len(a)), 0.002 * signal + 0.02):
             rejected.append(
@@ -155,8 +157,7 @@ def photon_transfer(
         variance = 0.5 * float(difference.var(ddof=1))
         kurtosis = float(np.mean((difference - shift) ** 4) / difference.var() ** 2)
         u_variance = variance * np.sqrt((kurtosis - 1.0) / len(a))
-        points.append(TransferPoint(name, float(signal), variance, float(u_variance)))
-        usable.append(number)
+        points.append(TransferPoint(pair, name, float(signal), variance, float(u_variance)))
     knee = _knee(points)
     if knee is not None:
         saturated_level = max(saturated_level, knee) if saturated_level == 0 else min(saturated_level, knee)
@@ -165,18 +166,16 @@ def photon_transfer(
             for point in points
             if point.signal_dn > knee
         ]
-        below_knee = [i for i, point in enumerate(points) if point.signal_dn <= knee]
-        points, usable = [points[i] for i in below_knee], [usable[i] for i in below_knee]
-    top_dn = min(
-        _MAX_FIT_PART * full_scale_dn,
-        _MAX_FIT_PART * knee + dark_level if knee is not None else np.inf,
-    )
-    fitted = [point for point in points if point.signal_dn + dark_level <= top_dn]
+        points = [point for point in points if point.signal_dn <= knee]
+    max_dn = _MAX_FITTED_FRACTION * full_scale_dn
+    if knee is not None:
+        max_dn = min(max_dn, _MAX_FITTED_FRACTION * knee + dark_level)
+    fitted = [point for point in points if point.signal_dn + dark_level <= max_dn]
     if len(fitted) < _MIN_LEVELS:
         detail = f"; not usable: {'; '.join(rejected)}" if rejected else ""
         raise DataError(
-            f"sensor: {len(fitted)} usable levels up to {100 * _MAX_FIT_PART:.0f} % of full scale, at least "
-            f"{_MIN_LEVELS} are needed{detail}"
+            f"sensor: {len(fitted)} usable levels up to {100 * _MAX_FITTED_FRACTION:.0f} % of full scale, "
+            f"at least {_MIN_LEVELS} are needed{detail}"
         )
     slope, u_slope, intercept, u_intercept, chi2_per_dof, non_linearity = _line(
         fitted, dark_variance if resolved else None, u_dark_variance, full_scale_dn
@@ -185,10 +184,9 @@ def photon_transfer(
     read_variance = max(intercept - _QUANTISATION_DN2, 0.0)
     read_noise_dn = float(np.sqrt(read_variance))
     u_read_dn = u_intercept / (2.0 * read_noise_dn) if read_noise_dn > 0 else float(np.sqrt(u_intercept))
-    prnu, u_prnu = _prnu(
-        [flats[number] for number in usable], points, dark_map, cold, dark_variance / len(darks)
-    )
-    top = max(point.signal_dn for point in points)
+    brightest = max(points, key=lambda point: point.signal_dn)
+    prnu, u_prnu = _prnu(flats[brightest.pair], brightest, dark_map, cold, dark_variance / len(darks))
+    exposures = [exposures_us[point.pair] for point in points] if exposures_us else []
     u_mean = np.sqrt(dark_variance / (len(darks) * cold.sum()))
     return SensorCalibration(
         gain_e_per_dn=gain,
@@ -198,9 +196,9 @@ def photon_transfer(
         read_noise_resolved=bool(resolved),
         dark_level_dn=dark_level,
         u_dark_level_dn=float(np.hypot(u_mean, 0.0 if resolved else 0.5 / np.sqrt(3.0))),
-        full_well_e=max(top, saturated_level) * gain,
+        full_well_e=max(brightest.signal_dn, saturated_level) * gain,
         saturates=saturated_level > 0,
-        linearity_error=_linearity(points, [exposures_us[n] for n in usable] if exposures_us else []),
+        linearity_error=_linearity(points, exposures),
         non_linearity=non_linearity,
         prnu=prnu,
         u_prnu=u_prnu,
@@ -233,8 +231,8 @@ def _unrounded_mean(values: Floats) -> float:
 
     def loss(p: Floats) -> float:
         sigma = np.exp(p[1])
-        part = ndtr((codes + 0.5 - p[0]) / sigma) - ndtr((below - p[0]) / sigma)
-        return -float(counts @ np.log(np.maximum(part, 1e-300))) / values.size
+        probability = ndtr((codes + 0.5 - p[0]) / sigma) - ndtr((below - p[0]) / sigma)
+        return -float(counts @ np.log(np.maximum(probability, 1e-300))) / values.size
 
     start = [values.mean(), np.log(values.std())]
     return float(minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-12}).x[0])
@@ -251,7 +249,7 @@ def _temporal_variance(stack: Floats) -> tuple[float, float]:
     return variance, variance * float(np.sqrt((kurtosis - 1.0) / dof))
 
 
-def _rounding(variance: float) -> float:
+def _u_rounding(variance: float) -> float:
     """Standard uncertainty of a variance after rounding, because rounding does not add exactly 1/12 DN^2.
 
     It is the largest deviation divided by sqrt(2), for the smallest true variance that, with this deviation,
@@ -259,13 +257,12 @@ def _rounding(variance: float) -> float:
     """
     from scipy.optimize import brentq
 
-    found = variance - _QUANTISATION_DN2
-    # inner + deviation is the largest variance that can be found for a true variance `inner`, and rises with
-    # it
-    least = 0.0
-    if found > _largest_deviation(0.0):
-        least = brentq(lambda inner: inner + _largest_deviation(inner) - found, 0.0, found)
-    return _largest_deviation(least) / float(np.sqrt(2.0))
+    measured = variance - _QUANTISATION_DN2
+    smallest = 0.0
+    if measured > _largest_deviation(0.0):
+        # the largest variance that a true variance can give rises with it, so there is one root
+        smallest = brentq(lambda true: true + _largest_deviation(true) - measured, 0.0, measured)
+    return _largest_deviation(smallest) / float(np.sqrt(2.0))
 
 
 def _largest_deviation(variance: float) -> float:
@@ -280,13 +277,13 @@ def _knee(points: Sequence[TransferPoint]) -> float | None:
     """Signal of the largest noise, if larger signals have significantly less noise; otherwise None."""
     if not points:
         return None
-    best = max(points, key=lambda point: point.variance_dn2)
-    beyond = [point for point in points if point.signal_dn > best.signal_dn]
+    peak = max(points, key=lambda point: point.variance_dn2)
     falls = any(
-        best.variance_dn2 - point.variance_dn2 > 5.0 * np.hypot(best.u_variance_dn2, point.u_variance_dn2)
-        for point in beyond
+        peak.variance_dn2 - point.variance_dn2 > 5.0 * np.hypot(peak.u_variance_dn2, point.u_variance_dn2)
+        for point in points
+        if point.signal_dn > peak.signal_dn
     )
-    return best.signal_dn if falls else None
+    return peak.signal_dn if falls else None
 
 
 def _line(
@@ -294,8 +291,8 @@ def _line(
 ) -> tuple[float, float, float, float, float, float]:
     """Weighted fit of variance = intercept + slope * signal, with the dark frames as a point at signal 0.
 
-    A signal that is lower by the fraction e s, where s is its part of full scale, has a variance lower by the
-    fraction 3 e s: e is fitted, as a number about 0 by `_U_NON_LINEARITY`.
+    A signal that is lower by the fraction e s, where s is its fraction of full scale, has a variance lower by
+    the fraction 3 e s: e is fitted, with 0 and `_U_NON_LINEARITY` as prior mean and standard deviation.
 
     Returns slope, its uncertainty, intercept, its uncertainty, chi-square per degree of freedom, and e.
     """
@@ -307,59 +304,47 @@ def _line(
     u = np.maximum(u, 1e-12)
     # from the model, because uncertainties from measured variances favour those that are low by chance
     common = np.median(u[: len(points)] / y[: len(points)])
-    bend = np.zeros_like(x)
-    for last in (False, False, False, True):
-        design = np.column_stack([np.ones_like(x), x, bend]) / u[:, None]
+    curvature = np.zeros_like(x)
+    for is_last in (False, False, False, True):
+        design = np.column_stack([np.ones_like(x), x, curvature]) / u[:, None]
         design = np.vstack([design, [0.0, 0.0, 1.0 / _U_NON_LINEARITY]])
         measured = np.append(y / u, 0.0)
         values, *_ = np.linalg.lstsq(design, measured, rcond=None)
-        bend = -3.0 * values[1] * x**2 / full_scale_dn
-        model = values[0] + values[1] * x + values[2] * bend
-        if not last and np.all(model > 0):
+        curvature = -3.0 * values[1] * x**2 / full_scale_dn
+        model = values[0] + values[1] * x + values[2] * curvature
+        if not is_last and np.all(model > 0):
             u[: len(points)] = common * model[: len(points)]
     dof = len(x) - 2
     chi2_per_dof = float(np.sum((design @ values - measured) ** 2)) / dof
     covariance = np.linalg.inv(design.T @ design) * birge_ratio(chi2_per_dof * dof, dof) ** 2
-    u_slope = float(np.sqrt(covariance[1, 1]))
-    if not values[1] > _MIN_SLOPE_U * u_slope:
+    intercept, slope, non_linearity = values.tolist()
+    u_intercept, u_slope, _ = np.sqrt(np.diag(covariance)).tolist()
+    if not slope > _MIN_SLOPE_U * u_slope:
         raise DataError(
-            f"sensor: the noise does not grow with the signal (slope {values[1]:.3g} ± {u_slope:.2g} DN); "
+            f"sensor: the noise does not grow with the signal (slope {slope:.3g} ± {u_slope:.2g} DN); "
             "the two frames of each pair must be of the same constant light, and the levels reach to half of "
             "full scale or more"
         )
-    return (
-        float(values[1]),
-        u_slope,
-        float(values[0]),
-        float(np.sqrt(covariance[0, 0])),
-        chi2_per_dof,
-        float(values[2]),
-    )
+    return slope, u_slope, intercept, u_intercept, chi2_per_dof, non_linearity
 
 
 def _prnu(
-    flats: Sequence[tuple[Image, Image]],
-    points: Sequence[TransferPoint],
-    dark_map: Floats,
-    cold: NDArray[np.bool_],
-    u2_dark_map: float,
+    pair: tuple[Image, Image], point: TransferPoint, dark_map: Floats, cold: Flags, u2_dark_map: float
 ) -> tuple[float, float]:
-    """PRNU and its standard uncertainty, from the brightest usable level.
+    """PRNU and its standard uncertainty, from one pair.
 
     It is the spatial standard deviation over the mean signal, after subtraction of the temporal noise and
     of a quadratic surface, which removes the slow variation of the illumination.
     """
-    best = int(np.argmax([point.signal_dn for point in points]))
-    pair, point = flats[best], points[best]
     mean = 0.5 * (np.asarray(pair[0], dtype=np.float64) + np.asarray(pair[1], dtype=np.float64)) - dark_map
     ny, nx = mean.shape
-    y, x = (place.reshape(-1)[cold] for place in np.mgrid[0 : 1 : ny * 1j, 0 : 1 : nx * 1j])
+    y, x = (coordinate.reshape(-1)[cold] for coordinate in np.mgrid[0 : 1 : ny * 1j, 0 : 1 : nx * 1j])
     design = np.column_stack([np.ones_like(x), x, y, x**2, x * y, y**2])
     values = mean.reshape(-1)[cold]
     surface, *_ = np.linalg.lstsq(design, values, rcond=None)
-    even = float((values - design @ surface).var(ddof=design.shape[1]))
-    spatial = even - 0.5 * point.variance_dn2 - u2_dark_map
-    u_spatial = float(np.hypot(even * np.sqrt(2.0 / len(values)), 0.5 * point.u_variance_dn2))
+    variance = float((values - design @ surface).var(ddof=design.shape[1]))
+    spatial = variance - 0.5 * point.variance_dn2 - u2_dark_map
+    u_spatial = float(np.hypot(variance * np.sqrt(2.0 / len(values)), 0.5 * point.u_variance_dn2))
     if spatial <= 0:
         return 0.0, float(np.sqrt(u_spatial) / point.signal_dn)
     spread = np.sqrt(spatial)
@@ -376,6 +361,6 @@ def _linearity(points: Sequence[TransferPoint], exposures_us: Sequence[float]) -
     design = np.column_stack([np.ones_like(x), x]) / y[:, None]
     values, *_ = np.linalg.lstsq(design, np.ones_like(y), rcond=None)
     if values[1] < 0.0:
-        # exposures in the wrong order may lie on a line, too
+        # exposures in the wrong order may lie on a falling line; the best other one is level
         values = np.array([np.sum(1.0 / y) / np.sum(1.0 / y**2), 0.0])
     return float(np.max(np.abs(design @ values - 1.0)))

@@ -32,9 +32,9 @@ _MIN_AMPLITUDE_FRACTION = 0.2
 class Shutter:
     """Times of exposure of the rows of an image: `row_time_s` from one row to the next, 0 for all at once.
 
-    It holds for the rows of the image as delivered; another binning or pixel format may change it. The row
-    that is exposed first is the one with y = 0 if `first_row` is "top", the last row of the image if it is
-    "bottom"; with a region of interest, the region's. The time of a frame is that of its first row.
+    The time of a frame is that of its first row. The row time holds for the rows of the image as delivered;
+    another binning or pixel format may change it. `first_row` is exposed first: the row y = 0 of the image,
+    or of its region of interest, if it is "top", the last one if it is "bottom".
     """
 
     row_time_s: float = field(
@@ -61,20 +61,19 @@ GLOBAL = Shutter()
 
 @dataclass(frozen=True, slots=True)
 class ShutterFit:
-    """Row time from a swing; it is negative if the bottom row is exposed first.
-
-    `harmonic_px` is the amplitude of the second harmonic that it causes at the largest amplitude,
-    `amplitude_px`. `chi2_per_dof` compares the stretches with each other; the uncertainty includes their
-    scatter. `even_per_px` is the other part of the second harmonic, over the squared amplitude, which
-    comes from the geometry and is independent of times.
-    """
+    """Row time from a swing; it is negative if the bottom row is exposed first."""
 
     row_time_s: float
     u_row_time_s: float
+    """Includes the scatter of the stretches."""
     amplitude_px: float
+    """Largest amplitude of the stretches."""
     harmonic_px: float
+    """Amplitude of the second harmonic that the row time causes at `amplitude_px`."""
     even_per_px: float
+    """Second harmonic from the geometry, which is in phase, over the squared amplitude."""
     chi2_per_dof: float
+    """Scatter of the stretches over their uncertainties."""
     stretches: int
 
 
@@ -94,8 +93,8 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     Notes
     -----
     In each stretch the Fourier coefficients C_k of ``y = Re sum C_k exp(i k w t)`` are fitted, with slow
-    changes of offset and amplitudes. The shutter adds i w row_time / 2 to C2 / C1^2; whatever is symmetric in
-    time about the turning points (the lever's tangent, a tilted sensor) adds a real number.
+    changes of offset and amplitudes. The shutter adds i w row_time / 2 to C2 / C1^2; an effect that is
+    symmetric in time about the turning points (the lever's tangent, a tilted sensor) adds a real number.
     """
     good = np.isfinite(y_px)
     times_s, y_px = times_s[good] - times_s[good][:1].sum(), y_px[good]
@@ -107,13 +106,13 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
         )
     period_s = _period(times_s, y_px)
     length_s = _STRETCH_PERIODS * period_s
-    stretches = int((times_s[-1] - times_s[0]) / length_s)
-    found = []
-    for begin_s in times_s[0] + length_s * np.arange(stretches):
-        inside = slice(*np.searchsorted(times_s, [begin_s, begin_s + length_s]))
-        if inside.stop - inside.start >= _MIN_FRAMES:
-            found.append(_harmonics(times_s[inside], y_px[inside], period_s))
-    table = np.array(found).reshape(-1, 4)
+    count = int((times_s[-1] - times_s[0]) / length_s)
+    rows = []
+    for begin_s in times_s[0] + length_s * np.arange(count):
+        stretch = slice(*np.searchsorted(times_s, [begin_s, begin_s + length_s]))
+        if stretch.stop - stretch.start >= _MIN_FRAMES:
+            rows.append(_harmonics(times_s[stretch], y_px[stretch], period_s))
+    table = np.array(rows).reshape(-1, 4)
     if len(table):
         table = table[table[:, 3] > _MIN_AMPLITUDE_FRACTION * table[:, 3].max()]
     if len(table) < _MIN_STRETCHES:
@@ -140,35 +139,33 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
 
 def _period(times_s: Floats, y_px: Floats) -> float:
     """Mean period, from the first and the last upward crossing of the middle between the extremes."""
-    middle = 0.5 * (y_px.max() + y_px.min())
-    margin = 0.05 * np.ptp(y_px)
-    far = np.abs(y_px - middle) > margin
-    side = np.sign(y_px[far] - middle)
-    place = np.flatnonzero(far)
-    up = np.flatnonzero((side[:-1] < 0) & (side[1:] > 0))
-    if len(up) < 2:
+    deflection_px = y_px - 0.5 * (y_px.max() + y_px.min())
+    # frames near the middle are left out, because noise would make them cross it several times
+    outer = np.flatnonzero(np.abs(deflection_px) > 0.05 * np.ptp(y_px))
+    is_above = deflection_px[outer] > 0
+    last_below = np.flatnonzero(~is_above[:-1] & is_above[1:])
+    if len(last_below) < 2:
         raise DataError("row time: the spot does not swing to and fro across the rows; record a whole run")
-    crossing_s = 0.5 * (times_s[place[up]] + times_s[place[up + 1]])
+    crossing_s = 0.5 * (times_s[outer[last_below]] + times_s[outer[last_below + 1]])
     return float(np.median(np.diff(crossing_s)))
 
 
 def _harmonics(times_s: Floats, y_px: Floats, period_s: float) -> tuple[float, float, float, float]:
     """Row time and its standard uncertainty in s, even part of C2 / C1^2, and |C1|, of one stretch."""
-    middle_s = 0.5 * (times_s[0] + times_s[-1])
-    since_s = times_s - middle_s
-    slow = since_s / period_s
+    since_s = times_s - 0.5 * (times_s[0] + times_s[-1])
+    periods = since_s / period_s
     rate = 2.0 * np.pi / period_s
     row_time_s = 0.0
     for _ in range(_ITERATIONS):
         phase = rate * (since_s + row_time_s * y_px)
         waves = np.exp(1j * np.outer(phase, _HARMONICS))
         # all change slowly, the first one also in amplitude and period, and as strong drag curves its decay
-        curvature = slow[:, None] ** [2, 3] * waves[:, :1]
-        waves = np.hstack([waves, slow[:, None] * waves, curvature])
-        design = np.column_stack([np.ones_like(slow), slow, waves.real, -waves.imag])
+        curvature = periods[:, None] ** [2, 3] * waves[:, :1]
+        waves = np.hstack([waves, periods[:, None] * waves, curvature])
+        design = np.column_stack([np.ones_like(periods), periods, waves.real, -waves.imag])
         values, *_ = np.linalg.lstsq(design, y_px, rcond=None)
-        parts = values[2:].reshape(2, -1)
-        amplitudes = parts[0] + 1j * parts[1]
+        real, imaginary = values[2:].reshape(2, -1)
+        amplitudes = real + 1j * imaginary
         first, second, third, growth = amplitudes[[0, 1, 2, len(_HARMONICS)]]
         # the second harmonic of the squared position, to which the third of the position contributes
         ratio = complex(second / (first**2 + 2.0 * first.conjugate() * third))
@@ -177,7 +174,7 @@ def _harmonics(times_s: Floats, y_px: Floats, period_s: float) -> tuple[float, f
         rate += (growth / first).imag / period_s
     residual = y_px - design @ values
     variance = float(residual @ residual) / max(len(y_px) - design.shape[1], 1)
-    of_second = (3, 3 + len(amplitudes))
-    u2_second = variance * np.linalg.inv(design.T @ design)[of_second, of_second].mean()
+    second_columns = (3, 3 + len(amplitudes))
+    u2_second = variance * np.linalg.inv(design.T @ design)[second_columns, second_columns].mean()
     amplitude = float(abs(first))
     return row_time_s, 2.0 * float(np.sqrt(u2_second)) / amplitude**2 / rate, ratio.real, amplitude

@@ -28,8 +28,8 @@ class Source(BaseModel, frozen=True, extra="forbid"):
 class CalibrationFile(BaseModel, frozen=True, extra="forbid"):
     """Content of one calibration file.
 
-    `values` fill the section of the configuration that belongs to `kind`. `details` are further results, as
-    plain values for a report. `method` and `notes` are text for the user. Times include the offset from UTC.
+    `values` fill the section of the configuration of `kind`, `details` are further results, as plain values
+    for a report. `method` and `notes` are text for the user. Times include the offset from UTC.
     """
 
     schema_version: int = SCHEMA
@@ -61,12 +61,12 @@ def write_calibration(
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        taken = [
+        numbers = [
             int(match.group(1))
             for path in folder.iterdir()
             if (match := re.fullmatch(rf"{calibration.kind}-(\d+)\.toml", path.name))
         ]
-        path = folder / f"{calibration.kind}-{max(taken, default=0) + 1:03d}.toml"
+        path = folder / f"{calibration.kind}-{max(numbers, default=0) + 1:03d}.toml"
         write_new(path, toml_text(calibration).encode())
     except OSError as error:
         raise RecordError(f"{folder}: cannot write the calibration: {error.strerror or error}") from None
@@ -95,7 +95,7 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
     try:
         tree = tomllib.loads(data.decode("utf-8"))
         require_schema(name, tree.get("schema_version", SCHEMA), SCHEMA, ConfigurationError)
-        found = CalibrationFile.model_validate(tree)
+        calibration = CalibrationFile.model_validate(tree)
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{name}: is not TOML: {error}") from None
     except ValidationError as error:
@@ -103,13 +103,13 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
             f"{name}: is not a calibration file ({fault_text(error.errors()[0])}); rig calibrate makes one"
         ) from None
     for field in ("made_at", "valid_until", "measured_at"):
-        if getattr(found, field).tzinfo is None:
+        if getattr(calibration, field).tzinfo is None:
             raise ConfigurationError(
                 f"{name}: {field} has no offset from UTC; write it as 2026-01-31T12:00:00Z"
             )
-    if kind is not None and found.kind != kind:
-        raise ConfigurationError(f"{name}: is a calibration of {found.kind}; one of {kind} is needed")
-    return found
+    if kind is not None and calibration.kind != kind:
+        raise ConfigurationError(f"{name}: is a calibration of {calibration.kind}; one of {kind} is needed")
+    return calibration
 
 
 def toml_text(calibration: CalibrationFile) -> str:
@@ -120,11 +120,7 @@ def toml_text(calibration: CalibrationFile) -> str:
     sources = plain.pop("sources")
     lines += [f"{key} = {toml_value(value)}" for key, value in plain.items()]
     for source in sources:
-        lines += [
-            "",
-            "[[sources]]",
-            *(f"{key} = {toml_value(value)}" for key, value in source.items()),
-        ]
+        lines += ["", "[[sources]]", *(f"{key} = {toml_value(value)}" for key, value in source.items())]
     for name, table in tables.items():
         lines += ["", f"[{name}]"]
         lines += [f"{key} = {toml_value(value)}" for key, value in table.items() if value is not None]
@@ -132,7 +128,7 @@ def toml_text(calibration: CalibrationFile) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """A plain value as TOML writes it; a mapping becomes an inline table without what is None."""
+    """A plain value as TOML writes it; a mapping becomes an inline table without the keys that are None."""
     if isinstance(value, Path):
         value = value.as_posix()
     if isinstance(value, datetime.datetime):
@@ -147,9 +143,8 @@ def toml_value(value: Any) -> str:
     if isinstance(value, float):
         return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else f"{value:+}"
     if isinstance(value, Mapping):
-        stated = {str(key): each for key, each in value.items() if each is not None}
-        inner = ", ".join(f"{json.dumps(key)} = {toml_value(each)}" for key, each in stated.items())
-        return "{" + inner + "}"
+        pairs = (f"{json.dumps(str(key))} = {toml_value(v)}" for key, v in value.items() if v is not None)
+        return "{" + ", ".join(pairs) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(item) for item in value) + "]"
     raise TypeError(f"{type(value).__name__} cannot be written in TOML")

@@ -1,11 +1,9 @@
 """Relation of the camera's clock to the host's monotonic clock, and jitter of the frame times.
 
 Frames have two timestamps, by the camera at exposure and by the host at arrival. A straight line through the
-pairs relates the clocks. The scatter about it comes from bus and scheduler and not from the exposure. The
-analysis of swings requires a jitter of the frame times below about 15 us.
+pairs relates the clocks. The scatter about it comes from bus and scheduler and not from the exposure.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +23,10 @@ _ROUNDING_S = S_PER_NS / 12**0.5
 """Standard uncertainty of timestamps that are rounded to 1 ns."""
 _JUMP_WINDOW = 25
 """Number of frames on each side whose medians are compared."""
-_LEAST_STEP_SIGMA, _LEAST_STEP_S = 4.0, 0.5e-6
-"""Smallest step of the fit, in standard deviations of arrival times and of the step, and in s."""
+_MIN_STEP_SIGMA = 4.0
+"""Smallest step that is kept, over the larger of the jitter and the step's standard uncertainty."""
+_MIN_STEP_S = 0.5e-6
+"""Smallest step in s that is kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,20 +44,22 @@ class ClockJump:
 class ClockRelation:
     """Linear relation ``host = host_reference_ns + rate (device - device_reference_ns)``.
 
-    `rate` is in seconds of the host per second of the camera. The offset includes the mean delay from
-    exposure to arrival, which timestamps cannot reveal. `jitter_s` is the robust standard deviation of the
-    arrival times about the line. `frame_period_s` and `frame_jitter_s` are the mean interval of the camera's
-    own timestamps and their scatter about evenly spaced frames. `u_` marks standard uncertainties.
+    The device is the camera. The offset includes the mean delay from exposure to arrival, which timestamps
+    cannot reveal. `u_` marks standard uncertainties.
     """
 
     device_reference_ns: int
     host_reference_ns: int
     rate: float
+    """Seconds of the host per second of the camera."""
     u_rate: float
     u_offset_s: float
     jitter_s: float
+    """Robust standard deviation of the arrival times about the line."""
     frame_period_s: float
+    """Mean interval of the camera's timestamps."""
     frame_jitter_s: float
+    """Scatter of the camera's timestamps about evenly spaced frames."""
     jumps: tuple[ClockJump, ...]
     frames: int
 
@@ -109,7 +111,7 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     Raises
     ------
     DataError
-        Fewer than 50 frames, arrays of different lengths, or a clock that does not advance.
+        Fewer frames than `_MIN_FRAMES`, arrays of different lengths, or a clock that does not advance.
 
     Notes
     -----
@@ -136,19 +138,20 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
             )
     # the clocks differ by some ppm, so a fit of their difference avoids rounding errors
     since_s = seconds(device_ns - device_ns[0])
-    ahead_s = seconds((host_ns - host_ns[0]) - (device_ns - device_ns[0]))
+    host_ahead_s = seconds((host_ns - host_ns[0]) - (device_ns - device_ns[0]))
     interval_s = np.diff(since_s)
     gaps = np.flatnonzero(interval_s > _JUMP_WINDOW * np.median(interval_s)) + 1
-    breaks = sorted({*_jumps(since_s, ahead_s), *gaps.tolist()})
-    values, covariance, sigma = _segments(since_s, ahead_s, breaks)
-    # across a gap the rate that medians saw makes or hides a step, which the fitted rate does not
-    offsets_u2 = covariance[1:, 1:]
-    u_steps = np.sqrt(np.diag(offsets_u2)[1:] + np.diag(offsets_u2)[:-1] - 2 * np.diag(offsets_u2, 1))
-    least = np.maximum(_LEAST_STEP_SIGMA * np.maximum(u_steps, sigma), _LEAST_STEP_S)
-    small = np.abs(np.diff(values[1:])) < least
-    if np.any(small):
-        breaks = [frame for frame, is_small in zip(breaks, small, strict=True) if not is_small]
-        values, covariance, sigma = _segments(since_s, ahead_s, breaks)
+    breaks = sorted({*_jumps(since_s, host_ahead_s), *gaps.tolist()})
+    values, covariance, sigma = _segments(since_s, host_ahead_s, breaks)
+    # `_jumps` removes a rate from medians; over a long gap its error looks like a step or hides one. The
+    # fitted rate is better: each gap is a break, and each step is tested with it
+    u2_offsets = covariance[1:, 1:]
+    u_steps = np.sqrt(np.diag(u2_offsets)[1:] + np.diag(u2_offsets)[:-1] - 2 * np.diag(u2_offsets, 1))
+    min_steps_s = np.maximum(_MIN_STEP_SIGMA * np.maximum(u_steps, sigma), _MIN_STEP_S)
+    is_small = np.abs(np.diff(values[1:])) < min_steps_s
+    if np.any(is_small):
+        breaks = np.array(breaks)[~is_small].tolist()
+        values, covariance, sigma = _segments(since_s, host_ahead_s, breaks)
     offsets = values[1:]
     period_s, frame_jitter_s = _frame_period(since_s, sequence)
     return ClockRelation(
@@ -168,65 +171,60 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     )
 
 
-def _segments(since_s: Floats, ahead_s: Floats, breaks: list[int]) -> tuple[Floats, Floats, float]:
+def _segments(since_s: Floats, host_ahead_s: Floats, breaks: list[int]) -> tuple[Floats, Floats, float]:
     """The fit of one rate, and of an offset for each segment between breaks: see `_huber`."""
     segment = np.searchsorted(breaks, np.arange(len(since_s)), side="right")
-    return _huber(
-        np.column_stack([since_s, *(segment == k for k in range(len(breaks) + 1))]).astype(float), ahead_s
-    )
+    is_in_segment = (segment == k for k in range(len(breaks) + 1))
+    return _huber(np.column_stack([since_s, *is_in_segment]).astype(float), host_ahead_s)
 
 
-def _jumps(since_s: Floats, ahead_s: Floats) -> list[int]:
+def _jumps(since_s: Floats, host_ahead_s: Floats) -> list[int]:
     """Indices of frames at which host minus camera time steps permanently.
 
     Medians over windows before and after are compared, so that a single late frame is not taken for a step.
     """
     window = _JUMP_WINDOW
-    if len(ahead_s) < 4 * window:
+    if len(host_ahead_s) < 4 * window:
         return []
-    rate = np.median(np.diff(ahead_s) / np.diff(since_s))
-    flat = ahead_s - rate * since_s
-    views = np.median(np.lib.stride_tricks.sliding_window_view(flat, window), axis=1)
-    step = views[window:] - views[:-window]
+    rate = np.median(np.diff(host_ahead_s) / np.diff(since_s))
+    flat = host_ahead_s - rate * since_s
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(flat, window), axis=1)
+    step = medians[window:] - medians[:-window]
     noise = robust_scatter(np.diff(flat)) / np.sqrt(2.0)
-    limit = max(8.0 * noise, 8.0 * robust_scatter(step), 2 * _LEAST_STEP_S)
-    found: list[int] = []
+    limit = max(8.0 * noise, 8.0 * robust_scatter(step), 2 * _MIN_STEP_S)
+    jumps: list[int] = []
     candidates = np.nonzero(np.abs(step) > limit)[0]
     while len(candidates):
-        top = candidates[np.argmax(np.abs(step[candidates]))]
+        top = int(candidates[np.argmax(np.abs(step[candidates]))])
         # the medians show the step over a whole window, in which its frame has the largest single difference
-        window_of_step = slice(max(int(top), 0), int(top) + 2 * window - 1)
-        frame = window_of_step.start + int(np.argmax(np.abs(np.diff(flat)[window_of_step]))) + 1
-        found.append(frame)
+        differences = np.abs(np.diff(flat[top : top + 2 * window]))
+        jumps.append(top + int(np.argmax(differences)) + 1)
         candidates = candidates[np.abs(candidates - top) > 2 * window]
-    return sorted(found)
+    return sorted(jumps)
 
 
 def _huber(design: Floats, values: Floats) -> tuple[Floats, Floats, float]:
     """Solution, covariance and robust standard deviation of the residuals, by reweighted least squares."""
     solution = np.linalg.lstsq(design, values, rcond=None)[0]
-    sigma = robust_scatter(values - design @ solution)
     for _ in range(60):
         residual = values - design @ solution
         sigma = max(robust_scatter(residual), 1e-12)
         weight = np.minimum(1.0, _HUBER_STD * sigma / np.maximum(np.abs(residual), 1e-300))
         root = np.sqrt(weight)[:, None]
-        new = np.linalg.lstsq(design * root, values * root[:, 0], rcond=None)[0]
-        if np.allclose(new, solution, rtol=1e-13, atol=1e-16):
-            solution = new
+        last, solution = solution, np.linalg.lstsq(design * root, values * root[:, 0], rcond=None)[0]
+        if np.allclose(solution, last, rtol=1e-13, atol=1e-16):
             break
-        solution = new
     residual = (values - design @ solution) / sigma
     psi = np.clip(residual, -_HUBER_STD, _HUBER_STD)
-    inside = np.mean(np.abs(residual) < _HUBER_STD)
+    fraction_inside = np.mean(np.abs(residual) < _HUBER_STD)
     dof = len(values) - design.shape[1]
     # timestamps are integer ns: the uncertainty is not smaller than their rounding allows
-    scale = max(sigma**2 * float(psi @ psi) / dof / inside**2, _ROUNDING_S**2)
+    scale = max(sigma**2 * float(psi @ psi) / dof / fraction_inside**2, _ROUNDING_S**2)
     covariance = scale * np.linalg.inv(design.T @ design)
     means = part_means(design)
     if len(means) >= design.shape[1] + FEWEST_PARTS:
-        # wandering affects all coefficients: that of the slope is estimated, and enlarges all alike
-        u_slope = u_wandering_slope(means, part_means(sigma / inside * psi))
+        # arrivals that wander affect all coefficients; the slope shows by which factor, which is used for all
+        u_slope = u_wandering_slope(means, part_means(sigma / fraction_inside * psi))
         covariance = covariance * max(1.0, u_slope**2 / covariance[0, 0])
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
 
@@ -236,18 +234,3 @@ def _frame_period(since_s: Floats, sequence: Ints) -> tuple[float, float]:
     design = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
     values, _, sigma = _huber(design, since_s)
     return float(values[0]), sigma
-
-
-_MIN_PROBABILITY = 0.01
-"""Probability of a chi-square below which its size is not attributed to chance."""
-
-
-def birge_ratio(chi_square: float, dof: int) -> float:
-    """Factor for the standard uncertainties of a weighted fit, at least 1.
-
-    It is ``sqrt(chi_square / dof)`` (R. T. Birge, Phys. Rev. 40, 207, 1932) if a chi-square this large has a
-    probability below 1 %, otherwise 1: a scatter that is small by chance must not reduce the uncertainties.
-    """
-    from scipy.special import chdtrc
-
-    return math.sqrt(chi_square / dof) if dof > 0 and chdtrc(dof, chi_square) < _MIN_PROBABILITY else 1.0

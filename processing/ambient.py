@@ -1,4 +1,4 @@
-"""Ambient conditions of a run: the air, its density and viscosity, and the age of contact and surfaces."""
+"""Ambient conditions of a run: the air with its density and viscosity, dwell of the ball, age of surfaces."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -8,7 +8,8 @@ from typing import Annotated, Final, NamedTuple
 from processing.quantity import Quantity
 
 _ZERO_C_K = 273.15
-_DRY_J_PER_KG_K, _VAPOUR_J_PER_KG_K = 287.05, 461.5
+_DRY_AIR_J_PER_KG_K, _VAPOUR_J_PER_KG_K = 287.05, 461.5
+"""Specific gas constants."""
 
 POSSIBLE_READINGS: Final = {
     "temperature_c": (-100.0, 200.0),
@@ -42,12 +43,11 @@ def humid_air(temperature_c: float, humidity_percent: float, pressure_pa: float)
     guide no. 8). The viscosity is that of dry air by Sutherland's formula: 17.16 uPa s at 0 degrees Celsius,
     with 110.4 K.
     """
-    kelvin = temperature_c + _ZERO_C_K
+    t_k = temperature_c + _ZERO_C_K
     vapour_pa = 0.01 * humidity_percent * 611.2 * exp(17.62 * temperature_c / (243.12 + temperature_c))
-    density = (pressure_pa - vapour_pa) / (_DRY_J_PER_KG_K * kelvin) + vapour_pa / (
-        _VAPOUR_J_PER_KG_K * kelvin
-    )
-    viscosity = 17.16e-6 * (kelvin / _ZERO_C_K) ** 1.5 * (_ZERO_C_K + 110.4) / (kelvin + 110.4)
+    dry_air_pa = pressure_pa - vapour_pa
+    density = dry_air_pa / (_DRY_AIR_J_PER_KG_K * t_k) + vapour_pa / (_VAPOUR_J_PER_KG_K * t_k)
+    viscosity = 17.16e-6 * (t_k / _ZERO_C_K) ** 1.5 * (_ZERO_C_K + 110.4) / (t_k + 110.4)
     return Air(density, viscosity)
 
 
@@ -55,35 +55,35 @@ def humid_air(temperature_c: float, humidity_percent: float, pressure_pa: float)
 class AmbientConditions:
     """Air and history of a run's contact; NaN for a quantity that is neither measured nor stated.
 
-    The air is the mean of sensor readings during the run, otherwise as stated. `temperature_change_k` is the
-    change of temperature over the run, by a straight line through the readings, if they span half of it.
-    `dwell_s` is the time from placing the ball to the run's first frame, `age_s` that from the last cleaning
-    of the surfaces.
+    The air is the mean of sensor readings during the run, otherwise as stated.
     """
 
     temperature_c: Annotated[float, Quantity("temperature", "temperature")] = nan
     humidity_percent: Annotated[float, Quantity("humidity", "relative humidity")] = nan
     pressure_pa: Annotated[float, Quantity("pressure", "pressure of the air", "hPa")] = nan
     dwell_s: Annotated[float, Quantity("dwell", "dwell of the ball on its place", "h")] = nan
+    """Time from placing the ball to the run's first frame."""
     temperature_change_k: Annotated[
         float, Quantity("temperature change", "change of the temperature over the run", "K")
     ] = nan
+    """By a straight line through the readings, if they span half of the run."""
     age_s: Annotated[float, Quantity("age", "age of the surfaces since cleaning", "h")] = nan
+    """Time from the last cleaning of the surfaces to the run's first frame."""
 
     def known(self) -> dict[str, float]:
         """Quantities that are known, by name."""
         return {name: value for name, value in asdict(self).items() if isfinite(value)}
 
 
-_LARGEST_FRACTION = 1.0
+_MAX_FRACTION = 1.0
 """Humidity in per cent up to which a fraction may have been meant: air in a room is never as dry."""
-_LARGEST_RATIO = 30.0
+_MAX_RATIO = 30.0
 """Ratio to other runs beyond which a value is probably in another unit: it is 100 for fractions and hPa."""
 
 
 def doubtful_humidity(percent: float) -> str:
     """Warning that a humidity may be a fraction; empty if it is plausible."""
-    if not 0.0 < percent <= _LARGEST_FRACTION:
+    if not 0.0 < percent <= _MAX_FRACTION:
         return ""
     return (
         f"humidity_percent is {percent:g}, drier than air outside a dry box: if a fraction was meant, "
@@ -93,21 +93,21 @@ def doubtful_humidity(percent: float) -> str:
 
 def other_unit_warning(name: str, values: Mapping[str, float]) -> str:
     """Warning of runs, by label, whose humidity or pressure is in another unit than others'; else empty."""
-    known = sorted(value for value in values.values() if isfinite(value) and value > 0)
-    if name not in ("humidity_percent", "pressure_pa") or len(known) < 3:
+    positive = sorted(value for value in values.values() if isfinite(value) and value > 0)
+    if name not in ("humidity_percent", "pressure_pa") or len(positive) < 3:
         return ""
-    middle = known[len(known) // 2]
-    odd = {
+    median = positive[len(positive) // 2]
+    outliers = {
         label: value
         for label, value in values.items()
-        if value > 0 and not middle / _LARGEST_RATIO < value < middle * _LARGEST_RATIO
+        if value > 0 and not median / _MAX_RATIO < value < median * _MAX_RATIO
     }
-    rest = [value for label, value in values.items() if label not in odd and isfinite(value)]
-    if not odd or 2 * len(odd) >= len(known):
+    others = [value for label, value in values.items() if label not in outliers and isfinite(value)]
+    if not outliers or 2 * len(outliers) >= len(positive):
         return ""
-    listed = ", ".join(f"{value:g} of {label}" for label, value in odd.items())
+    outliers_text = ", ".join(f"{value:g} of {label}" for label, value in outliers.items())
     return (
-        f"{name} is {listed}, and {min(rest):g} to {max(rest):g} of the other runs: is it in another unit "
-        "(a fraction, hPa)? As it stands it stretches the span of all dependences on it; correct "
-        f"environment.{name} and fit that run again"
+        f"{name} is {outliers_text}, and {min(others):g} to {max(others):g} of the other runs: is it in "
+        "another unit (a fraction, hPa)? As it stands it stretches the span of all dependences on it; "
+        f"correct environment.{name} and fit that run again"
     )

@@ -21,16 +21,16 @@ from processing.errors import DataError
 from processing.least_squares import differenced, solve
 
 PARTS: Final = ("constant", "linear", "quadratic")
-_FEWEST_AMPLITUDES: Final = 12
-"""Fewest amplitudes: four parameters leave eight degrees of freedom."""
+_MIN_AMPLITUDES: Final = 12
+"""Smallest number of amplitudes: four parameters leave eight degrees of freedom."""
 _MIN_RELATIVE_AMPLITUDE: Final = 1e-9
 """Smallest amplitude in units of the largest one; smaller ones count as this."""
-_ENDS: Final = np.array([0.0, 1.0])
 _MIN_EXCESS: Final = 4.0
-"""Mean square, in its variances, from which on a residual is more than noise."""
-_STRETCHES, _FEWEST_STRETCHES, _FEWEST_OF_STRETCH = 12, 4, 5
-"""Number of equal stretches of a decay whose own rates are compared with the fitted one, and the fewest of
-them and of their amplitudes."""
+"""Mean square of residuals, in their variances, above which they are more than noise."""
+_STRETCHES, _MIN_STRETCHES, _MIN_STRETCH_AMPLITUDES = 12, 4, 5
+"""Number of equal stretches of a decay whose own rates are compared with the fitted one, and the smallest
+numbers of them and of their amplitudes.
+"""
 
 
 class DampingTerm(NamedTuple):
@@ -45,10 +45,7 @@ class DampingTerm(NamedTuple):
 class DampingTerms:
     """Parts of dA/dt = -(constant + linear A + quadratic A^2), in the amplitude's unit and s.
 
-    Uncertainties and `covariance` (3, 3) of the parts are enlarged by `chi2_per_dof` above 1, and where the
-    parts do not describe the loss, by as much as the rates of stretches of the decay lie off. `first` and
-    `last` are the fitted amplitudes at both ends. The probability of a part weighs all combinations of parts
-    by their likelihood (Schwarz).
+    The probability of a part weighs all combinations of parts by their likelihood (Schwarz).
     """
 
     samples: int
@@ -56,16 +53,20 @@ class DampingTerms:
     linear: DampingTerm
     quadratic: DampingTerm
     covariance: Floats
+    """Covariance (3, 3) of the parts, enlarged by `chi2_per_dof` above 1, and where the parts do not describe
+    the loss, by the square of the deviations of the rates of stretches of the decay.
+    """
     first: float
     last: float
+    """Fitted amplitudes at both ends."""
     chi2_per_dof: float
 
     @property
     def needed(self) -> tuple[str, ...]:
         """Parts that are needed with a probability of more than 95 %; without any, the likeliest."""
-        parts = {name: getattr(self, name).probability for name in PARTS}
-        sure = tuple(name for name in PARTS if parts[name] > 0.95)
-        return sure or (max(PARTS, key=lambda name: parts[name]),)
+        probabilities = {name: getattr(self, name).probability for name in PARTS}
+        probable = tuple(name for name in PARTS if probabilities[name] > 0.95)
+        return probable or (max(PARTS, key=lambda name: probabilities[name]),)
 
     def time_constant_s(self, amplitude: Floats) -> tuple[Floats, Floats]:
         """Time constant tau at these amplitudes (n,) with standard uncertainties, s."""
@@ -90,15 +91,15 @@ class _DampingSolution(NamedTuple):
 def amplitude_at(times_s: Floats, first: float, constant: float, linear: float, quadratic: float) -> Floats:
     """Amplitude A at times (n,) since it was `first`; not less than zero."""
     square = 0.25 * linear**2 - quadratic * constant
-    s = sqrt(abs(square))
-    x = s * times_s
-    if square > 0 and s * times_s[-1] > 1e-6:
+    rate = sqrt(abs(square))
+    x = rate * times_s
+    if square > 0 and x[-1] > 1e-6:
         # both are multiplied by exp(-x), which cancels in the quotient, so that nothing overflows
-        cosine, sine = 0.5 * (1.0 + np.exp(-2.0 * x)), -0.5 * np.expm1(-2.0 * x) / s
-    elif square < 0 and s * times_s[-1] > 1e-6:
+        cosine, sine = 0.5 * (1.0 + np.exp(-2.0 * x)), -0.5 * np.expm1(-2.0 * x) / rate
+    elif square < 0 and x[-1] > 1e-6:
         # beyond a quarter of the period the amplitude has reached zero
         x = np.minimum(x, 0.5 * np.pi)
-        cosine, sine = np.cos(x), np.sin(x) / s
+        cosine, sine = np.cos(x), np.sin(x) / rate
     else:
         cosine, sine = np.ones_like(times_s), times_s
     numerator = first * (cosine - 0.5 * linear * sine) - constant * sine
@@ -119,12 +120,12 @@ def fit_damping(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats) -> Da
     Raises
     ------
     DataError
-        Fewer than 12 values, uncertainties or amplitudes that are not positive, or values that do not fall.
+        Too few values, uncertainties or amplitudes that are not positive, or values that do not fall.
     """
     valid = np.isfinite(amplitudes) & np.isfinite(u_amplitudes)
     t, y, u = times_s[valid] - times_s[valid][:1], amplitudes[valid], u_amplitudes[valid]
-    if len(y) < _FEWEST_AMPLITUDES:
-        raise DataError(f"the decay has {len(y)} amplitudes; at least {_FEWEST_AMPLITUDES} are needed")
+    if len(y) < _MIN_AMPLITUDES:
+        raise DataError(f"the decay has {len(y)} amplitudes; at least {_MIN_AMPLITUDES} are needed")
     if not np.min(u) > 0:
         raise DataError(
             f"the standard uncertainty of an amplitude is {np.min(u):g}: it must be positive; state the noise"
@@ -137,59 +138,55 @@ def fit_damping(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats) -> Da
     start = fit.start()
     subsets = [subset for size in (1, 2, 3) for subset in combinations(PARTS, size)]
     fits = {subset: fit.parts(subset, start) for subset in subsets}
-    full, freedom = fits[PARTS], len(y) - 4
-    chi2_per_dof = full.chi2 / freedom
+    full, dof = fits[PARTS], len(y) - 4
+    chi2_per_dof = full.chi2 / dof
     # if all parts together leave more than the stated noise, the noise is taken from their residuals
     excess = max(1.0, chi2_per_dof)
-    per_part = log(len(y))
-    weights = {names: one.chi2 / excess + (len(names) + 1) * per_part for names, one in fits.items()}
-    least = min(weights.values())
-    chances = {subset: exp(-0.5 * (weight - least)) for subset, weight in weights.items()}
-    total = sum(chances.values())
+    criteria = {
+        subset: solution.chi2 / excess + (len(subset) + 1) * log(len(y)) for subset, solution in fits.items()
+    }
+    smallest = min(criteria.values())
+    weights = {subset: exp(-0.5 * (criterion - smallest)) for subset, criterion in criteria.items()}
+    total = sum(weights.values())
     # amplitude in `scale`, time in spans: constant scale/span, linear 1/span, quadratic 1/(scale span)
     sizes = np.array([scale, 1.0, 1.0 / scale]) / span_s
     covariance = full.covariance[1:4, 1:4] * np.outer(sizes, sizes) * excess
-    ends = amplitude_at(_ENDS, *full.values[:4])
+    decay = amplitude_at(t / span_s, *full.values)
     if chi2_per_dof > _MIN_EXCESS:
-        decay = amplitude_at(t / span_s, *full.values[:4])
-        clear = decay > _MIN_RELATIVE_AMPLITUDE
-        with np.errstate(divide="ignore"):
-            residual, u_residual = y / scale / decay - 1.0, u / scale / decay
-        covariance *= _rate_excess(
-            t[clear], residual[clear], u_residual[clear], decay[clear] * scale, covariance
-        )
-    parts = [
-        DampingTerm(
+        is_used = decay > _MIN_RELATIVE_AMPLITUDE
+        fitted = decay[is_used]
+        residual, u_residual = y[is_used] / scale / fitted - 1.0, u[is_used] / scale / fitted
+        covariance *= _rate_excess(t[is_used], residual, u_residual, fitted * scale, covariance)
+    terms = {
+        name: DampingTerm(
             float(full.values[k + 1] * sizes[k]),
             sqrt(covariance[k, k]),
-            float(sum(chance for subset, chance in chances.items() if name in subset) / total),
+            float(sum(weight for subset, weight in weights.items() if name in subset) / total),
         )
         for k, name in enumerate(PARTS)
-    ]
+    }
     single = fits[("linear",)]
-    u_rate = sqrt(single.covariance[2, 2] * max(1.0, single.chi2 / (freedom + 2)))
+    u_rate = sqrt(single.covariance[2, 2] * max(1.0, single.chi2 / (dof + 2)))
     if not single.values[2] > 3.0 * u_rate:
         raise DataError("the amplitude does not fall: this is not a ring-down, or too short a part of one")
     return DampingTerms(
         samples=len(y),
-        constant=parts[0],
-        linear=parts[1],
-        quadratic=parts[2],
+        **terms,
         covariance=covariance,
-        first=float(ends[0] * scale),
-        last=float(ends[1] * scale),
+        first=float(decay[0] * scale),
+        last=float(decay[-1] * scale),
         chi2_per_dof=chi2_per_dof,
     )
 
 
 def _rate_excess(t_s: Floats, residual: Floats, u: Floats, amplitude: Floats, covariance: Floats) -> float:
-    """Mean square by which the rates of stretches lie off the fitted one, in its variances; at least 1.
+    """Mean square deviation of the rates of stretches from the fitted one, in its variances; at least 1.
 
-    `residual` (n,) is that of ln(amplitude), with `u`, `covariance` (3, 3) that of the parts. Slopes
-    of the residuals that agree with their noise, as each stretch shows it, enlarge nothing.
+    `residual` (n,) is that of ln(amplitude), with `u`, `covariance` (3, 3) that of the parts. Slopes of the
+    residuals that agree with their noise, as each stretch shows it, give 1.
     """
-    count = min(_STRETCHES, len(t_s) // _FEWEST_OF_STRETCH)
-    if count < _FEWEST_STRETCHES:
+    count = min(_STRETCHES, len(t_s) // _MIN_STRETCH_AMPLITUDES)
+    if count < _MIN_STRETCHES:
         return 1.0
     slopes2, u2, fitted2 = np.empty((3, count))
     for k, rows in enumerate(np.array_split(np.arange(len(t_s)), count)):
@@ -216,10 +213,9 @@ class _Fit:
 
     def start(self) -> Floats:
         """Start values: first amplitude, and a linear part from the time in which the amplitude halves."""
-        head = max(len(self._y) // 50, 1)
-        first = float(np.median(self._y[:head]))
-        halved = np.nonzero(self._y < 0.5 * first)[0]
-        half_time = float(self._t[halved[0]]) if len(halved) and halved[0] > 0 else 1.0
+        first = float(np.median(self._y[: max(len(self._y) // 50, 1)]))
+        below_half = np.flatnonzero(self._y < 0.5 * first)
+        half_time = float(self._t[below_half[0]]) if len(below_half) and below_half[0] > 0 else 1.0
         return np.array([first, 0.0, max(log(2.0) / half_time, 0.05), 0.0])
 
     def parts(self, subset: Sequence[str], start: Floats) -> _DampingSolution:

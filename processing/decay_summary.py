@@ -15,12 +15,34 @@ from processing.swing import TurningPoints
 
 FEWEST_PERIODS = 5
 """Smallest number of full periods to which Eq. 6 is fitted."""
+MIN_TURNING_POINTS = 4
+"""Smallest number of turning points: a straight line leaves two degrees of freedom for its scatter."""
+_MIN_PART_POINTS = 3
+_MAX_CONSTANT_CHI2 = 4.0
+"""chi2/dof of a constant value above which its residuals are more than scatter."""
+_AGREEMENT_U = 2.0
+"""Standard uncertainties of their difference within which both ends agree."""
+_SIGNIFICANT_U = 2.0
+"""Standard uncertainties above which a decrement differs from zero, so that its reciprocal has a value."""
+_PARTS = 3
+"""Number of equal parts of the half-cycles; a change is that from the first part to the last."""
+_MIN_FORECAST_AMPLITUDES = 6
+"""Smallest number of amplitudes of a forecast: four parameters leave two degrees of freedom."""
+_MAX_FORECAST_AMPLITUDES = 240
+"""Largest number of amplitudes: the covariance of a random walk is full, and its factor costs their cube."""
+_GRID_NODES = 400
+"""Nodes of the amplitude grid. With 6,400 the forecast differs by a thousandth of its uncertainty."""
+_PRIOR, _U_PRIOR = np.array([0.0, 0.0, 0.87, math.log(0.25)]), np.array([0.06, 0.6])
+"""Means of the parameters, and standard deviations of the last two, p and ln d; the others have no prior."""
+_WALK_RATIOS = np.geomspace(1e-3, 10.0, 9)
+"""Variances of a half-cycle's step of the walk that are tried, relative to the variance of the noise."""
 
 
 class Periods(NamedTuple):
-    """Full periods centred on turning points with both neighbours; `where` are these points' positions."""
+    """Full periods centred on turning points with both neighbours."""
 
-    where: Ints
+    points: Ints
+    """Positions of these turning points in the arrays."""
     period_s: Floats
     u_period_s: Floats
 
@@ -32,13 +54,12 @@ def reference_amplitude(points: TurningPoints) -> float:
 
 def full_periods(points: TurningPoints) -> Periods:
     """Times between the neighbours of each turning point, if neither neighbour is missing."""
-    complete = (points.index[2:] - points.index[:-2]) == 2
-    where = np.nonzero(complete)[0] + 1
+    centres = np.flatnonzero(points.index[2:] - points.index[:-2] == 2) + 1
     u2 = points.u_time_s**2
     return Periods(
-        where,
-        points.time_s[where + 1] - points.time_s[where - 1],
-        np.sqrt(u2[where + 1] + u2[where - 1]),
+        centres,
+        points.time_s[centres + 1] - points.time_s[centres - 1],
+        np.sqrt(u2[centres + 1] + u2[centres - 1]),
     )
 
 
@@ -53,34 +74,21 @@ def mean_period_estimate(points: TurningPoints, chi2_per_dof: float) -> Estimate
     return Estimate(mean_period(points), float(2 * u / (points.index[-1] - points.index[0])))
 
 
-MIN_TURNING_POINTS = 4
-"""Fewest turning points: a straight line leaves two degrees of freedom for its scatter."""
-_MIN_OF_PART = 3
-_NOT_CONSTANT = 4.0
-"""chi2/dof of a constant value above which its residuals are more than scatter."""
-_AGREEMENT_U = 2.0
-"""Standard uncertainties of their difference within which both ends agree."""
-_SIGNIFICANT_U = 2.0
-"""Standard uncertainties above which a decrement differs from zero, so that its reciprocal has a value."""
-_PARTS = 3
-"""Number of equal parts of the half-cycles; a change is that from the first part to the last."""
-
-
 @dataclass(frozen=True, slots=True)
 class DecayMean:
-    """Mean over a decay of a value that may change with the amplitude.
-
-    `u` is multiplied by sqrt(max(1, chi2_per_dof)). If the residuals are more than scatter, `u` also includes
-    the spread of a value that changes evenly from `first` to `last`. These are the means over the first and
-    the last third, with `u_first` and `u_last`; they are NaN for fewer than nine half-cycles.
-    """
+    """Mean over a decay of a value that may change with the amplitude."""
 
     value: float
     u: float
+    """Multiplied by sqrt(max(1, chi2_per_dof)). If the residuals are more than scatter, it also includes the
+    spread of a value that changes evenly from `first` to `last`.
+    """
     chi2_per_dof: float
     first: float = np.nan
+    """Mean over the first third; NaN for fewer than nine half-cycles, like the others."""
     u_first: float = np.nan
     last: float = np.nan
+    """Mean over the last third."""
     u_last: float = np.nan
 
     @property
@@ -89,7 +97,7 @@ class DecayMean:
 
         Larger residuals without a change are included in `u` by chi2/dof.
         """
-        if not self.chi2_per_dof > _NOT_CONSTANT:
+        if not self.chi2_per_dof > _MAX_CONSTANT_CHI2:
             return False
         if np.isnan(self.first):
             return True
@@ -98,17 +106,15 @@ class DecayMean:
 
 @dataclass(frozen=True, slots=True)
 class DecaySummary:
-    """Means over a decay with standard uncertainties.
-
-    `period_s` is twice the slope of turning time against half-cycle, `decrement` the logarithmic decrement of
-    a full period, from the slope of ln(amplitude).
-    """
+    """Means over a decay with standard uncertainties."""
 
     half_cycles: int
     initial_amplitude: float
     final_amplitude: float
     period_s: DecayMean
+    """Twice the slope of turning time against half-cycle number."""
     decrement: DecayMean
+    """Logarithmic decrement of a full period, from the slope of ln(amplitude)."""
 
     @property
     def grows(self) -> bool:
@@ -121,10 +127,10 @@ class DecaySummary:
 
         None if the decrement changes, is not significantly positive, or exceeds pi (faster than a period).
         """
-        found = self.decrement
-        if found.changes or found.value > np.pi or not found.value > _SIGNIFICANT_U * found.u:
+        value, u = self.decrement.value, self.decrement.u
+        if self.decrement.changes or value > np.pi or not value > _SIGNIFICANT_U * u:
             return None
-        return Estimate(np.pi / found.value, np.pi / found.value * found.u / found.value)
+        return Estimate(np.pi / value, np.pi / value * u / value)
 
 
 def summarise_decay(points: TurningPoints) -> DecaySummary:
@@ -147,19 +153,20 @@ def summarise_decay(points: TurningPoints) -> DecaySummary:
 
 
 def _mean(index: Ints, values: Floats, u_values: Floats, factor: float) -> DecayMean:
-    """Slope of values against the half-cycle's index, multiplied by `factor`."""
-    found = _slope(index, values, u_values, factor)
+    """Slope of values against the half-cycle's index, multiplied by `factor`, with those of both ends."""
+    mean = _slope(index, values, u_values, factor)
     count = len(index) // _PARTS
-    if count < _MIN_OF_PART:
-        return found
+    if count < _MIN_PART_POINTS:
+        return mean
     first = _slope(index[:count], values[:count], u_values[:count], factor)
     last = _slope(index[-count:], values[-count:], u_values[-count:], factor)
-    # from the middle of the first third to that of the last are two thirds of the decay
-    found = replace(found, first=first.value, u_first=first.u, last=last.value, u_last=last.u)
+    spread = 0.0
     # also if the ends agree: large residuals may be a change for which their points are too few
-    is_more = found.chi2_per_dof > _NOT_CONSTANT
-    spread = 1.5 * abs(last.value - first.value) / np.sqrt(12.0) if is_more else 0.0
-    return replace(found, u=float(np.hypot(found.u, spread)))
+    if mean.chi2_per_dof > _MAX_CONSTANT_CHI2:
+        # from the middle of the first third to that of the last are two thirds of the decay
+        spread = 1.5 * abs(last.value - first.value) / np.sqrt(12.0)
+    u = float(np.hypot(mean.u, spread))
+    return replace(mean, u=u, first=first.value, u_first=first.u, last=last.value, u_last=last.u)
 
 
 def _slope(index: Ints, values: Floats, u_values: Floats, factor: float) -> DecayMean:
@@ -174,18 +181,6 @@ def _slope(index: Ints, values: Floats, u_values: Floats, factor: float) -> Deca
     chi2_per_dof = float(residual @ residual) / (len(x) - 2)
     u_slope = float(np.sqrt(max(1.0, chi2_per_dof) / spread))
     return DecayMean(factor * slope, abs(factor) * u_slope, chi2_per_dof)
-
-
-_MIN_TO_FORECAST = 6
-"""Fewest amplitudes: four parameters leave two degrees of freedom."""
-_MAX_AMPLITUDES = 240
-"""Most amplitudes: the covariance of a random walk is full, and its factor costs the cube of the number."""
-_GRID_NODES = 400
-"""Nodes of the amplitude grid. With 6,400 the forecast differs by a thousandth of its uncertainty."""
-_PRIOR, _U_PRIOR = np.array([0.0, 0.0, 0.87, math.log(0.25)]), np.array([0.06, 0.6])
-"""Means of the parameters, and standard deviations of the last two, p and ln d; the others have no prior."""
-_WALK_RATIOS = np.geomspace(1e-3, 10.0, 9)
-"""Variances of a half-cycle's step of the walk that are tried, relative to the variance of the noise."""
 
 
 class Forecast(NamedTuple):
@@ -214,15 +209,15 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
     Parameters
     ----------
     times_s, amplitudes, u_amplitudes
-        Turning points in order, arrays of equal length; more than 240 are thinned evenly.
+        Turning points in order, arrays of equal length; many are thinned evenly (`_MAX_FORECAST_AMPLITUDES`).
     """
     good = np.isfinite(amplitudes) & (amplitudes > 0) & (u_amplitudes > 0)
     times_s, amplitudes, u_amplitudes = times_s[good], amplitudes[good], u_amplitudes[good]
-    if len(times_s) < _MIN_TO_FORECAST:
+    if len(times_s) < _MIN_FORECAST_AMPLITUDES:
         return Forecast(math.nan, math.nan)
     if amplitudes[-1] <= final:
         return Forecast(0.0, 0.0)
-    chosen = np.unique(np.linspace(0, len(times_s) - 1, _MAX_AMPLITUDES).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(times_s) - 1, _MAX_FORECAST_AMPLITUDES).round().astype(int))
     decay = _Decay(times_s[chosen] - times_s[-1], amplitudes[chosen], u_amplitudes[chosen], final)
     if not decay.slope < 0:
         return Forecast(math.nan, math.nan)
@@ -266,15 +261,14 @@ class _Decay:
         u_t = self._u / (-self.slope * self._a)
 
         def residuals(parameters: Floats) -> Floats:
-            late = (self._times(parameters)[:-1] - self._t) / u_t
-            return np.concatenate([late, (parameters - _PRIOR)[2:] / _U_PRIOR])
+            delay = (self._times(parameters)[:-1] - self._t) / u_t
+            return np.concatenate([delay, (parameters - _PRIOR)[2:] / _U_PRIOR])
 
         start = np.array([self._t[0], math.log(-self.slope * self._grid[0]), *_PRIOR[2:]])
         reach = np.array([np.inf, 5.0, *(10 * _U_PRIOR)])
-        found = solve(
+        return solve(
             differenced(residuals), start, lower=start - reach, upper=start + reach, max_evaluations=60
-        )
-        return found.values
+        ).values
 
     def remaining(self, half_period_s: float) -> Forecast:
         """Forecast averaged over the sizes of the walk, weighted by their likelihoods."""
@@ -295,7 +289,7 @@ class _Decay:
         noise = np.diag((self._u * self._interpolate(self._a, paces)) ** 2)
         earlier_index = np.minimum.outer(np.arange(count), np.arange(count))
 
-        def solved(ratio: float) -> tuple[float, float, float]:
+        def correction(ratio: float) -> tuple[float, float, float]:
             """Correction of the final time, its variance and the log likelihood, for a size of the walk."""
             root = cholesky(noise + ratio * walk_variance[earlier_index], lower=True)
             white = solve_triangular(
@@ -307,7 +301,7 @@ class _Decay:
             scale = max(1.0, float(unexplained @ unexplained) / max(count - 4, 1))
             rows = np.concatenate([e / math.sqrt(scale), -prior_rows @ (parameters - _PRIOR)])
             fit = FactoredJacobian(np.vstack([a / math.sqrt(scale), prior_rows]))
-            shift, rest = fit.coefficients(rows), fit.residual(rows)
+            shift, residual_rows = fit.coefficients(rows), fit.residual(rows)
             # the future walk starts from the present offset of the walk
             value = float(slopes[-1] @ shift + last @ (e - a @ shift))
             variance = float(np.sum(((slopes[-1] - last @ a) @ fit.root) ** 2))
@@ -316,17 +310,18 @@ class _Decay:
                 - float(last @ last)
                 + median_u2 * float(paces[-1]) ** 2
             )
-            cost = float(rest @ rest) + count * math.log(scale) + 2.0 * float(np.log(np.diag(root)).sum())
+            chi2, log_det_root = float(residual_rows @ residual_rows), float(np.log(np.diag(root)).sum())
+            cost = chi2 + count * math.log(scale) + 2.0 * log_det_root
             return value, variance + scale * ahead, -0.5 * (cost + fit.log_det)
 
         # a decay that does not determine the parameters may have no solution
         with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
-            found = np.array([solved(ratio) for ratio in _WALK_RATIOS])
-            found = found[np.all(np.isfinite(found), axis=1)]
-            if len(found):
-                weight = np.exp(found[:, 2] - found[:, 2].max())
+            table = np.array([correction(ratio) for ratio in _WALK_RATIOS])
+            values, variances, log_likelihoods = table[np.all(np.isfinite(table), axis=1)].T
+            if len(values):
+                weight = np.exp(log_likelihoods - log_likelihoods.max())
                 weight /= weight.sum()
-                mean = float(weight @ found[:, 0])
-                variance = float(weight @ (found[:, 1] + (found[:, 0] - mean) ** 2))
+                mean = float(weight @ values)
+                variance = float(weight @ (variances + (values - mean) ** 2))
                 return Forecast(float(times[-1]) + mean, math.sqrt(max(variance, 0.0)))
         return Forecast(math.nan, math.nan)

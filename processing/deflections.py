@@ -10,7 +10,7 @@ import numpy as np
 from processing.arrays import Flags, Floats, Ints
 from processing.units import ARCSEC_RAD, seconds
 
-_COLUMNS = ("times_ns", "x", "y", "u_x", "u_y")
+_ARRAYS = ("times_ns", "x", "y", "u_x", "u_y")
 
 
 class DeflectionUnit(StrEnum):
@@ -50,7 +50,7 @@ class Deflections:
 
     def __getitem__(self, rows: slice | Flags) -> Self:
         """Deflections of some of the frames."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
+        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 
     @property
     def times_s(self) -> Floats:
@@ -79,8 +79,8 @@ class Deflections:
 
 def no_deflections(unit: DeflectionUnit) -> Deflections:
     """Empty deflections."""
-    nothing = np.empty(0)
-    return Deflections(np.empty(0, np.int64), nothing, nothing, nothing, nothing, unit)
+    empty = np.empty(0)
+    return Deflections(np.empty(0, np.int64), empty, empty, empty, empty, unit)
 
 
 def slow_deflections(times_ns: Ints, y: Floats, u_y: Floats | float) -> Deflections:
@@ -95,12 +95,12 @@ def joined(parts: Iterable[Deflections], unit: DeflectionUnit) -> Deflections:
 
     Raises ValueError if the parts have different units.
     """
-    every = list(parts)
-    if not every:
+    parts = list(parts)
+    if not parts:
         return no_deflections(unit)
-    if len({part.unit for part in every}) > 1:
-        raise ValueError(
-            f"deflections in {' and '.join(sorted({part.unit for part in every}))} cannot be joined"
-        )
-    columns: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in every]) for n in _COLUMNS}
-    return replace(every[0], **columns)
+    if len(units := {part.unit for part in parts}) > 1:
+        raise ValueError(f"deflections in {' and '.join(sorted(units))} cannot be joined")
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS
+    }
+    return replace(parts[0], **arrays)

@@ -1,4 +1,4 @@
-"""Errors that are reported to the user.
+"""Errors that are reported to the user, and the texts of their messages.
 
 A message names the item, the value received and what to do. Modules raise the most specific class; the
 command line prints any `RigError` as one line and sets the exit status.
@@ -28,20 +28,21 @@ class DeviceError(RigError):
 class MissingPackage(ConfigurationError, DeviceError):
     """A Python package of an optional part of the program, such as a kind of camera, is not installed.
 
-    `extra` is the extra of pyproject.toml that installs it, `instead` an alternative without the package.
+    `purpose` needs the package, `extra` is the extra of pyproject.toml that installs it, `alternative` does
+    without it.
     """
 
-    def __init__(self, what: str, package: str, extra: str, instead: str = "") -> None:
-        brought = f"{what} needs {package}, of the extra {extra}: {sys.executable} -m pip install {package}"
-        super().__init__(f"{brought}, or {instead}" if instead else brought)
+    def __init__(self, purpose: str, package: str, extra: str, alternative: str = "") -> None:
+        text = f"{purpose} needs {package}, of the extra {extra}: {sys.executable} -m pip install {package}"
+        super().__init__(f"{text}, or {alternative}" if alternative else text)
 
 
-def optional_module(module: str, what: str, package: str, extra: str, instead: str = "") -> Any:
-    """A module of an optional package; raises MissingPackage, with the other arguments, without it."""
+def optional_module(module: str, purpose: str, package: str, extra: str, alternative: str = "") -> Any:
+    """The module `module`; raises MissingPackage, with the other arguments, if it is not installed."""
     try:
         return import_module(module)
     except ImportError:
-        raise MissingPackage(what, package, extra, instead) from None
+        raise MissingPackage(purpose, package, extra, alternative) from None
 
 
 class RecordError(RigError):
@@ -49,38 +50,38 @@ class RecordError(RigError):
 
 
 class DataError(RigError):
-    """The data do not suffice for the analysis requested (too few swings, no spot, no decay)."""
+    """The data do not suffice for the analysis requested (too few half-cycles, no spot, no decay)."""
 
 
-def require_schema(what: str, stated: object, read: int, kind: type[RigError]) -> None:
-    """Raise `kind` for a file, `what`, whose `stated` schema is not the one that this version reads."""
-    if stated != read or isinstance(stated, bool):
-        raise kind(f"{what}: is of schema {stated!r}; this version reads schema {read}")
+def require_schema(file: str, schema: object, supported: int, kind: type[RigError]) -> None:
+    """Raise an error of this `kind` for a file whose schema is not the one that this version reads."""
+    if schema != supported or isinstance(schema, bool):
+        raise kind(f"{file}: is of schema {schema!r}; this version reads schema {supported}")
 
 
-KeyPlace = tuple[int | str, ...]
+KeyPath = tuple[int | str, ...]
 """Keys, and positions in lists from 0, from the top of a file to a value in it."""
 
 
-def dotted(place: KeyPlace) -> str:
+def dotted_key(path: KeyPath) -> str:
     """The path of a key as `--set` takes it."""
-    return ".".join(part if isinstance(part, str) and part.isprintable() else repr(part) for part in place)
+    return ".".join(part if isinstance(part, str) and part.isprintable() else repr(part) for part in path)
 
 
-def place_in_words(place: KeyPlace) -> str:
+def key_path_text(path: KeyPath) -> str:
     """The path of a key as a person reads it: entries of a list count from 1, ``level 1: frames``."""
     text = ""
-    for depth, part in enumerate(place):
+    for depth, part in enumerate(path):
         if isinstance(part, int):
             text += f" {part + 1}"
         elif depth:
-            text += f"{': ' if isinstance(place[depth - 1], int) else '.'}{dotted((part,))}"
+            text += f"{': ' if isinstance(path[depth - 1], int) else '.'}{dotted_key((part,))}"
         else:
-            text = dotted((part,))
+            text = dotted_key((part,))
     return text
 
 
-def in_one_line(error: Exception) -> str:
+def one_line_text(error: Exception) -> str:
     """Text of an error in one line, after the name of its class unless it is a `RigError`."""
     text = re.sub(r"\s+", " ", f"{error}").strip()
     if isinstance(error, RigError):

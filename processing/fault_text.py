@@ -1,10 +1,10 @@
-"""Faults that pydantic finds in the tables of a file, in words."""
+"""Faults that pydantic reports of the tables of a file, as text."""
 
 import datetime
 from collections.abc import Mapping
 from typing import Any, Final
 
-from processing.errors import place_in_words
+from processing.errors import key_path_text
 from processing.units import unit_of_name
 
 Fault = Mapping[str, Any]
@@ -27,19 +27,19 @@ _EXPECTED: Final = {
 
 def fault_text(fault: Fault) -> str:
     """A fault in one line: the key, its value and what it should be; the message alone without a key."""
-    place, message = place_in_words(fault["loc"]), str(fault["msg"]).removeprefix("Value error, ")
+    key, message = key_path_text(fault["loc"]), str(fault["msg"]).removeprefix("Value error, ")
     if is_unknown_key(fault):
-        return f"{place}: unknown key"
+        return f"{key}: unknown key"
     if fault["type"] in ("missing", "missing_argument"):
-        return f"{place}: is missing; state a value"
-    if not place:
+        return f"{key}: is missing; state a value"
+    if not key:
         return message
     if not fault["type"].startswith("value_error"):
         message = f"should be {expected_text(fault)}"
     elif isinstance(fault["input"], Mapping):
         # the fault is of a whole section, whose message names keys and values itself
-        return f"{place}: {message.removeprefix(f'{place}: ')}"
-    return f"{place} = {value_text(fault['input'])}: {message}"
+        return f"{key}: {message.removeprefix(f'{key}: ')}"
+    return f"{key} = {value_text(fault['input'])}: {message}"
 
 
 def is_unknown_key(fault: Fault) -> bool:
@@ -55,8 +55,8 @@ def expected_text(fault: Fault) -> str:
     if expected := _EXPECTED.get(kind.partition("_")[0]):
         return expected
     if kind in ("too_short", "too_long"):
-        least, most = (fault["ctx"].get(name) for name in ("min_length", "max_length"))
-        return f"a list of {f'{least} entries or more' if most is None else f'at most {most} entries'}"
+        low, high = (fault["ctx"].get(name) for name in ("min_length", "max_length"))
+        return f"a list of {f'{low} entries or more' if high is None else f'at most {high} entries'}"
     text = str(fault["msg"]).removeprefix("Input should be ").partition(", unable to")[0]
     if kind.startswith(("greater_than", "less_than")):
         text = text.replace("greater than or equal to", "at least").replace(
@@ -68,6 +68,6 @@ def expected_text(fault: Fault) -> str:
 
 
 def value_text(value: Any) -> str:
-    """A value as a message shows it, cut where it is long."""
+    """A value as a message shows it; a long one is cut."""
     text = value.isoformat() if isinstance(value, datetime.datetime) else repr(value)
     return text if len(text) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."

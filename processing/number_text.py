@@ -29,15 +29,14 @@ def rounded(value: float, u: float) -> Rounded:
     factored out from 10⁵ on, below 10⁻², and if the second digit of u is left of the decimal point, so that
     all printed digits are significant. Both must be finite and u above 0.
     """
-    exact = _decimal(value)
     u_rounded = Decimal(f"{_decimal(u):.1e}")
-    place = u_rounded.adjusted() - 1
-    value_rounded = exact.quantize(Decimal((0, (1,), place)), context=_EXACT)
-    leading = max(value_rounded, -value_rounded, u_rounded).adjusted()
-    exponent = 0 if -3 < leading <= 4 and place <= 0 else leading
-    decimals = exponent - place
+    last_digit = u_rounded.adjusted() - 1
+    value_rounded = _decimal(value).quantize(Decimal((0, (1,), last_digit)), context=_EXACT)
+    first_digit = max(value_rounded, -value_rounded, u_rounded).adjusted()
+    exponent = 0 if -3 < first_digit <= 4 and last_digit <= 0 else first_digit
     value_text, u_text = (
-        f"{number.scaleb(-exponent, _EXACT):.{decimals}f}" for number in (value_rounded, u_rounded)
+        f"{number.scaleb(-exponent, _EXACT):.{exponent - last_digit}f}"
+        for number in (value_rounded, u_rounded)
     )
     if not value_rounded:
         value_text = value_text.lstrip("-")
@@ -67,11 +66,11 @@ def judged_number(value: float, u: float, limit: float) -> str:
     """
     if not math.isfinite(value) or limit <= 0:
         return with_uncertainty(value, u, signed=True)
-    place = math.floor(math.log10(limit)) - 2
-    if u >= 10.0**place:
+    last_digit = math.floor(math.log10(limit)) - 2
+    if u >= 10.0**last_digit:
         return with_uncertainty(value, u, signed=True)
     # a value that rounds to zero has no minus sign
-    return f"{round(value, -place) + 0.0:+.{max(-place, 0)}f}".replace("-", MINUS)
+    return f"{round(value, -last_digit) + 0.0:+.{max(-last_digit, 0)}f}".replace("-", MINUS)
 
 
 def power(exponent: int) -> str:

@@ -5,18 +5,17 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from processing.arrays import Flags, Floats
+from processing.arrays import Complexes, Flags, Floats
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import GROUND_SEEN, LEAST_UNEXPLAINED, Seismogram, Signals, density_of_step, plain_signals
 
-_FEWEST_PERIODS = 8
+_MIN_PERIODS = 8
 _PERIODS_S = (1.5, 15.0)
 """Range in which the period is searched for."""
-_FEWEST_SAMPLES = 8
-"""Fewest samples in a period."""
+_MIN_SAMPLES = 8
+"""Smallest number of samples in a period."""
 _BIN_S = 0.1
 """Time over which the deflections are averaged; no motion of a pendulum at rest is faster."""
 
@@ -39,14 +38,14 @@ def rest_oscillation(time_s: Floats, deflection: Floats) -> RestOscillation:
     has_spot = np.isfinite(deflection)
     time_s, deflection = _bin_means(time_s[has_spot], deflection[has_spot])
     span_s = float(np.ptp(time_s)) if len(time_s) else 0.0
-    if span_s < _FEWEST_PERIODS * _PERIODS_S[0]:
+    if span_s < _MIN_PERIODS * _PERIODS_S[0]:
         raise DataError(f"{span_s:.3g} s of the pendulum at rest are too short to see the ground")
     period_s = _period(time_s, deflection, span_s)
     periods = int(span_s / period_s)
-    if periods < _FEWEST_PERIODS:
+    if periods < _MIN_PERIODS:
         raise DataError(
             f"the spot at rest moves mostly with a period of {period_s:.3g} s; {span_s:.3g} s contain "
-            f"{periods} periods, and the ground needs {_FEWEST_PERIODS}"
+            f"{periods} periods, and the ground needs {_MIN_PERIODS}"
         )
     return RestOscillation(time_s, deflection, period_s, periods)
 
@@ -71,7 +70,7 @@ def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
     return float(1 / frequency_hz[np.argmax(amplitude)])
 
 
-def quadratures_of(rest: RestOscillation, deflections: Floats) -> tuple[NDArray[np.complex128], float]:
+def quadratures_of(rest: RestOscillation, deflections: Floats) -> tuple[Complexes, float]:
     """Complex amplitudes (cosine + i sine) in each period (periods, series) of deflections (times, series).
 
     They are fitted together with an offset and a slope. The second result is the variance of either amplitude
@@ -84,26 +83,22 @@ def quadratures_of(rest: RestOscillation, deflections: Floats) -> tuple[NDArray[
     design = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(phase), phase])
     for k in range(rest.periods):
         inside = (time_s >= k * period_s) & (time_s < (k + 1) * period_s)
-        if np.count_nonzero(inside) < _FEWEST_SAMPLES:
-            raise DataError(
-                f"{np.count_nonzero(inside)} samples in a period of {period_s:.3g} s at rest are too few"
-            )
+        samples = np.count_nonzero(inside)
+        if samples < _MIN_SAMPLES:
+            raise DataError(f"{samples} samples in a period of {period_s:.3g} s at rest are too few")
         fitted = np.linalg.lstsq(design[inside], deflections[inside], rcond=None)[0]
         quadratures[k] = fitted[0] + 1j * fitted[1]
         residual_step = np.diff(deflections[inside, 0] - design[inside] @ fitted[:, 0])
-        variance[k] = np.mean(residual_step**2) / (np.count_nonzero(inside) - 4)
+        variance[k] = np.mean(residual_step**2) / (samples - 4)
     return quadratures, float(np.median(variance))
 
 
-def driven_steps(quadratures: NDArray[np.complex128]) -> Floats:
-    """Steps (periods - 1, 2) of the quadratures without the part in proportion to them.
+def _driven_steps(step: Complexes, middle: Complexes) -> Complexes:
+    """Steps of the quadratures from period to period without the part in proportion to their middles.
 
-    The decay and an error of the period give that part; what the ground drives is independent of it.
+    The decay and an error of the period give that part; the motion by the ground is independent of it.
     """
-    step, middle = np.diff(quadratures), 0.5 * (quadratures[1:] + quadratures[:-1])
-    driven = step - middle * np.vdot(middle, step) / np.vdot(middle, middle)
-    driven *= np.sqrt(len(step) / (len(step) - 1))
-    return np.column_stack([driven.real, driven.imag])
+    return np.asarray(step - middle * (np.vdot(middle, step) / np.vdot(middle, middle)))
 
 
 _RISE_OF_U, _RISE_OF_BOUND = 1.0, 2.706
@@ -112,7 +107,8 @@ _MIN_OSCILLATION_RATIO = 5.0
 """Smallest mean square of the oscillation, relative to that of the reading noise, that shows a drive."""
 _U_LOG_READING_VARIANCE = 0.5
 """Standard uncertainty of the logarithm of the reading's variance, which neighbouring samples show too small
-where the air moves slowly."""
+where the air moves slowly.
+"""
 _GRID = 10.0 ** np.arange(-6.0, 2.01, 0.05)
 """Variances that are tried, relative to the mean square of the steps."""
 
@@ -142,7 +138,7 @@ def drive_at_rest(time_s: Floats, deflection: Floats) -> GroundDrive:
     Raises
     ------
     DataError
-        Fewer than eight periods, or too few samples in one.
+        Too few periods, or too few samples in one.
 
     Notes
     -----
@@ -154,7 +150,11 @@ def drive_at_rest(time_s: Floats, deflection: Floats) -> GroundDrive:
     rest = rest_oscillation(time_s, deflection)
     period_s, periods = rest.period_s, rest.periods
     quadratures, expected = quadratures_of(rest, rest.deflection[:, None])
-    steps = driven_steps(quadratures[:, 0])
+    series = quadratures[:, 0]
+    driven = _driven_steps(np.diff(series), 0.5 * (series[1:] + series[:-1]))
+    # the part in proportion to the quadratures takes one degree of freedom
+    driven *= np.sqrt(len(driven) / (len(driven) - 1))
+    steps = np.column_stack([driven.real, driven.imag])
     power = np.sum(dst(steps, type=1, axis=0, norm="ortho") ** 2, axis=1)
     cosine = np.cos(np.pi * np.arange(1, periods) / periods)
     unit = float(np.mean(power)) / 2
@@ -186,7 +186,7 @@ def _crossing(rise: Floats, best: int, side: int, target: float) -> float:
     return float(_GRID[k])
 
 
-_STEPS_A_PERIOD = 80
+_INTERVALS_PER_PERIOD = 80
 """Intervals per period over which the seismometer's record is integrated."""
 _DELAYS = np.linspace(-0.25, 0.25, 11)
 """Delays of the seismometer that are tried, in periods: a serial line or network delivers samples late."""
@@ -198,7 +198,7 @@ _MIN_FREE_STEPS = 5
 _PERIOD_ITERATIONS = 3
 _CHANCE_LEVEL = 0.95
 _NORMAL_95 = 1.96
-_LARGEST_FACTOR = 1 / LEAST_UNEXPLAINED
+_MAX_FACTOR = 1 / LEAST_UNEXPLAINED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -275,9 +275,9 @@ def seismometer_at_rest(time_s: Floats, deflection: Floats, seismometer: Seismog
         steps=comparison.steps,
         coherence=coherence,
         chance_coherence=float(betaincinv(fitted_dof, dof / _STEPS_PER_INDEPENDENT, _CHANCE_LEVEL)),
-        factor=float(min(np.cosh(fisher), _LARGEST_FACTOR)),
-        lower_95=float(min(low, _LARGEST_FACTOR)),
-        upper_95=float(min(high, _LARGEST_FACTOR)),
+        factor=float(min(np.cosh(fisher), _MAX_FACTOR)),
+        lower_95=float(min(low, _MAX_FACTOR)),
+        upper_95=float(min(high, _MAX_FACTOR)),
     )
 
 
@@ -293,7 +293,7 @@ def _compare_steps(rest: RestOscillation, signals: Signals) -> _StepComparison:
     quadratures = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
     use = _are_covered(rest, signals)
     step, middle = np.diff(quadratures)[use], (0.5 * (quadratures[1:] + quadratures[:-1]))[use]
-    driven = step - middle * (np.vdot(middle, step) / np.vdot(middle, middle))
+    driven = _driven_steps(step, middle)
     power = float(np.vdot(driven, driven).real)
     predictions = _predicted_steps(rest, signals)[:, :, use]
     fits = []
@@ -307,10 +307,10 @@ def _compare_steps(rest: RestOscillation, signals: Signals) -> _StepComparison:
     return _StepComparison(len(step), 1 - smallest / power, period_s)
 
 
-def _predicted_steps(rest: RestOscillation, signals: Signals) -> NDArray[np.complex128]:
+def _predicted_steps(rest: RestOscillation, signals: Signals) -> Complexes:
     """Steps (delays, components, periods - 1) of an undamped pendulum that a component drives."""
     # at the record's own times and between them, so that each sample has the same weight
-    points = ceil(_STEPS_A_PERIOD * signals.longest_step_s / rest.period_s)
+    points = ceil(_INTERVALS_PER_PERIOD * signals.longest_step_s / rest.period_s)
     number = np.arange(len(signals.time_s))
     time_s = np.interp(np.arange(0, number[-1] + 0.5 / points, 1 / points), number, signals.time_s)
     phasor = np.exp(2j * np.pi * time_s / rest.period_s)
@@ -330,8 +330,8 @@ def _are_covered(rest: RestOscillation, signals: Signals) -> Flags:
     """Whether the seismometer's record covers each step from period to period."""
     edges = rest.time_s[0] + rest.period_s * np.arange(rest.periods + 1)
     pause = np.flatnonzero(np.diff(signals.time_s) > signals.longest_step_s)
-    # a little time beyond the record's ends is no gap: mostly both records begin and end together
-    little_s = rest.period_s * float(np.max(np.abs(_DELAYS)))
-    begins = np.concatenate([[-np.inf], signals.time_s[pause], [signals.time_s[-1] + little_s]])
-    ends = np.concatenate([[signals.time_s[0] - little_s], signals.time_s[pause + 1], [np.inf]])
+    # the largest delay beyond the record's ends is no gap: mostly both records begin and end together
+    max_delay_s = rest.period_s * float(np.max(np.abs(_DELAYS)))
+    begins = np.concatenate([[-np.inf], signals.time_s[pause], [signals.time_s[-1] + max_delay_s]])
+    ends = np.concatenate([[signals.time_s[0] - max_delay_s], signals.time_s[pause + 1], [np.inf]])
     return np.asarray(~np.any((edges[:-2, None] < ends) & (edges[2:, None] > begins), axis=1))

@@ -1,4 +1,4 @@
-"""Declarations of numbers, each stated once: on the field that holds it, or here if it follows from a fit."""
+"""Declarations of numbers with symbol, meaning and units: on the field that holds one, or here."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,9 +11,9 @@ from processing.units import conversion, unit_of_name
 OWN: Final = "that of the quantity"
 """Unit of a number that has the unit of its quantity: its value, a part of its uncertainty."""
 STATED: Final = "stated in "
-"""``STATED + "unit"``: the unit is stated in the field `unit` beside the number."""
+"""``STATED + "unit"``: the unit is stated in the field `unit` of the same object."""
 OF: Final = "unit of "
-"""``OF + "source"``: the unit is that of the quantity named in the field `source` beside the number."""
+"""``OF + "source"``: the unit is that of the quantity named in the field `source` of the same object."""
 PER: Final = " per "
 """Separator of two such units, of which the first is divided by the second."""
 
@@ -46,7 +46,7 @@ class Quantity:
 PLAIN: Final = Quantity("", "", unit="1")
 """Declaration of numbers without a unit in a mapping whose keys have one."""
 IN_UNIT: Final = Quantity("", "in `unit`", unit=STATED + "unit")
-"""Declaration of a number whose unit is stated in the field `unit` beside it."""
+"""Declaration of a number whose unit is stated in the field `unit` of the same object."""
 PART: Final = Quantity("", "", unit=OWN)
 """Declaration of a number in the unit of its quantity: a value, a bound, a contribution."""
 
@@ -55,10 +55,10 @@ PART: Final = Quantity("", "", unit=OWN)
 def quantities_of(kind: type) -> Mapping[str, Quantity]:
     """Declarations of a dataclass's fields by name, each with its unit."""
     return {
-        name: declared if declared.unit else replace(declared, unit=unit_of_name(name) or "1")
+        name: quantity if quantity.unit else replace(quantity, unit=unit_of_name(name) or "1")
         for name, hint in get_type_hints(kind, include_extras=True).items()
-        for declared in getattr(hint, "__metadata__", ())
-        if isinstance(declared, Quantity)
+        for quantity in getattr(hint, "__metadata__", ())
+        if isinstance(quantity, Quantity)
     }
 
 
@@ -96,7 +96,7 @@ class DecayQuantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentQuantities:
-    """Quantities that other kinds of pendulum measure, the main ones first, each with those beside it."""
+    """Quantities that other kinds of pendulum measure, the main ones first."""
 
     time_hardness_s: Annotated[float, Quantity("time hardness", "time hardness, ten single swings", "s")]
     scale_hardness: Annotated[float, Quantity("scale hardness", "scale hardness, first swing", unit="1")]
@@ -125,5 +125,5 @@ class InstrumentQuantities:
     chi2_per_dof: Annotated[float, Quantity("χ²/dof", "χ² per degree of freedom", unit="1")]
     plane_turned_deg: Annotated[float, Quantity("turned", "turned in all", "deg", "deg")]
     plane_width_ratio: Annotated[float, Quantity("width", "width of the swing over its length", unit="1")]
-    inferred_swings: Annotated[float, Quantity("inferred", "turning points off the sensor", unit="1")]
+    inferred_half_cycles: Annotated[float, Quantity("inferred", "turning points off the sensor", unit="1")]
     mean_period_s: Annotated[float, Quantity("T", "mean period", "s")]

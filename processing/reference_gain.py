@@ -1,11 +1,13 @@
-"""Gain of the reference, swinging and at rest: motion of the pendulum's spot per motion of the reference."""
+"""Gain of the reference, of a swinging pendulum and of one at rest: motion of the pendulum's spot per motion
+of the reference.
+"""
 
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from processing.arrays import Floats, Ints
+from processing.arrays import Complexes, Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.least_squares import FactoredJacobian
@@ -13,11 +15,11 @@ from processing.reference_spot import BLOCKS, common_motion, fitted_gain, u_of_b
 from processing.units import seconds
 
 _MIN_STRETCHES = 10
-_LONGEST_S = 64.0
+_MAX_STRETCH_S = 64.0
 _MIN_FRAMES = 64
-"""Fewest frames of a stretch."""
-_LARGEST_LOST_PART = 0.1
-"""Minimum fraction of lost frames of a stretch that is left out."""
+"""Smallest number of frames of a stretch."""
+_MAX_LOST_FRACTION = 0.1
+"""Largest fraction of lost frames of a stretch that is used."""
 _WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
 """Window of Blackman and Harris: at sidelobes of -92 dB a swing of 1e4 times the beam's motion is gone."""
 _STARTS_PER_LENGTH = 4
@@ -36,49 +38,44 @@ def gain_while_swinging(
     Raises DataError for too short a run, and for a reference that shows no motion above its noise.
     """
     time_s = seconds(times_ns - times_ns[0])
-    found = (
-        np.isfinite(spot_px)
-        & np.isfinite(u_spot_px)
-        & np.isfinite(reference_px)
-        & np.isfinite(u_reference_px)
-    )
-    if np.count_nonzero(found) < _MIN_FRAMES * _MIN_STRETCHES:
+    has_both = np.all(np.isfinite([spot_px, u_spot_px, reference_px, u_reference_px]), axis=0)
+    frames = np.count_nonzero(has_both)
+    if frames < _MIN_FRAMES * _MIN_STRETCHES:
         raise DataError(
-            f"{np.count_nonzero(found)} frames have both spots; {_MIN_FRAMES * _MIN_STRETCHES} are needed "
-            "for the gain of the reference: state reference.gain"
+            f"{frames} frames have both spots; {_MIN_FRAMES * _MIN_STRETCHES} are needed for the gain of the "
+            "reference: state reference.gain"
         )
     step_s = float(np.median(np.diff(time_s)))
     even_s = step_s * np.arange(round(time_s[-1] / step_s) + 1)
-    spot, reference = (np.interp(even_s, time_s[found], one[found]) for one in (spot_px, reference_px))
-    presence = np.interp(even_s, time_s, found.astype(np.float64))
-    length = min(len(even_s) // _MIN_STRETCHES, max(_MIN_FRAMES, round(_LONGEST_S / step_s)))
+    presence = np.interp(even_s, time_s, has_both.astype(np.float64))
+    length = min(len(even_s) // _MIN_STRETCHES, max(_MIN_FRAMES, round(_MAX_STRETCH_S / step_s)))
     starts = [
-        k
-        for k in range(0, len(even_s) - length + 1, length // _STARTS_PER_LENGTH)
-        if _complete(presence[k : k + length])
+        start
+        for start in range(0, len(even_s) - length + 1, length // _STARTS_PER_LENGTH)
+        if np.mean(presence[start : start + length]) > 1 - _MAX_LOST_FRACTION
     ]
     if len(starts) < BLOCKS:
         raise DataError("too few stretches of the run have both spots: state reference.gain")
     window = _window(length)
-    spectra = [_spectra(np.stack([one[k : k + length] for k in starts]), window) for one in (spot, reference)]
-    noise = float(np.mean(u_reference_px[found] ** 2)) * float(np.sum(window**2))
-    spot_spectra, reference_spectra = spectra
+
+    def spectra(position_px: Floats) -> Complexes:
+        even = np.interp(even_s, time_s[has_both], position_px[has_both])
+        return _spectra(np.stack([even[start : start + length] for start in starts]), window)
+
+    spot_spectra, reference_spectra = spectra(spot_px), spectra(reference_px)
+    noise = float(np.mean(u_reference_px[has_both] ** 2)) * float(np.sum(window**2))
     cross = np.real(np.conj(reference_spectra) * spot_spectra)
     power = np.abs(reference_spectra) ** 2 - noise
     gain = 0.0
     for _ in range(_WEIGHT_ITERATIONS):
         weight = 1 / _means_of_others(np.abs(spot_spectra - gain * reference_spectra) ** 2)
-        top, bottom = np.sum(cross * weight, axis=1), np.sum(power * weight, axis=1)
-        gain = _ratio(top, bottom)
-    # neighbours overlap, so that each part has several
-    u = u_of_blocks(lambda kept: _ratio(top[kept], bottom[kept]), len(starts))
-    if not (np.sum(bottom) > 0 and np.isfinite(u)):
+        numerator, denominator = np.sum(cross * weight, axis=1), np.sum(power * weight, axis=1)
+        gain = _ratio(numerator, denominator)
+    # neighbours overlap, so that each block has several
+    u = u_of_blocks(lambda rows: _ratio(numerator[rows], denominator[rows]), len(starts))
+    if not (np.sum(denominator) > 0 and np.isfinite(u)):
         raise DataError("the reference shows no motion over its own noise, so that its gain is unknown")
     return Estimate(gain, u)
-
-
-def _complete(presence: Floats) -> bool:
-    return float(np.mean(presence)) > 1 - _LARGEST_LOST_PART
 
 
 def _window(length: int) -> Floats:
@@ -86,7 +83,7 @@ def _window(length: int) -> Floats:
     return np.asarray(sum((-1) ** k * a * np.cos(k * phase) for k, a in enumerate(_WINDOW)))
 
 
-def _spectra(stretches: Floats, window: Floats) -> np.ndarray:
+def _spectra(stretches: Floats, window: Floats) -> Complexes:
     """Spectra (stretches, frequencies) without mean and drift of each, and without the lowest frequency."""
     line = np.linspace(-1.0, 1.0, stretches.shape[1])
     level = stretches.mean(axis=1, keepdims=True)
@@ -99,14 +96,14 @@ def _means_of_others(values: Floats) -> Floats:
 
     A weight from the stretch's own noise would favour frequencies at which that is small by chance.
     """
-    places = np.arange(len(values))
-    apart = np.abs(places[:, None] - places) >= _STARTS_PER_LENGTH
-    return np.asarray(apart @ values / apart.sum(axis=1, keepdims=True))
+    index = np.arange(len(values))
+    is_apart = np.abs(index[:, None] - index) >= _STARTS_PER_LENGTH
+    return np.asarray(is_apart @ values / is_apart.sum(axis=1, keepdims=True))
 
 
-def _ratio(top: Floats, bottom: Floats) -> float:
-    below = float(np.sum(bottom))
-    return float(np.sum(top)) / below if below > 0 else float("nan")
+def _ratio(numerator: Floats, denominator: Floats) -> float:
+    total = float(np.sum(denominator))
+    return float(np.sum(numerator)) / total if total > 0 else float("nan")
 
 
 _KNOT_PERIODS = 3.0
@@ -162,10 +159,10 @@ def reference_at_rest(
     if not common.share > 0:
         return ReferenceAtRest(float(np.nanstd(spot)), Estimate(1.0, 0.0), Estimate(np.nan, np.inf), 0.0)
     fitted = fitted_gain(spot, u_spot_px, replace(common, value=motion), use)
-    left = spot[use] - (fitted.value if gain is None else gain) * motion[use]
-    parts = np.array_split(np.arange(len(left)), BLOCKS)
-    powers = np.array([[np.mean(spot[use][part] ** 2), np.mean(left[part] ** 2)] for part in parts])
-    factor = Estimate(_power_ratio(powers), u_of_blocks(lambda kept: _power_ratio(powers[kept]), BLOCKS))
+    corrected = spot[use] - (fitted.value if gain is None else gain) * motion[use]
+    blocks = np.array_split(np.column_stack([spot[use], corrected]) ** 2, BLOCKS)
+    powers = np.array([block.mean(axis=0) for block in blocks])
+    factor = Estimate(_power_ratio(powers), u_of_blocks(lambda rows: _power_ratio(powers[rows]), BLOCKS))
     return ReferenceAtRest(float(np.std(spot[use])), factor, fitted, common.share)
 
 

@@ -12,13 +12,13 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.units import seconds
 
-_BANDS_A_DECADE = 8
+_BANDS_PER_DECADE = 8
 """Bands over which the spectrum of the reference is averaged; in each the filter is constant."""
 _PADDED_FRACTION = 0.5
 """Length by which a run is mirrored at each end, relative to its length."""
 _END_FRAMES = 10
 """Frames averaged for the level at an end of a run."""
-_LONGEST_GAP_S = 0.5
+_MAX_GAP_S = 0.5
 """Longest gap bridged by interpolation of the motion."""
 _MIN_FRAMES = 200
 BLOCKS = 10
@@ -62,31 +62,30 @@ def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMo
 
     Raises DataError for too few frames.
     """
-    found = np.isfinite(position_px) & np.isfinite(u_px)
-    if np.count_nonzero(found) < _MIN_FRAMES:
+    has_spot = np.isfinite(position_px) & np.isfinite(u_px)
+    if np.count_nonzero(has_spot) < _MIN_FRAMES:
         raise DataError(
-            f"the reference spot is found in {np.count_nonzero(found)} frames; {_MIN_FRAMES} are needed"
+            f"the reference spot is found in {np.count_nonzero(has_spot)} frames; {_MIN_FRAMES} are needed"
         )
     time_s = seconds(times_ns - times_ns[0])
     step_s = float(np.median(np.diff(time_s)))
     even_s = step_s * np.arange(round(time_s[-1] / step_s) + 1)
-    even = np.interp(even_s, time_s[found], position_px[found])
+    even = np.interp(even_s, time_s[has_spot], position_px[has_spot])
     even -= even.mean()
-    noise = float(np.mean(u_px[found] ** 2))
+    noise = float(np.mean(u_px[has_spot] ** 2))
     pad = max(1, min(int(_PADDED_FRACTION * len(even)), len(even) - 1))
     # mirrored about the mean level at each end; mirroring about one noisy frame would make a step
-    about = min(_END_FRAMES, len(even))
-    low, high = float(even[:about].mean()), float(even[-about:].mean())
-    padded = np.concatenate([2 * low - even[pad:0:-1], even, 2 * high - even[-2 : -2 - pad : -1]])
+    first, last = float(even[:_END_FRAMES].mean()), float(even[-_END_FRAMES:].mean())
+    padded = np.concatenate([2 * first - even[pad:0:-1], even, 2 * last - even[-2 : -2 - pad : -1]])
     spectrum = np.fft.rfft(padded)
     # the contribution of each frequency to the variance of a sample
     power = 2 * np.abs(spectrum) ** 2 / len(padded) ** 2
     white = 2 * noise / len(padded)
     motion = np.maximum(_in_bands(power) - white, 0.0)
-    keep = motion / np.maximum(motion + white, np.finfo(float).tiny)
-    filtered = np.fft.irfft(keep * spectrum, len(padded))[pad : pad + len(even)]
-    u = float(np.sqrt(np.sum(keep[1:] * white)))
-    known = ~_in_long_gap(time_s, time_s[found], _LONGEST_GAP_S)
+    transfer = motion / np.maximum(motion + white, np.finfo(float).tiny)
+    filtered = np.fft.irfft(transfer * spectrum, len(padded))[pad : pad + len(even)]
+    u = float(np.sqrt(np.sum(transfer[1:] * white)))
+    known = ~_is_in_gap(time_s, time_s[has_spot])
     value = np.where(known, np.interp(time_s, even_s, filtered), 0.0)
     variance = float(np.sum(motion[1:]))
     return CommonMotion(value, np.where(known, u, inf), known, variance / (variance + noise))
@@ -94,36 +93,36 @@ def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMo
 
 def _in_bands(power: Floats) -> Floats:
     """Means over bands of equal width in log frequency, each band at least one frequency wide."""
-    place = np.zeros(len(power))
-    place[1:] = np.floor(np.log10(np.arange(1, len(power))) * _BANDS_A_DECADE) + 1
-    _, first, which = np.unique(place, return_index=True, return_inverse=True)
+    band = np.zeros(len(power))
+    band[1:] = np.floor(np.log10(np.arange(1, len(power))) * _BANDS_PER_DECADE) + 1
+    _, first, band_of = np.unique(band, return_index=True, return_inverse=True)
     counts = np.diff([*first, len(power)])
-    return np.asarray((np.add.reduceat(power, first) / counts)[which])
+    return np.asarray((np.add.reduceat(power, first) / counts)[band_of])
 
 
-def _in_long_gap(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
-    """Whether each time (n,) is in a gap longer than `longest_s`."""
-    after = np.clip(np.searchsorted(found_s, time_s), 0, len(found_s) - 1)
-    before = np.clip(after - 1, 0, len(found_s) - 1)
+def _is_in_gap(time_s: Floats, spot_s: Floats) -> Flags:
+    """Whether each time (n,) is in a gap of the times `spot_s` that is longer than `_MAX_GAP_S`."""
+    following = np.clip(np.searchsorted(spot_s, time_s), 0, len(spot_s) - 1)
+    preceding = np.clip(following - 1, 0, len(spot_s) - 1)
     gap_s = np.where(
-        time_s < found_s[0],
-        found_s[0] - time_s,
-        np.where(time_s > found_s[-1], time_s - found_s[-1], found_s[after] - found_s[before]),
+        time_s < spot_s[0],
+        spot_s[0] - time_s,
+        np.where(time_s > spot_s[-1], time_s - spot_s[-1], spot_s[following] - spot_s[preceding]),
     )
-    return np.asarray((gap_s > longest_s) & (found_s[after] != time_s))
+    return np.asarray((gap_s > _MAX_GAP_S) & (spot_s[following] != time_s))
 
 
 @dataclass(frozen=True, slots=True)
 class CorrectedPositions:
     """Positions of the pendulum's spot minus the common motion, along one axis, in px.
 
-    `fallen_back` marks frames in a long gap of the reference: their positions are unchanged, and their u
-    includes the common motion. If the reference is refused, all positions are unchanged.
+    If the reference is refused, all positions are unchanged.
     """
 
     position_px: Floats
     u_px: Floats
     fallen_back: Flags
+    """Frames in a long gap of the reference: positions are unchanged, their u includes the common motion."""
     gain: Estimate
     verdict: ReferenceVerdict
 
@@ -143,7 +142,7 @@ def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: 
             "of the reference: state it, or let the pendulum rest for longer before it is released"
         )
     spot, motion = position_px[use], common.value[use]
-    u = u_of_blocks(lambda kept: _gain(spot[kept], motion[kept]), len(spot))
+    u = u_of_blocks(lambda rows: _gain(spot[rows], motion[rows]), len(spot))
     return Estimate(_gain(spot, motion), u)
 
 
@@ -186,9 +185,8 @@ def subtract_common_motion(
     fall = _likelihood_fall(position_px, common, gain.value, quiet)
     if fall is not None and not fall > _MIN_FALL:
         return uncorrected(position_px, u_px, gain, ReferenceVerdict.NO_GAIN)
-    size = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
-    of_common = np.where(common.known, common.u, size)
-    variance = u_px**2 + (gain.value * of_common) ** 2
+    rms_px = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
+    variance = u_px**2 + (gain.value * np.where(common.known, common.u, rms_px)) ** 2
     variance += np.where(common.known, (gain.standard_uncertainty * common.value) ** 2, 0.0)
     return CorrectedPositions(
         position_px - gain.value * common.value,

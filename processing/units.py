@@ -1,4 +1,4 @@
-"""Table of units, angles and ticks of a clock; the reading of a unit, and factors between units."""
+"""Units: their table, the reading of a unit's text, factors between units; ticks of a clock in s."""
 
 import math
 import re
@@ -14,8 +14,6 @@ from processing.errors import ConfigurationError
 
 ARCSEC_RAD = math.pi / 648000.0
 """One arcsec in rad."""
-
-
 S_PER_NS: Final = 1e-9
 NS_PER_S: Final = 1e9
 
@@ -123,10 +121,10 @@ def size(unit: str) -> Size:
     factor, powers = 1.0, dict[str, Fraction]()
     try:
         for symbol, power in factors(unit):
-            one = _symbol(symbol, unit)
-            factor *= one.factor ** float(power)
-            for name, own in one.powers.items():
-                powers[name] = powers.get(name, Fraction(0)) + own * power
+            symbol_size = _symbol_size(symbol, unit)
+            factor *= symbol_size.factor ** float(power)
+            for name, symbol_power in symbol_size.powers.items():
+                powers[name] = powers.get(name, Fraction(0)) + symbol_power * power
     except OverflowError:
         factor = math.inf
     if not 0 < factor < math.inf:
@@ -145,10 +143,10 @@ def factors(unit: str) -> tuple[tuple[str, Fraction], ...]:
     tokens = [match for match in _TOKEN.finditer(unit.strip()) if match[0].strip()]
     if not any(match[4] for match in tokens) or "".join(match[0] for match in tokens).split() != unit.split():
         raise ConfigurationError(f"{unit!r} is not a known unit")
-    found, rest = _product(unit, [match.groups("") for match in tokens])
-    if rest:
+    product, later_tokens = _product(unit, [match.groups("") for match in tokens])
+    if later_tokens:
         raise ConfigurationError(f"{unit!r} is not a unit: a bracket is missing")
-    return tuple(found)
+    return tuple(product)
 
 
 def conversion(unit: str, into: str) -> float:
@@ -158,10 +156,10 @@ def conversion(unit: str, into: str) -> float:
     """
     if unit == into:
         return 1.0
-    one, other = size(unit), size(into)
-    if one.powers != other.powers:
+    unit_size, into_size = size(unit), size(into)
+    if unit_size.powers != into_size.powers:
         raise ConfigurationError(f"{unit} is not a unit of the same thing as {into}")
-    return one.factor / other.factor
+    return unit_size.factor / into_size.factor
 
 
 def units_like(unit: str, among: tuple[str, ...]) -> tuple[str, ...]:
@@ -174,10 +172,10 @@ def unit_of_name(name: str) -> str:
 
     A name that consists only of a unit (``m``, ``u_c``) counts as a symbol, without a unit.
     """
-    quantity, *below = name.split("_per_")
+    quantity, *divisors = name.split("_per_")
     words = quantity.split("_")
     count = 2 if words[-2:] in _PRODUCTS_IN_NAMES else 1
-    units = [_IN_NAMES.get(word) for word in (*words[-count:], *"_".join(below).split("_")) if word]
+    units = [_IN_NAMES.get(word) for word in (*words[-count:], *"_".join(divisors).split("_")) if word]
     # a last n is an exponent and not newtons; a last c is a parameter except in temperatures
     is_letter = count == 1 and (words[-1] == "n" or (words[-1] == "c" and "temperature" not in words))
     if words[:-count] in ([], ["u"]) or None in units or is_letter:
@@ -194,31 +192,31 @@ def _product(
     unit: str, tokens: list[tuple[str, ...]], *, bracketed: bool = False
 ) -> tuple[list[tuple[str, Fraction]], list[tuple[str, ...]]]:
     """Product at the start of the tokens, up to the closing bracket if `bracketed`, and later tokens."""
-    found, sign = list[tuple[str, Fraction]](), 0
+    product, sign = list[tuple[str, Fraction]](), 0
     while tokens and tokens[0][0] != ")":
         (bracket, _, operator, symbol, raised), *tokens = tokens
         if operator:
-            if sign or not found:
+            if sign or not product:
                 raise ConfigurationError(f"{unit!r} is not a unit: nothing stands before {operator!r}")
             sign = -1 if operator == "/" else 1
             continue
         power = Fraction(sign or 1)
         if bracket:
-            one, tokens = _product(unit, tokens, bracketed=True)
+            inner, tokens = _product(unit, tokens, bracketed=True)
             power *= Fraction(1, 2) if bracket != "(" else 1
         elif symbol:
-            one = [(symbol, Fraction(1))]
+            inner = [(symbol, Fraction(1))]
         else:
             raise ConfigurationError(f"{unit!r} is not a unit: it has a power without a base")
         if tokens and tokens[0][1]:
             raised, tokens = tokens[0][1], tokens[1:]
         if raised:
             power *= _power(raised.translate(_SUPERSCRIPTS), unit)
-        found += [(each, own * power) for each, own in one]
+        product += [(inner_symbol, inner_power * power) for inner_symbol, inner_power in inner]
         sign = 0
-    if sign or not found or (bracketed and not tokens):
+    if sign or not product or (bracketed and not tokens):
         raise ConfigurationError(f"{unit!r} is not a unit: it ends too early, or a bracket is missing")
-    return found, tokens[1:] if bracketed else tokens
+    return product, tokens[1:] if bracketed else tokens
 
 
 def _power(text: str, unit: str) -> Fraction:
@@ -233,20 +231,20 @@ def split_prefix(symbol: str) -> tuple[str, str]:
 
     Raises ConfigurationError for an unknown symbol.
     """
-    spelled = _SPELLINGS.get(symbol, symbol)
-    if spelled in _OTHERS or spelled in _PREFIXABLE:
-        return "", spelled
-    if spelled[:1] in _PREFIXES and spelled[1:] in _PREFIXABLE:
-        return spelled[0], spelled[1:]
+    symbol = _SPELLINGS.get(symbol, symbol)
+    if symbol in _OTHERS or symbol in _PREFIXABLE:
+        return "", symbol
+    if symbol[:1] in _PREFIXES and symbol[1:] in _PREFIXABLE:
+        return symbol[0], symbol[1:]
     raise ConfigurationError(f"{symbol!r} is not a known unit")
 
 
-def _symbol(symbol: str, unit: str) -> Size:
+def _symbol_size(symbol: str, unit: str) -> Size:
     try:
-        prefix, rest = split_prefix(symbol)
+        prefix, base = split_prefix(symbol)
     except ConfigurationError:
         raise ConfigurationError(f"{unit!r} is not a known unit") from None
     if not prefix:
-        return _OTHERS.get(rest) or _PREFIXABLE[rest]
-    found = _PREFIXABLE[rest]
-    return Size(_PREFIXES[prefix] * found.factor, found.powers)
+        return _OTHERS.get(base) or _PREFIXABLE[base]
+    base_size = _PREFIXABLE[base]
+    return Size(_PREFIXES[prefix] * base_size.factor, base_size.powers)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame
-from processing.errors import DeviceError, RigError, in_one_line
+from processing.errors import DeviceError, RigError, one_line_text
 from processing.units import seconds
 
 _log = logging.getLogger(__name__)
@@ -155,7 +155,7 @@ def driver_errors(camera: str, what: str) -> Iterator[None]:
     except Exception as error:
         # the traceback tells the author of a driver where it failed
         _log.error("%s: %s failed", camera, what, exc_info=error)
-        raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
+        raise DeviceError(f"{camera}: {what} failed: {one_line_text(error)}") from error
 
 
 def end_within(ending: Callable[[], object], name: str, timeout_s: float = _END_TIMEOUT_S) -> str:
@@ -176,7 +176,7 @@ def end_within(ending: Callable[[], object], name: str, timeout_s: float = _END_
     thread.join(timeout_s)
     if thread.is_alive():
         return f"{name} has not returned for {timeout_s:g} s, and is left to itself"
-    return f"{name} failed: {in_one_line(errors[0])}" if errors else ""
+    return f"{name} failed: {one_line_text(errors[0])}" if errors else ""
 
 
 class CameraCounts:
@@ -201,7 +201,7 @@ class CameraCounts:
             if not self._failure_reported:
                 self._failure_reported = True
                 self._remark = (
-                    f"cannot be read any more: {in_one_line(error)}; frames that are missing are seen by "
+                    f"cannot be read any more: {one_line_text(error)}; frames that are missing are seen by "
                     "their numbers"
                 )
         else:

@@ -32,7 +32,7 @@ from acquisition.simulation.smooth_series import (
     coefficients_through,
     sampled,
 )
-from processing.errors import ConfigurationError, in_one_line
+from processing.errors import ConfigurationError, one_line_text
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.units import conversion
 
@@ -63,7 +63,7 @@ def read_ground_file(path: Path) -> GroundRecord:
     except FileNotFoundError:
         raise _fault(path, "no such file; name a CSV file of ground accelerations") from None
     except (OSError, ValueError) as error:
-        raise _fault(path, f"cannot be read: {in_one_line(error)}; cut the file at its gaps") from None
+        raise _fault(path, f"cannot be read: {one_line_text(error)}; cut the file at its gaps") from None
     if len(values) < _MIN_SAMPLES:
         raise _fault(path, f"has {len(values)} samples; at least {_MIN_SAMPLES} are needed")
     if values.shape[1] != 1 + len(scales) or not np.isfinite(values).all():

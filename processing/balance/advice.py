@@ -16,30 +16,29 @@ from processing.arrays import Flags, Floats
 from processing.balance.balance import BalanceLimits, Doubt, Room, Turn, Unreachable
 from processing.balance.weight_response import MAX_PLAY, WeightResponse
 
-_SMALLEST_SWING_ARCSEC = 10.0
+_MIN_SWING_ARCSEC = 10.0
 """Smallest amplitude of the next measurement that a turn must leave possible."""
-_WEAKEST_EFFECT = 0.3
+_MIN_RELATIVE_EFFECT = 0.3
 """Smallest effect of a weight that is allowed for, relative to its expected effect."""
-_UNKNOWN_EFFECT = 30.0
+_U_UNKNOWN_EFFECT = 30.0
 """Standard uncertainty of the effect of one turn of an unknown weight, in limits."""
 _MAX_UNKNOWN_TURNS = 1.0
 _TEST_MOVE = 10.0
 """Expected move of a test turn, in limits."""
-_TAKE_UP = 0.75
+_TAKE_UP_TURNS = 0.75
 """Turns beyond the aim and back again, which take up the play of the screw."""
 _TAKE_UP_COST = 0.3
-_SMALLEST_GAIN = 0.2
+"""Cost of a take-up, in squared limits."""
+_MIN_GAIN = 0.2
 """Smallest expected gain of a turn, in squared limits."""
 _VARIANCE_WEIGHT = 0.25
-"""Weight of a turn's variance in its cost. A failed turn teaches something, so that 1 would be timid."""
-_LINE_UNCERTAINTIES = 2.0
+"""Weight of a turn's variance in its cost; less than 1, because a failed turn also gives information."""
+_LINE_SIGMA = 2.0
 """Standard uncertainties by which a line may be wrong before balance is called unreachable."""
 _MAX_U_KNOWN_LINE_RAD = 0.3
 """Largest uncertainty of the line of a weight that counts as known."""
-_LARGEST_PUSH = 4.0
+_MAX_MOVE_RATIO = 4.0
 """Largest move of the rest position by one weight, relative to the distance from balance."""
-
-
 _DOUBT_EVIDENCE = math.log(1e3)
 """Log evidence against a turn as stated above which the statement is doubted."""
 _DIRECTION_EVIDENCE = 2.0
@@ -58,8 +57,8 @@ class WeightResponses:
     def __init__(self, nominal: Mapping[str, tuple[Floats, Floats] | None], limits: BalanceLimits) -> None:
         self._scale = np.array([limits.rest_arcsec, limits.rest_arcsec, limits.height_m])
         self._weights: dict[str, WeightResponse] = {}
-        for name, known in nominal.items():
-            effect, u_effect = known if known is not None else (np.zeros(3), _UNKNOWN_EFFECT * self._scale)
+        for name, expected in nominal.items():
+            effect, u_effect = expected or (np.zeros(3), _U_UNKNOWN_EFFECT * self._scale)
             self._weights[name] = WeightResponse(
                 np.asarray(effect, dtype=np.float64) / self._scale,
                 np.asarray(u_effect, dtype=np.float64) / self._scale,
@@ -76,8 +75,7 @@ class WeightResponses:
         """Learn from the states before and after turns of one weight; NaN for an unknown component."""
         parts = _parts(turns)
         if any(parts):
-            step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
-            self._weights[weight].learn(parts, step, u_step)
+            self._weights[weight].learn(parts, *self._step(before, after, u_state))
 
     def follow_turns(self, weight: str, turns: float | Sequence[float]) -> None:
         """Account for turns without usable states: only the screw's position within its play is updated."""
@@ -87,8 +85,12 @@ class WeightResponses:
         self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
     ) -> bool:
         """Whether turns of one weight can have changed one state into the other."""
-        step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
+        step, u_step = self._step(before, after, u_state)
         return self._weights[weight].can_make(_parts(turns), np.nan_to_num(step), np.nan_to_num(u_step))
+
+    def _step(self, before: Floats, after: Floats, u_state: Floats) -> tuple[Floats, Floats]:
+        """Change of the state and its standard uncertainty, in limits."""
+        return (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
 
     def doubt(
         self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
@@ -97,21 +99,24 @@ class WeightResponses:
 
         OPEN if another explanation is nearly as good.
         """
-        known, parts = self._weights[weight], _parts(turns)
-        step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
-        as_stated = known.log_evidence(parts, step, u_step)
-        still = known.log_evidence([0.0], step, np.hypot(u_step, _STATE_DRIFT_STD))
+        response, parts = self._weights[weight], _parts(turns)
+        step, u_step = self._step(before, after, u_state)
+        log_stated = response.log_evidence(parts, step, u_step)
+        log_stuck = response.log_evidence([0.0], step, np.hypot(u_step, _STATE_DRIFT_STD))
         # all turns reversed, or only the first of several, with those after it as stated
         reversed_turns = [[-part for part in parts], [-parts[0], *parts[1:]]]
-        if_reversed = max(known.log_evidence(parts_made, step, u_step) for parts_made in reversed_turns)
-        # the learned effect of a weight that never moved is zero: compare with the expected one, too
-        as_expected = WeightResponse(known.nominal, known.u_nominal).log_evidence(parts, step, u_step)
-        gain, doubt = max(
-            (still - min(as_stated, as_expected), Doubt.STUCK), (if_reversed - as_stated, Doubt.REVERSED)
+        log_reversed = max(
+            response.log_evidence(reversed_parts, step, u_step) for reversed_parts in reversed_turns
         )
-        if gain > _DOUBT_EVIDENCE:
+        # the learned effect of a weight that never moved is zero: compare with the expected one, too
+        log_expected = response.without_turns().log_evidence(parts, step, u_step)
+        evidence, doubt = max(
+            (log_stuck - min(log_stated, log_expected), Doubt.STUCK),
+            (log_reversed - log_stated, Doubt.REVERSED),
+        )
+        if evidence > _DOUBT_EVIDENCE:
             return doubt
-        return None if as_stated - if_reversed > _DIRECTION_EVIDENCE else Doubt.OPEN
+        return None if log_stated - log_reversed > _DIRECTION_EVIDENCE else Doubt.OPEN
 
     def relearn(
         self, weight: str, effects: Sequence[tuple[Sequence[float], Floats, Floats, Floats]] = ()
@@ -120,34 +125,28 @@ class WeightResponses:
 
         An effect is (turns, state before, state after, standard uncertainty).
         """
-        known = self._weights[weight]
-        fresh = self._weights[weight] = WeightResponse(known.nominal, known.u_nominal)
+        response = self._weights[weight] = self._weights[weight].without_turns()
         if effects:
-            turns = [
-                (_parts(parts), (after - before) / self._scale, math.sqrt(2.0) * u / self._scale)
-                for parts, before, after, u in effects
-            ]
-            fresh.learn(*max(turns, key=lambda turn: fresh.log_evidence(*turn)))
+            turns = [(_parts(parts), *self._step(*states)) for parts, *states in effects]
+            response.learn(*max(turns, key=lambda turn: response.log_evidence(*turn)))
 
     def without_weights(self, stuck: Collection[str]) -> "WeightResponses":
         """Copy with the other weights only."""
-        found = copy(self)
-        found._weights = {name: known for name, known in self._weights.items() if name not in stuck}
-        return found
+        others = copy(self)
+        others._weights = {name: weight for name, weight in self._weights.items() if name not in stuck}
+        return others
 
     def can_help(self, state: Floats, room: Room | None = None) -> bool:
         """Whether a turn of any weight is expected to improve the balance."""
         scaled_state = np.nan_to_num(state / self._scale)
-        return any(
-            self._best(name, state, scaled_state, room).gain > _SMALLEST_GAIN for name in self._weights
-        )
+        return any(self._best(name, state, scaled_state, room).gain > _MIN_GAIN for name in self._weights)
 
     def test_turn(self, weight: str, state: Floats, room: Room | None, why: str) -> Turn:
         """Best turn of one weight, or a test turn if the best one is too small to show whether it moves."""
         scaled_state = np.nan_to_num(state / self._scale)
-        best = self._best(weight, state, scaled_state, room)
-        shows = abs(sum(best.parts)) > MAX_PLAY
-        parts = best.parts if shows else self._test(weight, state, scaled_state, room)
+        parts = self._best(weight, state, scaled_state, room).parts
+        if not abs(sum(parts)) > MAX_PLAY:
+            parts = self._test(weight, state, scaled_state, room)
         return self._turn(weight, parts, state, room, f"{why}; ")
 
     def effect(self, weight: str) -> tuple[Floats, Floats]:
@@ -157,10 +156,9 @@ class WeightResponses:
 
     def largest_turns(self, weight: str, state: Floats) -> float:
         """Largest sensible turn: it suffices even if the weight is weak and its screw has play."""
-        known = self._weights[weight]
-        size = float(np.linalg.norm(known.nominal))
+        effect = float(np.linalg.norm(self._weights[weight].nominal))
         distance = float(np.linalg.norm(np.nan_to_num(state / self._scale)))
-        return (distance / (_WEAKEST_EFFECT * size) if size else _MAX_UNKNOWN_TURNS) + MAX_PLAY
+        return (distance / (_MIN_RELATIVE_EFFECT * effect) if effect else _MAX_UNKNOWN_TURNS) + MAX_PLAY
 
     def advise(self, state: Floats, room: Room | None = None) -> Turn | Unreachable | None:
         """Next turn of one weight; None if the state is within the limits.
@@ -178,50 +176,48 @@ class WeightResponses:
         # the correction of a height within its limit would cost more by the tilt that it brings
         planned = scaled_state * [1.0, 1.0, float(abs(scaled_state[2]) > 0.7)]
         options = {name: self._best(name, state, planned, room) for name in self._weights}
-        needed = {name: found for name, found in options.items() if found.gain > _SMALLEST_GAIN}
-        new = [name for name in needed if not self._weights[name].learned_turns]
-        alone = [name for name, found in options.items() if found.suffices]
+        useful = {name: option for name, option in options.items() if option.gain > _MIN_GAIN}
+        new = [name for name in useful if not self._weights[name].learned_turns]
+        sufficient = [name for name, option in options.items() if option.suffices]
         # a weight that seems useless may act across the axis after which it is named
-        idle = [
-            name for name in self._tilting if not self._weights[name].learned_turns and name not in needed
+        untested = [
+            name for name in self._tilting if not self._weights[name].learned_turns and name not in useful
         ]
-        tilted = bool(np.any(np.abs(scaled_state[:2]) > 1.0))
-        if not new and alone:
-            name = max(alone, key=lambda name: options[name].gain)
-        elif not needed or (tilted and idle and not new):
-            name = idle[0] if tilted and idle else self._least_known(scaled_state)
+        is_tilted = bool(np.any(np.abs(scaled_state[:2]) > 1.0))
+        if not new and sufficient:
+            name = max(sufficient, key=lambda name: options[name].gain)
+        elif not useful or (is_tilted and untested and not new):
+            name = untested[0] if is_tilted and untested else self._least_known(is_tilted)
             return self._turn(name, self._test(name, state, planned, room), state, room, "a test turn: ")
+        elif new:
+            name = max(new, key=lambda name: (not self._lifts(name), useful[name].u_move))
         else:
-            name = max(new or needed, key=lambda name: (not self._lifts(name), needed[name].u_move))
-            if not new:
-                name = max(needed, key=lambda name: needed[name].u_move)
+            name = max(useful, key=lambda name: useful[name].u_move)
         return self._turn(name, options[name].parts, state, room, "")
 
     def _best(self, name: str, state: Floats, scaled_state: Floats, room: Room | None) -> "_Option":
         """Turn of one weight with the smallest expected cost."""
         weight = self._weights[name]
-        most = self.largest_turns(name, state)
-        turns = np.linspace(-most, most, 301)
-        take_up = np.sign(turns) * _TAKE_UP
-        first = np.concatenate([turns, turns + take_up])
-        then = np.concatenate([np.zeros_like(turns), -take_up])
-        first, then = np.round(first, 2), np.round(then, 2)
-        move, u_move = weight.predict([first, then])
+        max_turns = self.largest_turns(name, state)
+        turns = np.linspace(-max_turns, max_turns, 301)
+        take_up = np.sign(turns) * _TAKE_UP_TURNS
+        first = np.round(np.concatenate([turns, turns + take_up]), 2)
+        second = np.round(np.concatenate([np.zeros_like(turns), -take_up]), 2)
+        move, u_move = weight.predict([first, second])
         remaining = scaled_state + move
-        residual_projector = self._uncorrectable_form(name)
-        cost = np.einsum(
-            "ni,ij,nj->n", remaining, residual_projector, remaining
-        ) + _VARIANCE_WEIGHT * u_move**2 @ np.diag(residual_projector)
-        cost += _TAKE_UP_COST * (then != 0) * bool(weight.learned_turns)
-        allowed = self._stays_on_sensor(state, move, u_move, room)
+        form = self._uncorrectable_form(name)
+        cost = np.einsum("ni,ij,nj->n", remaining, form, remaining)
+        cost = cost + _VARIANCE_WEIGHT * u_move**2 @ np.diag(form)
+        cost += _TAKE_UP_COST * (second != 0) * bool(weight.learned_turns)
+        is_allowed = self._stays_on_sensor(state, move, u_move, room)
         if not weight.learned_turns:
             # a first turn needs a take-up, as in `_test`, unless it is longer than the play
-            allowed &= (then != 0) | (np.abs(first) > MAX_PLAY)
-        allowed |= first == 0
-        k = int(np.argmin(np.where(allowed, cost, np.inf)))
+            is_allowed &= (second != 0) | (np.abs(first) > MAX_PLAY)
+        is_allowed |= first == 0
+        k = int(np.argmin(np.where(is_allowed, cost, np.inf)))
         gain = float(cost[first == 0].min() - cost[k])
         suffices = bool(np.all(np.abs(remaining[k]) + 2.0 * u_move[k] <= 0.9)) and first[k] != 0
-        return _Option((float(first[k]), float(then[k])), gain, float(np.linalg.norm(u_move[k])), suffices)
+        return _Option((float(first[k]), float(second[k])), gain, float(np.linalg.norm(u_move[k])), suffices)
 
     def _uncorrectable_form(self, name: str) -> Floats:
         """Quadratic form (3, 3): squared distance from balance that the other weights cannot correct."""
@@ -237,8 +233,8 @@ class WeightResponses:
         if room is None:
             return np.ones(len(move), dtype=np.bool_)
         rest, u_rest = state[:2] + move[:, :2] * self._scale[:2], u_move[:, :2] * self._scale[:2]
-        now = float(room.largest_swing_arcsec(state[:2], np.zeros(2)))
-        return np.asarray(room.largest_swing_arcsec(rest, u_rest) >= min(_SMALLEST_SWING_ARCSEC, now))
+        present = float(room.largest_swing_arcsec(state[:2], np.zeros(2)))
+        return np.asarray(room.largest_swing_arcsec(rest, u_rest) >= min(_MIN_SWING_ARCSEC, present))
 
     @property
     def _tilting(self) -> list[str]:
@@ -250,30 +246,29 @@ class WeightResponses:
         nominal = np.abs(self._weights[name].nominal)
         return bool(nominal[2] > max(nominal[0], nominal[1]))
 
-    def _least_known(self, scaled_state: Floats) -> str:
-        tilted = bool(np.any(np.abs(scaled_state[:2]) > 1.0))
+    def _least_known(self, is_tilted: bool) -> str:
         return min(
-            self._weights, key=lambda name: (self._weights[name].learned_turns, self._lifts(name) == tilted)
+            self._weights,
+            key=lambda name: (self._weights[name].learned_turns, self._lifts(name) == is_tilted),
         )
 
     def _test(self, name: str, state: Floats, scaled_state: Floats, room: Room | None) -> tuple[float, float]:
         """Test turn and take-up that show the effect of a weight, as large as the sensor allows."""
         weight = self._weights[name]
         mean, u = weight.effect()
-        most = min(
-            self.largest_turns(name, state), _TEST_MOVE / max(float(np.linalg.norm(np.hypot(mean, u))), 1e-9)
-        )
-        most += MAX_PLAY * min(1, weight.learned_turns)
-        turns = np.round(np.linspace(-most, most, 40), 2)
+        test_turns = _TEST_MOVE / max(float(np.linalg.norm(np.hypot(mean, u))), 1e-9)
+        max_turns = min(self.largest_turns(name, state), test_turns)
+        max_turns += MAX_PLAY * min(1, weight.learned_turns)
+        turns = np.round(np.linspace(-max_turns, max_turns, 40), 2)
         # without a take-up a first turn may be lost in the play of the screw
-        then = np.zeros_like(turns) if weight.learned_turns else -np.sign(turns) * _TAKE_UP
-        move, u_move = weight.predict([turns - then, then])
-        allowed = self._stays_on_sensor(state, move, u_move, room) & (turns != 0)
-        if not allowed.any():
+        second = np.zeros_like(turns) if weight.learned_turns else -np.sign(turns) * _TAKE_UP_TURNS
+        move, u_move = weight.predict([turns - second, second])
+        is_allowed = self._stays_on_sensor(state, move, u_move, room) & (turns != 0)
+        if not is_allowed.any():
             return round(math.copysign(0.02, -float(scaled_state @ mean) or 1.0), 2), 0.0
         cost = np.sum((scaled_state + move) ** 2, axis=-1) - np.sum(u_move**2, axis=-1)
-        k = int(np.argmin(np.where(allowed, cost, np.inf)))
-        return round(float(turns[k] - then[k]), 2), float(then[k])
+        k = int(np.argmin(np.where(is_allowed, cost, np.inf)))
+        return round(float(turns[k] - second[k]), 2), float(second[k])
 
     def _turn(
         self, name: str, parts: tuple[float, float], state: Floats, room: Room | None, why: str
@@ -283,15 +278,12 @@ class WeightResponses:
         swing = math.inf
         if room is not None:
             rest, u_rest = state[:2] + move[0, :2] * self._scale[:2], u_move[0, :2] * self._scale[:2]
-            swing = max(float(room.largest_swing_arcsec(rest, u_rest)), _SMALLEST_SWING_ARCSEC)
-        count = weight.learned_turns
-        why += (
-            f"learned from {count} turn{'s' if count > 1 else ''}"
-            if count
-            else (
-                "from its mass and thread" if weight.nominal.any() else "nothing is known of this weight yet"
-            )
-        )
+            swing = max(float(room.largest_swing_arcsec(rest, u_rest)), _MIN_SWING_ARCSEC)
+        if count := weight.learned_turns:
+            why += f"learned from {count} turn{'s' if count > 1 else ''}"
+        else:
+            known = weight.nominal.any()
+            why += "from its mass and thread" if known else "nothing is known of this weight yet"
         return Turn(name, parts[0], why, parts[1], swing)
 
     def _unreachable(self, scaled_state: Floats) -> str:
@@ -300,15 +292,16 @@ class WeightResponses:
         lines = np.array([self._weights[name].line() for name in names])
         if len(names) < 2 or not np.all(lines[:, 1] < _MAX_U_KNOWN_LINE_RAD):
             return ""
+        angles_rad, u_rad = lines.T
         # the lines as measured, and turned against one another within their uncertainties
-        error = _LINE_UNCERTAINTIES * lines[:, 1] ** 2 / float(np.linalg.norm(lines[:, 1]))
+        error = _LINE_SIGMA * u_rad**2 / float(np.linalg.norm(u_rad))
         signs = product((-1.0, 0.0, 1.0), repeat=len(names))
-        left = [self._remaining_rest(scaled_state, lines[:, 0] + sign * error) for sign in signs]
-        if not min(np.max(np.abs(rest)) for rest in left) > 1.0:
+        remaining = [self._remaining_rest(scaled_state, angles_rad + sign * error) for sign in signs]
+        if not min(np.max(np.abs(rest)) for rest in remaining) > 1.0:
             return ""
-        across = float(np.linalg.norm(self._remaining_rest(scaled_state, lines[:, 0]))) * self._scale[0]
+        across = float(np.linalg.norm(self._remaining_rest(scaled_state, angles_rad))) * self._scale[0]
         angles = ", ".join(
-            f"{name} {math.degrees(angle):.0f} deg" for name, angle in zip(names, lines[:, 0], strict=True)
+            f"{name} {math.degrees(angle):.0f} deg" for name, angle in zip(names, angles_rad, strict=True)
         )
         return (
             f"the weights move the rest position along one line ({angles} from X towards Y): "
@@ -316,20 +309,25 @@ class WeightResponses:
         )
 
     def _remaining_rest(self, scaled_state: Floats, angles_rad: Floats) -> Floats:
-        """Rest position, in limits, that remains if weights push along these lines within `_LARGEST_PUSH`."""
+        """Rest position, in limits, that remains if weights move it along these lines (`_MAX_MOVE_RATIO`)."""
         from scipy.optimize import lsq_linear
 
-        most = _LARGEST_PUSH * max(float(np.linalg.norm(scaled_state[:2])), 1.0)
-        ways = np.array([np.cos(angles_rad), np.sin(angles_rad)])
-        pushes = lsq_linear(ways, -scaled_state[:2], bounds=(-most, most)).x
-        return np.asarray(scaled_state[:2] + ways @ pushes)
+        max_move = _MAX_MOVE_RATIO * max(float(np.linalg.norm(scaled_state[:2])), 1.0)
+        directions = np.array([np.cos(angles_rad), np.sin(angles_rad)])
+        moves = lsq_linear(directions, -scaled_state[:2], bounds=(-max_move, max_move)).x
+        return np.asarray(scaled_state[:2] + directions @ moves)
 
 
 class _Option(NamedTuple):
+    """Best turn of one weight, with its take-up."""
+
     parts: tuple[float, float]
     gain: float
+    """Expected gain, in squared limits."""
     u_move: float
+    """Standard uncertainty of the move, in limits."""
     suffices: bool
+    """Whether this turn alone leads to balance."""
 
 
 def _parts(turns: float | Sequence[float]) -> tuple[float, ...]:

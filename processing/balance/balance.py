@@ -14,8 +14,8 @@ from processing.units import ARCSEC_RAD
 
 InUnit = Annotated[float, DeflectionUnit]
 """Number of a `Balance` in its `unit`, or in that unit per s."""
-_ANGLE = ("arcsec", "rad")
-_DRIFT = ("arcsec/min", "rad/s")
+_ANGLE_UNITS = ("arcsec", "rad")
+_DRIFT_UNITS = ("arcsec/min", "rad/s")
 """Unit in which a number is shown, and its unit with a lever."""
 
 
@@ -23,26 +23,20 @@ _DRIFT = ("arcsec/min", "rad/s")
 class Balance:
     """State of the balance, from two slow periods about `time_ns`.
 
-    `amplitude` is the slow mode's amplitude along Y, `transverse` the fast mode's amplitude along X
-    and `transverse_ratio` the second divided by the first. `line_angle_rad` is the angle of the line from Y
-    towards X, `rotation_rad_per_s` its rate of change, `width_ratio` the minor over the major axis of the
-    slow mode's ellipse, positive if the spot runs from +Y towards +X. `rest_` is the rest position, `drift_`
-    its drift. `period_ratio` is T_V/T_U. `u_` are standard uncertainties, enlarged if the residuals exceed
-    the samples' uncertainties. If no fast mode is significant, `transverse` is 0, with the amplitude
-    of the strongest spectral line as uncertainty. A quantity that the samples do not determine is NaN
-    (`period_ratio` without a fast mode, rates of change before the fourth period).
-
-    The fields of type `InUnit` are in `unit`, the unit of the deflections: rad, or px without a lever. The
-    angle of the line is in rad in either case.
+    `u_` are standard uncertainties, enlarged if the residuals exceed the samples' uncertainties. A quantity
+    that the samples do not determine is NaN (`period_ratio` without a fast mode, rates of change before the
+    fourth period). The fields of type `InUnit` are in `unit`, the unit of the deflections: rad, or px without
+    a lever. The angle of the line is in rad in either case.
     """
 
     time_ns: int
     unit: DeflectionUnit
     period_s: Annotated[float, Quantity("period", "period of the slow mode")]
     u_period_s: float
-    amplitude: Annotated[InUnit, Quantity("amplitude", "amplitude of the slow mode along Y", *_ANGLE)]
+    amplitude: Annotated[InUnit, Quantity("amplitude", "amplitude of the slow mode along Y", *_ANGLE_UNITS)]
     u_amplitude: InUnit
-    transverse: Annotated[InUnit, Quantity("transverse", "amplitude of the fast mode along X", *_ANGLE)]
+    transverse: Annotated[InUnit, Quantity("transverse", "amplitude of the fast mode along X", *_ANGLE_UNITS)]
+    """0 if no fast mode is significant, with the amplitude of the strongest spectral line as uncertainty."""
     u_transverse: InUnit
     transverse_ratio: Annotated[float, Quantity("transverse ratio", "transverse over amplitude", "%")]
     u_transverse_ratio: float
@@ -55,14 +49,15 @@ class Balance:
     width_ratio: Annotated[
         float, Quantity("ellipticity", "width of the slow mode's ellipse over its length", "%")
     ]
+    """Positive if the spot runs from +Y towards +X."""
     u_width_ratio: float
-    rest_x: Annotated[InUnit, Quantity("rest X", "rest position along X", *_ANGLE)]
+    rest_x: Annotated[InUnit, Quantity("rest X", "rest position along X", *_ANGLE_UNITS)]
     u_rest_x: InUnit
-    rest_y: Annotated[InUnit, Quantity("rest Y", "rest position along Y", *_ANGLE)]
+    rest_y: Annotated[InUnit, Quantity("rest Y", "rest position along Y", *_ANGLE_UNITS)]
     u_rest_y: InUnit
-    drift_x_per_s: Annotated[InUnit, Quantity("drift X", "drift of the rest position", *_DRIFT)]
+    drift_x_per_s: Annotated[InUnit, Quantity("drift X", "drift of the rest position", *_DRIFT_UNITS)]
     u_drift_x_per_s: InUnit
-    drift_y_per_s: Annotated[InUnit, Quantity("drift Y", "drift of the rest position", *_DRIFT)]
+    drift_y_per_s: Annotated[InUnit, Quantity("drift Y", "drift of the rest position", *_DRIFT_UNITS)]
     u_drift_y_per_s: InUnit
     period_ratio: Annotated[float, Quantity("T_V / T_U", "period of the fast mode over that of the slow one")]
     u_period_ratio: float
@@ -86,13 +81,12 @@ def names_with_units(unit: DeflectionUnit) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Room:
-    """Polygon of the rest positions (X, Y), as tilts, at which the spot is on the sensor.
-
-    `normals` (n, 2) are unit vectors towards its edges, `distances_arcsec` (n,) those of the edges from zero.
-    """
+    """Polygon of the rest positions (X, Y), as tilts, at which the spot is on the sensor."""
 
     normals: Floats
+    """Unit vectors (n, 2) towards its edges."""
     distances_arcsec: Floats
+    """Distances (n,) of the edges from zero."""
 
     def holds(self, rest_arcsec: Floats) -> bool:
         """Whether a rest position (2,) lies on the sensor."""
@@ -105,13 +99,11 @@ class Room:
         twice the uncertainty is a margin. A negative value means that the spot is off the sensor at rest.
         """
         margin = 2.0 * np.sqrt(u_arcsec**2 @ (self.normals**2).T)
-        left = self.distances_arcsec - rest_arcsec @ self.normals.T - margin
-        along = np.abs(self.normals[:, 1])
+        distance = self.distances_arcsec - rest_arcsec @ self.normals.T - margin
+        y_normal = np.abs(self.normals[:, 1])
         # an edge along which the pendulum swings limits no amplitude, only the rest position
-        swing = np.where(
-            (left < 0) | (along < 0.02), np.where(left < 0, left, np.inf), left / np.maximum(along, 0.02)
-        )
-        return np.asarray(np.min(swing, axis=-1))
+        swing = np.where(y_normal < 0.02, np.inf, distance / np.maximum(y_normal, 0.02))
+        return np.asarray(np.min(np.where(distance < 0, distance, swing), axis=-1))
 
 
 class Doubt(StrEnum):
@@ -123,17 +115,17 @@ class Doubt(StrEnum):
 
 
 class Turn(NamedTuple):
-    """Next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`).
-
-    `then` is a second turn in the opposite direction, which takes up the play of the screw, or 0.
-    `swing_arcsec` is the largest amplitude with which the spot stays on the sensor then, inf if unknown.
-    """
+    """Next adjustment of a weight."""
 
     weight: str
     turns: float
+    """Number of turns, positive clockwise."""
     why: str
+    """Reason."""
     then: float = 0.0
+    """Second turn in the opposite direction, which takes up the play of the screw, or 0."""
     swing_arcsec: float = math.inf
+    """Largest amplitude with which the spot stays on the sensor after the turn; infinite if unknown."""
 
     @property
     def parts(self) -> tuple[float, ...]:
@@ -147,7 +139,7 @@ class Unreachable(NamedTuple):
     why: str
 
 
-_LARGEST_HEIGHT = 0.2
+_MAX_HEIGHT_RATIO = 0.2
 """Largest height of the mass centre, relative to the ball's radius, that a pendulum can have."""
 
 
@@ -257,7 +249,7 @@ def implausible(
         return f"the rest position is uncertain by {np.max(u_state[:2]):.2g} arcsec"
     if room is not None and not room.holds(rest):
         return f"a rest position of ({rest[0]:.0f}, {rest[1]:.0f}) arcsec is not on the sensor"
-    if abs(height_m) > _LARGEST_HEIGHT * ball_radius_m:
+    if abs(height_m) > _MAX_HEIGHT_RATIO * ball_radius_m:
         return (
             f"a mass centre {height_m * 1e6:+.0f} um from the contact of a ball of"
             f" {ball_radius_m * 1e6:.0f} um cannot be: the period that was found is not the pendulum's,"

@@ -18,26 +18,27 @@ from processing.deflections import Deflections
 from processing.noise_models import robust_scatter
 from processing.units import seconds
 
-_FEWEST_DIRECTIONS = 6
-"""Fewest directions for a curve: with a line four degrees of freedom are left, which show the scatter."""
+_MIN_DIRECTIONS = 6
+"""Smallest number of directions of a curve: a line leaves four degrees of freedom to show the scatter."""
 _INTERVALS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Numbers of intervals of a cubic spline that are tried, after a line and a parabola."""
-_DIRECTIONS_PER_TERM = 3
-"""Fewest directions per term of the curve."""
+_MIN_DIRECTIONS_PER_TERM = 3
 _OVERLAP_VARIANCE = 2.0
 """Variance of a mean of directions whose windows overlap by half, relative to independent ones."""
 _OUTLIER_U = 4.0
 """Standard uncertainties beyond which a direction counts by its sign alone."""
 _ITERATIONS = 3
 _BISECTIONS = 40
-_FARTHEST_PERIODS = 2.0
+_MAX_DISTANCE_PERIODS = 2.0
 """Distance from the nearest direction, in periods, up to which the plane counts as known."""
-_LARGEST_UNKNOWN_PART = 0.05
-"""Largest part of the turning points that lie farther off: where there are none, it need not be known."""
-_LARGEST_ROTATION_RAD = 0.1
-"""Largest rotation in a period, in rad: beyond it the path is curved within a window of two periods."""
-_LARGEST_SCATTER_RAD = 0.03
-"""Largest scatter about the curve, in rad: amplitudes then have errors of up to 5e-4."""
+_MAX_UNKNOWN_FRACTION = 0.05
+"""Largest fraction of the turning points at which the plane is not known."""
+_MAX_ROTATION_RAD = 0.1
+"""Largest rotation in a period: beyond it the path is curved within a window of two periods."""
+_MAX_SCATTER_RAD = 0.03
+"""Largest scatter about the curve: amplitudes then have errors of up to 5e-4."""
+_START_BALANCES = 5
+"""Number of balances at the beginning that show the transverse motion from the start."""
 
 
 @dataclass(frozen=True)
@@ -132,29 +133,28 @@ def plane_of_swing(balances: Sequence[Balance], turns_ns: Ints) -> PlaneOfSwing 
     Returns
     -------
     PlaneOfSwing or None
-        None if fewer than six balances have a direction.
+        None if too few balances have a direction.
     """
     known = [
-        one
-        for one in balances
-        if turns_ns[0] <= one.time_ns <= turns_ns[-1]
-        and math.isfinite(one.line_angle_rad)
-        and 0.0 < one.u_line_angle_rad < math.inf
+        balance
+        for balance in balances
+        if turns_ns[0] <= balance.time_ns <= turns_ns[-1]
+        and math.isfinite(balance.line_angle_rad)
+        and 0.0 < balance.u_line_angle_rad < math.inf
     ]
-    if len(known) < _FEWEST_DIRECTIONS:
+    if len(known) < _MIN_DIRECTIONS:
         return None
-    times_ns = np.array([one.time_ns for one in known], dtype=np.int64)
+    times_ns = np.array([balance.time_ns for balance in known], dtype=np.int64)
+    line_angle, u, amplitude, periods_s = np.array(
+        [(b.line_angle_rad, b.u_line_angle_rad, b.amplitude, b.period_s) for b in known]
+    ).T
     # the direction of a line is defined modulo pi
-    angle = np.unwrap(np.array([one.line_angle_rad for one in known]), period=math.pi)
-    u = np.array([one.u_line_angle_rad for one in known])
-    size = np.array(
-        [math.hypot(one.amplitude, one.amplitude * math.tan(one.line_angle_rad)) for one in known]
-    )
-    part = seconds(times_ns - times_ns[0]) / float(seconds(times_ns[-1] - times_ns[0]))
-    period_s = float(np.median([one.period_s for one in known]))
-    u = _with_motion_across(part, angle, u, size)
-    knots, degree = _best_curve(part, angle, u)
-    coefficients, covariance, residuals = _fit_curve(_design(part, knots, degree), angle, u)
+    angle = np.unwrap(line_angle, period=math.pi)
+    length = np.hypot(amplitude, amplitude * np.tan(line_angle))
+    x = seconds(times_ns - times_ns[0]) / float(seconds(times_ns[-1] - times_ns[0]))
+    u = _with_motion_across(x, angle, u, length)
+    knots, degree = _best_curve(x, angle, u)
+    coefficients, covariance, residuals = _fit_curve(_design(x, knots, degree), angle, u)
     dof = len(angle) - len(coefficients)
     chi2_per_dof = float(residuals @ residuals) / dof
     plane = PlaneOfSwing(
@@ -166,9 +166,9 @@ def plane_of_swing(balances: Sequence[Balance], turns_ns: Ints) -> PlaneOfSwing 
         covariance=_OVERLAP_VARIANCE * max(1.0, chi2_per_dof) * covariance,
         directions=len(angle),
         chi2_per_dof=chi2_per_dof,
-        scatter_rad=float(np.sqrt(np.average((residuals * u) ** 2, weights=size**2))),
+        scatter_rad=float(np.sqrt(np.average((residuals * u) ** 2, weights=length**2))),
         start_ns=int(turns_ns[0]),
-        period_s=period_s,
+        period_s=float(np.median(periods_s)),
     )
     return replace(plane, doubt=_doubt(plane, times_ns, turns_ns))
 
@@ -195,15 +195,15 @@ def rotate(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0
 
     The axes are made square with `oblique_rad`, turned, and made oblique again by the same angle.
     """
-    at = square_axes(deflections, oblique_rad)
+    square = square_axes(deflections, oblique_rad)
     sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
-    x, u_x = at.x * cosine - at.y * sine, np.hypot(at.u_x * cosine, at.u_y * sine)
-    y, u_y = at.y * cosine + at.x * sine, np.hypot(at.u_y * cosine, at.u_x * sine)
+    x, u_x = square.x * cosine - square.y * sine, np.hypot(square.u_x * cosine, square.u_y * sine)
+    y, u_y = square.y * cosine + square.x * sine, np.hypot(square.u_y * cosine, square.u_x * sine)
     if oblique_rad == 0.0:
-        return replace(at, x=x, y=y, u_x=u_x, u_y=u_y)
+        return replace(square, x=x, y=y, u_x=u_x, u_y=u_y)
     tangent = math.tan(oblique_rad)
     return replace(
-        at,
+        square,
         x=x / math.cos(oblique_rad),
         u_x=u_x / math.cos(oblique_rad),
         y=y + tangent * x,
@@ -211,28 +211,29 @@ def rotate(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0
     )
 
 
-def _with_motion_across(part: Floats, angle: Floats, u: Floats, size: Floats) -> Floats:
+def _with_motion_across(x: Floats, angle: Floats, u: Floats, length: Floats) -> Floats:
     """Uncertainties enlarged by a motion across the line that does not decay, as the ground causes it.
 
     Its size and the outliers among the directions follow from the scatter about the most flexible curve.
+    `x` is the time, from 0 at the first direction to 1 at the last.
     """
     knots, degree = _candidates(len(angle))[-1]
-    design = _design(part, knots, degree)
+    design = _design(x, knots, degree)
     dof = len(angle) - design.shape[1]
     enlarged = u
     for _ in range(_ITERATIONS):
         _, _, residuals = _fit_curve(design, angle, enlarged)
-        usual = max(1.0, robust_scatter(residuals, middle=0.0))
-        outlier_factor = np.maximum(np.abs(residuals) / (_OUTLIER_U * usual), 1.0)
+        scatter = max(1.0, robust_scatter(residuals, middle=0.0))
+        outlier_factor = np.maximum(np.abs(residuals) / (_OUTLIER_U * scatter), 1.0)
         residuals2 = (residuals * enlarged / outlier_factor) ** 2
-        low, high = 0.0, float(np.sum(residuals2 * size**2)) / dof
+        low, high = 0.0, float(np.sum(residuals2 * length**2)) / dof
         if float(np.sum(residuals2 / u**2)) <= dof:
             high = 0.0
         for _ in range(_BISECTIONS if high > 0.0 else 0):
             across2 = 0.5 * (low + high)
-            too_little = float(np.sum(residuals2 / (u**2 + across2 / size**2))) > dof
-            low, high = (across2, high) if too_little else (low, across2)
-        enlarged = outlier_factor * np.sqrt(u**2 + high / size**2)
+            is_too_small = float(np.sum(residuals2 / (u**2 + across2 / length**2))) > dof
+            low, high = (across2, high) if is_too_small else (low, across2)
+        enlarged = outlier_factor * np.sqrt(u**2 + high / length**2)
     return enlarged
 
 
@@ -241,20 +242,20 @@ def _candidates(count: int) -> list[tuple[Floats, int]]:
 
     The stiffest is a line and not a constant, so that the uncertainty of the rate counts for the plane.
     """
-    found = [(np.repeat([0.0, 1.0], degree + 1), degree) for degree in (1, 2)]
+    curves = [(np.repeat([0.0, 1.0], degree + 1), degree) for degree in (1, 2)]
     for intervals in _INTERVALS:
         inner = np.linspace(0.0, 1.0, intervals + 1)[1:-1]
-        found.append((np.concatenate([np.zeros(4), inner, np.ones(4)]), 3))
-    most = max(count // _DIRECTIONS_PER_TERM, 2)
-    return [(knots, degree) for knots, degree in found if len(knots) - degree - 1 <= most]
+        curves.append((np.concatenate([np.zeros(4), inner, np.ones(4)]), 3))
+    max_terms = max(count // _MIN_DIRECTIONS_PER_TERM, 2)
+    return [(knots, degree) for knots, degree in curves if len(knots) - degree - 1 <= max_terms]
 
 
-def _best_curve(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
+def _best_curve(x: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
     """Knots and degree of the curve chosen by Bayes' criterion; the scatter of the most flexible is noise."""
     candidates = _candidates(len(angle))
     chi2, terms = [], []
     for knots, degree in candidates:
-        design = _design(part, knots, degree)
+        design = _design(x, knots, degree)
         _, _, residuals = _fit_curve(design, angle, u)
         chi2.append(float(residuals @ residuals))
         terms.append(design.shape[1])
@@ -279,50 +280,46 @@ def _fit_curve(design: Floats, angle: Floats, u: Floats) -> tuple[Floats, Floats
     return coefficients, covariance, angle / u - design @ coefficients
 
 
-def _design(part: Floats, knots: Floats, degree: int) -> Floats:
+def _design(x: Floats, knots: Floats, degree: int) -> Floats:
     """Values (n, terms) of the spline's basis functions, continued beyond the ends as straight lines."""
     from scipy.interpolate import BSpline
 
-    inside = np.clip(part, 0.0, 1.0)
+    inside = np.clip(x, 0.0, 1.0)
     basis = BSpline(knots, np.eye(len(knots) - degree - 1), degree)
     values = np.asarray(basis(inside), dtype=np.float64)
-    beyond = part - inside
-    if np.any(beyond != 0.0):
-        outside = np.flatnonzero(beyond)
+    outside = np.flatnonzero(x - inside)
+    if len(outside):
         slopes = np.asarray(basis.derivative()(inside[outside]), dtype=np.float64)
-        values[outside] += slopes * beyond[outside, None]
+        values[outside] += slopes * (x - inside)[outside, None]
     return values
 
 
 def _doubt(plane: PlaneOfSwing, times_ns: Ints, turns_ns: Ints) -> str:
-    after = np.clip(np.searchsorted(times_ns, turns_ns), 1, len(times_ns) - 1)
-    off_ns = np.minimum(np.abs(turns_ns - times_ns[after - 1]), np.abs(turns_ns - times_ns[after]))
-    unknown = float(np.mean(seconds(off_ns) > _FARTHEST_PERIODS * plane.period_s))
-    if unknown > _LARGEST_UNKNOWN_PART:
+    following = np.clip(np.searchsorted(times_ns, turns_ns), 1, len(times_ns) - 1)
+    distance_ns = np.minimum(
+        np.abs(turns_ns - times_ns[following - 1]), np.abs(turns_ns - times_ns[following])
+    )
+    unknown = float(np.mean(seconds(distance_ns) > _MAX_DISTANCE_PERIODS * plane.period_s))
+    if unknown > _MAX_UNKNOWN_FRACTION:
         return f"its direction is not known in {100 * unknown:.0f} % of the half-cycles"
-    fastest = float(np.max(np.abs(plane.rate_rad_per_s(times_ns)))) * plane.period_s
-    if fastest > _LARGEST_ROTATION_RAD:
-        return f"it turns by {math.degrees(fastest):.0f} degrees in a period, too fast to be followed"
-    if plane.scatter_rad > _LARGEST_SCATTER_RAD:
+    rotation_rad = float(np.max(np.abs(plane.rate_rad_per_s(times_ns)))) * plane.period_s
+    if rotation_rad > _MAX_ROTATION_RAD:
+        return f"it turns by {math.degrees(rotation_rad):.0f} degrees in a period, too fast to be followed"
+    if plane.scatter_rad > _MAX_SCATTER_RAD:
         return f"its direction scatters by {math.degrees(plane.scatter_rad):.1f} degrees about a smooth curve"
     return ""
-
-
-_FIRST_BALANCES = 5
-"""Number of balances at the beginning that show the transverse motion from the start."""
 
 
 def balance_of_run(balances: Sequence[Balance], plane: PlaneOfSwing | None) -> Balance | None:
     """Balance of a whole decay; None without balances.
 
-    The transverse motion is that of the first periods, ellipticity and rest position are means, the rotation
-    is the fastest one of the `plane`, NaN without it. The other fields are those of the first period.
+    The transverse motion is the median of the first periods, ellipticity and rest position are means, the
+    rotation is the fastest one of the `plane`, NaN without it. Other fields are those of the first period.
     """
     if not balances:
         return None
-    first = sorted(balances[:_FIRST_BALANCES], key=lambda one: one.transverse_ratio)[
-        len(balances[:_FIRST_BALANCES]) // 2
-    ]
+    start_balances = sorted(balances[:_START_BALANCES], key=lambda balance: balance.transverse_ratio)
+    median = start_balances[len(start_balances) // 2]
     width_ratio, u_width_ratio = _mean(balances, "width_ratio")
     rest_x, u_rest_x = _mean(balances, "rest_x")
     rest_y, u_rest_y = _mean(balances, "rest_y")
@@ -333,10 +330,10 @@ def balance_of_run(balances: Sequence[Balance], plane: PlaneOfSwing | None) -> B
         rotation, u_rotation = float(rates[int(np.argmax(np.abs(rates)))]), plane.u_mean_rate()
     return replace(
         balances[0],
-        transverse=first.transverse,
-        u_transverse=first.u_transverse,
-        transverse_ratio=first.transverse_ratio,
-        u_transverse_ratio=first.u_transverse_ratio,
+        transverse=median.transverse,
+        u_transverse=median.u_transverse,
+        transverse_ratio=median.transverse_ratio,
+        u_transverse_ratio=median.u_transverse_ratio,
         width_ratio=width_ratio,
         u_width_ratio=u_width_ratio,
         rest_x=rest_x,
@@ -350,7 +347,7 @@ def balance_of_run(balances: Sequence[Balance], plane: PlaneOfSwing | None) -> B
 
 def _mean(balances: Sequence[Balance], name: str) -> tuple[float, float]:
     """Weighted mean of a quantity and its standard uncertainty; NaN if no period determines it."""
-    rows = [(getattr(one, name), getattr(one, f"u_{name}")) for one in balances]
+    rows = [(getattr(balance, name), getattr(balance, f"u_{name}")) for balance in balances]
     known = np.array([row for row in rows if math.isfinite(row[0]) and 0.0 < row[1] < math.inf])
     if not len(known):
         return math.nan, math.nan

@@ -11,7 +11,7 @@ MAX_PLAY = 0.6
 """Largest play of a screw that is considered, in turns."""
 _GRID_PLAYS, _GRID_SLACKS = 25, 5
 """Numbers of plays, and of positions within each, that are considered."""
-_USUAL_PLAY = 0.3
+_PLAY_SCALE = 0.3
 """Play in turns by which the prior probability falls by a factor of e."""
 _U_TURN, _U_RELATIVE = 0.015, 0.01
 """Standard uncertainty of a turn made by hand, in turns and relative to the turn."""
@@ -45,12 +45,16 @@ class WeightResponse:
         # turns until a turn in the positive direction begins to move the weight
         self._slack = play * np.tile(np.linspace(0.0, 1.0, _GRID_SLACKS), _GRID_PLAYS)
         self._play = play
-        self._log = -play / _USUAL_PLAY
+        self._log = -play / _PLAY_SCALE
         self._mean = np.tile(effect, (len(play), 1))
         self._variance = np.tile(u_effect**2, (len(play), 1))
 
+    def without_turns(self) -> "WeightResponse":
+        """The response before any turn was made."""
+        return WeightResponse(self.nominal, self.u_nominal)
+
     def _displacement(self, turns: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Displacement (..., hypotheses) of the weight by turns in sequence, in turns, and the slack left."""
+        """Displacement (..., hypotheses) of the weight by turns in sequence, in turns, and the last slack."""
         slack = self._slack
         displacement = np.zeros(1)
         for turn in turns:
@@ -88,7 +92,7 @@ class WeightResponse:
         other2 = u_step**2 + 2.0 * _U_SYSTEMATIC**2
         mean, variance = self._mean, self._variance
         size2 = mean**2 + variance
-        # the hand's error is proportional to the effect, which the first pass finds
+        # the hand's error is proportional to the effect, which the first pass estimates
         for _ in range(2):
             noise = other2 + _hand_variance(displacement) * np.sum(size2, axis=1, keepdims=True)
             total = displacement**2 * variance + noise

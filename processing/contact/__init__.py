@@ -1,4 +1,4 @@
-"""Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
+"""Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-cycle map."""
 
 from processing.contact.asymptotic import decay_path, fit_decay, frequency_drop, period, period_start
 from processing.contact.free_swing import (
@@ -8,7 +8,13 @@ from processing.contact.free_swing import (
     expected_drag_s,
     law_harmonics,
 )
-from processing.contact.half_swing import TABLE_RATIO, HalfSwings, OneHalfSwing, SwingTable, walk
+from processing.contact.half_cycle_table import (
+    TABLE_RATIO,
+    HalfCycleLosses,
+    HalfCycleTable,
+    PredictedTurningPoints,
+    iterate_decay,
+)
 from processing.contact.hertz import (
     MATERIALS,
     Material,
@@ -22,7 +28,6 @@ from processing.contact.law import (
     STANDARD_GRAVITY_M_PER_S2,
     TIME,
     ContactParameters,
-    HeldColumn,
     Law,
     Parameter,
     PendulumOnBall,
@@ -33,8 +38,6 @@ from processing.contact.law import (
 from processing.contact.law_of_splines import MomentSplines, spline_law
 from processing.contact.laws import DEFAULT_LAW, LAWS, scaled_contact, turning_points_of
 from processing.contact.moments import (
-    AdhesiveContact,
-    SurfaceEnergy,
     adhesive_contacts,
     measured_losses,
     model_losses,

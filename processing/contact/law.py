@@ -6,7 +6,7 @@ from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 from processing.arrays import Floats, Ints
-from processing.contact.half_swing import TABLE_RATIO, HalfSwings, TableMaker, walk
+from processing.contact.half_cycle_table import TABLE_RATIO, PredictedTurningPoints, TableMaker, iterate_decay
 from processing.quantity import Quantity
 
 if TYPE_CHECKING:
@@ -17,29 +17,31 @@ STANDARD_GRAVITY_M_PER_S2 = 9.80665  # third CGPM, 1901
 
 @dataclass(frozen=True, slots=True)
 class ContactParameters:
-    """The six parameters of Eqs. 1, 3 and 6, angles in rad.
-
-    b (rad^-p), p, c (dimensionless moment over m g R): friction, Eq. 1. n, gamma_pa: elastic
-    adhesion, Eq. 3. period0_s: period at vanishing amplitude. drag_s: optional linear drag; the
-    moment is ``-m g R drag_s phi'``.
-    """
+    """The six parameters of Eqs. 1, 3 and 6, angles in rad."""
 
     b: float
+    """Factor of the friction of Eq. 1, in rad^-p."""
     p: float
     c: float
+    """Constant friction of Eq. 1, a moment over m g R."""
     n: float
+    """Exponent of the elastic adhesion of Eq. 3."""
     period0_s: float
+    """Period at vanishing amplitude."""
     gamma_pa: float
+    """Stiffness of the elastic adhesion of Eq. 3."""
     drag_s: float = 0.0
+    """Linear drag, whose moment is ``-m g R drag_s phi'``."""
 
 
 @dataclass(frozen=True, slots=True)
 class PendulumOnBall:
-    """Mass, ball radius and contact spot used by the fits. `contact_radius_m` is Hertz's radius a."""
+    """Mass, ball radius and contact spot used by the fits."""
 
     mass_kg: float
     ball_radius_m: float
     contact_radius_m: float
+    """Hertz's radius a."""
     gravity_m_per_s2: float = STANDARD_GRAVITY_M_PER_S2
 
 
@@ -133,10 +135,11 @@ class BranchMoments(NamedTuple):
 
 
 class HeldColumn(NamedTuple):
-    """Column that is adjusted to hold a parameter at a given value, and whether it must keep its sign."""
+    """Column of the solver that is adjusted to hold a parameter at a given value."""
 
     column: int
     keeps_sign: bool = False
+    """Whether the adjustment must not change the column's sign."""
 
 
 @dataclass(frozen=True)
@@ -156,8 +159,8 @@ class Law:
         returns the moments.
     table
         Function of the map's parameters without the first amplitude, and of a range of amplitudes, which
-        returns the half-swings in that range.
-    columns
+        returns the half-cycles in that range.
+    coordinates
         Function of the turning points, the pendulum, the keys of the fit (`fit_names`) and the start values
         of columns that are not the law's, which returns the solver's coordinates.
     """
@@ -168,18 +171,18 @@ class Law:
     parameters: tuple[Parameter, ...]
     branch_moments: Callable[[Floats, Floats, Mapping[str, float], PendulumOnBall], BranchMoments]
     table: TableMaker
-    columns: Callable[..., "Coordinates"]
+    coordinates: Callable[..., "Coordinates"]
 
-    def half_swing_map(self, parameters: Floats, index: Ints) -> HalfSwings:
+    def turning_points(self, parameters: Floats, numbers: Ints) -> PredictedTurningPoints:
         """Turning points of a free decay, for the map's parameters and rising half-cycle numbers, from 0."""
         first = float(parameters[-1])
-        swings = walk(
+        half_cycles = iterate_decay(
             lambda highest: self.table(parameters[:-1], highest, highest / TABLE_RATIO),
             len(parameters),
             first,
-            int(index[-1]),
+            int(numbers[-1]),
         )
-        return swings.turning_points(first, index)
+        return half_cycles.turning_points(first, numbers)
 
     def names(self, *, drag: bool = False) -> tuple[str, ...]:
         """Keys of the parameters of a fit, without the initial amplitude and time."""

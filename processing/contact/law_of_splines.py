@@ -3,8 +3,8 @@
     M = -m g R f(|phi|) sign(phi') + m g R phi g(|phi|)
 
 A moment proportional to phi cannot be told from gravity's: g is zero at the reference amplitude by
-definition, and T0 is the period by the proportional moment there. Swings of a law with memory have losses and
-durations that some f and g give as well: those of the contact without memory with the same turning points.
+definition, and T0 is the period by the proportional moment there. For a contact with memory, f and g are
+those of the contact without memory that has the same turning points.
 """
 
 from collections.abc import Callable
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 
 _DEGREE = 3
-_RATIO = 2.0
+_KNOT_RATIO = 2.0
 """Ratio of neighbouring knots: a power of the angle is followed to 1e-3 of its value."""
-_BEYOND = 1.08
+_HIGHEST_RATIO = 1.08
 """Highest angle of the splines over the first amplitude."""
-_FINE = 40
-"""Points at which works are tabulated between two knots."""
-_PER_FIT = 100
-"""Angles at which splines are fitted to the friction of a start."""
+_WORK_POINTS = 40
+"""Number of points at which works are tabulated between two knots."""
+_FITTED_ANGLES = 100
+"""Number of angles at which splines are fitted to the friction of a start."""
 
 
 class MomentSplines:
@@ -51,9 +51,9 @@ class MomentSplines:
         from scipy.interpolate import BSpline  # here, because it would slow down every command
 
         self.unit_rad = unit_rad
-        self._lowest, top = lowest_rad / unit_rad, _BEYOND * highest_rad / unit_rad
-        lowest = self._lowest
-        steps = max(1, round(log(top / lowest, _RATIO)))
+        lowest, top = lowest_rad / unit_rad, _HIGHEST_RATIO * highest_rad / unit_rad
+        self._lowest = lowest
+        steps = max(1, round(log(top / lowest, _KNOT_RATIO)))
         knots = np.linspace(log(lowest), log(top), steps + 1)
         knots = np.concatenate([np.repeat(knots[0], _DEGREE), knots, np.repeat(knots[-1], _DEGREE)])
         self._of_root = BSpline(np.exp(0.5 * knots), np.eye(steps + _DEGREE), _DEGREE)
@@ -64,94 +64,90 @@ class MomentSplines:
         self._at_one = at_one[self._free]
         self._slope = np.append(self._of_log(log(lowest), 1)[self._free], 1.0)
         self.friction_count, self.elastic_count = len(at_one) + 1, len(self._slope)
-        u = np.linspace(log(lowest), log(top), _FINE * steps + 1)
-        self._friction_work = work_over_log(u, self.friction, self._friction_below)
-        self._elastic_work = work_over_log(u, self.elastic, self._elastic_below)
+        log_x = np.linspace(log(lowest), log(top), _WORK_POINTS * steps + 1)
+        self._friction_work = work_over_log(log_x, self.friction, self._friction_work_below)
+        self._elastic_work = work_over_log(log_x, self.elastic, self._elastic_work_below)
 
     def friction(self, x: Floats) -> Floats:
         """f of unit coefficients, shape (..., friction_count)."""
-        share = np.minimum(x / self._lowest, 1.0)[..., None]
-        return np.concatenate([1 - share, share * self._friction_splines(x)], axis=-1)
+        fraction = np.minimum(x / self._lowest, 1.0)[..., None]
+        return np.concatenate([1 - fraction, fraction * self._friction_splines(x)], axis=-1)
 
     def elastic(self, x: Floats) -> Floats:
         """x g of unit coefficients, shape (..., elastic_count)."""
-        beyond = np.minimum(np.log(x / self._lowest), 0.0)[..., None]
-        own = self._of_log(np.log(np.maximum(x, self._lowest)))[..., self._free] - self._at_one
-        own = np.concatenate([own, np.zeros_like(beyond)], axis=-1)
-        return np.asarray(x[..., None] * (own + beyond * self._slope))
+        log_below = np.minimum(np.log(x / self._lowest), 0.0)[..., None]
+        splines = self._of_log(np.log(np.maximum(x, self._lowest)))[..., self._free] - self._at_one
+        splines = np.concatenate([splines, np.zeros_like(log_below)], axis=-1)
+        return np.asarray(x[..., None] * (splines + log_below * self._slope))
 
     def friction_work(self, x: Floats) -> Floats:
         """Integral of f from 0."""
-        found = self._friction_work(np.log(x))
-        return np.asarray(np.where(x[..., None] < self._lowest, self._friction_below(x), found))
+        is_below = x[..., None] < self._lowest
+        return np.asarray(np.where(is_below, self._friction_work_below(x), self._friction_work(np.log(x))))
 
     def elastic_work(self, x: Floats) -> Floats:
         """Integral of x g from 0."""
-        found = self._elastic_work(np.log(x))
-        return np.asarray(np.where(x[..., None] < self._lowest, self._elastic_below(x), found))
+        is_below = x[..., None] < self._lowest
+        return np.asarray(np.where(is_below, self._elastic_work_below(x), self._elastic_work(np.log(x))))
 
     def _friction_splines(self, x: Floats) -> Floats:
         return np.asarray(self._of_root(np.sqrt(np.maximum(x, self._lowest))))
 
-    def _friction_below(self, x: Floats) -> Floats:
+    def _friction_work_below(self, x: Floats) -> Floats:
         rising = (0.5 * x**2 / self._lowest)[..., None]
         return np.concatenate([x[..., None] - rising, rising * self._friction_splines(x)], axis=-1)
 
-    def _elastic_below(self, x: Floats) -> Floats:
+    def _elastic_work_below(self, x: Floats) -> Floats:
         return np.asarray(0.5 * x[..., None] * (self.elastic(x) - 0.5 * x[..., None] * self._slope))
 
 
 def work_over_log(
-    u: Floats, moment: Callable[[Floats], Floats], to_first: Callable[[Floats], Floats]
+    log_x: Floats, moment: Callable[[Floats], Floats], first_work: Callable[[Floats], Floats]
 ) -> "CubicHermiteSpline":
-    """The integral of moments (..., m) of x over u = ln x, which rises evenly, by Gauss's rule between its
-    points; `to_first` gives it for the first x."""
+    """The integral of moments (..., m) over x from 0, as a function of ln x.
+
+    It is computed by Gauss's rule between evenly rising `log_x`; `first_work` is the integral to the first x.
+    """
     from scipy.interpolate import CubicHermiteSpline  # here, because it would slow down every command
 
-    at, weight = np.polynomial.legendre.leggauss(5)
-    half = 0.5 * (u[1] - u[0])
-    x, ends = np.exp(u[:-1, None] + half * (1 + at)), np.exp(u)
+    nodes, weight = np.polynomial.legendre.leggauss(5)
+    half = 0.5 * (log_x[1] - log_x[0])
+    x, ends = np.exp(log_x[:-1, None] + half * (1 + nodes)), np.exp(log_x)
     pieces = half * np.einsum("uk,ukj->uj", weight * x, moment(x))
-    work = np.cumsum(np.concatenate([to_first(ends[:1]), pieces]), axis=0)
-    return CubicHermiteSpline(u, work, ends[:, None] * moment(ends))
+    work = np.cumsum(np.concatenate([first_work(ends[:1]), pieces]), axis=0)
+    return CubicHermiteSpline(log_x, work, ends[:, None] * moment(ends))
 
 
 def _moment(
-    of_unit: Callable[[Floats], Floats],
-    works: Callable[[Floats], Floats],
+    unit_moments: Callable[[Floats], Floats],
+    unit_works: Callable[[Floats], Floats],
     coefficients: Floats,
     first: int,
     unit: float,
 ) -> Moment:
-    """A moment by its spline coefficients, the map's parameters from place `first` on; x is times `unit`."""
+    """A moment by its spline coefficients, the map's parameters from index `first` on; x is times `unit`."""
 
     def work(x: Floats) -> Floats:
-        by = works(unit * x)
-        return np.concatenate([(by @ coefficients)[None], np.moveaxis(by, -1, 0)])
+        works = unit_works(unit * x)
+        return np.concatenate([(works @ coefficients)[None], np.moveaxis(works, -1, 0)])
 
     return Moment(
         tuple(range(first, first + len(coefficients))),
-        lambda x: np.asarray(of_unit(unit * x) @ coefficients),
+        lambda x: np.asarray(unit_moments(unit * x) @ coefficients),
         work,
     )
 
 
 def _spline_moments(splines: MomentSplines, parameters: Floats, _: float, __: float) -> Moments:
     """The moments in units of the map's reference, which need not be the splines'."""
-    count, more = splines.friction_count, splines.elastic_count
-    unit = float(parameters[-2]) / splines.unit_rad
+    count, unit = splines.friction_count, float(parameters[-2]) / splines.unit_rad
+    friction, elastic = np.split(parameters[: count + splines.elastic_count], [count])
     return Moments(
-        _moment(
-            splines.friction,
-            lambda x: splines.friction_work(x) / unit,
-            parameters[:count],
-            0,
-            unit,
-        ),
+        _moment(splines.friction, lambda x: splines.friction_work(x) / unit, friction, 0, unit),
         _moment(
             lambda x: splines.elastic(x) / unit,
             lambda x: splines.elastic_work(x) / unit**2,
-            parameters[count : count + more],
+            elastic,
             count,
             unit,
         ),
@@ -165,22 +161,22 @@ def spline_law(points: TurningPoints) -> tuple[Law, MomentSplines]:
     """
     reference = reference_amplitude(points)
     splines = MomentSplines(float(points.amplitude.max()), float(points.amplitude.min()), reference)
-    of_friction = [f"f{number}" for number in range(splines.friction_count)]
-    of_elastic = [f"g{number + 1}" for number in range(splines.elastic_count)]
+    friction_keys = [f"f{number}" for number in range(splines.friction_count)]
+    elastic_keys = [f"g{number + 1}" for number in range(splines.elastic_count)]
 
-    def propose_starts(found: StartValues, _: float) -> list[dict[str, float]]:
-        x = np.geomspace(0.3 * points.amplitude.min(), points.amplitude.max(), _PER_FIT) / reference
-        wanted = found.decay.c + max(found.decay.b, 0.0) * x**found.decay.p
-        friction = FactoredJacobian(splines.friction(x) / wanted[:, None]).coefficients(np.ones_like(x))
-        known = dict(zip(of_friction, friction.tolist(), strict=True))
-        return [known | dict.fromkeys(of_elastic, 0.0) | {PERIOD: found.mean_period_s}]
+    def propose_starts(start: StartValues, _: float) -> list[dict[str, float]]:
+        x = np.geomspace(0.3 * points.amplitude.min(), points.amplitude.max(), _FITTED_ANGLES) / reference
+        friction = start.decay.c + max(start.decay.b, 0.0) * x**start.decay.p
+        values = FactoredJacobian(splines.friction(x) / friction[:, None]).coefficients(np.ones_like(x))
+        scaled = dict(zip(friction_keys, values.tolist(), strict=True))
+        return [scaled | dict.fromkeys(elastic_keys, 0.0) | {PERIOD: start.mean_period_s}]
 
     parameters = (
-        *(Parameter(key, key, "1", "spline of the friction, over m g R", "no law") for key in of_friction),
-        *(Parameter(key, key, "1", "spline of the stiffness, over m g R", "no law") for key in of_elastic),
+        *(Parameter(key, key, "1", "spline of the friction, over m g R", "no law") for key in friction_keys),
+        *(Parameter(key, key, "1", "spline of the stiffness, over m g R", "no law") for key in elastic_keys),
         FREE_PERIOD,
     )
-    scalings = dict.fromkeys(of_friction, Scaling(1.0)) | dict.fromkeys(of_elastic, Scaling())
+    scalings = dict.fromkeys(friction_keys, Scaling(1.0)) | dict.fromkeys(elastic_keys, Scaling())
     law = memoryless_law(
         "none",
         "no law: moments as splines of the angle",

@@ -1,8 +1,8 @@
-"""Half-swings of a law without memory: friction and elastic moment are functions of the angle.
+"""Half-cycles of a law without memory: friction and elastic moment are functions of the angle.
 
     M = -m g R f(|phi|) sign(phi') + m g R e(|phi|) sign(phi) - m g R drag phi'/w0
 
-With D and V, the integrals of f and e from 0 (their works), a swing from A turns next at A' where
+With D and V, the integrals of f and e from 0 (their works), a half-cycle from A ends at A' where
 
     A^2/2 - V(A) - D(A) = A'^2/2 - V(A') + D(A')
 
@@ -13,8 +13,12 @@ and either quarter lasts ``integral dtheta / (2 pi sqrt(G))`` in units of T0, wi
 (+ after the turning point, - before it). The drag takes ``drag A^2`` times the integral of ``sin^2 sqrt(G)``
 in each quarter, and changes G by twice that over ``sin^2 theta``, with the integral up to theta.
 
+The substitution ``x = A cos(theta)`` removes the square-root singularity of the duration at the turning
+point. Fractional powers of |phi| leave another one at the zero crossing, which ``pi/2 - theta = (pi/2) v^3``
+smooths. A Gauss-Legendre rule in v then converges quickly for every exponent.
+
 A law states f, e, D and V, and the derivatives of D and V with respect to its parameters; those of a
-half-swing follow. Angles and the moments over m g R are in units of a reference.
+half-cycle follow. Angles and the moments over m g R are in units of a reference.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,9 +29,14 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.asymptotic import StartValues
-from processing.contact.coordinates import Coordinates, Scaling, ValleyCoordinates, scaled_values
-from processing.contact.half_swing import SwingTable
+from processing.contact.coordinates import (
+    Coordinates,
+    Scaling,
+    StartProposal,
+    ValleyCoordinates,
+    scaled_values,
+)
+from processing.contact.half_cycle_table import HalfCycleTable
 from processing.contact.law import (
     BranchMoments,
     Law,
@@ -37,30 +46,31 @@ from processing.contact.law import (
     weight_moment,
 )
 
-_PER_OCTAVE, _MARGIN_AMPLITUDES, _MIN_AMPLITUDES = 24, 2, 4
-"""Number of a table's amplitudes in a factor of two, beyond either end, and at least."""
+_AMPLITUDES_PER_OCTAVE, _EXTRA_AMPLITUDES, _MIN_AMPLITUDES = 24, 2, 4
+"""Numbers of amplitudes of a table: in each factor of two, beyond either end of the range, and at least."""
 _NODES = 20
 """Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
-_MAX_ITERATIONS, _DRAG_TOLERANCE, _NEWTON_TOLERANCE = 60, 1e-12, 1e-9
-"""Most iterations, and the relative change at which they end: of those for a drag, each of which reduces the
-change by its moment over the weight's, and of Newton's, which square it."""
+_MAX_ITERATIONS = 60
+_DRAG_TOLERANCE = 1e-12
+"""Change of G at which the iteration for a drag ends, which the drag's moment over the weight's reduces."""
+_NEWTON_TOLERANCE = 1e-9
+"""Relative change at which Newton's iteration ends; the next change would be its square."""
 _DERIVATIVE_TOLERANCE = 1e-9
 """Relative change at which the iteration of derivatives with respect to a drag ends."""
 _MAX_AMPLITUDE_ITERATIONS, _AMPLITUDE_TOLERANCE = 5, 1e-9
 """Most iterations of the next amplitude with the drag's work before it, and the relative change at which they
-end: each reduces the change by a hundredth of the drag's moment."""
+end: each reduces the change by a hundredth of the drag's moment.
+"""
 
 
 class Moment(NamedTuple):
-    """A moment over m g R and its work from 0, as functions of angles x > 0 of any shape.
-
-    `work` returns a first axis of the value and its derivatives with respect to the parameters of the map at
-    `parameter_indices`.
-    """
+    """A moment over m g R and its work from 0, as functions of angles x > 0 of any shape."""
 
     parameter_indices: tuple[int, ...]
+    """Indices of the moment's parameters among those of the map."""
     moment: Callable[[Floats], Floats]
     work: Callable[[Floats], Floats]
+    """Returns a first axis of the work and its derivatives with respect to these parameters."""
 
 
 NO_MOMENT = Moment((), np.zeros_like, lambda x: np.zeros((1, *x.shape)))
@@ -74,39 +84,34 @@ class Moments(NamedTuple):
 
 
 MomentsFunction = Callable[[Floats, float, float], Moments | None]
-"""Function of a law: its moments between two angles, for the map's parameters without the first amplitude
-(`Coordinates.map_parameters`); None where these have none."""
-
-
-# The substitution ``phi = A cos(theta)`` removes the square-root singularity of the duration at the turning
-# point. Fractional powers of |phi| leave another one at the zero crossing, which ``pi/2 - theta =
-# (pi/2) v**3`` smooths. A Gauss-Legendre rule in v then converges quickly for every exponent.
+"""Function (parameters, lowest, highest) of a law that gives its moments between two angles, for the map's
+parameters without the first amplitude (`Coordinates.map_parameters`); None if these have none.
+"""
 
 
 class _QuarterNodes(NamedTuple):
-    """Nodes from the turning point (theta = 0) to the zero crossing (theta = pi/2).
-
-    `weight` are the weights for integration over theta, `turn_and_cos` is 1, then cos(theta). The square
-    matrix `travelled` maps values f at the nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``,
-    the work of a moment proportional to the speed; dividing by sin^2 avoids 0/0 at the turning point.
-    """
+    """Nodes from the turning point (theta = 0) to the zero crossing (theta = pi/2)."""
 
     weight: Floats
+    """Weights for integration over theta."""
     turn_and_cos: Floats
-    sin2: Floats
-    travelled: Floats
+    """1, then cos(theta)."""
+    sin_square: Floats
+    drag_work_matrix: Floats
+    """Square matrix that maps f at the nodes to ``integral_0^theta_k sin^2 f dtheta' / sin^2 theta_k``, the
+    work of a moment proportional to the speed; dividing by sin^2 avoids 0/0 at the turning point.
+    """
 
 
 @lru_cache(maxsize=1)
 def _quarter_nodes() -> _QuarterNodes:
-    """The nodes; computed once and cached."""
     x, w = np.polynomial.legendre.leggauss(_NODES)
     v = (x[::-1] + 1.0) / 2.0  # falling v: rising theta
     w = w[::-1] / 2.0
     past_zero = np.pi / 2 * v**3
     weight = 1.5 * np.pi * v**2 * w
-    sin2 = np.cos(past_zero) ** 2
-    # The integral from v_k to 1 of a polynomial through the nodes, by its Legendre coefficients.
+    sin_square = np.cos(past_zero) ** 2
+    # the integral from v_k to 1 of a polynomial through the nodes, by its Legendre coefficients
     legendre = np.polynomial.legendre.legvander(2 * v - 1, _NODES)
     to_coefficients = ((2 * np.arange(_NODES) + 1)[:, None] * legendre[:, :_NODES].T) * w
     integral = np.empty((_NODES, _NODES))
@@ -114,145 +119,143 @@ def _quarter_nodes() -> _QuarterNodes:
     for k in range(1, _NODES):
         # integral_x^1 P_k = (P_{k-1}(x) - P_{k+1}(x)) / (2 k + 1); half of it, for dv = dx/2
         integral[:, k] = (legendre[:, k - 1] - legendre[:, k + 1]) / (2 * (2 * k + 1))
-    travelled = (integral @ to_coefficients) * (1.5 * np.pi * v**2 * sin2) / sin2[:, None]
-    return _QuarterNodes(weight, np.append(1.0, np.sin(past_zero)), sin2, travelled)
+    drag_work_matrix = (integral @ to_coefficients) * (1.5 * np.pi * v**2 * sin_square) / sin_square[:, None]
+    return _QuarterNodes(weight, np.append(1.0, np.sin(past_zero)), sin_square, drag_work_matrix)
 
 
 class _Quarter(NamedTuple):
-    """Quarters from or to turning points: time in T0, `drag_work`, the work of the drag over ``drag A^2``,
-    and the derivatives `time_derivatives` and `drag_work_derivatives` (first axis: the friction's parameters,
-    the elastic moment's, the drag, ln A). `friction` and `elastic` are the works at the turning points.
+    """Quarters of a period from or to turning points.
+
+    Derivatives have a first axis of the friction's parameters, the elastic moment's, the drag, and ln A.
     """
 
     time: Floats
+    """Durations in T0."""
     time_derivatives: Floats
     drag_work: Floats
+    """Work of the drag over ``drag A^2``."""
     drag_work_derivatives: Floats
     friction: Floats
     elastic: Floats
+    """Works of friction and elastic moment at the turning points, with their derivatives."""
 
 
-def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: bool = True) -> _Quarter:
-    """Quarters after (`sign` 1) or before (-1) turning points at `a`; `derived` is with derivatives."""
+def _quarter(
+    moments: Moments, a: Floats, drag: float, sign: float, *, with_derivatives: bool = True
+) -> _Quarter:
+    """Quarters after (`sign` 1) or before (-1) turning points at `a`."""
     nodes = _quarter_nodes()
     x = a[:, None] * nodes.turn_and_cos
-    per_size = 2 / (a[:, None] ** 2 * nodes.sin2)
+    per_size = 2 / (a[:, None] ** 2 * nodes.sin_square)
     friction, elastic = moments.friction.work(x), moments.elastic.work(x)
-    of_friction, of_elastic = ((one[..., :1] - one[..., 1:]) * per_size for one in (friction, elastic))
-    total = of_elastic[0] + sign * of_friction[0]
-    without = 1 - total
-    factor, travelled = without, without
+    friction_loss, elastic_loss = ((work[..., :1] - work[..., 1:]) * per_size for work in (friction, elastic))
+    loss = elastic_loss[0] + sign * friction_loss[0]
+    g = g_without_drag = 1 - loss
     for _ in range(_MAX_ITERATIONS if drag else 1):
-        travelled = np.sqrt(factor) @ nodes.travelled.T
-        before, factor = factor, without - 2 * sign * drag * travelled
-        if not np.any(np.abs(factor - before) > _DRAG_TOLERANCE):
+        drag_loss = np.sqrt(g) @ nodes.drag_work_matrix.T
+        last_g, g = g, g_without_drag - 2 * sign * drag * drag_loss
+        if not np.any(np.abs(g - last_g) > _DRAG_TOLERANCE):
             break
-    speed = np.sqrt(factor)
+    speed = np.sqrt(g)
     root = 1 / speed
-    time, drag_work = root @ nodes.weight / (2 * np.pi), speed @ (nodes.weight * nodes.sin2)
-    at_turn = friction[..., 0], elastic[..., 0]
-    if not derived:
-        return _Quarter(time, time[None], drag_work, drag_work[None], *at_turn)
-    along = x * (moments.elastic.moment(x) + sign * moments.friction.moment(x))
+    time, drag_work = root @ nodes.weight / (2 * np.pi), speed @ (nodes.weight * nodes.sin_square)
+    turn_works = friction[..., 0], elastic[..., 0]
+    if not with_derivatives:
+        return _Quarter(time, time[None], drag_work, drag_work[None], *turn_works)
+    virial = x * (moments.elastic.moment(x) + sign * moments.friction.moment(x))
     explicit = np.concatenate(
         [
-            -sign * of_friction[1:],
-            -of_elastic[1:],
-            -2 * sign * travelled[None],
-            (2 * total - (along[:, :1] - along[:, 1:]) * per_size)[None],
+            -sign * friction_loss[1:],
+            -elastic_loss[1:],
+            -2 * sign * drag_loss[None],
+            (2 * loss - (virial[:, :1] - virial[:, 1:]) * per_size)[None],
         ]
     )
-    factor_derivatives = explicit
-    if drag:
-        # the drag's work depends on the speed, which all parameters change
-        for _ in range(_MAX_ITERATIONS):
-            again = explicit - sign * drag * ((factor_derivatives * root) @ nodes.travelled.T)
-            converged = not np.any(
-                np.abs(again - factor_derivatives)
-                > _DERIVATIVE_TOLERANCE * np.max(np.abs(factor_derivatives), initial=0.0)
-            )
-            factor_derivatives = again
-            if converged:
-                break
-    time_derivatives = -0.25 / np.pi * np.einsum("kmn,mn->km", factor_derivatives, nodes.weight * root**3)
+    g_derivatives = explicit
+    # the drag's work depends on the speed, which all parameters change
+    for _ in range(_MAX_ITERATIONS if drag else 0):
+        last_derivatives = g_derivatives
+        g_derivatives = explicit - sign * drag * ((last_derivatives * root) @ nodes.drag_work_matrix.T)
+        tolerance = _DERIVATIVE_TOLERANCE * np.max(np.abs(last_derivatives), initial=0.0)
+        if not np.any(np.abs(g_derivatives - last_derivatives) > tolerance):
+            break
+    time_derivatives = -0.25 / np.pi * np.einsum("kmn,mn->km", g_derivatives, nodes.weight * root**3)
     drag_work_derivatives = 0.5 * np.einsum(
-        "kmn,mn->km", factor_derivatives, nodes.weight * nodes.sin2 * root
+        "kmn,mn->km", g_derivatives, nodes.weight * nodes.sin_square * root
     )
-    return _Quarter(time, time_derivatives, drag_work, drag_work_derivatives, *at_turn)
+    return _Quarter(time, time_derivatives, drag_work, drag_work_derivatives, *turn_works)
 
 
-def _turning(
-    moments: Moments, highest: Floats, energy: Floats, drag_work: Floats, near: Floats | None = None
+def _end_amplitudes(
+    moments: Moments, highest: Floats, energy: Floats, drag_work: Floats, start: Floats | None = None
 ) -> Floats:
-    """Amplitudes A' below `highest` at which A'^2/2 - V + D + drag_work A'^2 is `energy`; NaN where there is
-    none.
+    """Amplitudes A' below `highest` at which A'^2/2 - V + D + drag_work A'^2 is `energy`, or NaN.
 
-    The search begins at `near`, or at the highest.
+    The search begins at `start`, or at the highest.
     """
     friction, elastic = moments.friction, moments.elastic
-    x = highest if near is None else np.where(np.isfinite(near), near, highest)
+    x = highest if start is None else np.where(np.isfinite(start), start, highest)
     for _ in range(_MAX_ITERATIONS):
-        above = (0.5 + drag_work) * x**2 - elastic.work(x)[0] + friction.work(x)[0]
+        energy_at_x = (0.5 + drag_work) * x**2 - elastic.work(x)[0] + friction.work(x)[0]
         slope = (1 + 2 * drag_work) * x - elastic.moment(x) + friction.moment(x)
-        before, x = x, np.clip(x - (above - energy) / slope, 0.1 * x, 1.5 * x)
-        if not np.any(np.abs(x - before) > _NEWTON_TOLERANCE * highest):
+        last_x, x = x, np.clip(x - (energy_at_x - energy) / slope, 0.1 * x, 1.5 * x)
+        if not np.any(np.abs(x - last_x) > _NEWTON_TOLERANCE * highest):
             break
     return np.where((energy > 0) & (x > 1e-6 * highest), x, np.nan)
 
 
 def memoryless_table(
     moments_function: MomentsFunction, parameters: Floats, highest: float, lowest: float
-) -> SwingTable | None:
-    """The law's table (`Law.table`)."""
-    steps = max(_MIN_AMPLITUDES, ceil(_PER_OCTAVE * log(highest / lowest, 2)))
+) -> HalfCycleTable | None:
+    """The table of a law (`TableMaker`)."""
+    steps = max(_MIN_AMPLITUDES, ceil(_AMPLITUDES_PER_OCTAVE * log(highest / lowest, 2)))
     log_a = np.linspace(log(lowest), log(highest), steps + 1)
     step = log_a[1] - log_a[0]
-    log_a = log_a[0] + step * np.arange(-_MARGIN_AMPLITUDES, steps + 1 + _MARGIN_AMPLITUDES)
+    log_a = log_a[0] + step * np.arange(-_EXTRA_AMPLITUDES, steps + 1 + _EXTRA_AMPLITUDES)
     a = np.exp(log_a)
     with np.errstate(all="ignore"):  # a search tries values for which terms overflow
         moments = moments_function(parameters, float(a[0]), float(a[-1]))
         if moments is None:
             return None
         rows = _rows(moments, a, float(parameters[-3]), len(parameters))
-    return SwingTable.of(log_a, rows, _MIN_AMPLITUDES + _MARGIN_AMPLITUDES, _MARGIN_AMPLITUDES)
+    return HalfCycleTable.of(log_a, rows, _MIN_AMPLITUDES + _EXTRA_AMPLITUDES, _EXTRA_AMPLITUDES)
 
 
 def _rows(moments: Moments, a: Floats, drag: float, count: int) -> Floats:
-    """Rows (2 + 2 k, amplitudes) of a table, see `SwingTable.of`."""
-    leaving = _quarter(moments, a, drag, 1.0)
-    energy = (0.5 - drag * leaving.drag_work) * a**2 - leaving.elastic[0] - leaving.friction[0]
-    following = _turning(moments, a, energy, drag * leaving.drag_work)
-    if drag:
-        for _ in range(_MAX_AMPLITUDE_ITERATIONS):
-            drag_work = _quarter(moments, following, drag, -1.0, derived=False).drag_work
-            before, following = following, _turning(moments, a, energy, drag * drag_work, following)
-            if not np.any(np.abs(following - before) > _AMPLITUDE_TOLERANCE * a):
-                break
-    coming = _quarter(moments, following, drag, -1.0)
-    amplitude_derivatives = np.concatenate(
+    """Rows (2 + 2 k, amplitudes) of a table, see `HalfCycleTable.of`."""
+    first = _quarter(moments, a, drag, 1.0)
+    energy = (0.5 - drag * first.drag_work) * a**2 - first.elastic[0] - first.friction[0]
+    end = _end_amplitudes(moments, a, energy, drag * first.drag_work)
+    for _ in range(_MAX_AMPLITUDE_ITERATIONS if drag else 0):
+        drag_work = _quarter(moments, end, drag, -1.0, with_derivatives=False).drag_work
+        last_end, end = end, _end_amplitudes(moments, a, energy, drag * drag_work, end)
+        if not np.any(np.abs(end - last_end) > _AMPLITUDE_TOLERANCE * a):
+            break
+    second = _quarter(moments, end, drag, -1.0)
+    end_derivatives = np.concatenate(
         [
-            -leaving.friction[1:] - coming.friction[1:],
-            coming.elastic[1:] - leaving.elastic[1:],
-            -(leaving.drag_work * a**2 + coming.drag_work * following**2)[None],
+            -first.friction[1:] - second.friction[1:],
+            second.elastic[1:] - first.elastic[1:],
+            -(first.drag_work * a**2 + second.drag_work * end**2)[None],
         ]
     )
     if drag:
-        amplitude_derivatives -= drag * (
-            leaving.drag_work_derivatives[:-1] * a**2 + coming.drag_work_derivatives[:-1] * following**2
+        end_derivatives -= drag * (
+            first.drag_work_derivatives[:-1] * a**2 + second.drag_work_derivatives[:-1] * end**2
         )
-    at_end = moments.friction.moment(following) - moments.elastic.moment(following)
-    amplitude_derivatives /= (
-        following + at_end + drag * following * (2 * coming.drag_work + coming.drag_work_derivatives[-1])
+    end_moment = moments.friction.moment(end) - moments.elastic.moment(end)
+    end_derivatives /= (
+        end + end_moment + drag * end * (2 * second.drag_work + second.drag_work_derivatives[-1])
     )
     time_derivatives = (
-        leaving.time_derivatives[:-1]
-        + coming.time_derivatives[:-1]
-        + coming.time_derivatives[-1] / following * amplitude_derivatives
+        first.time_derivatives[:-1]
+        + second.time_derivatives[:-1]
+        + second.time_derivatives[-1] / end * end_derivatives
     )
     indices = np.array([*moments.friction.parameter_indices, *moments.elastic.parameter_indices, count - 3])
     rows = np.zeros((2 + 2 * count, len(a)))
-    rows[0], rows[1] = following / a, leaving.time + coming.time
-    np.add.at(rows, 2 + indices, amplitude_derivatives / a)
+    rows[0], rows[1] = end / a, first.time + second.time
+    np.add.at(rows, 2 + indices, end_derivatives / a)
     np.add.at(rows, 2 + count + indices, time_derivatives)
     return rows
 
@@ -265,22 +268,22 @@ def memoryless_law(
     moments_function: MomentsFunction,
     scalings: Mapping[str, Scaling],
     valley_coordinates: Callable[[bool], ValleyCoordinates],
-    propose_starts: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
+    propose_starts: StartProposal,
 ) -> Law:
-    """A law of friction and elastic moment; see `Coordinates` for the last arguments."""
+    """A law of friction and elastic moment; `Coordinates` describes the last three arguments."""
 
     def moments(
         phi_rad: Floats, direction: Floats, values: Mapping[str, float], pendulum: PendulumOnBall
     ) -> BranchMoments:
-        own = scaled_values(scalings, values, pendulum, 1.0).values()
-        found = moments_function(np.array([*own, 0.0, 1.0, relative_curvature(pendulum)]), 0.0, 0.0)
-        if found is None:
+        scaled = scaled_values(scalings, values, pendulum, 1.0).values()
+        law_moments = moments_function(np.array([*scaled, 0.0, 1.0, relative_curvature(pendulum)]), 0.0, 0.0)
+        if law_moments is None:
             # a fit may end where the law has no moments; NaN is not plotted
             undefined = np.full(np.shape(phi_rad), np.nan)
             return BranchMoments(undefined, undefined)
         weight, size = weight_moment(pendulum), np.abs(phi_rad)
         with np.errstate(all="ignore"):  # ln 0 in derivatives
-            friction, elastic = (one.moment(size) for one in found)
+            friction, elastic = (moment.moment(size) for moment in law_moments)
         return BranchMoments(-weight * np.sign(direction) * friction, weight * np.sign(phi_rad) * elastic)
 
     return Law(
@@ -290,7 +293,7 @@ def memoryless_law(
         parameters=tuple(parameters),
         branch_moments=moments,
         table=partial(memoryless_table, moments_function),
-        columns=partial(
+        coordinates=partial(
             Coordinates,
             parameters=parameters,
             scalings=scalings,

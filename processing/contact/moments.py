@@ -1,7 +1,7 @@
-"""Loops and work of a swing, losses of a decay, surface energy; the contact spot with adhesion.
+"""Moment loops, losses of a decay, surface energy, and the contact spot with adhesion.
 
 Hertz leaves adhesion out. The adhesion that resists rolling (c of Eq. 1) also pulls the surfaces together, so
-that the spot is larger and the surface energy, which is c over the spot's area, is smaller. Both are found
+that the spot is larger and the surface energy, which is c over the spot's area, is smaller. Both are computed
 together, by iteration. With the work of adhesion w = 2 sigma (two equal surfaces are separated), the reduced
 modulus K = 4/3 / (sum of (1 - nu^2)/E) and the load F:
 
@@ -31,14 +31,12 @@ from processing.swing import TurningPoints
 
 @dataclass(frozen=True, slots=True)
 class SurfaceEnergy:
-    """Specific surface energy in J/m^2, in the paper's two forms.
-
-    `table2` is m g R c/(2 a^2), the work divided by the area 2 a^2 phi that the contact spot sweeps; it
-    reproduces the values of Table 2. `eq2` is m g c/(2 a), Eq. 2 as printed.
-    """
+    """Specific surface energy in J/m^2, in the paper's two forms."""
 
     table2: Annotated[Estimate, PART]
+    """m g R c/(2 a^2), the work divided by the area 2 a^2 phi that the contact spot sweeps, as in Table 2."""
     eq2: Annotated[Estimate, PART]
+    """m g c/(2 a), Eq. 2 as printed."""
 
 
 def surface_energy(c: Estimate, pendulum: PendulumOnBall) -> SurfaceEnergy:
@@ -46,8 +44,8 @@ def surface_energy(c: Estimate, pendulum: PendulumOnBall) -> SurfaceEnergy:
     force = pendulum.mass_kg * pendulum.gravity_m_per_s2
     a = pendulum.contact_radius_m
     return SurfaceEnergy(
-        Estimate(*(force * pendulum.ball_radius_m * part / (2 * a**2) for part in c)),
-        Estimate(*(force * part / (2 * a) for part in c)),
+        Estimate(*(force * pendulum.ball_radius_m * number / (2 * a**2) for number in c)),
+        Estimate(*(force * number / (2 * a) for number in c)),
     )
 
 
@@ -87,30 +85,23 @@ def moment_loop(
 
 @dataclass(frozen=True)
 class CycleLosses:
-    """Losses over whole cycles as a function of the amplitude in the middle of each (rad).
-
-    `log_decrement` is ln(A_i/A_(i+2)), `quality` is pi divided by it.
-    The `u_` are standard uncertainties. For a decrement comparable to its uncertainty, that of Q has no
-    meaning; it is infinite if the decrement is not positive.
-    """
+    """Losses over whole cycles, arrays (cycles,). The `u_` are standard uncertainties."""
 
     amplitude_rad: Floats
+    """Amplitude in the middle of each cycle."""
     log_decrement: Floats
+    """ln(A_i/A_(i+2))."""
     u_log_decrement: Floats
     quality: Floats
+    """pi over the decrement."""
     u_quality: Floats
+    """Infinite if the decrement is not positive; without meaning if it is comparable to its uncertainty."""
 
 
-def _losses(middle: Floats, decrement: Floats, u_decrement: Floats) -> CycleLosses:
-    lossy = decrement > 0
-    safe = np.where(lossy, decrement, 1.0)
-    return CycleLosses(
-        middle,
-        decrement,
-        u_decrement,
-        np.where(lossy, np.pi / safe, np.nan),
-        np.where(lossy, np.pi * u_decrement / safe**2, np.inf),
-    )
+def _losses(amplitude_rad: Floats, decrement: Floats, u_decrement: Floats) -> CycleLosses:
+    positive = np.where(decrement > 0, decrement, np.nan)
+    u_quality = np.where(decrement > 0, np.pi * u_decrement / positive**2, np.inf)
+    return CycleLosses(amplitude_rad, decrement, u_decrement, np.pi / positive, u_quality)
 
 
 def measured_losses(points: TurningPoints, *, cycles: int = 1) -> CycleLosses:
@@ -122,14 +113,11 @@ def measured_losses(points: TurningPoints, *, cycles: int = 1) -> CycleLosses:
     if cycles < 1:
         raise DataError(f"cycles = {cycles}: at least one")
     step = 2 * cycles
-    position = {int(index): i for i, index in enumerate(points.index)}
-    first, last = [], []
-    for index in range(int(points.index[0]), int(points.index[-1]) - step + 1, step):
-        if index in position and index + step in position:
-            first.append(position[index])
-            last.append(position[index + step])
-    if not first:
+    begins = np.arange(points.index[0], points.index[-1] - step + 1, step)
+    begins = begins[np.isin(begins, points.index) & np.isin(begins + step, points.index)]
+    if not len(begins):
         raise DataError(f"no two turning points {cycles} whole cycles apart")
+    first, last = np.searchsorted(points.index, begins), np.searchsorted(points.index, begins + step)
     a, b = points.amplitude[first], points.amplitude[last]
     u = np.hypot(points.u_amplitude[first] / a, points.u_amplitude[last] / b)
     return _losses(np.sqrt(a * b), np.log(a / b) / cycles, u / cycles)
@@ -138,22 +126,24 @@ def measured_losses(points: TurningPoints, *, cycles: int = 1) -> CycleLosses:
 def model_losses(
     amplitude_rad: Floats, parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> CycleLosses:
-    """Losses by the exact half-swing map for a cycle that starts at each amplitude (n,); uncertainties are 0.
+    """Losses by the exact half-cycle map for a cycle that starts at each amplitude (n,); uncertainties are 0.
 
     NaN if friction stops the pendulum before the end of the cycle.
     """
-    ends = np.array(
-        [turning_points_of(parameters, pendulum, float(a), 2)[0][2] for a in np.atleast_1d(amplitude_rad)]
+    end_rad = np.array(
+        [turning_points_of(parameters, pendulum, float(a), 2)[0][2] for a in amplitude_rad], dtype=np.float64
     )
-    start = np.atleast_1d(np.asarray(amplitude_rad, dtype=np.float64))
-    return _losses(np.sqrt(start * ends), np.log(start / ends), np.zeros_like(start))
+    return _losses(
+        np.sqrt(amplitude_rad * end_rad), np.log(amplitude_rad / end_rad), np.zeros_like(amplitude_rad)
+    )
 
 
 ATOMIC_DISTANCE_M = 0.3e-9
 """z0, the distance of the surfaces' atoms in contact, on which the Tabor parameter depends: 0.2 to 0.4 nm."""
 _MAUGIS_PER_TABOR = 1.157
 """Maugis' parameter lambda over Tabor's mu, if Dugdale's step of the force has the work and the peak force of
-Lennard-Jones'."""
+Lennard-Jones'.
+"""
 _MIN_TABOR_JKR = 5.0
 _MAX_TABOR_DMT = 0.1
 """Tabor parameters above which JKR, and below which DMT holds (Johnson & Greenwood 1997)."""
@@ -169,9 +159,10 @@ class AdhesiveContact:
 
 @dataclass(frozen=True, slots=True)
 class AdhesiveContacts:
-    """The contact spot by each theory; the Tabor parameter `tabor` decides which holds."""
+    """The contact spot by each theory."""
 
     tabor: float
+    """The Tabor parameter, which decides which theory holds."""
     jkr: AdhesiveContact
     dmt: AdhesiveContact
     maugis: AdhesiveContact
@@ -216,9 +207,9 @@ def adhesive_contacts(c: float, pendulum: PendulumOnBall) -> AdhesiveContacts:
         tabor = tabor_parameter(work, radius, stiffness)
         return maugis_radius(force, work, radius, stiffness, _MAUGIS_PER_TABOR * tabor)
 
-    found = {theory.__name__: _with_adhesion(theory, c, pendulum) for theory in (jkr, dmt, maugis)}
-    work = 2 * found["maugis"].surface_energy_j_per_m2
-    return AdhesiveContacts(tabor_parameter(work, radius, stiffness), **found)
+    contacts = {theory.__name__: _with_adhesion(theory, c, pendulum) for theory in (jkr, dmt, maugis)}
+    work = 2 * contacts["maugis"].surface_energy_j_per_m2
+    return AdhesiveContacts(tabor_parameter(work, radius, stiffness), **contacts)
 
 
 def tabor_parameter(work_j_per_m2: float, ball_radius_m: float, stiffness_pa: float) -> float:
@@ -234,10 +225,9 @@ def _with_adhesion(
     a = pendulum.contact_radius_m
     for _ in range(200):
         sigma = surface_energy(Estimate(c, 0.0), replace(pendulum, contact_radius_m=a)).table2.value
-        following = radius_of(2 * sigma)
-        if abs(following - a) < 1e-12 * a:
-            return AdhesiveContact(following, sigma)
-        a = following
+        last_a, a = a, radius_of(2 * sigma)
+        if abs(a - last_a) < 1e-12 * last_a:
+            return AdhesiveContact(a, sigma)
     return AdhesiveContact(nan, nan)
 
 
@@ -254,24 +244,24 @@ def maugis_radius(
     """
     load = force_n / (pi * work_j_per_m2 * ball_radius_m)
 
-    def at(m: float) -> tuple[float, float]:
+    def radius_and_load(m: float) -> tuple[float, float]:
         """a and P for the ratio m; a is the root of a quadratic equation."""
         s, t = sqrt(m * m - 1), acos(1 / m)
-        half = 0.5 * transition * (s + (m * m - 2) * t)
-        whole = 4 / 3 * transition**2 * (s * t - m + 1)
-        a = 2 / (whole + sqrt(whole**2 + 4 * half))
+        square_term = 0.5 * transition * (s + (m * m - 2) * t)
+        linear_term = 4 / 3 * transition**2 * (s * t - m + 1)
+        a = 2 / (linear_term + sqrt(linear_term**2 + 4 * square_term))
         return a, a**3 - transition * a * a * (s + m * m * t)
 
     # the load falls as the ring of attraction grows; close to m = 1 it is larger than any given one
-    near, far = 1.0 + 1e-12, 2.0
-    while at(far)[1] > load:
-        far *= 2
-        if far > 1e9:
+    low, high = 1.0 + 1e-12, 2.0
+    while radius_and_load(high)[1] > load:
+        high *= 2
+        if high > 1e9:
             return nan
     for _ in range(200):
-        middle = 1 + sqrt((near - 1) * (far - 1))
-        near, far = (middle, far) if at(middle)[1] > load else (near, middle)
-        if far - near < 1e-15 * far:
+        middle = 1 + sqrt((low - 1) * (high - 1))
+        low, high = (middle, high) if radius_and_load(middle)[1] > load else (low, middle)
+        if high - low < 1e-15 * high:
             break
     scale = (pi * work_j_per_m2 * ball_radius_m**2 / stiffness_pa) ** (1 / 3)
-    return float(at(far)[0] * scale)
+    return float(radius_and_load(high)[0] * scale)

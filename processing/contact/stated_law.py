@@ -7,7 +7,7 @@ differences.
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from math import isfinite, log
@@ -17,7 +17,17 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
-from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter, PendulumOnBall, stiffness_ratio
+from processing.contact.law import (
+    AMPLITUDE,
+    DRAG,
+    FREE_PERIOD,
+    PERIOD,
+    TIME,
+    Law,
+    Parameter,
+    PendulumOnBall,
+    stiffness_ratio,
+)
 from processing.contact.law_of_splines import work_over_log
 from processing.contact.laws import LAWS, PAPER, STIFFNESS, elastic_moment
 from processing.contact.memoryless import Moment, Moments, memoryless_law
@@ -26,13 +36,14 @@ from processing.errors import DataError
 from processing.least_squares import differenced, solve
 from processing.swing import TurningPoints
 
-_ELASTIC = ("n", "gamma_pa")
+_ELASTIC_KEYS = ("n", "gamma_pa")
 """Parameters of Eq. 3, which is fitted where no other elastic moment is stated."""
-_LOWEST, _PER_OCTAVE = 1e-5, 40
-"""Angle, over the smallest amplitude, below which a moment is taken as constant, and the points at which its
-work is tabulated in a factor of two."""
+_LOWEST_RATIO = 1e-5
+"""Angle, over the smallest amplitude, below which a moment is taken as constant."""
+_POINTS_PER_OCTAVE = 40
+"""Number of points in a factor of two at which the work of a moment is tabulated."""
 _START_FACTORS = (1.0, 0.3, 3.0)
-"""Factors of the stated start values, with each of which a fit begins."""
+"""Factors of the stated start values, with each of which a fit is tried to begin."""
 _COMPARED_ANGLES = 24
 """Angles at which a friction is compared with the paper's, for start values of its fit."""
 _RELATIVE_STEP = 1e-4
@@ -43,39 +54,37 @@ StatedMoment = Callable[..., Floats]
 
 
 def _check_result(moment: StatedMoment, name: str) -> StatedMoment:
-    """A stated moment whose result is an array of floats; it raises DataError with the fault of any other.
+    """A stated moment whose result is an array of floats; it raises DataError if that of `moment` is none."""
 
-    It gets a copy of the angles, so that a function that writes into them changes no others.
-    """
-
-    def result(phi_rad: Floats, **own: float) -> Floats:
-        values = ", ".join(f"{key} = {value:.6g}" for key, value in own.items())
+    def checked(phi_rad: Floats, **parameters: float) -> Floats:
+        values = ", ".join(f"{key} = {value:.6g}" for key, value in parameters.items())
         try:
-            found = np.asarray(moment(np.array(phi_rad), **own))
+            # a copy: a function of the user may write into its angles
+            result = np.asarray(moment(np.array(phi_rad), **parameters))
         except Exception as error:
             raise DataError(
                 f"{name}: raises {type(error).__name__} ({error}) for an array of {phi_rad.size} angles and "
                 f"{values}; a law has a value for each of them"
             ) from error
-        if found.dtype.kind not in "fiu":
+        if result.dtype.kind not in "fiu":
             raise DataError(
-                f"{name}: returns {found.dtype} for {values}; one real number for each angle is needed"
+                f"{name}: returns {result.dtype} for {values}; one real number for each angle is needed"
             )
-        return np.asarray(found, dtype=np.float64)
+        return np.asarray(result, dtype=np.float64)
 
-    return result
+    return checked
 
 
 def _require_finite(
     moment: StatedMoment, start: Mapping[str, float], points: TurningPoints, name: str
 ) -> None:
     """Raise DataError unless a moment has a finite value where a fit begins."""
-    probe = np.geomspace(1e-3, 1, 9) * float(points.amplitude.max())
-    found = moment(probe, **start)
-    if found.shape not in ((), probe.shape) or not np.all(np.isfinite(found)):
+    phi_rad = np.geomspace(1e-3, 1, 9) * float(points.amplitude.max())
+    result = moment(phi_rad, **start)
+    if result.shape not in ((), phi_rad.shape) or not np.all(np.isfinite(result)):
         raise DataError(
-            f"{name}: returns an array of shape {found.shape} for {len(probe)} angles, with "
-            f"{int(np.isfinite(found).sum())} finite numbers; one for each angle is needed"
+            f"{name}: returns an array of shape {result.shape} for {len(phi_rad)} angles, with "
+            f"{int(np.isfinite(result).sum())} finite numbers; one for each angle is needed"
         )
 
 
@@ -89,30 +98,31 @@ def _by_quadrature(
     highest: float,
 ) -> Moment:
     """A stated moment in units of the reference; its parameters are those of `values`, in `names`."""
-    first = _LOWEST * lowest
+    first = _LOWEST_RATIO * lowest
 
-    def at(x: Floats, changed: Mapping[str, float]) -> Floats:
-        found = stated(x * reference, **{**values, **changed}) / reference
-        return np.asarray(np.broadcast_to(found, x.shape))
+    def evaluate(x: Floats, **changed: float) -> Floats:
+        result = stated(x * reference, **{**values, **changed}) / reference
+        return np.asarray(np.broadcast_to(result, x.shape))
 
     def moment(x: Floats) -> Floats:
-        return at(np.maximum(x, first), {})
+        return evaluate(np.maximum(x, first))
 
     def with_derivatives(x: Floats) -> Floats:
-        found = [at(x, {})]
+        columns = [evaluate(x)]
         for name, value in values.items():
             high, low = value + steps[name], value - steps[name]
-            found.append((at(x, {name: high}) - at(x, {name: low})) / (high - low))
-        return np.stack(found, axis=-1)
+            columns.append((evaluate(x, **{name: high}) - evaluate(x, **{name: low})) / (high - low))
+        return np.stack(columns, axis=-1)
 
     @cache
-    def tabulated() -> Callable[[Floats], Floats]:
-        u = np.linspace(log(first), log(highest), int(_PER_OCTAVE * log(highest / first, 2)) + 2)
-        return work_over_log(u, with_derivatives, lambda x: x[:, None] * with_derivatives(x))
+    def work_table() -> Callable[[Floats], Floats]:
+        count = int(_POINTS_PER_OCTAVE * log(highest / first, 2)) + 2
+        log_x = np.linspace(log(first), log(highest), count)
+        return work_over_log(log_x, with_derivatives, lambda x: x[:, None] * with_derivatives(x))
 
     def work(x: Floats) -> Floats:
-        share = np.minimum(x / first, 1.0)[..., None]
-        return np.moveaxis(share * tabulated()(np.log(np.maximum(x, first))), -1, 0)
+        fraction = np.minimum(x / first, 1.0)[..., None]
+        return np.moveaxis(fraction * work_table()(np.log(np.maximum(x, first))), -1, 0)
 
     return Moment(tuple(map(names.index, values)), moment, work)
 
@@ -125,19 +135,21 @@ def _starts_of(moment: StatedMoment) -> dict[str, float]:
     DataError
         A parameter without a number as its default.
     """
-    _, *own = inspect.signature(moment).parameters.values()
+    _, *parameters = inspect.signature(moment).parameters.values()
     name = getattr(moment, "__name__", "law")
-    for one in own:
-        if not isinstance(one.default, int | float) or not isfinite(one.default):
+    for parameter in parameters:
+        if not isinstance(parameter.default, int | float) or not isfinite(parameter.default):
             raise DataError(
-                f"{name}: its parameter {one.name} has no number where the fit begins; state one as its "
-                f"default, as in {name}(phi_rad, {one.name}=1e-3)"
+                f"{name}: its parameter {parameter.name} has no number where the fit begins; state one as "
+                f"its default, as in {name}(phi_rad, {parameter.name}=1e-3)"
             )
-        if one.name in (PERIOD, DRAG.key, "initial_amplitude_rad", "start_time_s"):
-            raise DataError(f"{name}: its parameter {one.name} is fitted with every law; name it otherwise")
-    if not own:
+        if parameter.name in (PERIOD, DRAG.key, AMPLITUDE.key, TIME.key):
+            raise DataError(
+                f"{name}: its parameter {parameter.name} is fitted with every law; name it otherwise"
+            )
+    if not parameters:
         raise DataError(f"{name}: a law has the angle and at least one parameter")
-    return {one.name: float(one.default) for one in own}
+    return {parameter.name: float(parameter.default) for parameter in parameters}
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,100 +169,103 @@ class StatedLaw:
         name = getattr(self.friction, "__name__", "")
         return name if name.isidentifier() and name not in LAWS else "stated"
 
-    def of(self, points: TurningPoints, pendulum: PendulumOnBall, like: Mapping[str, float]) -> Law:
-        """The law of one decay; `like`, the paper's law fitted to it, gives start values of period and Eq. 3.
+    def of(self, points: TurningPoints, pendulum: PendulumOnBall, paper_values: Mapping[str, float]) -> Law:
+        """The law of one decay; the parameters of the paper's law fitted to it give start values.
 
         Raises
         ------
         DataError
             A parameter without a start value, or a moment without finite values there.
         """
-        return _law(self, points, pendulum, like)
+        return _law(self, points, pendulum, paper_values)
 
 
 def _starts_near_paper(
-    friction: StatedMoment, start: Mapping[str, float], like: Mapping[str, float], points: TurningPoints
+    friction: StatedMoment,
+    start: Mapping[str, float],
+    paper_values: Mapping[str, float],
+    points: TurningPoints,
 ) -> list[dict[str, float]]:
-    """Start values with which a friction is nearest to the paper's fitted one, searched from its own; none
-    where the search fails.
+    """Start values with which a friction is nearest to the paper's fitted one, searched from `start`; none if
+    the search fails.
     """
-    if not {"b", "p", "c"} <= like.keys():
+    if not {"b", "p", "c"} <= paper_values.keys():
         return []
     phi_rad = np.geomspace(float(points.amplitude.min()), float(points.amplitude.max()), _COMPARED_ANGLES)
-    papers = like["c"] + like["b"] * phi_rad ** like["p"]
+    paper_friction = paper_values["c"] + paper_values["b"] * phi_rad ** paper_values["p"]
     scale = np.array([abs(value) or 1.0 for value in start.values()])
 
-    def off(own: Floats) -> Floats:
-        found = friction(phi_rad, **dict(zip(start, (own * scale).tolist(), strict=True)))
-        return np.asarray(np.broadcast_to(np.asarray(found, dtype=np.float64) / papers - 1, phi_rad.shape))
+    def by_key(columns: Floats) -> dict[str, float]:
+        return dict(zip(start, (columns * scale).tolist(), strict=True))
+
+    def residuals(columns: Floats) -> Floats:
+        result = friction(phi_rad, **by_key(columns))
+        return np.asarray(np.broadcast_to(result / paper_friction - 1, phi_rad.shape))
 
     with np.errstate(all="ignore"):
         try:
-            found = solve(differenced(off), np.array(list(start.values())) / scale)
+            solution = solve(differenced(residuals), np.array(list(start.values())) / scale)
         except (ValueError, DataError):  # a friction that is not finite on the way, or that refuses it
             return []
-    return [dict(zip(start, (found.values * scale).tolist(), strict=True))]
+    return [by_key(solution.values)]
 
 
 def _law(
-    stated: StatedLaw, points: TurningPoints, pendulum: PendulumOnBall, like: Mapping[str, float]
+    stated: StatedLaw, points: TurningPoints, pendulum: PendulumOnBall, paper_values: Mapping[str, float]
 ) -> Law:
     elastic, name = stated.elastic, stated.name
-    start = _starts_of(stated.friction)
-    own = tuple(start)
+    friction_start = _starts_of(stated.friction)
     friction = _check_result(stated.friction, name)
-    _require_finite(friction, start, points, name)
+    _require_finite(friction, friction_start, points, name)
     if elastic is None:
-        if taken := set(own) & set(_ELASTIC):
-            raise DataError(f"{name}: its parameter {min(taken)} is one of Eq. 3, which is fitted with it")
-        start |= {key: like[key] for key in _ELASTIC}
+        elastic_start, owner = (
+            {key: paper_values[key] for key in _ELASTIC_KEYS},
+            "Eq. 3, which is fitted with it",
+        )
     else:
-        if taken := set(own) & set(_starts_of(elastic)):
-            raise DataError(f"{name}: its parameter {min(taken)} is one of the elastic moment, too")
-        of_elastic = _starts_of(elastic)
+        elastic_start, owner = _starts_of(elastic), "the elastic moment, too"
         elastic = _check_result(elastic, getattr(elastic, "__name__", "elastic"))
-        _require_finite(elastic, of_elastic, points, f"{name}, elastic")
-        start |= of_elastic
+        _require_finite(elastic, elastic_start, points, f"{name}, elastic")
+    if shared := friction_start.keys() & elastic_start.keys():
+        raise DataError(f"{name}: its parameter {min(shared)} is one of {owner}")
+    start = friction_start | elastic_start
     names = tuple(start)
     scale = {name: 1e-3 * (abs(value) or 1.0) for name, value in start.items()}
-    rest = tuple(name for name in names if name not in own)
 
     def moments_function(parameters: Floats, lowest: float, highest: float) -> Moments:
-        known = dict(zip(names, parameters[:-3].tolist(), strict=True))
-        steps = {name: _RELATIVE_STEP * max(abs(value), scale[name]) for name, value in known.items()}
+        all_values = dict(zip(names, parameters[:-3].tolist(), strict=True))
+        steps = {name: _RELATIVE_STEP * max(abs(value), scale[name]) for name, value in all_values.items()}
         _, reference, rho = parameters[-3:].tolist()
 
-        def stated_one(moment: StatedMoment, keys: tuple[str, ...]) -> Moment:
-            values = {key: known[key] for key in keys}
-            return _by_quadrature(moment, values, steps, names, reference, lowest, highest)
+        def moment_of(stated_moment: StatedMoment, keys: Iterable[str]) -> Moment:
+            values = {key: all_values[key] for key in keys}
+            return _by_quadrature(stated_moment, values, steps, names, reference, lowest, highest)
 
-        return Moments(
-            stated_one(friction, own),
-            elastic_moment(known["n"], known["gamma_pa"], rho, (*map(names.index, _ELASTIC), len(names) + 2))
-            if elastic is None
-            else stated_one(elastic, rest),
-        )
+        if elastic is not None:
+            return Moments(moment_of(friction, friction_start), moment_of(elastic, elastic_start))
+        indices = (*map(names.index, _ELASTIC_KEYS), len(names) + 2)
+        n, kappa = (all_values[key] for key in _ELASTIC_KEYS)
+        return Moments(moment_of(friction, friction_start), elastic_moment(n, kappa, rho, indices))
 
-    reference = reference_amplitude(points)
     scalings = dict.fromkeys(names, Scaling())
     scaled = dict(start)
     if elastic is None:
-        n, gamma = _ELASTIC
+        n, gamma = _ELASTIC_KEYS
         scalings[gamma] = STIFFNESS
-        scaled[gamma] *= stiffness_ratio(1.0, pendulum) * reference ** start[n]
+        scaled[gamma] *= stiffness_ratio(1.0, pendulum) * reference_amplitude(points) ** start[n]
 
-    stated_start = {key: start[key] for key in own}
-    near_paper = _starts_near_paper(friction, stated_start, like, points)
+    near_paper = _starts_near_paper(friction, friction_start, paper_values, points)
 
     def propose_starts(_: StartValues, __: float) -> list[dict[str, float]]:
-        stated = [{key: times * value for key, value in stated_start.items()} for times in _START_FACTORS]
-        return [{**scaled, **each, PERIOD: like[PERIOD]} for each in [*near_paper, *stated]]
+        multiples = [
+            {key: factor * value for key, value in friction_start.items()} for factor in _START_FACTORS
+        ]
+        return [{**scaled, **values, PERIOD: paper_values[PERIOD]} for values in [*near_paper, *multiples]]
 
-    known = {each.key: each for each in PAPER.parameters}
     parameters = (
         *(
-            known[key]
-            if elastic is None and key in _ELASTIC
+            PAPER.parameter(key)
+            if elastic is None and key in _ELASTIC_KEYS
             else Parameter(key, key, "1", f"parameter of {name}", "stated")
             for key in names
         ),

@@ -87,9 +87,9 @@ def fit_asymptotic(
     if drag and known_drag is not None:
         known = Estimate(*(drag_s / drag_factor for drag_s in known_drag))
     periods = full_periods(points)
-    if len(periods.where) < FEWEST_PERIODS:
+    if len(periods.points) < FEWEST_PERIODS:
         raise DataError(
-            f"{len(periods.where)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
+            f"{len(periods.points)} full periods between the gaps, and Eq. 6 needs at least {FEWEST_PERIODS}"
         )
     decay, amplitude_model = fit_decay(points, reference, mean_period_s, drag, loss, known)
     period, period_model = _fit_period(points, periods, reference, rho, loss)
@@ -129,7 +129,7 @@ def fit_asymptotic(
             unconverged.append(f"the fit of {name} did not converge: its parameters are not determined")
 
     is_outlier = np.abs(decay.residuals) > OUTLIER
-    is_outlier[periods.where] |= np.abs(period.residuals) > OUTLIER
+    is_outlier[periods.points] |= np.abs(period.residuals) > OUTLIER
     amplitude_residual = points.amplitude - amplitude_model
     period_residual = periods.period_s - period_model
     return FitResult(
@@ -186,7 +186,7 @@ def _fit_period(
     points: TurningPoints, periods: Periods, reference: float, rho: float, loss: Loss
 ) -> tuple[Solution, Floats]:
     """Solution of Eq. 6 (T0 in s, n, kappa for amplitudes in units of the reference), and its periods (s)."""
-    x = points.amplitude[periods.where] / reference
+    x = points.amplitude[periods.points] / reference
     drop_of = partial(frequency_drop, x, rho=rho)
 
     def model(values: Floats) -> tuple[Floats, Floats]:
@@ -211,8 +211,8 @@ def _by_turning_time(solution: Solution, points: TurningPoints, periods: Periods
     """Derivatives (half-cycles, 3) of the score of the period's fit with respect to the turning times."""
     weighted = solution.jacobian / periods.u_period_s[:, None]
     by_time = np.zeros((len(points), 3))
-    np.add.at(by_time, periods.where + 1, weighted)
-    np.add.at(by_time, periods.where - 1, -weighted)
+    np.add.at(by_time, periods.points + 1, weighted)
+    np.add.at(by_time, periods.points - 1, -weighted)
     return by_time
 
 

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.arrays import Floats
-from processing.contact import TABLE_RATIO, HalfSwings, OneHalfSwing, PendulumOnBall, SwingTable, walk
+from processing.contact import (
+    TABLE_RATIO,
+    HalfCycleLosses,
+    HalfCycleTable,
+    PendulumOnBall,
+    PredictedTurningPoints,
+    iterate_decay,
+)
 from processing.contact.laws import DEFAULT_LAW, Law
 from processing.decay_summary import mean_period, reference_amplitude
 from processing.errors import DataError
@@ -111,7 +118,7 @@ class ExactModel:
         self.reference = reference_amplitude(points)
         self.known_drive = None if evidence.drive is None else DriveGains(evidence.drive, self.reference)
         gains = () if self.known_drive is None else self.known_drive.start
-        self.parametrisation = law.columns(points, pendulum, self.names, gains)
+        self.parametrisation = law.coordinates(points, pendulum, self.names, gains)
         self.lower, self.upper = self.parametrisation.lower, self.parametrisation.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
         self._x = points.amplitude / self.reference
@@ -367,11 +374,11 @@ class LawHalfSwings:
     def __init__(self, law: Law, index: NDArray[np.int64], x: Floats) -> None:
         self._law, self._index = law, index
         self._highest, self._lowest = _ABOVE * float(x.max()), _BELOW * float(x.min())
-        self._table: dict[bytes, SwingTable | None] = {}
-        self._in_decay: dict[bytes, OneHalfSwing] = {}
-        self._at_points: dict[bytes, HalfSwings] = {}
+        self._table: dict[bytes, HalfCycleTable | None] = {}
+        self._in_decay: dict[bytes, HalfCycleLosses] = {}
+        self._at_points: dict[bytes, PredictedTurningPoints] = {}
 
-    def at_the_points(self, parameters: Floats) -> HalfSwings:
+    def at_the_points(self, parameters: Floats) -> PredictedTurningPoints:
         """Turning points at the indices of the points."""
         key = parameters.tobytes()
         if key not in self._at_points:
@@ -380,7 +387,7 @@ class LawHalfSwings:
             self._at_points[key] = decay.turning_points(float(parameters[-1]), self._index)
         return self._at_points[key]
 
-    def through_the_decay(self, parameters: Floats) -> OneHalfSwing | None:
+    def through_the_decay(self, parameters: Floats) -> HalfCycleLosses | None:
         """One half-swing at all amplitudes of the data; None if these parameters have none."""
         if not np.all(np.isfinite(parameters)):
             return None
@@ -392,7 +399,7 @@ class LawHalfSwings:
         decay = self._in_decay[key]
         return decay if len(decay.amplitude) > 1 else None
 
-    def _from(self, parameters: Floats, first: float, count: int, lowest: float = 0.0) -> OneHalfSwing:
+    def _from(self, parameters: Floats, first: float, count: int, lowest: float = 0.0) -> HalfCycleLosses:
         """The free decay from a first to a lowest amplitude, by one table for all amplitudes of the data."""
         own = parameters[:-1]
         key = own.tobytes()
@@ -401,9 +408,9 @@ class LawHalfSwings:
             self._table[key] = self._law.table(own, self._highest, self._lowest)
         table = self._table[key]
 
-        def table_from(amplitude: float) -> SwingTable | None:
+        def table_from(amplitude: float) -> HalfCycleTable | None:
             if table is not None and table.holds(amplitude):
                 return table
             return self._law.table(own, amplitude, amplitude / TABLE_RATIO) if amplitude > lowest else None
 
-        return walk(table_from, len(parameters), first, count)
+        return iterate_decay(table_from, len(parameters), first, count)

@@ -148,7 +148,7 @@ def result_of(
 
     is_outlier = np.any(np.abs(of_points.reshape(2, -1)) > OUTLIER, axis=0)
     periods = full_periods(points)
-    period_model = time[periods.where + 1] - time[periods.where - 1]
+    period_model = time[periods.points + 1] - time[periods.points - 1]
     period_deviation = np.abs(periods.period_s - period_model) / periods.period_s
     return FitResult(
         method=FitMethod.EXACT,

@@ -1,7 +1,7 @@
 """The ground as a source of scatter: the noise of turning points, its likeliest size, and the Kalman filter.
 
 State: amplitude (in units of the reference) and time (s) of the turning point. Transition: one half-swing
-of the law (`OneHalfSwing`, interpolated by cubics) and the drive. White angular acceleration moves the two
+of the law (`HalfCycleLosses`, interpolated by cubics) and the drive. White angular acceleration moves the two
 quadratures of the oscillation independently, each by a step of standard deviation s a half-swing. To first
 order in s/a one of them changes the amplitude and the other, divided by w a, the time. The second order
 raises the amplitude on average by s^2/(2 a), as the length of a vector grows to which another is added.

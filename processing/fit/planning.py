@@ -185,11 +185,11 @@ def _decay(
         np.array([first_rad, last_rad]),
         np.full(2, 1e-3 * last_rad),
     )
-    parametrisation = law.columns(range_ends, pendulum, names)
+    parametrisation = law.coordinates(range_ends, pendulum, names)
     parameters = parametrisation.map_parameters(parametrisation.from_physical(known))[0]
     count = 256
     while True:
-        decay = law.half_swing_map(parameters[:-2], np.arange(count, dtype=np.int64))
+        decay = law.turning_points(parameters[:-2], np.arange(count, dtype=np.int64))
         amplitude = decay.amplitude * parametrisation.reference
         if not np.isfinite(amplitude[-1]) or amplitude[-1] < last_rad or count > 1 << 16:
             break

@@ -4,7 +4,7 @@ scipy is imported inside functions: the settings import the table of instruments
 scipy.optimize would slow down the start of every command.
 """
 
-from processing.instruments.crossings import circular_error, inferred_swings, joined_swings
+from processing.instruments.crossings import circular_error, inferred_half_cycles, joined_half_cycles
 from processing.instruments.damping_fit import (
     MeanOverPlaces,
     SharedError,

@@ -1,4 +1,4 @@
-"""Damping between two amplitudes: time and number of swings (Koenig, Persoz, Kuznetsov).
+"""Damping between two amplitudes: time and number of full swings (Koenig, Persoz, Kuznetsov).
 
 The passage of the amplitude through a level is interpolated between the turning points before and after it:
 the half-cycle linearly in ln(amplitude), the time linearly in the half-cycle.
@@ -19,33 +19,37 @@ from processing.instruments.descriptions import DEGREE_RAD
 from processing.quantity import PART
 from processing.swing import TurningPoints
 
-Found = TypeVar("Found", bound=NamedTuple)
+Result = TypeVar("Result", bound=NamedTuple)
 
 _SIMULATED_DECAYS = 100
-"""Simulated decays; their scatter is known to 7 %."""
+"""Number of simulated decays; their scatter is known to 7 %."""
 _MIN_DIFFERENCES = 12
-"""Fewest third differences of amplitudes from which the drive is estimated."""
+"""Smallest number of third differences of amplitudes from which the drive is estimated."""
+_MAX_EXTRAPOLATION = 0.03
+"""Largest relative distance of a level from a smaller first amplitude to which the decay is extrapolated."""
+_SLOPE_POINTS = 10
+"""Number of half-cycles from which the slope of an extrapolation follows."""
+_NORMAL_95 = 1.959964
 
 
 class SharedError(NamedTuple):
-    """An error that the turning points of a run share, and that runs with the same `name` share.
-
-    `scale` and `clock` are relative standard uncertainties of all amplitudes and of all times,
-    `amplitude_rad` is added to the amplitudes by one standard uncertainty. An error without a name is the
-    run's own.
-    """
+    """An error that the turning points of a run share, and that runs with the same `name` share."""
 
     name: str
+    """Empty for an error of this run alone."""
     scale: float = 0.0
+    """Relative standard uncertainty of all amplitudes."""
     clock: float = 0.0
+    """Relative standard uncertainty of all times."""
     amplitude_rad: float | Floats = 0.0
+    """Change of the amplitudes by one standard uncertainty."""
 
-    def shifted(self, points: TurningPoints, by: float) -> TurningPoints:
-        """The points changed by `by` standard uncertainties of the error."""
-        scale, clock = 1 + by * self.scale, 1 + by * self.clock
+    def shifted(self, points: TurningPoints, sigmas: float) -> TurningPoints:
+        """The points changed by `sigmas` standard uncertainties of the error."""
+        scale, clock = 1 + sigmas * self.scale, 1 + sigmas * self.clock
         return replace(
             points,
-            amplitude=points.amplitude * scale + by * self.amplitude_rad,
+            amplitude=points.amplitude * scale + sigmas * self.amplitude_rad,
             u_amplitude=points.u_amplitude * scale,
             time_s=points.time_s * clock,
             u_time_s=points.u_time_s * clock,
@@ -54,31 +58,33 @@ class SharedError(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ValueWithSharedErrors:
-    """A value with its own standard uncertainty, and its changes by shared errors.
-
-    `shared` holds, by the error's name, the change of the value for one standard uncertainty, with its sign:
-    it does not fall in a mean, and cancels in a ratio.
-    """
+    """A value with its own standard uncertainty, and its changes by shared errors."""
 
     value: float
     own: float
+    """Standard uncertainty by independent errors."""
     shared: Mapping[str, float] = field(default_factory=dict)
+    """Change of the value, with its sign, for one standard uncertainty of each error, by the error's name: it
+    does not fall in a mean, and cancels in a ratio.
+    """
 
     @property
     def u_shared(self) -> float:
+        """Standard uncertainty by the shared errors."""
         return math.hypot(*self.shared.values())
 
     @property
     def estimate(self) -> Estimate:
+        """The value with its whole standard uncertainty."""
         return Estimate(self.value, math.hypot(self.own, self.u_shared))
 
 
 def with_shared(
-    reduce: Callable[[TurningPoints], Found],
+    reduce: Callable[[TurningPoints], Result],
     points: TurningPoints,
     errors: Sequence[SharedError],
-    found: Found | None = None,
-) -> tuple[Found, dict[str, ValueWithSharedErrors]]:
+    result: Result | None = None,
+) -> tuple[Result, dict[str, ValueWithSharedErrors]]:
     """Evaluate turning points and include errors that they share in every estimate.
 
     Such an error does not show in the scatter of a record. The evaluation is repeated with each of them at
@@ -89,28 +95,28 @@ def with_shared(
     ----------
     reduce
         The evaluation; it returns a named tuple, of which the fields of type `Estimate` (or None in all
-        evaluations) are modified and the others kept.
-    found
+        evaluations) are modified, the others not.
+    result
         The evaluation of the points as given, if its uncertainties are to be enlarged and not those that
         `reduce` states.
 
     Returns
     -------
-    found, readings
-        The evaluation with whole uncertainties, and its estimates with the shared parts apart, by field.
+    result, readings
+        The evaluation with whole uncertainties, and its estimates with their shared errors, by field.
 
     Raises
     ------
     DataError
-        Errors of `reduce` for the points as given. If it fails only for the moved ones, it is repeated with
+        Errors of `reduce` for the points as given. If it fails only for the shifted ones, it is repeated with
         the opposite sign; if that fails too, the error is left out.
     """
     plain = reduce(points)
-    found = plain if found is None else found
+    result = plain if result is None else result
     shared: dict[str, dict[str, float]] = {
-        name: {} for name, value in found._asdict().items() if isinstance(value, Estimate)
+        name: {} for name, value in result._asdict().items() if isinstance(value, Estimate)
     }
-    own: dict[str, list[float]] = {name: [getattr(found, name).standard_uncertainty] for name in shared}
+    own: dict[str, list[float]] = {name: [getattr(result, name).standard_uncertainty] for name in shared}
     for error in errors:
         for sign in (1.0, -1.0):
             try:
@@ -127,13 +133,13 @@ def with_shared(
                         own[name].append(change)
             break
     readings = {
-        name: ValueWithSharedErrors(getattr(found, name).value, math.hypot(*own[name]), changes)
+        name: ValueWithSharedErrors(getattr(result, name).value, math.hypot(*own[name]), changes)
         for name, changes in shared.items()
     }
-    return found._replace(**{name: one.estimate for name, one in readings.items()}), readings
+    return result._replace(**{name: reading.estimate for name, reading in readings.items()}), readings
 
 
-def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) -> Found:
+def with_drive(reduce: Callable[[TurningPoints], Result], points: TurningPoints) -> Result:
     """Evaluate turning points with uncertainties that contain the scatter by a drive of the ground.
 
     A kick of the ground moves all later half-cycles: passages and periods far apart scatter by more than the
@@ -143,18 +149,18 @@ def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) 
     Parameters
     ----------
     reduce
-        As for `with_shared`. The fields of type `Estimate` get the scatter of the draws as uncertainty, the
-        others are kept.
+        As for `with_shared`. The fields of type `Estimate` get the scatter of the simulated decays as
+        uncertainty, the others are not changed.
 
     Raises
     ------
     DataError
         Errors of `reduce` for the points as given.
     """
-    found = reduce(points)
+    result = reduce(points)
     step = drive_step(points)
     if step == 0:
-        return found
+        return result
     rng = np.random.default_rng(0)
     simulated = []
     for _ in range(_SIMULATED_DECAYS):
@@ -163,21 +169,20 @@ def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) 
         except DataError:
             continue
     if len(simulated) < 0.5 * _SIMULATED_DECAYS:
-        return found
+        return result
     columns = zip(*simulated, strict=True)
-    return found._replace(
+    return result._replace(
         **{
             name: Estimate(value.value, _scatter(column)) if isinstance(value, Estimate) else value
-            for name, value, column in zip(found._fields, found, columns, strict=True)
+            for name, value, column in zip(result._fields, result, columns, strict=True)
         }
     )
 
 
 def drive_step(points: TurningPoints) -> float:
-    """Rms change of the amplitude in one half-swing by the ground; 0 where no drive is seen.
+    """Rms change of the amplitude in one half-cycle by the ground; 0 if no drive is significant.
 
-    A smooth decay leaves nothing in third differences of ln(amplitude): their variance is
-    ``6 step^2/a^2 + 20 u^2/a^2``.
+    A smooth decay has no third differences of ln(amplitude): their variance is ``6 step^2/a^2 + 20 u^2/a^2``.
     """
     runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(points.index) != 1) + 1)
     excess = np.concatenate([_excess(points, run) for run in runs])
@@ -194,9 +199,9 @@ def _excess(points: TurningPoints, run: Ints) -> Floats:
         return np.empty(0)
     amplitude, u = points.amplitude[run], points.u_amplitude[run]
     third = np.diff(np.log(amplitude), 3)
-    inner = np.exp(np.convolve(np.log(amplitude), np.full(4, 0.25), "valid"))
-    reading = np.convolve(u**2, [1.0, 9.0, 9.0, 1.0], "valid")
-    return np.asarray(((third * inner) ** 2 - reading) / 6)
+    mean_amplitude = np.exp(np.convolve(np.log(amplitude), np.full(4, 0.25), "valid"))
+    noise = np.convolve(u**2, [1.0, 9.0, 9.0, 1.0], "valid")
+    return np.asarray(((third * mean_amplitude) ** 2 - noise) / 6)
 
 
 def _simulate(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
@@ -205,14 +210,13 @@ def _simulate(points: TurningPoints, step: float, rng: np.random.Generator) -> T
     A kick keeps its ratio to the amplitude, which is exact for linear damping, and shifts all later times.
     """
     amplitude = points.amplitude
-    gap = np.sqrt(np.diff(points.index, prepend=points.index[0]))
-    relative = step * gap / amplitude
-    moved = np.exp(np.cumsum(relative * rng.standard_normal(len(points))))
-    shift = np.cumsum(relative * rng.standard_normal(len(points))) * mean_period(points) / (2 * np.pi)
+    relative = step * np.sqrt(np.diff(points.index, prepend=points.index[0])) / amplitude
+    factor = np.exp(np.cumsum(relative * rng.standard_normal(len(points))))
+    shift_s = np.cumsum(relative * rng.standard_normal(len(points))) * mean_period(points) / (2 * np.pi)
     return replace(
         points,
-        amplitude=amplitude * moved + points.u_amplitude * rng.standard_normal(len(points)),
-        time_s=points.time_s + shift + points.u_time_s * rng.standard_normal(len(points)),
+        amplitude=amplitude * factor + points.u_amplitude * rng.standard_normal(len(points)),
+        time_s=points.time_s + shift_s + points.u_time_s * rng.standard_normal(len(points)),
     )
 
 
@@ -221,45 +225,38 @@ def _scatter(values: tuple[object, ...]) -> float:
     return float(np.std(numbers, ddof=1)) if len(numbers) > 1 else float("nan")
 
 
-_EXTENSION = 0.03
-_SLOPE_POINTS = 10
-_NORMAL_95 = 1.959964
-
-
 class Passage(NamedTuple):
-    """Passage of the amplitude through a level: half-cycle (fractional), time, and their covariance.
-
-    `missing` is the number of missing half-cycles between the two turning points used.
-    """
+    """Passage of the amplitude through a level."""
 
     half_cycle: float
+    """Half-cycle number, fractional."""
     u_half_cycle: float
     time_s: float
     u_time_s: float
     missing: int
+    """Number of missing half-cycles between the two turning points used."""
 
 
 class DampingTime(NamedTuple):
-    """Time and number of whole swings (to and fro) in which the amplitude falls from `start` to `end`.
-
-    `swings` is interpolated and fractional; a counter would show the whole number below it. `period_s` is
-    the mean period in this interval.
-    """
+    """Time and number of full swings (to and fro) in which the amplitude falls from `start` to `end`."""
 
     start_rad: float
     end_rad: float
     time_s: Estimate
     swings: Estimate
+    """Interpolated and fractional; a counter would show the whole number below it."""
     period_s: Estimate
+    """Mean period in this interval."""
     missing: int
+    """Number of missing half-cycles at both passages."""
 
 
 def passage(points: TurningPoints, level_rad: float) -> Passage:
     """Passage of the falling amplitude through `level_rad`.
 
     Noise may make the amplitude cross the level several times; the last turning point at or above it and the
-    next one are used. If the record starts less than 3 % below the level, as after a release at the level
-    itself, the decay of the first half-cycles is extrapolated back (the half-cycle is negative then).
+    next one are used. If the record starts a little below the level (`_MAX_EXTRAPOLATION`), as after a
+    release at the level itself, the first half-cycles are extrapolated back (the half-cycle is negative).
 
     Raises
     ------
@@ -271,34 +268,34 @@ def passage(points: TurningPoints, level_rad: float) -> Passage:
         raise DataError(f"{len(points)} usable turning points; at least 2 are needed for a passage")
     level = level_rad / DEGREE_RAD
     above = np.nonzero(amplitude >= level_rad)[0]
-    extended = not len(above) and amplitude[0] >= (1 - _EXTENSION) * level_rad
-    if not len(above) and not extended:
+    is_extrapolated = not len(above) and amplitude[0] >= (1 - _MAX_EXTRAPOLATION) * level_rad
+    if not len(above) and not is_extrapolated:
         raise DataError(
             f"the amplitude starts at {amplitude[0] / DEGREE_RAD:.4g} degrees, below the {level:.4g} degrees "
             "wanted; release the pendulum farther out"
         )
-    first = 0 if extended else int(above[-1])
-    if first == len(amplitude) - 1:
+    i = 0 if is_extrapolated else int(above[-1])
+    if i == len(amplitude) - 1:
         raise DataError(
             f"the amplitude never reaches {level:.4g} degrees, the record ends at "
             f"{amplitude[-1] / DEGREE_RAD:.4g} degrees; measure longer"
         )
     # an extrapolation needs a slope from more than two neighbours
-    i, j = first, min(_SLOPE_POINTS, len(amplitude) - 1) if extended else first + 1
+    j = min(_SLOPE_POINTS, len(amplitude) - 1) if is_extrapolated else i + 1
     steps = float(points.index[j] - points.index[i])
     fall = math.log(amplitude[i] / amplitude[j])
-    share = math.log(amplitude[i] / level_rad) / fall
+    fraction = math.log(amplitude[i] / level_rad) / fall
     u_i = points.u_amplitude[i] / amplitude[i]
     u_j = points.u_amplitude[j] / amplitude[j]
-    u_share = math.hypot((1 - share) * u_i, share * u_j) / fall
-    lasts_s = float(points.time_s[j] - points.time_s[i])
-    u_clock_s = math.hypot((1 - share) * points.u_time_s[i], share * points.u_time_s[j])
+    u_fraction = math.hypot((1 - fraction) * u_i, fraction * u_j) / fall
+    duration_s = float(points.time_s[j] - points.time_s[i])
+    u_measured_s = math.hypot((1 - fraction) * points.u_time_s[i], fraction * points.u_time_s[j])
     return Passage(
-        half_cycle=float(points.index[i]) + share * steps,
-        u_half_cycle=u_share * steps,
-        time_s=float(points.time_s[i]) + share * lasts_s,
-        u_time_s=math.hypot(u_share * lasts_s, u_clock_s),
-        missing=0 if extended else int(steps) - 1,
+        half_cycle=float(points.index[i]) + fraction * steps,
+        u_half_cycle=u_fraction * steps,
+        time_s=float(points.time_s[i]) + fraction * duration_s,
+        u_time_s=math.hypot(u_fraction * duration_s, u_measured_s),
+        missing=0 if is_extrapolated else int(steps) - 1,
     )
 
 
@@ -312,8 +309,9 @@ def damping(points: TurningPoints, start_rad: float, end_rad: float) -> DampingT
     begin, end = passage(points, start_rad), passage(points, end_rad)
     between = np.nonzero((points.index >= begin.half_cycle - 1) & (points.index <= end.half_cycle + 1))[0]
     first, last = int(between[0]), int(between[-1])
-    halves = float(points.index[last] - points.index[first])
-    u_clock_s = math.hypot(points.u_time_s[first], points.u_time_s[last])
+    half_cycles = float(points.index[last] - points.index[first])
+    duration_s = float(points.time_s[last] - points.time_s[first])
+    u_duration_s = math.hypot(points.u_time_s[first], points.u_time_s[last])
     return DampingTime(
         start_rad,
         end_rad,
@@ -321,7 +319,7 @@ def damping(points: TurningPoints, start_rad: float, end_rad: float) -> DampingT
         Estimate(
             0.5 * (end.half_cycle - begin.half_cycle), 0.5 * math.hypot(begin.u_half_cycle, end.u_half_cycle)
         ),
-        Estimate(2 * float(points.time_s[last] - points.time_s[first]) / halves, 2 * u_clock_s / halves),
+        Estimate(2 * duration_s / half_cycles, 2 * u_duration_s / half_cycles),
         begin.missing + end.missing,
     )
 
@@ -344,39 +342,40 @@ def ratio(measured: ValueWithSharedErrors, reference: ValueWithSharedErrors) -> 
 
 @dataclass(frozen=True, slots=True)
 class MeanOverPlaces:
-    """Mean over the places of a sample; `u_shared` is the part of its uncertainty that all places share."""
+    """Mean over the places of a sample."""
 
     value: Annotated[float, PART]
     standard_uncertainty: Annotated[float, PART]
     places: int
     spread: Annotated[float, PART]
+    """Standard deviation between places; NaN for a single one."""
     expanded_uncertainty_95: Annotated[float, PART]
     u_shared: Annotated[float, PART] = 0.0
+    """Part of the standard uncertainty that all places share."""
 
 
 def over_places(
     values: Sequence[ValueWithSharedErrors],
 ) -> tuple[ValueWithSharedErrors, MeanOverPlaces]:
-    """Mean over places, to be compared, and what is reported of it.
+    """Mean over places for a comparison, and for the report.
 
     Its own uncertainty is the larger of that from the scatter and that from the stated ones; errors that the
-    places share stay in the mean. The spread is the standard deviation between places, NaN for a single one.
-    If the scatter is larger, the 95 % interval uses Student's t with the number of places minus one. Raises
-    DataError if there is no value.
+    places share stay in the mean. If the scatter is larger, the 95 % interval uses Student's t with the
+    number of places minus one. Raises DataError if there is no value.
     """
     from scipy.special import stdtrit
 
     if not values:
         raise DataError("no place was measured")
-    number = len(values)
-    value = np.array([item.value for item in values])
-    own, factor = math.hypot(*(item.own for item in values)) / number, _NORMAL_95
-    spread = float(np.std(value, ddof=1)) if number > 1 else math.nan
-    if spread / math.sqrt(number) > own:
-        own, factor = spread / math.sqrt(number), float(stdtrit(number - 1, 0.975))
-    names = dict.fromkeys(name for item in values for name in item.shared)
-    shared = {name: sum(item.shared.get(name, 0.0) for item in values) / number for name in names}
-    mean = ValueWithSharedErrors(float(np.mean(value)), own, shared)
+    count = len(values)
+    numbers = np.array([value.value for value in values])
+    own, factor = math.hypot(*(value.own for value in values)) / count, _NORMAL_95
+    spread = float(np.std(numbers, ddof=1)) if count > 1 else math.nan
+    if spread / math.sqrt(count) > own:
+        own, factor = spread / math.sqrt(count), float(stdtrit(count - 1, 0.975))
+    names = dict.fromkeys(name for value in values for name in value.shared)
+    shared = {name: sum(value.shared.get(name, 0.0) for value in values) / count for name in names}
+    mean = ValueWithSharedErrors(float(np.mean(numbers)), own, shared)
     expanded = math.hypot(factor * own, _NORMAL_95 * mean.u_shared)
     u = mean.estimate.standard_uncertainty
-    return mean, MeanOverPlaces(mean.value, u, number, spread, expanded, mean.u_shared)
+    return mean, MeanOverPlaces(mean.value, u, count, spread, expanded, mean.u_shared)

@@ -21,7 +21,8 @@ DEGREE_RAD = math.pi / 180.0
 
 Report = Literal["contact", "damping", "hardness", "decay", "rolling", "circular"]
 """Kinds of evaluation: contact laws, damping between two amplitudes, Herbert's hardness numbers, Kuznetsov's
-decay, Tomlinson's rolling friction, period as a function of the amplitude."""
+decay, Tomlinson's rolling friction, period as a function of the amplitude.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,26 +35,26 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """One kind of pendulum.
-
-    `support_radius_m` is the radius of ball, roller or axis; `lever_m` the distance of the centre of mass
-    from the point about which the pendulum turns, needed to report moments. The amplitudes are those between
-    which the decay is evaluated. `tells` lists what the decay gives.
-    """
+    """One kind of pendulum."""
 
     kind: str
     title: str
-    tells: str
+    results: str
+    """Quantities that follow from the decay."""
     support: str
     supports: int
+    """Number of supports."""
     report: Report
     start_amplitude_rad: float
     end_amplitude_rad: float
+    """Amplitudes between which the decay is evaluated."""
     mass_kg: float | None = None
     mass_tolerance_kg: float | None = None
     support_radius_m: float | None = None
+    """Radius of ball, roller or axis."""
     support_distance_m: float | None = None
     lever_m: float | None = None
+    """Distance of the centre of mass from the point about which the pendulum turns, for moments."""
     period_s: Limits | None = None
     glass_time_s: Limits | None = None
     temperature_c: Limits | None = None
@@ -63,13 +64,13 @@ class Description:
 
     @property
     def sentence(self) -> str:
-        """The pendulum, and what its decay tells."""
-        return f"{self.title}: {self.tells}"
+        """The pendulum and the quantities that it gives."""
+        return f"{self.title}: {self.results}"
 
 
 _AIR = Limits(23.0, 2.0), Limits(50.0, 5.0)
 
-# kind, title, what its decay tells, support, number of supports, report, amplitudes at the start and the end
+# kind, title, results, support, number of supports, report, amplitudes at the start and the end
 _TABLE = (
     Description(
         "single_ball", "Pendulum on one ball, swinging within the contact spot",
@@ -164,14 +165,15 @@ def check(name: str, measured: Estimate, limits: Limits, unit: str) -> Check:
     value, u = measured
     high = limits.value + limits.tolerance
     low = limits.value if math.isinf(limits.tolerance) else limits.value - limits.tolerance
-    inside = low <= value <= high
-    near = min(abs(value - low), abs(value - high) if math.isfinite(high) else math.inf)
-    verdict = Compliance.UNDECIDED if near < 2 * u else Compliance.WITHIN if inside else Compliance.OUTSIDE
+    is_within = low <= value <= high
+    distance = min(abs(value - low), abs(value - high))
+    verdict = Compliance.WITHIN if is_within else Compliance.OUTSIDE
+    verdict_text: str = verdict
+    if distance < 2 * u:
+        verdict, verdict_text = Compliance.UNDECIDED, "too close to the limit to decide"
     if math.isinf(high):
-        wanted = f"at least {low:g} {unit}"
+        limits_text = f"at least {low:g} {unit}"
     else:
-        wanted = f"{limits.value:g} ± {limits.tolerance:g} {unit}"
-    word = "too close to the limit to decide" if verdict is Compliance.UNDECIDED else verdict
-    return Check(
-        name, value, u, low, high, unit, verdict, f"{name} {value:.5g} {unit}, {wanted} wanted: {word}"
-    )
+        limits_text = f"{limits.value:g} ± {limits.tolerance:g} {unit}"
+    text = f"{name} {value:.5g} {unit}, {limits_text} wanted: {verdict_text}"
+    return Check(name, value, u, low, high, unit, verdict, text)

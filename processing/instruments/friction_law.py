@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats, Ints
+from processing.decay_summary import reference_amplitude
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.kernel import kernel
@@ -31,29 +32,26 @@ _MIN_POINTS = 6
 
 @dataclass(frozen=True, slots=True)
 class FrictionLaw:
-    """The fitted law. `covariance` is that of (ln initial amplitude, ln q, s).
-
-    `moment` is q at `reference_rad`, `mean_moment` its mean over a half-swing of that amplitude, q/(s+1);
-    both are divided by m g d. Uncertainties are multiplied by sqrt(max(1, chi2/dof)).
-    """
+    """The fitted law. Uncertainties are multiplied by sqrt(max(1, chi2/dof))."""
 
     reference_rad: float
     moment: Estimate
+    """q at `reference_rad`, over m g d."""
     exponent: Estimate
     covariance: Floats
+    """Covariance of (ln initial amplitude, ln q, s)."""
     chi2_per_dof: float
     amplitude_model_rad: Floats
 
     @property
     def mean_moment(self) -> Estimate:
-        """Energy loss of a half-swing at the reference amplitude divided by the angle covered."""
+        """Mean moment over a half-cycle of the reference amplitude, q/(s+1), over m g d."""
         value = self.moment.value / (1 + self.exponent.value)
-        by = np.array([0.0, 1.0, -1 / (1 + self.exponent.value)])
-        return Estimate(value, value * math.sqrt(by @ self.covariance @ by))
+        log_derivatives = np.array([0.0, 1.0, -1 / (1 + self.exponent.value)])
+        return Estimate(value, value * math.sqrt(log_derivatives @ self.covariance @ log_derivatives))
 
     def decrement(self, amplitude_rad: float) -> Estimate:
-        """Logarithmic decrement ln(A_i/A_(i+2)) of a full swing whose two amplitudes have this geometric
-        mean.
+        """Logarithmic decrement of a full swing, ln(A_i/A_(i+2)), for this geometric mean of both amplitudes.
 
         Raises DataError if friction would stop the pendulum within the swing.
         """
@@ -64,14 +62,13 @@ class FrictionLaw:
             ends = _decay(begin, log_moment, exponent, self.reference_rad, np.array([0, 2]))
             if not ends[1] > 0:
                 raise DataError("friction holds the pendulum within one swing; it has no decrement")
-            before, value = value, math.log(ends[0] / ends[1])
-            if abs(value - before) <= 1e-14 * value:
+            last_value, value = value, math.log(ends[0] / ends[1])
+            if abs(value - last_value) <= 1e-14 * value:
                 break
-        relative = math.log(amplitude_rad / self.reference_rad)
-        # to first order the decrement is proportional to the mean moment, whose logarithm has these
-        # derivatives
-        by = np.array([0.0, 1.0, relative - 1 / (1 + exponent)])
-        return Estimate(value, value * math.sqrt(by @ self.covariance @ by))
+        log_ratio = math.log(amplitude_rad / self.reference_rad)
+        # to first order the decrement is proportional to the mean moment
+        log_derivatives = np.array([0.0, 1.0, log_ratio - 1 / (1 + exponent)])
+        return Estimate(value, value * math.sqrt(log_derivatives @ self.covariance @ log_derivatives))
 
 
 def fit_friction_law(points: TurningPoints) -> FrictionLaw:
@@ -85,48 +82,44 @@ def fit_friction_law(points: TurningPoints) -> FrictionLaw:
             f"{len(points)} usable turning points, at least {_MIN_POINTS} are needed for a law of friction"
         )
     amplitude, steps = points.amplitude, points.index - points.index[0]
-    lost = float(np.log(amplitude[0] / amplitude[-1]))
-    if not lost > 0:
+    fall = float(np.log(amplitude[0] / amplitude[-1]))
+    if not fall > 0:
         raise DataError("the amplitude does not fall; no friction can be had from it")
-    reference = float(np.exp(np.mean(np.log(amplitude))))
-    start = np.array([math.log(amplitude[0]), math.log(lost / float(steps[-1]) * reference), 1.0])
+    reference = reference_amplitude(points)
+    start = np.array([math.log(amplitude[0]), math.log(fall / float(steps[-1]) * reference), 1.0])
 
     def residuals(x: Floats) -> Floats:
         return (_decay(x[0], x[1], x[2], reference, steps) - amplitude) / points.u_amplitude
 
     lower, upper = np.array([-np.inf, -np.inf, -0.9]), np.array([math.log(math.pi), 0.0, 6.0])
-    found = solve(differenced(residuals), start, lower=lower, upper=upper)
-    chi2_per_dof = found.chi2 / found.dof
-    covariance = found.covariance * max(1.0, chi2_per_dof)
+    solution = solve(differenced(residuals), start, lower=lower, upper=upper)
+    chi2_per_dof = solution.chi2 / solution.dof
+    covariance = solution.covariance * max(1.0, chi2_per_dof)
     if not np.all(np.isfinite(np.diag(covariance))):
         raise DataError("the decay is too short to tell friction from its exponent; measure longer")
-    u = np.sqrt(np.diag(covariance))
-    moment = math.exp(found.values[1])
+    _, u_log_moment, u_exponent = np.sqrt(np.diag(covariance)).tolist()
+    log_initial, log_moment, exponent = solution.values.tolist()
+    moment = math.exp(log_moment)
     return FrictionLaw(
         reference_rad=reference,
-        moment=Estimate(moment, moment * float(u[1])),
-        exponent=Estimate(float(found.values[2]), float(u[2])),
+        moment=Estimate(moment, moment * u_log_moment),
+        exponent=Estimate(exponent, u_exponent),
         covariance=covariance,
         chi2_per_dof=chi2_per_dof,
-        amplitude_model_rad=_decay(found.values[0], found.values[1], found.values[2], reference, steps),
+        amplitude_model_rad=_decay(log_initial, log_moment, exponent, reference, steps),
     )
 
 
 class RollingFriction(NamedTuple):
-    """Rolling friction of a decay.
-
-    `decrement` and `coefficient` refer to `law.reference_rad`, the geometric mean of the amplitudes. The
-    coefficient is proportional to amplitude^exponent, and likewise to the same power of the largest speed;
-    the decrement is proportional to amplitude^(exponent - 1). Each sentence states whether one of the two
-    exponents differs from zero by more than two standard uncertainties.
-    """
+    """Rolling friction of a decay, at `law.reference_rad`, the geometric mean of the amplitudes."""
 
     law: FrictionLaw
     decrement: Estimate
+    """Proportional to amplitude^(exponent - 1)."""
     coefficient: Estimate | None
-    constant_decrement: bool
-    independent_of_speed: bool
+    """Proportional to amplitude^exponent, and likewise to the same power of the largest speed."""
     sentences: tuple[str, str]
+    """Whether these exponents differ from zero by more than two standard uncertainties."""
 
 
 def rolling_friction(
@@ -170,9 +163,7 @@ def rolling_friction(
         f"the rolling-friction coefficient is {'independent' if independent else 'not independent'} "
         f"of speed: it goes as amplitude^({s:.{digits}f} ± {u:.{digits}f})"
     )
-    return RollingFriction(
-        law, law.decrement(law.reference_rad), coefficient, constant, independent, (decrement, speed)
-    )
+    return RollingFriction(law, law.decrement(law.reference_rad), coefficient, (decrement, speed))
 
 
 @kernel
@@ -205,17 +196,17 @@ def _decay(log_initial: float, log_moment: float, exponent: float, reference: fl
 
 
 class HerbertHardness(NamedTuple):
-    """Time of ten single swings, ten times that of the first one, and the scale reading after the first.
-
-    A single swing is the motion from one turning point to the next. `ten_swings_s` is None if the record
-    contains fewer than ten in a row; `missing` states this.
-    """
+    """Herbert's hardness numbers; a single swing is a half-cycle."""
 
     ten_swings_s: Estimate | None
+    """Time of ten single swings; None if the record has fewer than ten in a row."""
     first_swing_times_ten_s: Estimate
+    """Ten times the time of the first one."""
     scale_hardness: Estimate
+    """Reading of the scale after the first one."""
     first_amplitude_rad: float
     missing: str
+    """Reason why `ten_swings_s` is None; else empty."""
 
 
 def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> HerbertHardness:
@@ -235,28 +226,25 @@ def herbert_hardness(points: TurningPoints, divisions: float = 100.0) -> Herbert
     """
     if len(points) < 2 or points.index[1] - points.index[0] != 1:
         raise DataError("the first swing was not seen whole: two successive turning points are needed")
-    swing = _since_the_first(points, 1)
-    kept = float(points.amplitude[1] / points.amplitude[0])
-    u_kept = kept * math.hypot(
-        points.u_amplitude[0] / points.amplitude[0],
-        points.u_amplitude[1] / points.amplitude[1],
-    )
-    tenth = np.nonzero(points.index == points.index[0] + 10)[0]
-    ten, missing = None, ""
+    first_swing = _time_since_first(points, 1)
+    ratio = float(points.amplitude[1] / points.amplitude[0])
+    u_ratio = ratio * float(np.hypot(*(points.u_amplitude[:2] / points.amplitude[:2])))
+    tenth = np.flatnonzero(points.index == points.index[0] + 10)
+    ten_swings, missing = None, ""
     if len(tenth):
-        ten = _since_the_first(points, int(tenth[0]))
+        ten_swings = _time_since_first(points, int(tenth[0]))
     else:
-        seen = int(points.index[-1] - points.index[0])
-        missing = f"no time of ten single swings: the record holds {seen}, or the tenth is disturbed"
+        count = int(points.index[-1] - points.index[0])
+        missing = f"no time of ten single swings: the record holds {count}, or the tenth is disturbed"
     return HerbertHardness(
-        ten,
-        Estimate(10 * swing.value, 10 * swing.standard_uncertainty),
-        Estimate(0.5 * divisions * (1 + kept), 0.5 * divisions * u_kept),
+        ten_swings,
+        Estimate(10 * first_swing.value, 10 * first_swing.standard_uncertainty),
+        Estimate(0.5 * divisions * (1 + ratio), 0.5 * divisions * u_ratio),
         float(points.amplitude[0]),
         missing,
     )
 
 
-def _since_the_first(points: TurningPoints, last: int) -> Estimate:
-    lasts_s = float(points.time_s[last] - points.time_s[0])
-    return Estimate(lasts_s, math.hypot(points.u_time_s[0], points.u_time_s[last]))
+def _time_since_first(points: TurningPoints, last: int) -> Estimate:
+    duration_s = float(points.time_s[last] - points.time_s[0])
+    return Estimate(duration_s, math.hypot(points.u_time_s[0], points.u_time_s[last]))

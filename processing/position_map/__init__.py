@@ -1,4 +1,4 @@
-"""Errors of position that are fixed on the sensor, found from a run that passes each place many times."""
+"""Fixed-pattern position errors, from a run in which the spot passes each place of the sensor many times."""
 
 from processing.position_map.fixed_pattern import PositionMap
 from processing.position_map.search import PositionMapSearch

@@ -1,4 +1,4 @@
-"""Fixed-pattern position error as a function of place, with its covariance."""
+"""Fixed-pattern position error as a function of the true deflection (the place), with its covariance."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,9 +12,10 @@ from processing.least_squares import FactoredJacobian
 
 @dataclass(frozen=True, slots=True)
 class Splines:
-    """Set of `count` cubic B-splines, `spacing` apart; the second is centred on `low`, the first outside."""
+    """Set of cubic B-splines with equal distances."""
 
     low: float
+    """Centre of the second spline; that of the first one is outside the range."""
     spacing: float
     count: int
 
@@ -28,25 +29,23 @@ class Splines:
         """Places (count,) at which the splines are largest."""
         return np.asarray(self.low + self.spacing * (np.arange(self.count) - 1.0), dtype=np.float64)
 
-    def at(self, place: Floats) -> tuple[Ints, Floats]:
+    def four_values(self, place: Floats) -> tuple[Ints, Floats]:
         """Index of the first of the four splines at each place (n,), and the values (n, 4) of the four.
 
         Places outside are moved to the nearest end.
         """
-        s = np.clip((place - self.low) / self.spacing, 0.0, self.count - 3.0)
-        first = np.minimum(s.astype(np.int64), self.count - 4)
-        f = s - first
+        x = np.clip((place - self.low) / self.spacing, 0.0, self.count - 3.0)
+        first = np.minimum(x.astype(np.int64), self.count - 4)
+        f = x - first
         g = 1.0 - f
         values = np.stack([g**3, 3.0 * f**3 - 6.0 * f**2 + 4.0, 3.0 * g**3 - 6.0 * g**2 + 4.0, f**3], axis=-1)
         return first, values / 6.0
 
     def matrix(self, place: Floats) -> Floats:
         """Values (n, count) of all splines."""
-        first, values = self.at(place)
+        first, values = self.four_values(place)
         out = np.zeros((len(place), self.count))
-        rows = np.arange(len(place))
-        for k in range(4):
-            out[rows, first + k] = values[:, k]
+        out[np.arange(len(place))[:, None], first[:, None] + np.arange(4)] = values
         return out
 
 
@@ -54,7 +53,8 @@ _PLACE_ITERATIONS = 4
 """Iterations for the true place: each reduces its error by the slope of the map, a few per cent."""
 _PHASES = 512
 """Number of phases of an integral over a cycle. The errors of amplitudes differ by 2.6e-6 of themselves from
-those with 16,384 phases, at any correlation length."""
+those with 16,384 phases, at any correlation length.
+"""
 
 
 @dataclass(frozen=True)
@@ -89,11 +89,11 @@ class PositionMap:
 
     def error(self, place: Floats) -> Floats:
         """Error (n,) at true deflections `place`; 0 where they are NaN."""
-        found = np.zeros(len(place))
+        error = np.zeros(len(place))
         good = np.isfinite(place)
-        first, values = self.splines.at(place[good])
-        found[good] = sum(values[:, k] * self.coefficients[first + k] for k in range(4))
-        return found
+        first, values = self.splines.four_values(place[good])
+        error[good] = sum(values[:, k] * self.coefficients[first + k] for k in range(4))
+        return error
 
     def u_error(self, place: Floats) -> Floats:
         """Standard uncertainties (n,) of `error` except for an undetermined constant and scale."""
@@ -116,7 +116,7 @@ class PositionMap:
         return self.splines.low, self.splines.low + self.splines.spacing * (self.splines.count - 3)
 
     def plus(self, other: "PositionMap") -> "PositionMap":
-        """Sum of this map and another one over the same range, found in deflections corrected by this one."""
+        """Sum of this map and another one over the same range, of deflections corrected by this one."""
         return replace(self, coefficients=self.coefficients + other.coefficients)
 
     def amplitude_errors(self, amplitude: Floats, centre: Floats, side: Floats) -> Floats:
@@ -128,14 +128,13 @@ class PositionMap:
         the half-cycle. The time of the turning point does not move: an error that depends on the place alone
         is the same before and after it.
         """
-        s = (np.arange(_PHASES) + 0.5) * (2.0 * math.pi / _PHASES)
-        cosine = np.cos(s)
-        inner = cosine > 0.0
+        cosine = np.cos((np.arange(_PHASES) + 0.5) * (2.0 * math.pi / _PHASES))
+        in_half_cycle = cosine > 0.0
         gain = np.empty((len(amplitude), self.splines.count))
         for k in range(len(amplitude)):
             values = self.splines.matrix(centre[k] + side[k] * amplitude[k] * cosine)
-            values[inner] -= values.mean(axis=0)
-            gain[k] = (side[k] * 4.0 / _PHASES) * (cosine[inner] @ values[inner])
+            values[in_half_cycle] -= values.mean(axis=0)
+            gain[k] = (side[k] * 4.0 / _PHASES) * (cosine[in_half_cycle] @ values[in_half_cycle])
         return np.asarray(gain @ self._root(), dtype=np.float64)
 
     def adjusted(self, values: Floats, covariance: Floats) -> "PositionMap":

@@ -22,11 +22,36 @@ _BATCH_CYCLES = 8
 """Number of cycles whose columns are multiplied together."""
 
 
+_SPLINES = 320
+"""Number of splines; the shortest correlation length is 2.5 of their spacings."""
+_LENGTHS = (0.25, 0.125, 0.0625, 0.032, 0.016, 0.008)
+"""Correlation lengths that are tried, as fractions of the range."""
+_MIN_GROUPS = 8
+_SAMPLED_CYCLES = 24
+"""Number of cycles whose residuals are stored, to measure their scatter about a common error."""
+_MAX_GROUPS = 64
+"""About the largest number of groups of neighbouring cycles whose scores are summed."""
+_CROSS_VALIDATION_PARTS = 10
+"""Number of parts of the run, each of which is predicted by the others."""
+_MIN_CONFIRMED_FRACTION = 0.8
+"""Smallest fraction of the parts that must be described better with the map of the others."""
+_MIN_RELATIVE_INFORMATION = 1e-9
+"""Smallest information of the cycles about a component of the error, relative to the largest."""
+SIGNIFICANT = 12.0
+"""Score in its standard deviations above which the error is accepted.
+
+Noise gives such a score with a probability of 2e-5 for each correlation length, if the error has a single
+degree of freedom, in which case the score scatters most.
+"""
+
+
 class NormalEquations(NamedTuple):
-    """Information ``J^T W J`` and score ``J^T W r`` of the splines, then of the common columns."""
+    """Normal equations of the splines, then of the common columns."""
 
     information: Floats
+    """``J^T W J``."""
     score: Floats
+    """``J^T W r``."""
 
     @property
     def spline_count(self) -> int:
@@ -49,8 +74,8 @@ class NormalEquations(NamedTuple):
 
     def complete(self, coefficients: Floats) -> Floats:
         """Coefficients of the splines, followed by the likeliest ones of the common columns given these."""
-        n = self.spline_count
-        score = self.score[n:] - self.information[n:, :n] @ coefficients
+        count = self.spline_count
+        score = self.score[count:] - self.information[count:, :count] @ coefficients
         return np.concatenate([coefficients, self._inverse() @ score])
 
     def explained(self, coefficients: Floats) -> float:
@@ -72,7 +97,7 @@ def sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
 
 
 class Accumulator:
-    """Normal equations sum_equations over cycles, with the parameters of each cycle free.
+    """Normal equations summed over cycles, with the parameters of each cycle free.
 
     The products of the splines are a band matrix, from which each cycle's free parameters take a few columns:
     the large matrix is not computed for every cycle.
@@ -105,7 +130,7 @@ class Accumulator:
         directions = directions[:, size > 1e-6 * size[0]]
         columns = np.column_stack([cycle.shared_derivatives, cycle.residual]) * root[:, None]
         columns -= directions @ (directions.T @ columns)
-        first, values = self._splines.at(cycle.deflection)
+        first, values = self._splines.four_values(cycle.deflection)
         values *= root[:, None]
         count, splines = len(root), self._splines.count
         basis = csr_array(
@@ -152,32 +177,11 @@ class Accumulator:
             self._own_products = products if self._own_products is None else self._own_products + products
 
 
-_SPLINES = 320
-"""Number of splines; the shortest correlation length is 2.5 of their spacings."""
-_LENGTHS = (0.25, 0.125, 0.0625, 0.032, 0.016, 0.008)
-"""Correlation lengths tried, as fractions of the range."""
-_FEWEST_CYCLES = 8
-_SAMPLED_CYCLES = 24
-"""Number of cycles whose residuals are stored, to measure their scatter about a common error."""
-_MAX_SUMS = 64
-"""About the largest number of groups of neighbouring cycles whose scores are sum_equations."""
-_CROSS_VALIDATION_PARTS = 10
-"""Number of parts of the run, each of which is predicted by the others."""
-_SMALLEST_CONFIRMATION = 0.8
-"""Smallest fraction of the parts that must be described better with the map of the others."""
-_SMALLEST_INFORMATION = 1e-9
-"""Smallest information of the cycles about a component of the error, relative to the largest."""
-SIGNIFICANT = 12.0
-"""Score in its standard deviations above which the error is accepted.
-
-Noise gives such a score with a probability of 2e-5 for each correlation length, if the error has a single
-degree of freedom, in which case the score scatters most."""
-
-
 class _LikelihoodPeak(NamedTuple):
-    """Most likely error for a correlation length; `gain` is its log likelihood relative to no error."""
+    """Most likely error for a correlation length."""
 
     gain: float
+    """Log likelihood relative to that of no error."""
     length: float
     coefficients: Floats
     covariance: Floats
@@ -198,7 +202,7 @@ class PositionMapSearch:
         self._splines = Splines.over(low, high, _SPLINES)
         self._parts = [Accumulator(self._splines) for _ in range(_CROSS_VALIDATION_PARTS)]
         self._expected_cycles = max(cycles, 1)
-        self._group_size = max(1, math.ceil(cycles / _MAX_SUMS))
+        self._group_size = max(1, math.ceil(cycles / _MAX_GROUPS))
         self._sample_interval = max(1, math.ceil(cycles / _SAMPLED_CYCLES))
         self._scores: list[Floats] = []
         self._sampled_cycles: list[CycleResiduals] = []
@@ -206,9 +210,8 @@ class PositionMapSearch:
 
     def add(self, cycle: CycleResiduals) -> None:
         """Add the residuals of one cycle."""
-        score = self._parts[
-            min(_CROSS_VALIDATION_PARTS * self._cycles // self._expected_cycles, _CROSS_VALIDATION_PARTS - 1)
-        ].add(cycle)
+        part = _CROSS_VALIDATION_PARTS * self._cycles // self._expected_cycles
+        score = self._parts[min(part, _CROSS_VALIDATION_PARTS - 1)].add(cycle)
         if self._cycles % self._group_size == 0:
             self._scores.append(score)
         else:
@@ -219,7 +222,7 @@ class PositionMapSearch:
 
     def position_map(self) -> PositionMap | None:
         """Map of the error; None if it is not significant, or not confirmed by the parts of the run."""
-        if len(self._scores) < _FEWEST_CYCLES:
+        if len(self._scores) < _MIN_GROUPS:
             return None
         parts = [part.sums() for part in self._parts if part.cycles]
         total = sum_equations(parts)
@@ -273,7 +276,7 @@ class PositionMapSearch:
                 - part.explained(others.complete(np.zeros(_SPLINES)))
             )
         gain = np.array(gains)
-        return bool(gain.sum() > 0.0 and np.mean(gain > 0.0) >= _SMALLEST_CONFIRMATION)
+        return bool(gain.sum() > 0.0 and np.mean(gain > 0.0) >= _MIN_CONFIRMED_FRACTION)
 
     def _prior(self, length: float) -> Floats:
         """Correlation matrix of the coefficients for a correlation length, a fraction of the range."""
@@ -327,18 +330,17 @@ def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _Likeliho
     size, rotation = np.linalg.eigh(root.T @ information @ root)
     basis = root @ rotation
     # components below this have no information except by rounding errors
-    visible = size > _SMALLEST_INFORMATION * size[-1]
-    size = np.where(visible, size, 0.0)
-    projected = np.where(visible, basis.T @ score, 0.0)
+    has_information = size > _MIN_RELATIVE_INFORMATION * size[-1]
+    size = np.where(has_information, size, 0.0)
+    projected = np.where(has_information, basis.T @ score, 0.0)
 
     def gain(log_v: float) -> float:
         v = math.exp(log_v)
         return float(np.sum(projected**2 * v / (1.0 + v * size) - np.log1p(v * size)))
 
     # variances from far below what all cycles could show to far above any real one
-    middle = -math.log(float(size.max()))
-    tried = middle + np.arange(-5.0, 30.0, 0.25)
-    log_v = float(tried[np.argmax([gain(one) for one in tried.tolist()])])
+    log_variances = (-math.log(float(size.max())) + np.arange(-5.0, 30.0, 0.25)).tolist()
+    log_v = max(log_variances, key=gain)
     v = math.exp(log_v)
     weight = v / (1.0 + v * size)
     coefficients = basis @ (weight * projected)

@@ -192,7 +192,7 @@ def curves_of(run: RunResults) -> Curves | None:
     asymptotic = fits[FitMethod.ASYMPTOTIC]
     no_times = np.full(len(points), np.nan)
     periods = full_periods(points)
-    amplitude = points.amplitude[periods.where]
+    amplitude = points.amplitude[periods.points]
     return Curves(
         asymptotic=ModelCurve.of(points, _asymptotic_path(points, asymptotic), no_times),
         exact=exact,
@@ -200,7 +200,7 @@ def curves_of(run: RunResults) -> Curves | None:
         period_s=periods.period_s,
         u_period_s=periods.u_period_s,
         asymptotic_period_s=period(amplitude, asymptotic.contact(), pendulum),
-        exact_period_s=exact.model_time_s[periods.where + 1] - exact.model_time_s[periods.where - 1],
+        exact_period_s=exact.model_time_s[periods.points + 1] - exact.model_time_s[periods.points - 1],
         smooth_s=_smooth(amplitude, periods),
     )
 
@@ -260,9 +260,9 @@ def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[st
         if law is None or not fit.parameters:
             continue
         values = {key: estimate.value for key, estimate in fit.parameters.items()}
-        coordinates = law.columns(points, run.pendulum, tuple(values))
+        coordinates = law.coordinates(points, run.pendulum, tuple(values))
         parameters, _ = coordinates.map_parameters(coordinates.from_physical(values))
-        path = law.half_swing_map(parameters[:-2], points.index - points.index[0])
+        path = law.turning_points(parameters[:-2], points.index - points.index[0])
         period_s, first_s = parameters[-2:].tolist()
         by_name[name] = ModelCurve.of(
             points, path.amplitude * coordinates.reference, first_s + period_s * path.time

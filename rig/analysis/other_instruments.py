@@ -29,8 +29,8 @@ from processing.instruments import (
     damping,
     fit_friction_law,
     herbert_hardness,
-    inferred_swings,
-    joined_swings,
+    inferred_half_cycles,
+    joined_half_cycles,
     refined_turning_points,
     rolling_friction,
     with_drive,
@@ -139,7 +139,7 @@ def _circular(report: Reduction) -> None:
         "amplitude_deg": law.amplitude_rad / DEGREE_RAD,
         "period_s": law.period_s,
         "u_period_s": law.u_period_s,
-        "circular_law_s": law.law_s,
+        "circular_law_s": law.ideal_s,
         "alpha_squared_over_16_s": law.sixteenth_s,
     }
 
@@ -279,12 +279,12 @@ def _with_inferred(
     report: Reduction, swings: Sequence[HalfCycle], deflections: Deflections
 ) -> Sequence[HalfCycle]:
     """Half-cycles with those whose turning point lay off the sensor, which a row counts."""
-    inferred = inferred_swings(deflections.times_ns, deflections.y, deflections.u_y)
+    inferred = inferred_half_cycles(deflections.times_ns, deflections.y, deflections.u_y)
     if not inferred:
         return swings
-    swings = joined_swings(swings, inferred)
+    swings = joined_half_cycles(swings, inferred)
     count = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in swings)
-    report.add(inferred_swings=count)
+    report.add(inferred_half_cycles=count)
     return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in swings]
 
 

@@ -95,7 +95,7 @@ def _print_info(path: Path) -> None:
 
 def _result_summary(path: Path) -> str:
     """One line on the result next to a record, or why there is none."""
-    from rig.analysis import read_results, results_path, main_result
+    from rig.analysis import main_result, read_results, results_path
 
     source = results_path(path.parent)
     if not source.exists():

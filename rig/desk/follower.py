@@ -28,7 +28,7 @@ from rig.devices import (
     running_sessions,
 )
 from rig.measure import STATE_NAME, RunState, is_in_use, read_session
-from rig.settings import Configuration, without_schema, validate_configuration
+from rig.settings import Configuration, validate_configuration, without_schema
 
 _LOOK_INTERVAL_S = 0.2
 _SEARCH_INTERVAL_S = 1.0

@@ -14,7 +14,7 @@ from processing.errors import RigError
 from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState, run_in_thread
 from rig.desk.follower import RigFollower
 from rig.desk.run_reader import clock
-from rig.devices import MAX_ANSWER_S, SWITCHED_BY_HAND, ORDERS_NAME, Devices, LightOff
+from rig.devices import MAX_ANSWER_S, ORDERS_NAME, SWITCHED_BY_HAND, Devices, LightOff
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk

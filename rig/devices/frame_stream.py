@@ -15,7 +15,7 @@ from acquisition.frames.numbering import FrameLine
 from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, Policy, take_all
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
-from processing.errors import DeviceError, RigError, in_one_line
+from processing.errors import DeviceError, RigError, one_line_text
 from processing.units import seconds
 from rig.control import LightPermit, Stage
 from rig.devices.clocks import wait_for_network_clock
@@ -283,7 +283,7 @@ class FrameStream:
             why = text if losses.discarded else "the camera has stalled"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
-            self._fail(error, f"camera: {in_one_line(error).removeprefix('camera: ')}")
+            self._fail(error, f"camera: {one_line_text(error).removeprefix('camera: ')}")
         finally:
             self._queue.close()
             self._has_begun.set()

@@ -38,7 +38,7 @@ def fill_from_files(config: Configuration) -> Configuration:
         tree = {"camera": {"driver": config.camera.driver}, section: _section_values(file)}
         values = getattr(validate_configuration(tree, str(path)), section)
         if isinstance(values, Lever):
-            values = values.at_binning(config.camera.pitch_factor)
+            values = values.with_binning(config.camera.pitch_factor)
         given_values = getattr(config, section)
         if given_values not in (None, values):
             raise ConfigurationError(

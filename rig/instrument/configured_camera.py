@@ -267,7 +267,7 @@ def complete(config: Configuration) -> Configuration:
 def _binned(config: Configuration) -> Configuration:
     if config.lever is None:
         return config
-    return config.model_copy(update={"lever": config.lever.at_binning(config.camera.pitch_factor)})
+    return config.model_copy(update={"lever": config.lever.with_binning(config.camera.pitch_factor)})
 
 
 _log = logging.getLogger(__name__)

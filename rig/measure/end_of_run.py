@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from acquisition.record.events import EventKind
-from processing.errors import RigError, in_one_line
+from processing.errors import RigError, one_line_text
 from processing.estimate import Estimate
 from processing.swing import HalfCycle
-from rig.analysis import Limit, read_results, results_path, main_result
+from rig.analysis import Limit, main_result, read_results, results_path
 from rig.devices import FrameStream
 from rig.measure.session_file import RunState, SessionState, read_session
 from rig.settings import StopCondition
@@ -101,8 +101,8 @@ class StopRequest:
         if self.failure is None:
             self.failure = error
         if not isinstance(error, RigError):
-            _log.error("%s", in_one_line(error), exc_info=error)
-        self.request(in_one_line(error), EventKind.FAILED)
+            _log.error("%s", one_line_text(error), exc_info=error)
+        self.request(one_line_text(error), EventKind.FAILED)
 
     def close_stream(self) -> None:
         """Close the camera's stream; an error of the camera is the failure if there was no other."""

@@ -91,7 +91,7 @@ def fitted_points(
     fitted, time_s = amplitude[index], time_s[index] + fit.estimate(TIME.key).value
     residual = (points.amplitude - fitted) / points.u_amplitude
     periods = full_periods(points)
-    middle = periods.where
+    middle = periods.points
     period_s, period_residual = np.full((2, len(index)), np.nan)
     period_s[middle] = time_s[middle + 1] - time_s[middle - 1]
     period_residual[middle] = (periods.period_s - period_s[middle]) / periods.u_period_s

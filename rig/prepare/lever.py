@@ -87,7 +87,7 @@ def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
         raise ConfigurationError(f"{ladder}: known tilts are needed for a check (kind = 'tilt')")
     present = Lever.model_validate(read_calibration(lever, "lever").values)
     fit, sources, last_began = _fit_of_ladder(ladder, table)
-    check = check_scale(present.at_binning(_binning(ladder, table)), fit)
+    check = check_scale(present.with_binning(_binning(ladder, table)), fit)
     details = {**details_of(check), **_ladder_details(fit, table)}
     notes = list(fit.notes)
     if check.moved:

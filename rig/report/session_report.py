@@ -374,7 +374,7 @@ def _text_to_copy(source: ReportSource, results: RowsByName, runs: Sequence[RunD
 
 def _run_sentence(run: RunData) -> str:
     """A sentence on the extent of a run: half-cycles, duration, frames, flags."""
-    results, unit = run.results, run.motion.unit.shown
+    results = run.results
     left_out = len(results.stored.left_out_flags)
     dropped = " rows" if run.is_table else f" frames, {results.dropped_frames} dropped"
     return (

@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from processing.errors import ConfigurationError, dotted, require_schema
+from processing.errors import ConfigurationError, dotted_key, require_schema
 from processing.units import unit_of_name
 from rig.settings.configuration import Configuration
 from rig.settings.number_input import read_quantity, states_unit
@@ -159,7 +159,7 @@ def key_faults(values: Mapping[str, Any], complete_section: str = "") -> list[st
         table[name] = value
     _, faults = validate(Configuration, tree)
     checked = {*values, complete_section} - {""}
-    return [fault.line for fault in faults if dotted(fault.place) in checked]
+    return [fault.line for fault in faults if dotted_key(fault.place) in checked]
 
 
 def _is_from_overrides(fault: KeyFault, set_keys: set[str]) -> bool:
@@ -169,7 +169,7 @@ def _is_from_overrides(fault: KeyFault, set_keys: set[str]) -> bool:
     """
     if not fault.place:
         return any(key.rstrip(".") in fault.line for key in set_keys)
-    place = dotted(fault.place)
+    place = dotted_key(fault.place)
     return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in set_keys)
 
 

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass, is_pydantic_dataclass
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from processing.errors import ConfigurationError, KeyPlace, place_in_words
+from processing.errors import ConfigurationError, KeyPath, key_path_text
 from processing.fault_text import fault_text, is_unknown_key
 from processing.units import unit_of_name
 from rig.settings.number_input import read_quantity, states_unit
@@ -25,7 +25,7 @@ _SYNONYMS = {"fps": "frame_rate_hz"}
 
 def fault_line(root: type, fault: ErrorDetails) -> str:
     """One line for a fault that pydantic found in the tables of `root`."""
-    path = place_in_words(fault["loc"])
+    path = key_path_text(fault["loc"])
     if is_unknown_key(fault):
         section = str(fault["loc"][-1])
         if isinstance(fault["input"], Mapping) and section in section_fields(root):
@@ -70,7 +70,7 @@ def _expected_number(text: str, key: str) -> str:
 class KeyFault(NamedTuple):
     """A fault of the key at a place, or between several keys if the place is empty."""
 
-    place: KeyPlace
+    place: KeyPath
     line: str
     is_missing: bool = False
 
@@ -95,7 +95,7 @@ def validate(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None
     return (None, wrong_numbers) if wrong_numbers else (model, [])
 
 
-def number_faults(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> Iterator[KeyFault]:
+def number_faults(root: type, tree: Mapping[str, Any], place: KeyPath = ()) -> Iterator[KeyFault]:
     """Faults of keys with `true` or `"3"`, which pydantic would take for a number, or with `inf` or `nan`."""
     for key, value in tree.items():
         field = section_fields(root).get(key)
@@ -110,9 +110,9 @@ def number_faults(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> 
         elif isinstance(value, bool | str) and _is_number(field, value):
             is_bool = isinstance(value, bool)
             text, hint = (str(value).lower(), "") if is_bool else (f'"{value}"', ", without quotes")
-            yield KeyFault(path, f"{place_in_words(path)} = {text}: should be a number{hint}")
+            yield KeyFault(path, f"{key_path_text(path)} = {text}: should be a number{hint}")
         elif isinstance(value, float) and not math.isfinite(value) and not key.endswith("_dof"):
-            yield KeyFault(path, f"{place_in_words(path)} = {value}: should be a finite number")
+            yield KeyFault(path, f"{key_path_text(path)} = {value}: should be a finite number")
 
 
 def _is_number(field: FieldInfo, value: bool | str) -> bool:
@@ -151,7 +151,7 @@ def _types_in(annotation: Any) -> Iterator[Any]:
         yield from _types_in(inner)
 
 
-def _section_at(root: type, place: KeyPlace) -> type:
+def _section_at(root: type, place: KeyPath) -> type:
     """The section at a place; a name of the user's own stands for the section that it names."""
     for name in place:
         field = section_fields(root).get(str(name))

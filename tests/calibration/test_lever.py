@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from calibration.ladder import LadderSteps
+from calibration.ladder import LadderSteps, scale_posterior, solve_ladder
 from calibration.lever_fit import check_scale, fit_ladder, lever_from_shifts, lever_from_tilts, moved_between
 from calibration.light_lever import Lever, LeverGeometry, lever_from_geometry, trace_m
 from processing.errors import DataError
@@ -86,6 +86,8 @@ def test_the_trace_agrees_with_what_can_be_had_by_hand() -> None:
         exact = {math.sin(2 * tilt) / math.cos(2 * tilt + sign * 0.1) for sign in (1, -1)}
         assert any(trace_m(askew, tilt)[1] == pytest.approx(value, rel=1e-12) for value in exact)
     assert abs(lever_from_geometry(askew).lever.skew) == pytest.approx(math.tan(0.1), rel=1e-3)
+    square = lever_from_geometry(LeverGeometry(**base, u_sensor_tilt_along_rad=0.02)).lever
+    assert square.u_skew == pytest.approx(0.02, rel=1e-3)
 
 
 def test_a_bent_ladder_is_found_out_and_corrected() -> None:
@@ -136,6 +138,12 @@ def test_a_cubic_part_and_a_wrong_step_are_named() -> None:
     assert any("scatter" in note for note in fit.notes)
     assert int(np.argmax(np.abs(fit.residual_px[:, 1]))) == 7
     assert abs(fit.scale * PITCH_M - 1.0) < 3.0 * fit.u_scale * PITCH_M < 1e-3
+
+
+def test_in_a_long_straight_ladder_no_step_is_probably_wrong() -> None:
+    """A prior probability that had a lower limit made a wrong step of 120 the rule."""
+    trace = solve_ladder(ladder(np.linspace(-120, 120, 120).tolist()), "tilt", None, fit_skew=False).trace
+    assert scale_posterior(trace, "tilt", 1.0 / PITCH_M).p_wrong.sum() < 0.5
 
 
 def test_a_residual_is_the_whole_departure_from_the_stated_setting() -> None:

@@ -36,7 +36,8 @@ from processing.errors import DataError
 
 STIFFNESS = Scaling(0.0, -1.0, "n", lambda pendulum: stiffness_ratio(1.0, pendulum), loses=False)
 """Scaling of gamma, which is fitted as kappa."""
-_P_RANGE, _N_RANGE = (-0.5, 5.0), (0.002, 5.0)
+_P_RANGE = (-0.5, 5.0)
+_N_RANGE = (0.002, 5.0)
 """Below the lower limit of n adhesion cancels nearly all of the stiffness, and n cannot be told from 0."""
 _MAX_STIFFNESS_RATIO = 20.0
 """Largest factor, in either direction, between the stiffness with adhesion and that of gravity alone for
@@ -56,7 +57,7 @@ def friction_moment(b: float, p: float, c: float) -> Moment:
     return Moment((0, 1, 2), moment, work)
 
 
-def elastic_moment(n: float, kappa: float, rho: float, places: tuple[int, ...]) -> Moment:
+def elastic_moment(n: float, kappa: float, rho: float, parameter_indices: tuple[int, ...]) -> Moment:
     """Eq. 3; its parameters are n, kappa and R/a."""
 
     def moment(x: Floats) -> Floats:
@@ -66,10 +67,10 @@ def elastic_moment(n: float, kappa: float, rho: float, places: tuple[int, ...]) 
         log_x, power = np.log(x), x ** (n + 2)
         first, second = 0.5 * pi / (n + 2) * power, power * x / (n + 3)
         unit = first - rho * second
-        by_n = first * (log_x - 1 / (n + 2)) - rho * second * (log_x - 1 / (n + 3))
-        return np.array([kappa * unit, kappa * by_n, unit, -kappa * second])
+        n_derivative = first * (log_x - 1 / (n + 2)) - rho * second * (log_x - 1 / (n + 3))
+        return np.array([kappa * unit, kappa * n_derivative, unit, -kappa * second])
 
-    return Moment(places, moment, work)
+    return Moment(parameter_indices, moment, work)
 
 
 def _moments(parameters: Floats, _: float, __: float) -> Moments | None:
@@ -87,9 +88,8 @@ def _valley_coordinates(drag: bool) -> ValleyCoordinates:
       ``T0/sqrt(q)``, its slope against ln x, ``s = n kappa J/q``, and the losses relative to this
       stiffness, ``b/q``, ``c/q``, ``drag/sqrt(q)``. Only n varies along the valley.
     - b is searched as its logarithm, which keeps it positive; at b = 0, p would be undefined.
-    - Drag. If it is fitted, b, p and drag are replaced by the coordinates of
-      `to_valley_coordinates`; a drag of 1
-      corresponds to a linear loss of pi/4.
+    - Drag. If it is fitted, b, p and drag are replaced by the coordinates of `to_valley_coordinates`; a drag
+      of 1 corresponds to a linear loss of pi/4.
     """
 
     def scaled(values: ComplexOrReal) -> ComplexOrReal:
@@ -98,30 +98,29 @@ def _valley_coordinates(drag: bool) -> ValleyCoordinates:
         if drag:
             p, air = from_valley_coordinates(b, p, air)
         # q = n/(n + 2 s) from s = n kappa J/q and q = 1 - 2 kappa J
-        whole = n + 2 * s
-        q = n / whole
-        kappa = s / (whole * cosine_moment(n + 2))
+        q = n / (n + 2 * s)
+        kappa = s / ((n + 2 * s) * cosine_moment(n + 2))
         out = np.array([q * b, p, q * c, n, kappa, 4 / pi * np.sqrt(q) * air, np.sqrt(q) * period_s])
-        inside = np.abs(np.log(q.real)) < np.log(_MAX_STIFFNESS_RATIO)
-        return np.where(inside, out, np.nan)
+        is_tried = np.abs(np.log(q.real)) < np.log(_MAX_STIFFNESS_RATIO)
+        return np.where(is_tried, out, np.nan)
 
     def coordinates(values: Floats) -> Floats:
         b, p, c, n, kappa, air, period_s = values.tolist()
-        share = kappa * float(cosine_moment(n + 2))
-        q = 1 - 2 * share
+        kappa_j = kappa * float(cosine_moment(n + 2))
+        q = 1 - 2 * kappa_j
         air *= 0.25 * pi / np.sqrt(q)
         if drag:
             p, air = to_valley_coordinates(b / q, p, air)
         with np.errstate(divide="ignore"):
-            return np.array([np.log(b / q), p, c / q, n, n * share / q, air, period_s / np.sqrt(q)])
+            return np.array([np.log(b / q), p, c / q, n, n * kappa_j / q, air, period_s / np.sqrt(q)])
 
     def limits(loss: float) -> dict[int, tuple[float, float]]:
-        found = {0: (-30.0, 5.0), 1: _P_RANGE, 3: _N_RANGE, 4: (-5.0, 5.0)}
+        ranges = {0: (-30.0, 5.0), 1: _P_RANGE, 3: _N_RANGE, 4: (-5.0, 5.0)}
         if drag:
             # as p approaches 1, b and drag can cancel each other at arbitrarily large values
-            del found[1]
-            found[0] = (-30.0, float(np.log(6 * loss)))
-        return found
+            del ranges[1]
+            ranges[0] = (-30.0, float(np.log(6 * loss)))
+        return ranges
 
     def at_limit(values: Floats) -> list[int]:
         stiffness = 1 - 2 * values[4] * cosine_moment(values[3] + 2)
@@ -133,17 +132,17 @@ def _valley_coordinates(drag: bool) -> ValleyCoordinates:
     return ValleyCoordinates(scaled, coordinates, held, limits, 0 if drag else None, at_limit)
 
 
-def _propose_starts(found: StartValues, _: float) -> list[dict[str, float]]:
-    """Start values by Eqs. 5 and 6: for each exponent n that fits the periods, then without adhesion.
+def _propose_starts(start: StartValues, _: float) -> list[dict[str, float]]:
+    """Start values by Eqs. 5 and 6: for three exponents n that fit the periods best, then without adhesion.
 
     Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
     converted to those of the exact map.
     """
-    decay, out = found.decay, []
-    for period in [*found.periods[:3], PeriodStart(found.mean_period_s, 0.5, 0.0)]:
-        stiffness = (period.period0_s / found.mean_period_s) ** 2
+    decay, proposals = start.decay, []
+    for period in [*start.periods[:3], PeriodStart(start.mean_period_s, 0.5, 0.0)]:
+        stiffness = (period.period0_s / start.mean_period_s) ** 2
         factor = stiffness if 0.3 < stiffness < 3 else 1.0
-        out.append(
+        proposals.append(
             {
                 "b": max(decay.b * factor, 1e-9),
                 "p": float(np.clip(decay.p, 0.1, 3.0)),
@@ -154,7 +153,7 @@ def _propose_starts(found: StartValues, _: float) -> list[dict[str, float]]:
                 PERIOD: period.period0_s,
             }
         )
-    return out
+    return proposals
 
 
 PAPER = memoryless_law(
@@ -172,13 +171,7 @@ PAPER = memoryless_law(
                   logarithmic=True, shown="MPa"),
     ),
     _moments,
-    {
-        "b": Scaling(1.0, -1.0, "p"),
-        "p": Scaling(),
-        "c": Scaling(1.0),
-        "n": Scaling(),
-        "gamma_pa": STIFFNESS,
-    },
+    {"b": Scaling(1.0, -1.0, "p"), "p": Scaling(), "c": Scaling(1.0), "n": Scaling(), "gamma_pa": STIFFNESS},
     _valley_coordinates,
     _propose_starts,
 )  # fmt: skip
@@ -235,6 +228,6 @@ def turning_points_of(
     if not initial_amplitude_rad > 0:
         raise DataError(f"initial amplitude {initial_amplitude_rad} rad: it must be positive")
     index = np.arange(half_cycles + 1, dtype=np.int64)
-    *own, rho = scaled_contact(parameters, pendulum, initial_amplitude_rad)
-    found = PAPER.half_swing_map(np.array([*own, initial_amplitude_rad, rho, 1.0]), index)
-    return found.amplitude * initial_amplitude_rad, found.time * parameters.period0_s
+    *scaled, rho = scaled_contact(parameters, pendulum, initial_amplitude_rad)
+    points = PAPER.turning_points(np.array([*scaled, initial_amplitude_rad, rho, 1.0]), index)
+    return points.amplitude * initial_amplitude_rad, points.time * parameters.period0_s

@@ -1,6 +1,6 @@
 """Laws of the literature, with and without memory of the last reversal.
 
-- Coulomb: M = -m g R c sign(phi'). Each half-swing takes 2 c and lasts T0/2.
+- Coulomb: M = -m g R c sign(phi'). Each half-cycle loses 2 c and lasts T0/2.
 - Viscous: M = -m g R drag_s phi'. The decrement and the period are the same at every amplitude.
 - Dahl: the friction approaches its largest value exponentially with the angle since the reversal,
   dM/ds = sigma m g R (1 - M/M_c) with M_c = m g R c.
@@ -8,18 +8,18 @@
 
     M = M_reversal - 2 m g R f(s/2) - m g R c sign(phi'),    s the angle since the reversal
 
-Rolling: ``f = k phi^q``, as Al-Bender & De Moerlooze (2008) find it before gross slip. Per cycle it takes
-``4 k (1-q)/(1+q) A^(q+1)``, as b of Eq. 1 does with p = q and b = k (1-q), and it makes the period depend on
-the amplitude without any further parameter.
+Rolling: ``f = k phi^q``, as Al-Bender & De Moerlooze (2008) find it before gross slip. A cycle loses
+``4 k (1-q)/(1+q) A^(q+1)``, as with b of Eq. 1 for p = q and b = k (1-q), and the period depends on the
+amplitude without any further parameter.
 
 Maxwell slip: springs in parallel, each of which slips beyond an angle of its own,
 
     f = sum k_i min(phi, phi_i),    phi_i = 4, 12, 36, 90 arcsec
 
-Any backbone whose slope falls is such a sum; this one has no shape but that of its four stiffnesses.
-Where a slider begins to slip, the loss of a half-swing has a kink over the amplitude. The table of
-half-swings rounds it, by 2e-5 of amplitude and time; the derivatives with respect to the stiffnesses are off
-by 3 to 5 % there, and so may be uncertainties that hang on these amplitudes.
+Any backbone whose slope falls is such a sum; this one is determined by its four stiffnesses. Where a slider
+begins to slip, the loss of a half-cycle has a kink over the amplitude. The table of half-cycles rounds it, by
+2e-5 of amplitude and time; the derivatives with respect to the stiffnesses are wrong by 3 to 5 % there, and
+so may be uncertainties that depend on these amplitudes.
 """
 
 import numpy as np
@@ -27,14 +27,18 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact.asymptotic import StartValues, cosine_moment
 from processing.contact.coordinates import ComplexOrReal, Scaling, ValleyCoordinates, logarithms_of
+from processing.contact.hysteresis import Arrays, Branch, branch_law, masing_branch
 from processing.contact.law import CONSTANT, DRAG, FREE_PERIOD, PERIOD, HeldColumn, Parameter
-from processing.contact.memory import Arrays, Branch, branch_law, masing
 from processing.contact.memoryless import NO_MOMENT, Moment, Moments, memoryless_law
 
 
-def _coulomb_starts(found: StartValues, _: float) -> list[dict[str, float]]:
-    c = found.decay.c + max(found.decay.b, 0.0) / (found.decay.p + 1)
-    return [{"c": c, PERIOD: found.mean_period_s}]
+def _rate(start: StartValues) -> float:
+    """Rate of the decay at the reference amplitude."""
+    return start.decay.c + max(start.decay.b, 0.0) / (start.decay.p + 1)
+
+
+def _coulomb_starts(start: StartValues, _: float) -> list[dict[str, float]]:
+    return [{"c": _rate(start), PERIOD: start.mean_period_s}]
 
 
 def _coulomb(parameters: Floats, _: float, __: float) -> Moments:
@@ -55,9 +59,8 @@ COULOMB = memoryless_law(
 )
 
 
-def _viscous_starts(found: StartValues, _: float) -> list[dict[str, float]]:
-    rate = found.decay.c + max(found.decay.b, 0.0) / (found.decay.p + 1)
-    return [{DRAG.key: 4 / np.pi * rate, PERIOD: found.mean_period_s}]
+def _viscous_starts(start: StartValues, _: float) -> list[dict[str, float]]:
+    return [{DRAG.key: 4 / np.pi * _rate(start), PERIOD: start.mean_period_s}]
 
 
 VISCOUS = memoryless_law(
@@ -77,22 +80,23 @@ def _resistance(s: Floats, turn_moment: Floats, q: Arrays) -> Floats:
 
 
 def _mean_resistance(s: Floats, turn_moment: Floats, q: Arrays) -> Floats:
-    way = s * q["sigma"] / q["c"]
-    return np.asarray(q["c"] + (turn_moment + q["c"]) * np.expm1(-way) / way)
+    x = s * q["sigma"] / q["c"]
+    return np.asarray(q["c"] + (turn_moment + q["c"]) * np.expm1(-x) / x)
 
 
-def _at_reversal(amplitude: Floats, q: Arrays) -> Floats:
+def _reversal_moment(amplitude: Floats, q: Arrays) -> Floats:
     return np.asarray(q["c"] * np.tanh(amplitude * q["sigma"] / q["c"]))
 
 
-def _dahl_starts(found: StartValues, _: float) -> list[dict[str, float]]:
-    loss = 2 * (found.decay.c + found.decay.b / (found.decay.p + 1))  # at the reference amplitude
-    out = []
+def _dahl_starts(start: StartValues, _: float) -> list[dict[str, float]]:
+    loss = 2 * (start.decay.c + start.decay.b / (start.decay.p + 1))  # at the reference amplitude
+    proposals = []
     for angle in (0.05, 0.5, 3.0, 20.0):  # c/sigma in units of the reference
-        at_one = 2 * (1 - np.tanh(1 / angle) * angle)
-        c = max(loss, 1e-9) / max(at_one, 1e-9)
-        out.append({"c": c, "sigma": c / angle, PERIOD: found.mean_period_s * np.sqrt(1 + min(c, 1.0))})
-    return out
+        unit_loss = 2 * (1 - np.tanh(1 / angle) * angle)
+        c = max(loss, 1e-9) / max(unit_loss, 1e-9)
+        period0_s = start.mean_period_s * np.sqrt(1 + min(c, 1.0))
+        proposals.append({"c": c, "sigma": c / angle, PERIOD: period0_s})
+    return proposals
 
 
 DAHL = branch_law(
@@ -106,7 +110,7 @@ DAHL = branch_law(
                   lower=0.0, logarithmic=True),
         FREE_PERIOD,
     ),
-    Branch(_resistance, _mean_resistance, _at_reversal),
+    Branch(_resistance, _mean_resistance, _reversal_moment),
     {"c": Scaling(1.0), "sigma": Scaling()},
     logarithms_of(0, 1),
     _dahl_starts,
@@ -127,14 +131,14 @@ def _stiffness(q: ComplexOrReal) -> ComplexOrReal:
 
 
 def _scaled(values: ComplexOrReal) -> ComplexOrReal:
-    """k, q, c, drag and T0 from their coordinates: ln of the loss, the contact's share of stiffness, c and
-    period of a swing.
+    """k, q, c, drag and T0 from their coordinates, which decay and period determine.
 
-    Gravity has the rest of the stiffness. Decay and period determine the coordinates; k is not determined if
-    the contact is much stiffer than gravity.
+    These are ln of the loss, the contact's fraction of the stiffness (the rest is gravity's), c over the
+    stiffness, the drag, and the period at the reference amplitude. k is not determined if the contact is much
+    stiffer than gravity.
     """
-    log_loss, share, c, drag, period_s = values
-    k = share / (1 - share)
+    log_loss, fraction, c, drag, period_s = values
+    k = fraction / (1 - fraction)
     loss = (1 + k) * np.exp(log_loss)
     q = (k - loss) / (k + loss)
     return np.array([k, q, (1 + k) * c, drag, period_s * np.sqrt(1 + k * _stiffness(q))])
@@ -148,14 +152,13 @@ def _coordinates(values: Floats) -> Floats:
     )
 
 
-def _propose_starts(found: StartValues, _: float) -> list[dict[str, float]]:
-    decay = found.decay
-    out = []
+def _masing_starts(start: StartValues, _: float) -> list[dict[str, float]]:
+    decay, proposals = start.decay, []
     for exponent in (float(np.clip(decay.p, 0.1, 0.96)), 0.5, 0.9):
         k = max(decay.b, 1e-9) / (decay.p + 1) * (1 + exponent) / (1 - exponent)
-        period0_s = found.mean_period_s * np.sqrt(1 + k * _stiffness(np.asarray(exponent)))
-        out.append({"k": k, "q": exponent, "c": decay.c, PERIOD: float(period0_s)})
-    return out
+        period0_s = start.mean_period_s * np.sqrt(1 + k * _stiffness(np.asarray(exponent)))
+        proposals.append({"k": k, "q": exponent, "c": decay.c, PERIOD: float(period0_s)})
+    return proposals
 
 
 MASING = branch_law(
@@ -169,16 +172,12 @@ MASING = branch_law(
         CONSTANT,
         FREE_PERIOD,
     ),
-    masing(_backbone, _work, constant=CONSTANT.key),
-    {
-        "k": Scaling(1.0, -1.0, "q"),
-        "q": Scaling(),
-        "c": Scaling(1.0),
-    },
+    masing_branch(_backbone, _work, constant=CONSTANT.key),
+    {"k": Scaling(1.0, -1.0, "q"), "q": Scaling(), "c": Scaling(1.0)},
     ValleyCoordinates(
         _scaled, _coordinates, (HeldColumn(1), HeldColumn(0), HeldColumn(2)), lambda _: {1: (1e-4, 0.6)}
     ),
-    _propose_starts,
+    _masing_starts,
 )  # fmt: skip
 
 
@@ -190,8 +189,8 @@ _KEYS = tuple(f"k{number}" for number in range(1, len(YIELD_ARCSEC) + 1))
 
 
 def _slip_backbone(x: Floats, q: Arrays) -> Floats:
-    total = sum(q[key] * np.minimum(x, y / q["reference"]) for key, y in zip(_KEYS, _YIELD_RAD, strict=True))
-    return np.asarray(total)
+    yields = zip(_KEYS, _YIELD_RAD, strict=True)
+    return np.asarray(sum(q[key] * np.minimum(x, y_rad / q["reference"]) for key, y_rad in yields))
 
 
 def _slip_work(x: Floats, q: Arrays) -> Floats:
@@ -202,20 +201,20 @@ def _slip_work(x: Floats, q: Arrays) -> Floats:
     return np.asarray(total)
 
 
-def _propose_slip_starts(found: StartValues, reference_rad: float) -> list[dict[str, float]]:
+def _slip_starts(start: StartValues, reference_rad: float) -> list[dict[str, float]]:
     from scipy.optimize import nnls
 
-    decay = found.decay
+    decay = start.decay
     a = np.geomspace(0.2, 5.0, 30)
     loss = 2 * (decay.c + decay.b * a**decay.p / (decay.p + 1))
-    unit = {key: np.zeros(()) for key in _KEYS} | {"reference": np.array(reference_rad)}
+    zero = {key: np.zeros(()) for key in _KEYS} | {"reference": np.array(reference_rad)}
     columns = [np.full_like(a, 2.0)]
     for key in _KEYS:
-        one = {**unit, key: np.ones(())}
-        columns.append(4 * _slip_work(a, one) / a - 2 * _slip_backbone(a, one))
+        unit = {**zero, key: np.ones(())}
+        columns.append(4 * _slip_work(a, unit) / a - 2 * _slip_backbone(a, unit))
     solution, _ = nnls(np.column_stack(columns) / loss[:, None], np.ones_like(a))
     c, *stiffness = solution.tolist()
-    period0_s = found.mean_period_s * np.sqrt(1 + min(sum(stiffness), 1.0))
+    period0_s = start.mean_period_s * np.sqrt(1 + min(sum(stiffness), 1.0))
     return [{"c": c, **dict(zip(_KEYS, stiffness, strict=True)), PERIOD: period0_s}]
 
 
@@ -232,8 +231,8 @@ MAXWELL_SLIP = branch_law(
         CONSTANT,
         FREE_PERIOD,
     ),
-    masing(_slip_backbone, _slip_work, constant=CONSTANT.key),
-    {**{key: Scaling() for key in _KEYS}, "c": Scaling(1.0)},
+    masing_branch(_slip_backbone, _slip_work, constant=CONSTANT.key),
+    dict.fromkeys(_KEYS, Scaling()) | {"c": Scaling(1.0)},
     logarithms_of(),
-    _propose_slip_starts,
+    _slip_starts,
 )  # fmt: skip

@@ -29,7 +29,7 @@ def points() -> TurningPoints:
 
 
 def columns_of(points: TurningPoints, drag: bool) -> Coordinates:
-    return PAPER.columns(points, paper_pair("steel")[1], PAPER.fit_names(drag=drag))
+    return PAPER.coordinates(points, paper_pair("steel")[1], PAPER.fit_names(drag=drag))
 
 
 EVERY = pytest.mark.parametrize("drag", [False, True])
@@ -47,7 +47,7 @@ def test_parameters_come_back(points: TurningPoints, drag: bool) -> None:
 def test_columns_of_others_stand_before_those_of_the_law(points: TurningPoints, drag: bool) -> None:
     """As the gains of a seismometer; the parameters know nothing of them."""
     names, pendulum = PAPER.fit_names(drag=drag), paper_pair("steel")[1]
-    own, both = columns_of(points, drag), PAPER.columns(points, pendulum, names, (3.0, -4.0))
+    own, both = columns_of(points, drag), PAPER.coordinates(points, pendulum, names, (3.0, -4.0))
     start = both.starts(points)[0][0]
     np.testing.assert_array_equal(start, [3.0, -4.0, *own.starts(points)[0][0]])
     np.testing.assert_array_equal(both.lower, [-np.inf, -np.inf, *own.lower])

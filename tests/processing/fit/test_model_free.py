@@ -78,12 +78,12 @@ def test_gradients_are_those_of_differences(drag: float) -> None:
     # another reference than the splines' own: the map answers in the one that it is given
     at = np.array([*friction, *elastic, drag, 0.9 * splines.unit_rad, 0.0, 1.3])
     index = np.arange(0, 120, 3)
-    found = law.half_swing_map(at, index)
+    found = law.turning_points(at, index)
     assert np.all(np.isfinite(found.time))
     for place in [*range(len(at) - 3), len(at) - 1]:
         step = np.zeros(len(at))
         step[place] = 1e-6
-        high, low = law.half_swing_map(at + step, index), law.half_swing_map(at - step, index)
+        high, low = law.turning_points(at + step, index), law.turning_points(at - step, index)
         for gradient, above, below in (
             (found.amplitude_gradient, high.amplitude, low.amplitude),
             (found.time_gradient, high.time, low.time),

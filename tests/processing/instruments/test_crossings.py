@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from processing.instruments.crossings import inferred_swings, joined_swings
+from processing.instruments.crossings import inferred_half_cycles, joined_half_cycles
 from processing.instruments.damping_fit import damping
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.instruments.turning import refined_turning_points
@@ -38,7 +38,7 @@ def test_amplitudes_off_the_sensor(kind: str, limit_deg: float, rest_rad: float)
     settings = simulation(kind)
     truth = truth_points(settings, 1.1 * limit_deg)
     found = samples(settings, 1.1 * limit_deg, seed=1, noise_rad=1e-5)
-    swings = inferred_swings(found.times_ns, seen(found, limit_deg, rest_rad), found.u_rad)
+    swings = inferred_half_cycles(found.times_ns, seen(found, limit_deg, rest_rad), found.u_rad)
     assert len(swings) > 0.9 * len(truth.time_s)
     assert all(swing.flags == HalfCycleFlag.INFERRED for swing in swings)
     time_s = np.array([swing.turn_time_ns * 1e-9 for swing in swings])
@@ -67,7 +67,7 @@ def test_damping_time_where_the_sensor_sees_only_the_end() -> None:
         place = seen(found, 4.0)
         swings = half_cycles_of(found.times_ns, place, found.u_rad)
         here = refined_turning_points(found.times_ns, place, found.u_rad, swings) if len(swings) > 1 else []
-        joined = joined_swings(here, inferred_swings(found.times_ns, place, found.u_rad))
+        joined = joined_half_cycles(here, inferred_half_cycles(found.times_ns, place, found.u_rad))
         assert {bool(swing.flags) for swing in joined} == {True, False}
         time_s = damping(points(joined), 6 * DEGREE_RAD, 3 * DEGREE_RAD).time_s
         pulls.append((time_s.value - expected_s) / time_s.standard_uncertainty)
@@ -76,9 +76,9 @@ def test_damping_time_where_the_sensor_sees_only_the_end() -> None:
 
 def test_nothing_is_inferred_where_all_was_seen() -> None:
     found = samples(simulation("koenig"), 4.0, seed=2, noise_rad=1e-5)
-    assert inferred_swings(found.times_ns, found.y_rad, found.u_rad) == []
+    assert inferred_half_cycles(found.times_ns, found.y_rad, found.u_rad) == []
     lost = np.full(len(found.y_rad), np.nan)
-    assert inferred_swings(found.times_ns, lost, found.u_rad) == []
+    assert inferred_half_cycles(found.times_ns, lost, found.u_rad) == []
 
 
 def test_half_periods_without_any_sample_are_counted() -> None:
@@ -89,7 +89,7 @@ def test_half_periods_without_any_sample_are_counted() -> None:
     paused_s = truth.time_s[[10, 15]]
     time_s = found.times_ns * 1e-9
     place = np.where((time_s > paused_s[0]) & (time_s < paused_s[1]), np.nan, seen(found, 2.0))
-    swings = inferred_swings(found.times_ns, place, found.u_rad)
+    swings = inferred_half_cycles(found.times_ns, place, found.u_rad)
     nearest = [int(np.argmin(np.abs(truth.time_s - swing.turn_time_ns * 1e-9))) for swing in swings]
     assert max(np.diff(nearest)) > 5
     np.testing.assert_array_equal(np.diff([swing.index for swing in swings]), np.diff(nearest))

@@ -22,7 +22,9 @@ from rig.control import (
 )
 from rig.control.laser_service import LaserSnapshot
 from rig.control.protocol import ControllerStatus, Latch
+from rig.control.service import ControlSnapshot
 from rig.desk.follower import RigFollower
+from rig.devices.lit_devices import LitDevices
 from rig.measure.preflight import frame_checks
 from rig.settings import validate_configuration
 from rig.terminal import plain_values

@@ -53,7 +53,7 @@ def test_dahls_half_swings_are_those_of_his_equation() -> None:
     amplitude, time = dahl_decay(0.02, 0.04, 1.0, 16)
     begun = 3  # what the first reversal remembers is not known, and has faded then
     first = float(amplitude[begun])
-    found = LAWS["dahl"].half_swing_map(np.array([0.02, 0.04, 0.0, FIRST, 0.0, first]), np.arange(16 - begun))
+    found = LAWS["dahl"].turning_points(np.array([0.02, 0.04, 0.0, FIRST, 0.0, first]), np.arange(16 - begun))
     np.testing.assert_allclose(found.amplitude, amplitude[begun:], rtol=3e-7)
     np.testing.assert_allclose(found.time, (time[begun:] - time[begun]) / (2 * np.pi), rtol=1e-7)
 
@@ -62,7 +62,7 @@ def test_dahls_half_swings_are_those_of_his_equation() -> None:
 @pytest.mark.parametrize("sigma", [0.0, 0.04, 1e300])
 def test_dahls_trial_parameters_beyond_all_sense_warn_of_nothing(c: float, sigma: float) -> None:
     """A search passes through them on its way; the decay then ends at once, or has no loss."""
-    found = LAWS["dahl"].half_swing_map(np.array([c, sigma, 0.0, FIRST, 0.0, 1.0]), np.arange(5))
+    found = LAWS["dahl"].turning_points(np.array([c, sigma, 0.0, FIRST, 0.0, 1.0]), np.arange(5))
     assert found.amplitude.shape == (5,)
 
 
@@ -71,7 +71,7 @@ def test_sliders_lose_what_they_lose_one_by_one(drag: float) -> None:
     stiffness = np.array([0.01, 0.008, 0.01, 0.006])
     slip = np.array([4.0, 12.0, 36.0, 90.0]) * ARCSEC / FIRST
     amplitude, time = slider_decay(stiffness, slip, 1e-4, drag, 1.0, 20)
-    found = LAWS["maxwell-slip"].half_swing_map(
+    found = LAWS["maxwell-slip"].turning_points(
         np.array([*stiffness, 1e-4, drag, FIRST, 0.0, 1.0]), np.arange(20)
     )
     # tabulated across the kinks at which a slider gives way
@@ -81,7 +81,7 @@ def test_sliders_lose_what_they_lose_one_by_one(drag: float) -> None:
 
 def test_a_linear_drag_alone_takes_the_same_share_of_every_swing() -> None:
     drag, index = 4e-3, np.arange(300)
-    found = LAWS["viscous"].half_swing_map(np.array([drag, FIRST, 0.0, 1.0]), index)
+    found = LAWS["viscous"].turning_points(np.array([drag, FIRST, 0.0, 1.0]), index)
     rate = np.sqrt(1 - drag**2 / 4)
     np.testing.assert_allclose(found.amplitude, np.exp(-np.pi * drag / (2 * rate) * index), rtol=1e-12)
     np.testing.assert_allclose(found.time, index / (2 * rate), rtol=1e-11)
@@ -102,13 +102,13 @@ def test_gradients_are_those_of_differences(name: str, values: list[float]) -> N
     rtol = 0.05 if name == "maxwell-slip" else 2e-3
     index, law = np.arange(0, 60, 3), LAWS[name]
     at = np.array([*values, 1e-3, FIRST, 0.0, 1.0])
-    found = law.half_swing_map(at, index)
+    found = law.turning_points(at, index)
     for place in range(len(at)):
         if place in (len(at) - 3, len(at) - 2):
             continue  # the unit of angles and R/a, which no fit varies
         step = np.zeros(len(at))
         step[place] = 1e-3 * at[place]
-        high, low = law.half_swing_map(at + step, index), law.half_swing_map(at - step, index)
+        high, low = law.turning_points(at + step, index), law.turning_points(at - step, index)
         for gradient, above, below in (
             (found.amplitude_gradient, high.amplitude, low.amplitude),
             (found.time_gradient, high.time, low.time),

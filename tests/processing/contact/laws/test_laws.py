@@ -100,7 +100,7 @@ def test_fits_start_within_the_range_of_their_law(law: Law, p: float) -> None:
     parameters, pendulum = paper_pair("steel")
     strong = replace(parameters, p=p, b=parameters.b * (124 * ARCSEC) ** (parameters.p - p))
     points = decay(strong, pendulum, noise_arcsec=0.005, seed=1)
-    columns = law.columns(points, pendulum, law.fit_names())
+    columns = law.coordinates(points, pendulum, law.fit_names())
     starts = [attempts[0] for attempts in columns.starts(points)]
     assert starts
     for start in starts:

@@ -65,7 +65,7 @@ def test_an_elastic_moment_of_ones_own_is_that_of_a_shorter_period() -> None:
         index = np.arange(5)
         own = np.array([1e-8, 4e-3, 0.95, 0.0, share])
         made = law.of(points, pendulum, like)
-        periods.append(made.half_swing_map(np.array([*own, 0.0, 2e-4, 0.0, 1.5]), index).time[-1])
+        periods.append(made.turning_points(np.array([*own, 0.0, 2e-4, 0.0, 1.5]), index).time[-1])
     # e and share are both parameters: the second is 0 in the first law
     assert periods[1] / periods[0] == pytest.approx((1 - 0.005) ** -0.5, rel=1e-5)
 

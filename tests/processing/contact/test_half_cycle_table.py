@@ -8,7 +8,7 @@ import scipy
 from numpy.typing import NDArray
 
 from processing.contact import scaled_contact, turning_points_of
-from processing.contact.half_swing import SwingTable, walk
+from processing.contact.half_cycle_table import HalfCycleTable, iterate_decay
 from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.errors import DataError
@@ -131,12 +131,12 @@ def in_map(parameters: ContactParameters, pendulum: PendulumOnBall) -> NDArray[n
 def test_derivatives_are_those_of_the_map(drag_s: float) -> None:
     q = in_map(*paper_pair("glass_k8", drag_s))
     index = np.array([0, 1, 2, 10, 57, 200], dtype=np.int64)
-    found = PAPER.half_swing_map(q, index)
+    found = PAPER.turning_points(q, index)
     assert np.isfinite(found.time).all()
     for i in range(len(q)):
         step = np.zeros_like(q)
         step[i] = 1e-6 * max(abs(q[i]), 1e-3)
-        up, down = PAPER.half_swing_map(q + step, index), PAPER.half_swing_map(q - step, index)
+        up, down = PAPER.turning_points(q + step, index), PAPER.turning_points(q - step, index)
         for analytic, high, low in (
             (found.amplitude_gradient[:, i], up.amplitude, down.amplitude),
             (found.time_gradient[:, i], up.time, down.time),
@@ -148,17 +148,17 @@ def test_derivatives_are_those_of_the_map(drag_s: float) -> None:
 
 def test_gaps_are_run_over_exactly() -> None:
     q = in_map(*paper_pair("silicon"))
-    every = PAPER.half_swing_map(q, np.arange(101, dtype=np.int64))
-    some = PAPER.half_swing_map(q, np.array([0, 3, 50, 100], dtype=np.int64))
+    every = PAPER.turning_points(q, np.arange(101, dtype=np.int64))
+    some = PAPER.turning_points(q, np.array([0, 3, 50, 100], dtype=np.int64))
     for whole, part in zip(every, some, strict=True):
         assert np.array_equal(whole[[0, 3, 50, 100]], part)
 
 
-def test_a_swing_that_a_law_makes_grow_ends_the_walk() -> None:
+def test_a_swing_that_a_law_makes_grow_ends_the_decay() -> None:
     log_a = np.log(np.geomspace(0.1, 1.0, 5))
     rows = np.tile([[1.5], [0.5], [0.0], [0.0]], 5)  # each half-swing is half as large again
-    table = SwingTable.of(log_a, rows, 1, 0)
-    found = walk(lambda _: table, 2, 1.0, 1999).turning_points(1.0, np.arange(2000, dtype=np.int64))
+    table = HalfCycleTable.of(log_a, rows, 1, 0)
+    found = iterate_decay(lambda _: table, 2, 1.0, 1999).turning_points(1.0, np.arange(2000, dtype=np.int64))
     np.testing.assert_allclose(found.amplitude[:3], [1.0, 1.5, 2.25])
     assert np.isnan(found.amplitude[3:]).all()
     assert np.isnan(found.time[3:]).all()
