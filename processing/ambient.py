@@ -66,7 +66,7 @@ class AmbientConditions:
     temperature_change_k: Annotated[
         float, Quantity("temperature change", "change of the temperature over the run", "K")
     ] = nan
-    """By a straight line through the readings, if they span half of the run."""
+    """Change over the run, by a straight line through the readings, if they span half of it."""
     age_s: Annotated[float, Quantity("age", "age of the surfaces since cleaning", "h")] = nan
     """Time from the last cleaning of the surfaces to the run's first frame."""
 
