@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from calibration import relate_clocks, stability
-from rig.prepare.frame_times import u_camera_rate
+from rig.prepare.record_calibrations import u_camera_rate
 from tests.benchmarks.cases import run_of
 from tests.benchmarks.coverage import Case, measure, of_pulls
 from tests.rig.analysis.spinning import Held

@@ -22,7 +22,7 @@ from calibration.store import read_calibration
 from processing.errors import RigError
 from rig.analysis import encoded, read_results
 from rig.archive import list_runs
-from rig.archive.listing import write_sessions, writing
+from rig.archive.listing import open_for_writing, write_sessions
 from rig.intake.table import TableColumns
 from rig.measure.session_file import SessionFile
 from rig.prepare.calibration_inputs import LadderFile, TransferFile, read_input
@@ -204,7 +204,7 @@ def test_a_file(kind: str, wanted: list[tuple[str, float, bytes]]) -> None:
 def test_an_archive(wanted: list[tuple[str, float, bytes]]) -> None:
     with tempfile.TemporaryDirectory() as made:
         path, listed = Path(made) / "archive.duckdb", Path(made) / "listed.csv"
-        with writing(path) as connection:
+        with open_for_writing(path) as connection:
             write_sessions(connection, {"f": ""}, [{"sha256": "ab", "folder": "f", "b": 1e-3}])
         path.write_bytes(changed(path.read_bytes(), wanted))
         one_line(lambda: list_runs(path, "", "b", listed))

@@ -20,7 +20,7 @@ from processing.units import ARCSEC_RAD
 from rig.analysis import TableDecay, analyse_record, read_results
 from rig.analysis.result_rows import Determinacy, ResultRow
 from rig.archive import ordered_runs
-from rig.archive.listing import write_sessions, writing
+from rig.archive.listing import open_for_writing, write_sessions
 from rig.archive.session_rows import session_rows
 from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
 from rig.report.campaign_input import CandidateRun, runs_of_archive, stated_model
@@ -356,7 +356,7 @@ def test_runs_of_an_archive_are_in_the_order_of_their_beginnings(tmp_path: Path)
         folder, run = name.split("/")
         began = None if hours is None else (evening + datetime.timedelta(hours=hours)).isoformat()
         rows.append({"sha256": f"{number}", "folder": folder, "run": run, "began_utc": began, "results": "x"})
-    with writing(tmp_path / "archive.duckdb") as connection:
+    with open_for_writing(tmp_path / "archive.duckdb") as connection:
         write_sessions(connection, {"a": "", "b": "", "c": ""}, rows)
     found = ordered_runs(tmp_path / "archive.duckdb", "")
     runs = [f"{row[3]}/{row[1]}" for row in found]
