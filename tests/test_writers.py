@@ -74,7 +74,14 @@ def _written_by(call: ast.Call) -> str:
     if name in ("savefig", "write_table", "to_csv", "write_csv") and owner is not None and call.args:
         target = call.args[-1 if name.startswith("write") and len(call.args) > 1 else 0]
         # into memory, or what such a variable names
-        in_memory = isinstance(target, ast.Name) and target.id in ("out", "data", "file", "beside", "run")
+        in_memory = isinstance(target, ast.Name) and target.id in (
+            "buffer",
+            "out",
+            "data",
+            "file",
+            "beside",
+            "run",
+        )
         return "" if in_memory else name
     return ""
 

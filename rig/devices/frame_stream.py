@@ -288,12 +288,12 @@ class FrameStream:
             self._queue.close()
             self._has_begun.set()
 
-    def _with_reasons(self, error: FrameTimeout) -> FrameTimeout:
-        """The error, with the number of unusable frames that came: then the trigger is not at fault."""
+    def _with_reasons(self, timeout: FrameTimeout) -> FrameTimeout:
+        """The timeout, with the number of unusable frames that came: then the trigger is not at fault."""
         losses = self._all_losses().since(self._last_losses)
         if not losses.discarded:
-            return error
-        name = str(error).partition(": ")[0]
+            return timeout
+        name = str(timeout).partition(": ")[0]
         return FrameTimeout(
             f"{name}: no usable frame; of those that came {losses.discarded_text}; use a lower rate or "
             "size, another port or cable; rig camera show lists what the camera reports"

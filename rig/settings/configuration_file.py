@@ -134,14 +134,14 @@ def validate_configuration(
     with_u = set_keys | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in set_keys if key.count(".") > 1}
     lines = []
     for fault in faults:
-        is_stated, place = _is_from_overrides(fault, with_u), fault.place
+        is_stated, place, line = _is_from_overrides(fault, with_u), fault.place, fault.line
         siblings = [key.rstrip(".") for key in sorted(set_keys) if place and key.startswith(f"{place[0]}.")]
         hint = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
-        positions = {text: fault.line.find(key) for key, text in overrides.items()}
+        positions = {text: line.find(key) for key, text in overrides.items()}
         # of keys that contradict each other, the line may begin with one that --set does not state
         is_first = place or 0 in positions.values()
         prefix = "" if is_first else "".join(f"{text}: " for text in positions if positions[text] > 0)
-        lines.append(f"{f'--set {prefix}' if is_stated else f'{source}: '}{fault.line}{hint}")
+        lines.append(f"{f'--set {prefix}' if is_stated else f'{source}: '}{line}{hint}")
     raise ConfigurationError("\n".join(lines))
 
 

@@ -11,8 +11,18 @@ from processing.contact.laws.paper import PAPER, STIFFNESS, elastic_moment, scal
 from processing.contact.laws.textbook import COULOMB, DAHL, MASING, MAXWELL_SLIP, VISCOUS
 
 LAWS: Mapping[str, Law] = MappingProxyType(
-    {law.name: law for law in (PAPER, MASING, MAXWELL_SLIP, DAHL, COULOMB, VISCOUS)}
-)
+    {
+        law.name: law
+        for law in (
+            PAPER,
+            MASING,
+            MAXWELL_SLIP,
+            DAHL,
+            COULOMB,
+            VISCOUS,
+        )
+    }
+)  # fmt: skip
 """Laws by name, in the order of display."""
 
 DEFAULT_LAW = PAPER

@@ -118,7 +118,7 @@ def test_areas_that_were_swapped_are_refused(
     swapped.write_text(
         vanes.read_text().replace("0.mcap", "x").replace("1.mcap", "0.mcap").replace("x", "1.mcap")
     )
-    with pytest.raises(DataError, match="of drag per m² of vanes, and vanes add some: see which record"):
+    with pytest.raises(DataError, match="s per m² of vanes, but vanes add drag: check which record"):
         calibrate_air(swapped, Filing(tmp_path / "c"))
     assert not (tmp_path / "c").exists()
 

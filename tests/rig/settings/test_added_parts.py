@@ -47,7 +47,7 @@ INSTRUMENT = """
     Description(
         kind="plumb_line",
         title="A weight on a thread",
-        tells="period.",
+        results="period.",
         support="a thread",
         supports=1,
         report="decay",
